@@ -1,4 +1,4 @@
-"""How the parameters of a calibration follow the readings, for every estimator.
+"""How the parameters of a calibration depend on its readings, and the problem that it solved.
 
 Where orientations are known, with the design X and the covariance V of the readings,
 
@@ -7,23 +7,20 @@ Where orientations are known, with the design X and the covariance V of the read
 Near its solution the estimate of `multipos.estimation.likelihood` is linear in the readings. With A
 and W as there, and S the reduced information,
 
-    G = the rows of S^-1 A'W that belong to parameters,                                     (2)
+    G = the rows of S⁻¹ A'W that belong to parameters,                                      (2)
 
-orientations and shared unknowns moving along. Budgets of uncertainty are made of it. The local
-gravity g is the first of them: it scales the reference f of every row that is at rest in it, and
-readings y = h(f; p) then follow with J = dh/df, so that
+orientations and shared unknowns following. Budgets of uncertainty are made of it. The local gravity
+g is the first of them: it scales the reference f of every row that is at rest in it, and readings
+y = h(f; p) then follow with J = dh/df, so that
 
     dp/dg = G J f/g  over those rows,                                                       (3)
 
 which is d p/g, d the degree of the term in force, where all rows are such.
 
-The problem that a finished calibration solved, stated again with the noise that it found.
-
-Profiles, tests of terms, gains and Monte Carlo ask of the likelihood of
-`multipos.estimation.likelihood` what the fit did not. A calibration carries all of it: readings,
-what was known of the positions, and a noise that is either stated with the readings or the residual
-standard deviation. Where the residuals of a robust fit deny a stated noise, everything counts in
-units of F/nu instead of one.
+Tests of terms, gains and Monte Carlo need the likelihood after the fit. A calibration carries all
+of its problem: readings, what was known of the positions, and a noise that is either stated with
+the readings or the residual standard deviation. Where the residuals of a robust fit reject a stated
+noise, everything is in units of F/ν instead of one.
 """
 
 from dataclasses import replace
@@ -84,7 +81,7 @@ def return_to_optimum(calibration: Calibration, problem: Problem) -> Optimum:
 
 
 def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -> float:
-    """Return what F is to be divided by: F/nu where a stated noise was denied, else one."""
+    """Return what F is to be divided by: F/nu where a stated noise was rejected, else one."""
     if np.isinf(calibration.dof[0]) or calibration.variance_components:
         return 1.0
     nu = float(problem.degrees.sum()) - problem.unknowns
@@ -164,8 +161,8 @@ def uncertain_gain(calibration: Calibration) -> Array:
 
     Of an uncertain or unknown orientation, near its solution: with A and W of
     `multipos.estimation.likelihood`, S^-1 A'W, orientations and shared unknowns moving along.
-    Outputs run fastest. Of a robust loss only the positions that it set aside are kept: they tell
-    nothing.
+    Outputs run fastest. Of a robust loss only the positions that it set aside are kept: their
+    weight is nothing.
     """
     readings, reference = calibration.readings, calibration.reference
     n, m = readings.values.shape
@@ -190,6 +187,6 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
 
 
 def information_at_solution(calibration: Calibration) -> tuple[Problem, FisherInformation]:
-    """Return the problem of a calibration about its solution, and what is told there."""
+    """Return the problem of a calibration about its solution, and the Fisher information there."""
     problem, state = about_solution(calibration)
     return problem, information_at(problem, state)

@@ -1,8 +1,9 @@
-"""What a stated uncertainty is worth that was itself estimated from few samples.
+"""Stated uncertainties of readings that are themselves uncertain, and forces that are.
 
-The u_k of the readings of one output are estimates with d_k degrees of freedom. Weights 1/u_k² of
-few of them favour those that came out small by chance, so that each is drawn towards what all of
-them have in common, a scaled inverse χ² of d_0 degrees of freedom about s_0² [1]_:
+**Few degrees of freedom.** The u_k of the readings of one output are estimates with d_k degrees of
+freedom. Weights 1/u_k² of few of them favour those that came out small by chance, so that each is
+shrunk towards what all of them have in common, a scaled inverse χ² of d_0 degrees of freedom about
+s_0² [1]_:
 
     ũ_k² = (d_0 s_0² + d_k u_k²)/(d_0 + d_k),                                              (1)
     ψ'(d_0/2) = var(e) − mean ψ'(d_k/2),     ln s_0² = mean(e) + ψ(d_0/2) − ln(d_0/2),       (2)
@@ -10,32 +11,30 @@ them have in common, a scaled inverse χ² of d_0 degrees of freedom about s_0²
 with e_k = ln u_k² − ψ(d_k/2) + ln(d_k/2). Where the u_k differ by no more than chance allows, d_0
 is infinite and all become one, Σ d_k u_k²/Σ d_k; where they truly differ, each stays what it is.
 
-Rests of a log that few effective samples tell (`dof` below 30 in most of them) are not what (1)
-takes them for: the memory of their noise is estimated too, from the same few, and their u excess
-by factors where rests are alike. They are weighed by their numbers of samples N_k,
+Rests of a log with few effective samples (`dof` below 30 in most of them) do not satisfy (1): the
+correlation of their noise is estimated too, from the same few samples, and their u differ by
+factors where rests are equally noisy. They are weighted by their numbers of samples N_k,
 
     ũ_k² = q/N_k,    q the lower quartile of N_k u_k²,                                      (1a)
 
-a variance, above which the residuals of the fit say how much they excess.
+a variance above which the residuals of the fit determine the excess.
 
-The variances of a fit then have by Welch and Satterthwaite
+The stated variances of a fit then have by Welch and Satterthwaite
 
     ν_c = (Σ ũ_k²)²/Σ (ũ_k⁴/d_k),     1/ν' = 1/ν + w²/ν_c,                                  (3)
 
-where w is the part that variances are of the variance of the readings, the rest being excess from
-rest to rest with its own ν. Where ν is infinite, U grows by k(ν_c)/k(∞).
+where w is the fraction that they are of the variance of the readings, the rest being excess
+variance with its own ν. Where ν is infinite, U grows by k(ν_c)/k(∞).
 
-An applied force that is known with an uncertainty: what it adds to the noise of the readings.
-
-A reading at a force f + δ, δ with standard uncertainties u_f of its components, moves by J δ,
-J = dh/df, so that the readings of position k have
+**Uncertain forces.** A reading at a force f + δ, δ with standard uncertainties u_f of its
+components, moves by J δ, J = dh/df, so that the readings of position k have the covariance
 
     V_k = U_k + J_k diag(u_f²) J_kᵀ,                                                        (4)
 
-U_k what they state themselves. J is that of a first fit, which knows the scale factors well enough
-for a weight. Readings that state nothing get a variance far below what they excess
-(`multipos.estimation.excess_variance` finds the rest), so that their noise stays what the
-residuals say.
+U_k the stated one. J is that of a first fit, which determines the scale factors well enough for a
+weight. Readings without stated noise get one far below their residuals
+(`multipos.estimation.excess_variance` finds the rest), so that their noise stays that of the
+residuals.
 
 References
 ----------
@@ -56,10 +55,10 @@ from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 from multipos.positions.readings import Readings
 
 _KNOWN = 1000.0  # degrees of freedom from which on u is taken as known
-_FEW = 30.0  # below which it is said
+_FEW = 30.0  # below which a finding says so
 _LEAST, _MOST = 1e-140, 1e140  # of u, whose squares are numbers still
 _RATIO = 1e3  # times that uncertainties of a unit may differ, where weights have digits left
-_FEWEST = 3  # readings that tell what they have in common
+_FEWEST = 3  # readings that determine what they have in common
 
 
 def shrink_variances(readings: Readings) -> Readings:
@@ -98,7 +97,7 @@ def _by_samples(u: Array, dof: Array, samples: Array) -> Array:
 
 
 class StatedNoise(NamedTuple):
-    """What many units state of their noise.
+    """The stated noise of many units.
 
     Attributes
     ----------
@@ -116,7 +115,7 @@ class StatedNoise(NamedTuple):
 
 
 def take_stated(stated: Sequence[Array], stated_dof: Sequence[Array]) -> StatedNoise:
-    """Return what many units state of their noise.
+    """Return the stated noise of many units.
 
     Parameters
     ----------
@@ -153,12 +152,12 @@ def shrunk(u: Array, dof: Array) -> Array:
     mean = np.sum(few * e, axis=1, keepdims=True) / count
     excess = np.sum(few * (e - mean) ** 2, axis=1, keepdims=True) / (count - 1)
     excess -= np.sum(few * trigamma(half), axis=1, keepdims=True) / count
-    alike = excess <= 0.0  # as far as chance allows
-    prior = 2.0 * inverse_trigamma(np.where(alike, 1.0, excess))
+    equal = excess <= 0.0  # as far as chance allows
+    prior = 2.0 * inverse_trigamma(np.where(equal, 1.0, excess))
     common = np.exp(mean + digamma(prior / 2.0) - np.log(prior / 2.0))
     total = np.sum(few * dof, axis=1, keepdims=True)
     pooled = np.sum(few * dof * square, axis=1, keepdims=True) / np.where(total > 0.0, total, 1.0)
-    together = np.where(alike, pooled, (prior * common + dof * square) / (prior + dof))
+    together = np.where(equal, pooled, (prior * common + dof * square) / (prior + dof))
     return np.where(drawn, np.sqrt(together), u)
 
 
@@ -183,7 +182,7 @@ def with_stated_dof(solution: Solution, readings: Readings, *, joint: bool) -> S
         spread = np.full(len(spread), spread.max())
     each = np.repeat(spread, [len(terms) for terms in solution.model.terms])
     with np.errstate(divide="ignore"):
-        # what is infinite tells that nothing was found from residuals, and stays
+        # infinite: nothing was estimated from residuals, and it stays
         dof = np.where(np.isinf(solution.dof), np.inf, 1.0 / (1.0 / solution.dof + spread))
         own = 1.0 / (1.0 / solution.parameter_dof + each)
     return replace(solution, dof=dof, parameter_dof=own)
@@ -224,7 +223,7 @@ def _spread(variance: Array, dof: Array, excess: Array) -> Array:
     return np.asarray(share**2 / stated_dof)
 
 
-_LEAST_SD = 1e-3  # of a residual standard deviation: nothing beside the excess that is found
+_LEAST_SD = 1e-3  # of a residual standard deviation: negligible against the excess variance
 _CORRELATED = 0.01  # below which outputs of one reading count as independent
 
 

@@ -214,7 +214,7 @@ class _Going(NamedTuple):
 
     def of(self, units: Places) -> "_Going":
         """Return some of the searches."""
-        return _Going(*(each[units] for each in self))
+        return _Going(self.damping[units], self.before[units], self.iterations[units])
 
     def refused(
         self, taken: NDArray[np.bool_], fall: Array, flat: NDArray[np.bool_]

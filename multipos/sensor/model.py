@@ -289,7 +289,7 @@ class Model(Result):
         if not self.varying_slopes:
             return result
         variables = self.variables(force.reshape(3, -1).T, environment)
-        used = np.asarray(coefficients != 0.0).any(axis=0).T.tolist()
+        used: list[list[bool]] = (coefficients != 0.0).any(axis=0).T.tolist()
         for column, axis, factor, lower in self.varying_slopes:
             if lower is None:
                 slope = self.basis_terms[column].derivative(variables, COMPONENTS[axis])
