@@ -27,7 +27,7 @@ from multipos.diagnostics import noise_causes
 from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
 from multipos.diagnostics.row_order import Plan, plan_of, shown_in_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
-from multipos.estimation.batches import Estimates, force_slopes
+from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
 from multipos.numerics.arrays import Array, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
@@ -262,7 +262,9 @@ def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) ->
     """Return of which units residuals lie across the force, as orientation errors make them."""
     model, (_, count, n) = shared.model, residuals.shape
     force = np.broadcast_to(shared.reference.T[:, None], (3, count, n))
-    slopes = force_slopes(model, shared.environment, parameters, np.ascontiguousarray(force))
+    coefficients = model_coefficients(model, parameters)
+    force = np.ascontiguousarray(force)
+    slopes = model.force_slopes(coefficients, force, shared.environment)
     of = noise_causes.Residuals(
         error=np.moveaxis(residuals, 0, 2),
         basis=shared.basis,
