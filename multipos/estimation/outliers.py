@@ -395,13 +395,15 @@ def _left_of(view: View, kept: Mask) -> list[tuple[Array, Array]]:
 
 
 def _objective(view: View, kept: Mask) -> Array:
-    return np.sum([np.log(squares).sum(axis=1) for _, squares in _left_of(view, kept)], axis=0)
+    logs = [np.log(squares).sum(axis=1) for _, squares in _left_of(view, kept)]
+    return np.asarray(np.sum(logs, axis=0))
 
 
 def _distances(view: View, kept: Mask) -> Array:
     """Return how far off rows are, (B, n), in units of what the sets kept show."""
     found = _left_of(view, kept)
-    return np.sum([np.sum(e * e / squares[:, None], axis=2) for e, squares in found], axis=0)
+    each = [np.sum(e * e / squares[:, None], axis=2) for e, squares in found]
+    return np.asarray(np.sum(each, axis=0))
 
 
 def _squares(view: View, kept: Mask) -> Array:

@@ -26,8 +26,10 @@ from multipos.positions.forces import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular
 
 # What has a value a row, beside the environment and the covariance.
-_BY_ROW = ("values", "u", "dof", "sd", "samples", "orientation_sd", "up", "rotation", "force")
-_BY_ROW += ("reference_u", "group", "open_roll")
+_BY_ROW = (
+    *("values", "u", "dof", "sd", "samples", "orientation_sd", "up", "rotation", "force"),
+    *("reference_u", "group", "open_roll"),
+)
 
 
 @dataclass(frozen=True, eq=False)
