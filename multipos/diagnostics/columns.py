@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from multipos.diagnostics.linear_view import listed_reference
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median, resolution, row_keys
+from multipos.numerics.arrays import Array, coarse_steps, median, resolution, row_keys
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
@@ -174,6 +174,24 @@ def _has_common_ends(c: Calibration) -> bool:
     if again < _ENDS - 2 or not scatter > 0.0:
         return False
     return (resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
+
+
+def quantized(c: Calibration) -> Finding | None:
+    """Find readings on a grid that is coarser than what they scatter."""
+    if c.readings.samples is not None or not np.isfinite(c.residual_sd).all():
+        return None
+    steps = coarse_steps(c.readings.values, c.residual_sd)
+    coarse = [output for output, step in zip(c.outputs, steps.tolist(), strict=True) if step]
+    if not coarse:
+        return None
+    return Finding(
+        "quantized",
+        "note",
+        f"readings stand on a grid of {steps.max():.3g} {c.model.unit}, coarser than they scatter: "
+        "its step over the root of 12 is taken for their u",
+        "Read more digits, or average readings that vary.",
+        outputs=tuple(coarse),
+    )
 
 
 def repeated_rows(c: Calibration) -> Finding | None:

@@ -13,11 +13,12 @@ from multipos.diagnostics.absurdities import explained
 from multipos.diagnostics.columns import (
     counter_column,
     dead_output,
+    quantized,
     repeated_rows,
     saturated,
     temperature_kelvin,
 )
-from multipos.diagnostics.competition import compete
+from multipos.diagnostics.competition import RIVALS, compete
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.redundancy import drift_absorbed, hardly_told, no_redundancy
 from multipos.diagnostics.residuals import (
@@ -39,7 +40,7 @@ Question = Callable[[Calibration], Finding | None]
 OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
 OF_OPTIONS: tuple[Question, ...] = (gravity,)
 # Cautions about what was given and what the positions can show.
-CAUTIONS: tuple[Question, ...] = (no_redundancy, repeated_rows, temperature_kelvin)
+CAUTIONS: tuple[Question, ...] = (quantized, no_redundancy, repeated_rows, temperature_kelvin)
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Question, ...] = (
     hardly_told,
@@ -79,7 +80,11 @@ def examine(calibration: Calibration) -> Calibration:
         found += explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
-        found += compete(calibration, _answers(OF_RESIDUALS, calibration))
+        of_rows = _answers(OF_RESIDUALS, calibration)
+        if any(each.code == "quantized" for each in found):  # roundings follow no law
+            found += [each for each in of_rows if each.code not in RIVALS]
+        else:
+            found += compete(calibration, of_rows)
     before = calibration.diagnostics
     every = (*found, *before.findings)
     if calibration.readings.dof is not None:  # estimated: too large is the safe side

@@ -13,6 +13,7 @@ to what was found.
 Where every output falls as what it is said to sense rises, the other convention is the likely one.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -47,7 +48,7 @@ from multipos.fitting.options import (
     choose_estimator,
     criterion_in_words,
 )
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
@@ -418,6 +419,30 @@ def with_excluded(
     return replace(calibration, diagnostics=replace(found, findings=(*found.findings, note)))
 
 
+_WITHIN = 1e6  # degrees of freedom of a rounding
+
+
+def _with_grid_floor(readings: Readings, solution: Solution) -> Readings | None:
+    """Return readings whose u is that of their grid, where it is coarser than their scatter.
+
+    None where it is not; u of other outputs is what their residuals show.
+    """
+    sd, noise = solution.residual_sd, readings.noise
+    if not np.isfinite(sd).all() or (noise is not None and noise.ndim == 2):
+        return None
+    if readings.samples is not None:  # means of many lie between the steps
+        return None
+    steps = coarse_steps(readings.values, sd)
+    if not steps.any():
+        return None
+    floor = np.broadcast_to(steps / math.sqrt(12.0), readings.values.shape)
+    if readings.u is not None:
+        return replace(readings, u=np.maximum(readings.u, floor))
+    u = np.where(steps > 0.0, floor, np.maximum(sd, 1e-3 * steps.max()))
+    dof = np.where(steps > 0.0, _WITHIN, np.maximum(solution.dof, 1.0))
+    return replace(readings, u=u, dof=np.broadcast_to(dof, u.shape))
+
+
 def calibrate_at(
     model: Model,
     readings: Readings,
@@ -449,6 +474,10 @@ def calibrate_at(
         tested = readings.noise is not None
         readings = add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, placement, options, tested=tested)(model)
+    floored = None if options.robust is not None else _with_grid_floor(readings, solution)
+    if floored is not None:
+        readings = floored
+        solution = _solver(estimator, readings, placement, options, tested=False)(model)
     solution = with_stated_dof(solution, readings, joint=not estimator.exact)
     if ordered:
         solution = spread_correlation(solution, readings, placement, estimator)

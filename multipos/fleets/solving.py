@@ -58,7 +58,7 @@ from multipos.finding import errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.nests import Nest, NestSums, sum_nests
 from multipos.fleets.unit_findings import UnitTests, find_in_units, unit_tests
-from multipos.numerics.arrays import Array, Places, median
+from multipos.numerics.arrays import Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import resolve
@@ -98,6 +98,7 @@ def find_suspects(
         suspect |= _ends_repeat(values)
     for i, residuals in enumerate(found.residuals):
         size = length[:, i]
+        suspect |= coarse_steps(values[i].T, np.sqrt(np.mean(residuals**2, axis=1))) > 0.0
         suspect |= ~((size < _OTHER * usual[i]) & (size > usual[i] / _OTHER))
         suspect |= np.abs(residuals).max(axis=1) > _LARGEST * size
     if not are_of_unit([min(usual) / _OTHER, max(usual) * _OTHER], model.unit):

@@ -51,6 +51,41 @@ def median(values: ArrayLike, *, axis: int | None = None) -> Array:
     return np.where(np.isnan(array).any(axis=0), np.nan, (low + high) / 2.0)
 
 
+_DIVISORS = 16  # of the least difference, that a grid is sought at
+_FINE = 0.05  # of the span: where no two readings are nearer, no grid is seen
+_ON_GRID = 1e-4  # of a step
+
+
+def coarse_steps(values: Array, scatter: Array) -> Array:
+    """Return the steps (C,) of columns on a grid coarser than their scatter, 0 of any other.
+
+    Parameters
+    ----------
+    values : (n, C) array
+    scatter : (C,) array
+        Standard deviation of the readings about their model.
+    """
+    ordered = np.sort(values, axis=0)
+    gaps = np.diff(ordered, axis=0)
+    span = ordered[-1] - ordered[0]
+    gaps = np.where(gaps > 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0), gaps, 0.0)
+    least = np.where(gaps > 0.0, gaps, np.inf).min(axis=0)
+    asked = (least <= _FINE * span) & (least > 2.0 * scatter)
+    steps = np.zeros(values.shape[1])
+    for column in np.flatnonzero(asked).tolist():
+        tried = least[column] / np.arange(1.0, _DIVISORS + 1.0)
+        tried = tried[tried > 2.0 * scatter[column]]
+        parts = gaps[:, column] / tried[:, None]
+        whole = (np.abs(parts - np.rint(parts)) < _ON_GRID).all(axis=1)
+        steps[column] = tried[int(np.argmax(whole))] if whole.any() else 0.0
+    if steps.any():  # columns of one converter: too few different readings show none of their own
+        common = float(steps[steps > 0.0].min())
+        parts = gaps / common
+        same = (np.abs(parts - np.rint(parts)) < _ON_GRID).all(axis=0) & (2.0 * scatter < common)
+        steps = np.where((steps == 0.0) & same, common, steps)
+    return steps
+
+
 def resolution(values: Array) -> float:
     """Return the step that readings are multiples of, 0 where there is none to be seen."""
     levels = np.unique(values)

@@ -136,3 +136,19 @@ def test_a_drift_is_fitted_and_left_out_of_compensation(tmp_path):
     by_row = mp.fit(columns, unit="g", drift=True)["drift_ax"]
     assert by_row.unit == "g/row"
     assert abs(23.0 * by_row.value - 5e-3) < 46.0 * by_row.U
+
+
+def test_a_coarse_grid_is_the_floor_of_u():
+    """Readings to 8 mg of a noise of .1 mg: a rounding is uniform, of sd 8/√12 = 2.31 mg."""
+    hits = []
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        up = mp.read_scheme("faces-6").up
+        slopes = np.eye(3) + 8e-3 * rng.uniform(-1.0, 1.0, (3, 3))
+        zero = 0.02 * rng.standard_normal(3)
+        y = zero + up @ slopes.T + SD * rng.standard_normal((6, 3))
+        c = mp.fit(mp.Readings(8e-3 * np.round(y / 8e-3), up=up, unit="g"))
+        assert "quantized" in {finding.code for finding in c.findings}
+        assert c.U.min() > 1.9 * 8e-3 / math.sqrt(12.0 * 6.0)
+        hits.append(np.abs(c.parameters - np.column_stack([zero, slopes]).ravel()) <= c.U)
+    assert np.mean(hits) > 0.93
