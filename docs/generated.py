@@ -1,13 +1,17 @@
-"""The two pages that the program writes of itself: `python docs/generated.py`.
+"""The pages that the program writes of itself: `python docs/generated.py`.
 
 `reference/commands.md` lists the options of every command, `reference/names.md` every public name
-with its docstring. They are kept in the repository, to be read where nothing is built, and a test
-holds them to the program.
+with its docstring, `reference/messages.md` every finding. They are kept in the repository, to be
+read where nothing is built, and a test holds them to the program.
 """
 
 import argparse
+import ast
 import inspect
+import itertools
 import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import multipos
@@ -25,6 +29,14 @@ NAMES_HEAD = """# Names
 Every public name with its docstring, as `help(mp.fit)` prints it; `mp` is `multipos`. How they go
 together is on the page of [Python](api.md).
 """
+MESSAGES_HEAD = """# Messages
+
+Every [finding](../findings.md) that a result may have, by its code: its level, what it says with …
+for numbers and names, and what to do. A finding without an action leaves nothing to do.
+
+| code | level | text | what to do | what it means |
+|---|---|---|---|---|"""
+_SHOWN = 4  # texts of one code
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 
@@ -159,9 +171,118 @@ def escaped(text: str) -> str:
     return re.sub(r"(?<!`)([*_$<|])(?!`)", r"\\\1", text) if "`" not in text else text
 
 
+def assigned(tree: ast.AST) -> dict[str, list[ast.expr]]:
+    """Return what is assigned to every name of a function, wherever that is."""
+    found: dict[str, list[ast.expr]] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            found.setdefault(node.targets[0].id, []).append(node.value)
+    return found
+
+
+def texts_of(node: ast.expr, names: dict[str, list[ast.expr]], put_in: str) -> list[str]:
+    """Return the texts that an expression may be, numbers and names put in."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return [text]
+        case ast.JoinedStr(values=parts):
+            each = [texts_of(part, names, put_in) for part in parts]
+            return ["".join(choice) for choice in itertools.product(*each)]
+        case ast.FormattedValue(value=value):
+            return texts_of(value, names, put_in)
+        case ast.IfExp(body=one, orelse=other):
+            return texts_of(one, names, put_in) + texts_of(other, names, put_in)
+        case ast.BinOp(left=left, right=right):
+            pairs = itertools.product(texts_of(left, names, put_in), texts_of(right, names, put_in))
+            return [a + b for a, b in pairs]
+        case ast.Dict(values=values):
+            return [text for value in values for text in texts_of(value, names, put_in)]
+        case ast.Name(id=name) if name in names:
+            rest = {other: values for other, values in names.items() if other != name}
+            return [text for value in names[name] for text in texts_of(value, rest, put_in)]
+        case ast.Subscript(value=value):
+            return texts_of(value, names, put_in)
+    return [put_in]
+
+
+@dataclass(frozen=True)
+class Message:
+    """A finding as the program makes it: its codes, levels, texts and actions."""
+
+    codes: tuple[str, ...]
+    levels: tuple[str, ...]
+    texts: tuple[str, ...]
+    actions: tuple[str, ...]
+
+
+def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
+    """Yield every finding that is made in files, something put in for numbers and names."""
+    for path in files:
+        tree = ast.parse(path.read_text("utf-8"))
+        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        seen: set[int] = set()
+        for part in (*functions, tree):
+            names = assigned(part)
+            for node in ast.walk(part):
+                if isinstance(node, ast.Call) and id(node) not in seen:
+                    seen.add(id(node))
+                    yield from _message(node, names, put_in)
+
+
+def _message(node: ast.Call, names: dict[str, list[ast.expr]], put_in: str) -> Iterator[Message]:
+    if getattr(node.func, "id", "") != "Finding" or len(node.args) < 3:
+        return
+    code, level, text, *rest = node.args
+    levels = tuple(texts_of(level, {}, put_in))
+    if put_in in levels:
+        return  # read from a file
+    actions = tuple(filter(None, texts_of(rest[0], names, put_in))) if rest else ()
+    if isinstance(text, ast.Name):  # the one that was written last
+        before = [value for value in names.get(text.id, ()) if value.lineno < node.lineno]
+        names = names | {text.id: before[-1:]}
+    codes = texts_of(code, {}, put_in)
+    if codes != [put_in]:
+        yield Message(tuple(codes), levels, tuple(texts_of(text, names, put_in)), actions)
+        return
+    for table in names.get("texts", ()):  # of one of several repairs
+        for key, value in zip(table.keys, table.values, strict=True):  # type: ignore[attr-defined]
+            yield Message((key.value,), levels, tuple(texts_of(value, names, put_in)), actions)
+
+
+def messages_page() -> str:
+    """Return the page of all findings, by their codes."""
+    files = sorted((FOLDER.parents[1] / "multipos").rglob("*.py"))
+    rows: dict[str, list[Message]] = {}
+    for message in messages(files, "…"):
+        for code in message.codes:
+            rows.setdefault(code, []).append(message)
+    return "\n".join([MESSAGES_HEAD, *(_row(code, rows[code]) for code in sorted(rows)), ""])
+
+
+def _row(code: str, made: list[Message]) -> str:
+    cells = []
+    for name in ("levels", "texts", "actions"):
+        each = [text for message in made for text in getattr(message, name) if text != "…"]
+        shown = list(dict.fromkeys(escaped(re.sub("…+", "…", text)) for text in each))[:_SHOWN]
+        cells.append("<br>".join(shown).replace("\\|", "|").replace("|", "\\|"))
+    return f"| `{code}` | {' | '.join(cells)} | {meaning(code)} |"
+
+
+def meaning(code: str) -> str:
+    """Return what the page of findings says of a code."""
+    page = (FOLDER.parent / "findings.md").read_text("utf-8")
+    found = re.search(rf"^\| `{code}` \| (.*?) \|", page, re.MULTILINE)
+    return (
+        re.sub(r"\]\((?!http)", "](../", found[1]).replace("(../#", "(../findings.md#")
+        if found
+        else ""
+    )
+
+
 def main() -> None:
     (FOLDER / "commands.md").write_text(commands_page(), encoding="utf-8")
     (FOLDER / "names.md").write_text(names_page(), encoding="utf-8")
+    (FOLDER / "messages.md").write_text(messages_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ class Finding(Keyed):
     Attributes
     ----------
     code : str
-        As in `docs/findings.md`.
+        As in `docs/reference/messages.md`.
     level : str
         'error', 'warning' or 'note'.
     text : str

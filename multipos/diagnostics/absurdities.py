@@ -225,8 +225,8 @@ def _silent(c: Calibration) -> Finding | None:
     return Finding(
         "no-signal",
         "error",
-        f"{quoted(silent)} does not respond to gravity along any axis: the output is not "
-        "connected, or the column is another one; mend it, or leave it out with --outputs",
+        f"{quoted(silent)} does not respond to gravity along any axis",
+        "Check the wiring and the column, or leave the output out with --outputs.",
         outputs=tuple(silent),
     )
 
@@ -274,6 +274,15 @@ def _faces(view: View, expected: Array) -> float:
     return float(np.round(cosines(view.sensitivity, expected).min(), 2))
 
 
+_ACTIONS = {
+    "interchanged-rows": "Exchange them, or measure both again.",
+    "flipped-row": "Turn the direction round in the list, or measure again.",
+    "row-unit": "Bring all rows to one unit.",
+    "wrapped": "Add it, or measure again in a wider range.",
+    "angles-in-radians": "Convert them to degrees.",
+}
+
+
 def _in_words(c: Calibration, repair: Repair) -> Finding:
     labels = c.readings.labels
     rows = tuple(labels[row] for row in repair.rows)
@@ -284,24 +293,23 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
         after = f"the rms falls from {c.rms:.3g} g to {repair.view.left_over:.3g} g"
     count = "is" if len(rows) == 1 else "are"
     texts = {
-        "interchanged-rows": f"{named} look interchanged: with their readings exchanged {after}; "
-        "exchange them, or measure both again",
-        "flipped-row": f"{named} {count} upside down: with the other side up {after}; turn the "
-        "direction round in the list, or measure again",
+        "interchanged-rows": f"{named} look interchanged: with their readings exchanged {after}",
+        "flipped-row": f"{named} {count} upside down: with the other side up {after}",
         "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: with the "
-        f"factor taken out {after}; bring all rows to one unit",
+        f"factor taken out {after}",
         "wrapped": f"{quoted(outputs)} ran over one end of the range at {named} and came out "
-        f"at the other: with {repair.size:.6g} put back {after}; add it, or measure again in a "
-        "wider range",
+        f"at the other: with {repair.size:.6g} put back {after}",
         "angles-in-radians": "the angles look like radians under a name that ends in _deg: taken "
-        f"as such {after}; convert them to degrees",
+        f"as such {after}",
     }
     everywhere = repair.code == "angles-in-radians"
     text = texts[repair.code]
     if repair.code == "interchanged-rows" and len(rows) == len(labels):
         said = f"The rows follow the positions in the order 'spread': in that order {after}."
         return Finding(repair.code, "error", said, "Fit with --order spread.")
-    return Finding(repair.code, "error", text, rows=() if everywhere else rows, outputs=outputs)
+    action = _ACTIONS[repair.code]
+    rows = () if everywhere else rows
+    return Finding(repair.code, "error", text, action, rows=rows, outputs=outputs)
 
 
 def _positions(rows: tuple[str, ...]) -> str:
@@ -321,9 +329,12 @@ def _no_signal(c: Calibration, view: View) -> Finding | None:
     return Finding(
         "no-signal",
         "error",
-        f"the residuals{f' of {quoted(outputs)}' if outputs else ''} are "
-        f"{100.0 * float(share.max()):.0f} % of what one g does to the output: the readings do not "
-        "follow the positions; the order of the rows, the scheme and the columns are where to look",
+        (
+            "readings do not match the listed positions: "
+            f"residuals{f' of {quoted(outputs)}' if outputs else ''} are "
+            f"{100.0 * float(share.max()):.0f} % of one g"
+        ),
+        "Check the order of the rows, the scheme and the columns.",
         outputs=outputs,
     )
 
@@ -350,8 +361,8 @@ def _no_response(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "no-signal",
         "error",
-        f"an output does not respond to its own axis: {named}; look at the columns and the wiring, "
-        "or say with --axes which axis each output senses",
+        f"an output does not respond to its own axis: {named}",
+        "Check columns and wiring, or name the axis of each output with --axes.",
         outputs=tuple(silent),
     )
 

@@ -55,8 +55,8 @@ def dead_output(c: Calibration) -> Finding | None:
     return Finding(
         "dead-output",
         "error",
-        f"{quoted(dead)} read the same number at all {len(c.readings)} positions: the output is "
-        "not connected, or the column is another one; mend it, or leave it out with --outputs",
+        f"{quoted(dead)} read the same number at all {len(c.readings)} positions",
+        "Check the wiring and the column, or leave the output out with --outputs.",
         outputs=tuple(dead),
     )
 
@@ -72,8 +72,11 @@ def temperature_kelvin(c: Calibration) -> Finding | None:
     return Finding(
         "temperature-kelvin",
         "warning",
-        f"the temperature, {low:g} to {high:g}, looks like kelvin: coefficients are for degrees "
-        "Celsius, and the bias is that at 0; subtract 273.15 from the column",
+        (
+            f"temperatures of {low:g} to {high:g} look like kelvin; "
+            "coefficients are per degree Celsius, and the bias is that at 0"
+        ),
+        "Subtract 273.15 from the column.",
     )
 
 
@@ -96,8 +99,11 @@ def counter_column(c: Calibration) -> Finding | None:
     return Finding(
         "counter-column",
         "error",
-        f"{quoted(counters)} rises by the same step from row to row: a counter or a clock, not an "
-        "output; name the outputs with --outputs",
+        (
+            f"{quoted(counters)} rises by the same step from row to row, as a "
+            "counter or a clock does"
+        ),
+        "Name the outputs with --outputs.",
         outputs=tuple(counters),
     )
 
@@ -131,8 +137,11 @@ def saturated(c: Calibration) -> Finding | None:
     return Finding(
         "saturated",
         "error",
-        f"{named} ran into the end of its range{where}: readings stop at the same number where "
-        "more is expected; measure again in a wider range, or leave these positions out",
+        (
+            f"{named} ran into the end of its range{where}: readings stop at "
+            "one number where more is expected"
+        ),
+        "Measure again in a wider range, or leave these positions out.",
         rows=tuple(rows),
         outputs=tuple(outputs),
     )
@@ -216,13 +225,14 @@ def repeated_rows(c: Calibration) -> Finding | None:
     ]
     text = (
         f"positions {_some(stale)} read the same to the last digit though they differ: a reading "
-        "was not taken anew; measure again, or leave one out"
+        "was not taken anew"
         if stale
-        else f"{len(copies)} of {len(labels)} rows are copies of others to the last digit, which "
-        "tell nothing new but make U smaller than it is; leave them out"
+        else f"{len(copies)} of {len(labels)} rows are copies of others to the last digit; U is "
+        "too small"
     )
+    action = "Measure again, or leave one out." if stale else "Leave them out."
     rows = dict.fromkeys(labels[row] for pair in copies for row in pair)
-    return Finding("repeated-rows", "warning", text, rows=tuple(rows))
+    return Finding("repeated-rows", "warning", text, action, rows=tuple(rows))
 
 
 def _shows_noise(c: Calibration) -> bool:

@@ -59,8 +59,8 @@ def zero_per_soak(c: Calibration) -> Finding | None:
     return Finding(
         "zero-per-soak",
         "note",
-        f"the zero differs from soak to soak, beyond what the model follows (p = {test.p:.1g}; "
-        f"{told} {c.model.unit}): it is in U of the bias over temperature",
+        f"bias is not repeatable from soak to soak (p = {test.p:.1g}; {told} {c.model.unit}); it "
+        "is in U of the bias over temperature",
     )
 
 
@@ -132,8 +132,12 @@ def missing_term(c: Calibration) -> Finding | None:
     return Finding(
         "missing-term",
         "warning",
-        f"the residuals ask for {' and '.join(named)}, which the model lacks (p = {chance}"
-        f"{instead}): U of compensated force does not hold that error; {_way_out(c, named)}",
+        (
+            f"the residuals ask for {' and '.join(named)}, which the model "
+            f"lacks (p = {chance}{instead}); U of compensated force leaves that "
+            "error out"
+        ),
+        _way_out(c, named),
         outputs=_showing(first),
     )
 
@@ -146,8 +150,11 @@ def hidden_terms(c: Calibration) -> Finding | None:
     return Finding(
         "hidden-terms",
         "note",
-        f"these positions cannot show {_listed(hidden)}, and U of compensated force leaves such "
-        "terms out: add directions between those there are, or state them in a budget, [unseen]",
+        (
+            f"these positions cannot show {_listed(hidden)}, and U of "
+            "compensated force leaves such terms out"
+        ),
+        "Add directions between those there are, or state their sizes in a budget, [unseen].",
     )
 
 
@@ -218,13 +225,13 @@ def _left_out(residuals: Array, leverage: Array) -> Array:
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:
     if isinstance(c.model, ExpressionModel):
-        return "write the term into the model"
+        return "Write the term into the model."
     columns = {kind.name: sum(map(len, kind.terms)) for kind in lacking(c)}
     shown = {t.term: sum(q for q, _ in t.dofs) for t in c.diagnostics.model_tests}
-    formula = f"fit --model '{formula_with(c.model, named)}'"
+    formula = f"Fit with --model '{formula_with(c.model, named)}'"
     if all(shown.get(name) == columns[name] for name in named):
-        return formula
-    return f"{formula} at positions that show all of it"
+        return f"{formula}."
+    return f"{formula} at positions that show all of it."
 
 
 def _showing(test: ModelTest) -> tuple[str, ...]:

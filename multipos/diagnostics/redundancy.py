@@ -54,8 +54,11 @@ def no_redundancy(c: Calibration) -> Finding | None:
         return Finding(
             "no-redundancy",
             "warning",
-            f"{n} positions for as many parameters: the fit passes through every reading and "
-            "nothing shows whether it is right; add positions",
+            (
+                f"{n} positions for as many parameters: the fit passes through "
+                "every reading and nothing shows whether it is right"
+            ),
+            "Add positions.",
         )
     return _poorly_known(c) if c.estimator == Estimator.UNKNOWN else None
 
@@ -81,7 +84,8 @@ def hardly_told(c: Calibration) -> Finding | None:
             "no-redundancy",
             "warning",
             "the positions separate the parameters badly (condition "
-            f"{c.diagnostics.condition:.1e}); add positions that differ more",
+            f"{c.diagnostics.condition:.1e})",
+            "Add positions that differ more.",
         )
     share = _shares(c.model, c.parameters[None], c.U[None])[0]
     found = [(c.names[i], share[i]) for i in c.model.own_scales if _OPEN < share[i] < 1.0]
@@ -91,7 +95,8 @@ def hardly_told(c: Calibration) -> Finding | None:
     return Finding(
         "no-redundancy",
         "warning",
-        f"U leaves scale factors open: {said}; average longer, or add positions",
+        f"scale factors are poorly determined (U): {said}",
+        "Average longer, or add positions.",
     )
 
 
@@ -107,7 +112,8 @@ def _poorly_known(c: Calibration) -> Finding | None:
     return Finding(
         "no-redundancy",
         "warning",
-        f"the positions hardly tell some parameters: {said} (U); add positions that differ more",
+        f"some parameters are poorly determined (U): {said}",
+        "Add positions that differ more.",
     )
 
 

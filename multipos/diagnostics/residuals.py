@@ -71,8 +71,8 @@ def outlier(c: Calibration) -> Finding | None:
     return Finding(
         "outlier",
         "warning",
-        f"{'; '.join(found[:_SHOWN])}{more}: measure again, leave it out, or fit with --robust "
-        "huber",
+        f"{'; '.join(found[:_SHOWN])}{more}",
+        "Measure again, leave it out, or fit with --robust huber.",
         rows=tuple(dict.fromkeys(named)),
     )
 
@@ -156,8 +156,12 @@ def lack_of_fit(c: Calibration) -> Finding | None:
     return Finding(
         "lack-of-fit",
         "warning",
-        f"repeats of a position agree better than the model meets them: {said}; the model lacks a "
-        "term, or the positions are not where they are listed (--orientation-sd)",
+        (
+            "repeats of a position agree better than the model fits them: "
+            f"{said}; a term is missing, or positions are not where they are "
+            "listed"
+        ),
+        "Try a model with more terms, or --orientation-sd.",
         outputs=tuple(small),
     )
 
@@ -175,9 +179,11 @@ def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:
     return Finding(
         "time-correlated",
         "warning",
-        f"neighbouring rows have nearly the same error: the mean of {n} is worth that of fewer "
-        f"independent ones, {said}, and U is larger for it; take the positions several times, in "
-        "random order",
+        (
+            f"neighbouring rows have nearly the same error: {n} rows equal "
+            f"fewer independent ones, {said}, which U allows for"
+        ),
+        "Take the positions several times, in random order.",
         outputs=tuple(fewer),
     )
 
@@ -193,15 +199,18 @@ def denied_noise(c: Calibration) -> Finding | None:
         return None
     found = c.variance_components
     scatter = found and found.rest_to_rest
-    added = "its covariance is multiplied by what they show"
+    added = "U is multiplied by what they show"
     if scatter:
         sizes = ", ".join(dict.fromkeys(f"{part.value:.3g}" for part in scatter.values()))
-        added = f"a scatter from position to position of {sizes} {c.model.unit} is added to it"
+        added = f"excess noise of {sizes} {c.model.unit} is added"
     return Finding(
         "denied-noise",
         "warning",
-        f"the residuals deny the stated reading noise (chi-square {claim.chi2:.4g} on "
-        f"{claim.dof:g} degrees of freedom): {added}; {_cause(c)}",
+        (
+            f"residuals exceed the stated noise (chi-square {claim.chi2:.4g} on "
+            f"{claim.dof:g} dof); {added}; {_cause(c)}"
+        ),
+        "State the noise that the readings have, or remove its cause.",
     )
 
 
@@ -218,9 +227,11 @@ def placement(c: Calibration) -> Finding | None:
     return Finding(
         "placement",
         "warning",
-        "the residuals lie across the force, as those of positions that were off by some "
-        f"{degrees:.2g} degrees do: known orientations weigh them wrongly; --orientation-sd auto "
-        "estimates that with the parameters",
+        (
+            f"residuals suggest orientation errors of {degrees:.2g} degrees: "
+            "they lie across the force, and U takes positions as exact"
+        ),
+        "Fit with --orientation-sd auto, which estimates them.",
     )
 
 
@@ -235,9 +246,13 @@ def unequal_noise(c: Calibration) -> Finding | None:
     return Finding(
         "unequal-noise",
         "warning",
-        f"the outputs scatter unequally (p = {p:.1g}), and the fit takes them as "
-        f"{'stated' if c.readings.noise is not None else 'equal'}: U of the noisiest is too small; "
-        f"state their noise, --reading-sd {told} is what the residuals show",
+        (
+            f"outputs differ in noise (p = {p:.1g}; residuals {told}), and the "
+            "fit takes them as "
+            f"{'stated' if c.readings.noise is not None else 'equal'}: U of the "
+            "noisiest is too small"
+        ),
+        "State the noise of each output with --reading-sd.",
         outputs=c.outputs,
     )
 

@@ -116,9 +116,15 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Finding | None:
         return Finding(
             "sign",
             "error",
-            f"{quoted(wrong)} falls where it should rise as its axis turns, {known}: the output "
-            "is reversed, or positions are listed for each other; where the sensor is made so, say "
-            f"it with --axes {face.text}",
+            (
+                f"{quoted(wrong)} falls where it should rise as its axis turns, "
+                f"{known}: the output is reversed, or positions are listed for each "
+                "other"
+            ),
+            (
+                "Check wiring and list; where the sensor is made so, state it with "
+                f"--axes {face.text}."
+            ),
             outputs=tuple(wrong),
         )
     wrong = [o for o, a, b in zip(c.outputs, face.axes, own, strict=True) if a != b]
@@ -130,8 +136,8 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "permuted-outputs",
         "error",
-        f"outputs are interchanged: {senses} is how they respond, {known}; name the columns "
-        f"rightly, or say with --axes {face.text} that it is so",
+        f"outputs are interchanged: {senses} is how they respond, {known}",
+        f"Name the columns rightly, or state it with --axes {face.text}.",
         outputs=tuple(wrong),
     )
 
@@ -144,7 +150,9 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     if (cosines(sensitivity, -expected) > _SLANTED).all() and len(c.outputs) != 2:
         return None  # the other convention, which the fit says by itself
     face = facing(sensitivity)
-    words = f"; --axes {face.text} says so" if face.least > CLEAR else ""
+    words = "Mount it square, or state the axes that it has."
+    if face.least > CLEAR:
+        words = f"Confirm with --axes {face.text}."
     how = ", ".join(
         f"{output} senses {axis}"
         for output, axis in zip(c.outputs, face.text.split(","), strict=True)
@@ -154,8 +162,8 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "turned",
         "warning",
-        f"the sensor stands turned in its case, {how}; compensated forces are along the axes of "
-        f"the case all the same{words}",
+        f"the sensor is mounted turned in its case, {how}; results are in case axes",
+        words,
         outputs=c.outputs,
     )
 
@@ -194,12 +202,17 @@ def unit(c: Calibration, sensitivity: Array) -> Finding | None:
     if not _alike(size):
         return None  # one output is to be mended first
     near = [name for name, value in _ONE_G.items() if _is_near(ratio * one_g, value)]
-    way_out = f"they look like {near[0]}: --unit {near[0]}" if near else "state the right one"
+    way_out = "State the right unit, or none where it has no name."
+    if near:
+        way_out = f"State --unit {near[0]}, or none where the unit has no name."
     return Finding(
         "unit",
         "error",
-        f"the readings are not in {c.model.unit}: one g makes {ratio * one_g:.4g} of them, where "
-        f"it should be {one_g:g}; {way_out}, or leave --unit away where the unit has no name",
+        (
+            f"the readings are not in {c.model.unit}: one g makes "
+            f"{ratio * one_g:.4g} of them, where it should be {one_g:g}"
+        ),
+        way_out,
     )
 
 
@@ -220,7 +233,8 @@ def output_unit(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "output-unit",
         "error",
-        f"outputs differ in unit: {said} as sensitive as the others; bring the columns to one unit",
+        f"outputs differ in unit: {said} as sensitive as the others",
+        "Bring the columns to one unit.",
         outputs=tuple(output for output, _ in wrong),
     )
 
@@ -235,8 +249,11 @@ def gravity(c: Calibration) -> Finding | None:
     return Finding(
         "gravity",
         "error",
-        f"gravity is {stated.value:g} m/s^2, and on the surface of the earth between 9.764 and "
-        f"9.834{looks}; correct --gravity, or give --latitude and --height",
+        (
+            f"gravity is {stated.value:g} m/s^2, and on the surface of the "
+            f"earth between 9.764 and 9.834{looks}"
+        ),
+        "Correct --gravity, or give --latitude and --height.",
     )
 
 

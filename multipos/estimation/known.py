@@ -84,14 +84,17 @@ _AT_ONCE = 12_000  # readings of an output, so that the weights of eq. (3) stay 
 _UNSUPPORTED = Finding(
     "unequal-pool",
     "warning",
-    "the outputs' residual variances differ (Bartlett's test at 5 %), so pooling them is not "
-    "supported by the data",
+    (
+        "residual variances of the outputs differ (Bartlett's test at 5 "
+        "%), so one pooled variance is not supported by the data"
+    ),
+    "Leave out --pool.",
 )
 _NOTHING_LEFT = Finding(
     "no-dof",
     "warning",
-    "as many terms as readings: nothing is left to estimate the uncertainty from; give "
-    "--reading-sd or more positions",
+    "as many terms as readings: nothing is left to estimate the uncertainty from",
+    "Give --reading-sd or more positions.",
 )
 
 
@@ -728,8 +731,8 @@ def overstated(claim: Claim) -> Findings:
     if claim.chi2 >= chi2_quantile(1.0 - DENIED, claim.dof):
         return ()
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
-    text = f"the residuals are far smaller than the stated noise {seen}: it may be overstated"
-    return (Finding("overstated-noise", "warning", text),)
+    text = f"residuals are smaller than the stated noise implies {seen}; U is probably too large"
+    return (Finding("overstated-noise", "warning", text, "State a smaller --reading-sd."),)
 
 
 def per_parameter(model: Model, values: Array) -> Array:

@@ -63,9 +63,11 @@ _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is de
 _INSEPARABLE = Finding(
     "inseparable",
     "warning",
-    "these positions cannot tell placement from scatter: all that readings differ by is taken as "
-    "scatter from position to position, and --orientation-sd auto found no orientation error; "
-    "state it, or add positions (18 or more serve)",
+    (
+        "these positions cannot separate orientation errors from noise: "
+        "--orientation-sd auto found none, and U takes all scatter as noise"
+    ),
+    "State --orientation-sd in degrees, or add positions (18 or more).",
 )
 
 
@@ -136,12 +138,12 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
         # the stated orientation sds are then a lower bound as well
         unit, found = _find(first, start, nu, both=True, least=True)
         text = (
-            "no scatter alone explains the residuals: positions were off by more than was stated, "
-            f"some {_widest(unit.problem):.2g} degrees, see --orientation-sd auto"
+            "no noise alone explains the residuals: positions were off by more "
+            f"than was stated, some {_widest(unit.problem):.2g} degrees"
         )
         noise = _noise_of(unit.problem, found, stated=True)
         orientation_sd = unit.problem.orientation_sd
-        findings = (Finding("placement", "warning", text),)
+        findings = (Finding("placement", "warning", text, "Fit with --orientation-sd auto."),)
         noise = replace(noise, findings=findings, orientation_sd=orientation_sd, claim=claim)
         return unit.problem, unit.optimum, noise
     noise = _noise_of(unit.problem, found, stated=True)

@@ -343,8 +343,11 @@ def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: 
         Finding(
             "scale-bias",
             "warning",
-            f"`{model.names[i]}` is larger by about {size:.2g} than it should be, because noise "
-            "moves the estimated positions along the sphere (sigma^2/g^2); average longer",
+            (
+                f"`{model.names[i]}` is too large by about {size:.2g}, as noise "
+                "moves the estimated positions along the sphere (sigma^2/g^2)"
+            ),
+            "Average longer.",
         )
         for i, size in zip(own, bias.tolist(), strict=True)
         if size > _REPORTED_BIAS * u[i]

@@ -326,9 +326,11 @@ def _curvature_bias(
         Finding(
             "model-bias",
             "warning",
-            f"`{name}` is {'larger' if off > 0.0 else 'smaller'} by about {abs(off):.2g} than it "
-            "should be, because the model bends within its uncertainty; average longer, or add "
-            "positions",
+            (
+                f"`{name}` is too {'large' if off > 0.0 else 'small'} by about "
+                f"{abs(off):.2g}, as the model bends within its uncertainty"
+            ),
+            "Average longer, or add positions.",
         )
         for name, off, stated in zip(model.names, bias.tolist(), far.tolist(), strict=True)
         if stated

@@ -301,8 +301,8 @@ def faults_of_means(chosen: Sequence[Chosen]) -> list[Finding]:
             Finding(
                 "saturated",
                 "warning",
-                f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong; record it with "
-                "a larger range, leave the rest out with --only",
+                f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong",
+                "Record it with a larger range, or leave the rest out with --only.",
                 rows=(each.label,),
             )
             for fault in (*constant, *each.still.saturated)
@@ -319,7 +319,7 @@ def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[Findin
         return []
     which, ratio = other
     text = f"{sources[which]}: its readings are {ratio:.3g} times those of {sources[0]}"
-    return [Finding("two-units", "warning", f"{text}: two units? Convert one of them")]
+    return [Finding("two-units", "warning", f"{text}: two units", "Convert one of them.")]
 
 
 def complete(
@@ -387,21 +387,44 @@ def _short(logs: Sequence[StillLog]) -> tuple[tuple[str, Rest], ...]:
 def _of_rests(rests: Sequence[RestAverage]) -> list[Finding]:
     """Return what was found about single rests, of each kind the first, and how many have it."""
     every = [(rest, found) for rest in rests for found in rest.findings]
-    return [_of_kind([each for each in every if each[1].code == code]) for code in _codes(every)]
+    kinds = dict.fromkeys(found.code for _, found in every)
+    return [
+        _of_kind([each for each in every if each[1].code == code], len(rests)) for code in kinds
+    ]
 
 
-def _codes(every: Sequence[tuple[RestAverage, Finding]]) -> dict[str, None]:
-    return dict.fromkeys(found.code for _, found in every)
-
-
-def _of_kind(every: Sequence[tuple[RestAverage, Finding]]) -> Finding:
+def _of_kind(every: Sequence[tuple[RestAverage, Finding]], count: int) -> Finding:
     """Return one finding about all rests that have one of a kind."""
     rest, first = every[0]
     labels = tuple(dict.fromkeys(rest.position for rest, _ in every))
     outputs = tuple(dict.fromkeys(output for _, found in every for output in found.outputs))
-    more = f"; and {len(labels) - 1} more rests likewise" if len(labels) > 1 else ""
     text = f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {first.text}"
-    return replace(first, text=f"{text}{more}", rows=labels, outputs=outputs)
+    if len(labels) > 1 and first.code in _OF_RESTS:
+        named = ", ".join(labels[:_SHOWN])
+        more = ", …" if len(labels) > _SHOWN else ""
+        fact, action = _OF_RESTS[first.code]
+        text = f"{len(labels)} of {count} rests {fact}: positions {named}{more}"
+        first = replace(first, action=action)
+    return replace(first, text=text, rows=labels, outputs=outputs)
+
+
+_SHOWN = 6  # labels of positions
+# What several rests have in common, and what to do about it.
+_OF_RESTS = {
+    "slow-drift": (
+        "drifted slowly, as hand-held ones do, which their u allows for",
+        "Rest the sensor on something for a smaller U.",
+    ),
+    "correlated-samples": (
+        "have correlated samples, and few independent ones, which their dof allow for",
+        "Record longer rests.",
+    ),
+    "unsteady": ("are noisier than usual, which their u allows for", ""),
+    "in-motion": ("are partly in motion", "Give their rows again, or record them again."),
+    "motion-at-edge": ("move at an edge", "Give fewer rows of them."),
+    "stuck": ("repeat one value", "Check the sensor and its resolution."),
+    "time-gap": ("have gaps in their time", "Check the logger."),
+}
 
 
 def _matched(

@@ -296,8 +296,11 @@ def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
         Finding(
             "harmonic-left",
             "warning",
-            f"harmonic {h.order} in plane {h.plane} is left by the model with amplitude "
-            f"{h.amplitude:.3g} (p = {h.p:.1g}): the table or a missing term",
+            (
+                f"harmonic {h.order} in plane {h.plane} is left by the model with "
+                f"amplitude {h.amplitude:.3g} (p = {h.p:.1g})"
+            ),
+            "Check the table, or add a term to the model.",
             p=h.p,
         )
         for h in residual

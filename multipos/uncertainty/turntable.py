@@ -612,9 +612,12 @@ def find_in_rolls(calibration: Calibration) -> list[Finding]:
         Finding(
             "part-of-a-turn",
             "warning",
-            f"the angles of the roll about {roll.axis} do not span a turn: "
-            f"{np.degrees(roll.gap):.4g} of 360 degrees are without a position, where zero, scale "
-            "factor and cross terms lean on each other",
+            (
+                f"the roll about {roll.axis} leaves {np.degrees(roll.gap):.4g} of "
+                "360 degrees without a position; bias, scale and cross terms are "
+                "poorly separated there"
+            ),
+            "Take positions over the whole turn.",
         )
         for roll in rolls
         if not roll.spans_a_turn

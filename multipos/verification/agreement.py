@@ -142,7 +142,7 @@ def judge_run(
     text = _in_words(found, moved, whole=whole)
     return found, (
         *carried,
-        Finding("run-disagrees", "warning", text, outputs=c.outputs, p=found.p),
+        Finding("run-disagrees", "warning", text, _WAY_OUT, outputs=c.outputs, p=found.p),
     )
 
 
@@ -286,21 +286,16 @@ def _taken(gram: Array, right: Array, chosen: list[int], steps: Array) -> Array:
     return np.where(told, left**2 / np.where(told, own, 1.0), 0.0)
 
 
+_WAY_OUT = "Calibrate again, or find what differs: warm-up, temperature, mounting or level."
+
+
 def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
-    first = (
-        "the run disagrees with the calibration, whatever its single errors say (1 % of runs that "
-        "agree are said to)"
-    )
-    said = [first]
-    if whole:
-        said.append(agreement_in_words(found))
-    if moved:
-        steps = [f"{m.name} {m.by:+.3g} {m.unit} ({m.over:.2g} U)" for m in moved]
-        said.append(f"it is as if this had moved: {', '.join(steps)}")
-    return (
-        f"{'; '.join(said)}; calibrate again, or find what differs between the two: warm-up, "
-        "temperature, mounting or level of the table"
-    )
+    chance = f" (p = {found.p:.2g})" if whole else ""
+    said = f"the run disagrees with the calibration beyond chance{chance}"
+    if not moved:
+        return said
+    steps = [f"{m.name} by {m.by:+.3g} {m.unit} ({m.over:.2g} U)" for m in moved]
+    return f"{said}; probable cause: a change of {', '.join(steps)}"
 
 
 def agreement_in_words(found: Agreement) -> str:

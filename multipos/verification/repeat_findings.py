@@ -89,8 +89,11 @@ def _repeated_run(what: str, found: Sequence[Array]) -> Finding | None:
     return Finding(
         "repeated-runs",
         "warning",
-        f"the {what} of runs {first} and {second} are the same to the last digit: a run that is "
-        "given twice is no repeat, and makes runs agree that may not; leave it out",
+        (
+            f"the {what} of runs {first} and {second} are the same to the last "
+            "digit: a run that is given twice is no repeat"
+        ),
+        "Leave one of them out.",
     )
 
 
@@ -106,9 +109,11 @@ def _different_sensors(found: Sequence[Calibration]) -> Finding | None:
     return Finding(
         "different-sensors",
         "warning",
-        f"runs {pair[0] + 1} and {pair[1] + 1} look like two sensors and not one: {said}, which "
-        "no sensor drifts; look at which unit each file is of, and at order and unit of its "
-        "columns",
+        (
+            f"runs {pair[0] + 1} and {pair[1] + 1} look like two sensors and "
+            f"not one: {said}, which no sensor drifts"
+        ),
+        "Check which unit each file is of, and the order and unit of its columns.",
     )
 
 

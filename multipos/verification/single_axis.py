@@ -314,10 +314,12 @@ def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]
         Finding(
             "part-of-a-turn",
             "warning",
-            f"the {len(roll.distinct)} angles in plane {roll.plane} do not span a turn, "
-            f"{np.degrees(roll.gap):.4g} of 360 degrees are without a point: there are no "
-            "harmonics, and the coefficients hold for these angles only; no gap wider than 180 "
-            "degrees would tell all",
+            (
+                f"the {len(roll.distinct)} angles in plane {roll.plane} do not span "
+                f"a turn, {np.degrees(roll.gap):.4g} of 360 degrees are empty: no "
+                "harmonics, valid for these angles only"
+            ),
+            "Leave no gap wider than 180 degrees.",
         )
         for roll in rolls
     ]

@@ -158,7 +158,7 @@ def test_wrapping_tells_the_step():
 def test_another_unit_is_named(factor, named):
     up = mp.read_scheme("all-26").up
     found = finding(factor * sense(up), up, unit="g")
-    assert (found.code, named in found.text) == ("unit", True)
+    assert (found.code, named in found.action) == ("unit", True)
     assert codes(sense(up), up, unit="g")[0] == []
     assert codes(factor * sense(up), up)[0] == []  # no unit was stated
 

@@ -56,8 +56,8 @@ def test_a_zero_of_each_soak_is_named_with_its_size():
 def test_a_curve_fitted_straight_is_a_missing_term():
     c = mp.fit(over_temperature(2, curve=5e-4), model=MODEL)
     assert found(c) == ["missing-term"]
-    told = next(d.text for d in c.diagnostics.findings if d.code == "missing-term")
-    assert f"fit --model '{MODEL} + temperature^2'" in told
+    told = next(d.action for d in c.diagnostics.findings if d.code == "missing-term")
+    assert f"Fit with --model '{MODEL} + temperature^2'" in told
     assert found(mp.fit(over_temperature(2, curve=5e-4), model=f"{MODEL} + temperature^2")) == []
 
 

@@ -307,12 +307,12 @@ def test_denied_noise_is_added_to_and_said(mode):
     how = {"unknown_orientation": True} if mode == "unknown" else {"orientation_sd": 0.005}
     cal = mp.fit(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
     honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
-    said = [w for w in texts(cal) if "deny the stated reading noise" in w]
+    said = [w for w in texts(cal) if "exceed the stated noise" in w]
     assert len(said) == 1
     assert "scatter from rest to rest" in said[0]
     assert "--orientation-sd" not in said[0]  # it is given, or nothing is known of orientations
     scatter = cal.variance_components.rest_to_rest["ay"].value
-    assert f"position to position of {scatter:.3g} reading" in said[0]
+    assert f"excess noise of {scatter:.3g} reading is added" in said[0]
     # 15 or some 24 contrasts that no orientation touches
     assert scatter == pytest.approx(1e-4, rel=0.5)
     if mode == "unknown":  # a floor that is nothing is as good as none
