@@ -107,7 +107,9 @@ COMMANDS = {
 
 
 def test_every_command_says_what_it_reads():
-    assert {*COMMANDS, "demo", "completion", "capture"} == set(cli.COMMANDS)  # these read no file
+    assert {*COMMANDS, "demo", "completion", "capture", "page"} == set(
+        cli.COMMANDS
+    )  # these read no file
 
 
 @pytest.mark.parametrize("link", ["itself", "symbolic", "hard"])

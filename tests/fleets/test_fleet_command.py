@@ -76,8 +76,9 @@ def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
 def test_without_parquet_the_table_is_csv_and_that_is_said(tmp_path, table, capsys, monkeypatch):
     monkeypatch.setattr(fleet_folder, "find_spec", lambda name: None)
     out = tmp_path / "out"
-    assert main(["fleet", table, *APART, "-o", str(out)]) == 0
-    assert "pip install 'multipos[parquet]'" in capsys.readouterr().err
+    assert main(["fleet", table, *APART, "-o", str(out), "-v"]) == 0
+    shown = capsys.readouterr()
+    assert "pip install 'multipos[parquet]'" in shown.out + shown.err
     with (out / "calibrations.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 30

@@ -149,7 +149,7 @@ def test_verdicts_of_units_that_fail_or_are_doubted():
     table["ay"][14 * 4 + 1] = np.nan
     found = mp.fleet(table, limits={"rms": (None, 1.0)}, **APART)
     verdicts = dict(zip(found.verdicts["unit"], found.verdicts["verdict"], strict=True))
-    assert verdicts["U0002"] == "finding"
+    assert verdicts["U0002"] == "unfit"
     assert "dead-output" in found.calibrations["findings"][2]
     assert verdicts["U0004"] == "failed"
     assert [verdicts[f"U000{i}"] for i in (0, 1, 3, 5)] == ["pass"] * 4
