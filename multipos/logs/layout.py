@@ -33,6 +33,8 @@ DATE = re.compile(
     r"((\d{4}[-/]\d\d[-/]\d\d|\d\d?[/.]\d\d?[/.]\d{4})[T ])?"
     r"\d\d?:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
 )
+# As a serial monitor shows it: at the beginning of a cell, a number behind it.
+_LABEL = re.compile(r"(?<![^\s,;])([A-Za-z_]\w*)[ \t]*[:=][ \t]*(?=[-+.\d])")
 _UNITLESS = ("", "-", "none", "no_units", "n/a")
 _KNOWN = re.compile(r"(time.*|t|.*acc.*|[a-z_. ]*[xyz])", re.IGNORECASE)
 
@@ -69,6 +71,8 @@ class Layout:
         Whether the first column goes up in the first rows, and not by ones.
     rate : float or None [Hz]
         Sample rate, where a line above the table tells one.
+    labelled : bool
+        Whether a name stands before every number, as in ``ax: 17027``.
     notes : tuple of Finding
     """
 
@@ -83,6 +87,7 @@ class Layout:
     first: int
     rising: bool
     rate: float | None
+    labelled: bool
     notes: Findings
 
 
@@ -95,6 +100,9 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         There is no row, or the header does not fit the rows.
     """
     stated, table = _stated(lines)
+    names = _labels([line.text for line in table[-_LAST:]])
+    if names:
+        table = [line._replace(text=without_labels(line.text)) for line in table]
     rows = _rows(source, table)
     last = [line.text for line in rows[-_LAST:]]
     mark = _separator(last) if stated is None else stated
@@ -107,7 +115,21 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     body = _body(rows, begin, shape)
     if not body:
         raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
-    return _layout(shape, header, body, above, begin)
+    if names and header.cells is None and len(names) == shape.columns:
+        header = header._replace(cells=names)
+    return _layout(shape, header, body, above, begin, labelled=bool(names))
+
+
+def without_labels(text: str) -> str:
+    """Return lines without the names before their numbers."""
+    return _LABEL.sub("", text)
+
+
+def _labels(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return the names that stand before the numbers of most lines, if two or more do."""
+    found = Counter(tuple(_LABEL.findall(line)) for line in lines)
+    names, count = found.most_common(1)[0] if found else ((), 0)
+    return names if len(set(names)) == len(names) > 1 and 2 * count > len(lines) else ()
 
 
 def _rows(source: str, lines: Sequence[Line]) -> list[Line]:
@@ -123,6 +145,8 @@ def _layout(
     body: Sequence[Sequence[str]],
     above: Sequence[Line],
     begin: int,
+    *,
+    labelled: bool,
 ) -> Layout:
     mark = shape.mark
     columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
@@ -138,6 +162,7 @@ def _layout(
         first=begin,
         rising=_rises([row[0] for row in body], mark),
         rate=_stated_rate(above),
+        labelled=labelled,
         notes=_find_begin(above, begin, header),
     )
 

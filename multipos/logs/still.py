@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from multipos.logs.rests import (
 from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.positions.attitudes import COLUMNS
 
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
@@ -138,7 +140,8 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
             raise MultiposError(f"{log.source}: {wrong[0].text}. {action} --accept-faults goes on.")
         known = _known(samples, wish)
         notes = [*log.notes, *_find_clock(samples), *outputs.findings]
-        limits = _limits(survey, wish.threshold, log.source if known is None else None, notes)
+        source = log.source if known is None else None
+        limits = _limits(survey, wish.threshold, source, notes, log.columns)
         found = None
         if known is None:
             assert limits is not None
@@ -248,7 +251,11 @@ def _unused(samples: Samples) -> list[Finding]:
 
 
 def _limits(
-    survey: Survey, given: float | None, source: str | None, notes: Sequence[Finding]
+    survey: Survey,
+    given: float | None,
+    source: str | None,
+    notes: Sequence[Finding],
+    columns: Sequence[str],
 ) -> Limits | None:
     """Return what tells rest from motion; None where a log without `source` has no such."""
     if given is not None:
@@ -256,6 +263,13 @@ def _limits(
     try:
         return survey.limits()
     except MultiposError as error:
+        if source and survey.rows < survey.grid.shortest:
+            how = "" if COLUMNS & set(columns) else " --scheme NAME, or --unknown-orientation"
+            raise MultiposError(
+                f"{source}: {survey.rows} rows are too few for a log of samples, which has fewer "
+                "than one rest; a table of means, one row a position, is for "
+                f"multipos fit {Path(source).name}{how}."
+            ) from None
         if source:
             raise MultiposError(f"{source}: {error}{found_so_far(notes)}") from None
         return None  # rests that are known need none; motion in them is then not looked for

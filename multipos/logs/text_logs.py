@@ -32,7 +32,15 @@ from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import read_dates, require_dates
-from multipos.logs.layout import COMMENTS, Layout, cells_of, find_layout, is_comment, is_number
+from multipos.logs.layout import (
+    COMMENTS,
+    Layout,
+    cells_of,
+    find_layout,
+    is_comment,
+    is_number,
+    without_labels,
+)
 from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, ReadPieces
@@ -61,6 +69,8 @@ class Rows(NamedTuple):
 
 def table_text(layout: Layout, content: str, first: int) -> Part:
     """Return lines of the table, the number of whose first is given."""
+    if layout.labelled:
+        content = without_labels(content)
     if layout.decimal_comma and layout.delimiter != ";":
         content = content.replace(",", ".")
     return Part(content, first)
@@ -520,7 +530,7 @@ class _Wanted(NamedTuple):
 def _plain_table(text: _Text, block: _Block, first: int, wanted: _Wanted) -> Table | None:
     """Return the wanted columns of lines that are nothing but rows of numbers, None of others."""
     layout = text.layout
-    if wanted.texts or layout.trailing or not all(layout.numeric):
+    if wanted.texts or layout.trailing or layout.labelled or not all(layout.numeric):
         return None
     values = _numbers(text, block, [text.columns.index(name) for name in wanted.numbers])
     if values is None or not np.isfinite(values).all():

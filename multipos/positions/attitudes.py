@@ -16,6 +16,7 @@ Exact angles give exact zeros: a stray cos 90° = 6e-17 would pass for a tilt.
 """
 
 import math
+import re
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -191,7 +192,7 @@ def _three_letters(text: str) -> list[str]:
     if len(letters) != 3 or not _LETTERS.keys() >= set(letters):
         raise MultiposError(
             f"direction '{text}' is not a triple; name where x, y and z point with three of "
-            "E N W S U D or 东北西南天地, as in E-N-U."
+            "E N W S U D or 东北西南天地, as in E-N-U, or the axis that is up, as in +X."
         )
     return letters
 
@@ -207,14 +208,34 @@ def roll(axis: str, angle_deg: ArrayLike) -> Attitudes:
     return from_rotation(np.stack([east, np.cross(up, east) + 0.0, up], axis=2))
 
 
+_AXIS_UP = re.compile(r"([+-]?)([xyz])([+-]?)(?:[ _-]*(up|down|oben|unten|上|下))?", re.IGNORECASE)
+
+
+def parse_axis_up(text: str) -> Array | None:
+    """Return the up vector (3,) of ``+X``, ``-x up``, ``Z+`` or ``y down``, None of other text."""
+    found = _AXIS_UP.fullmatch(text.strip().replace("−", "-"))
+    if found is None or (bool(found[1]) == bool(found[3]) and (found[1] or not found[4])):
+        return None
+    turned = (found[1] or found[3]) == "-", (found[4] or "").casefold() in ("down", "unten", "下")
+    up = np.zeros(3)
+    up["xyz".index(found[2].casefold())] = -1.0 if turned[0] != turned[1] else 1.0
+    return up
+
+
 def _read_direction(table: Table) -> Attitudes:
-    matrices = []
+    up = np.full((table.rows, 3), np.nan)
+    rotation = np.full((table.rows, 3, 3), np.nan)
     for row, text in enumerate(table.text("direction")):
+        axis = parse_axis_up(text)
+        if axis is not None:
+            up[row] = axis
+            continue
         try:
-            matrices.append(parse_direction(text))
+            rotation[row] = parse_direction(text)
         except MultiposError as error:
             raise MultiposError(f"{table.where(row, 'direction')}: {error}") from None
-    return from_rotation(matrices)
+        up[row] = rotation[row, :, 2]
+    return Attitudes(up, rotation)
 
 
 def _read_up(table: Table) -> Attitudes:

@@ -64,6 +64,22 @@ _ACCELERATION = re.compile(r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*accelerat
 _ELSEWHERE = re.compile(
     r"(.* )?[gwmbh]|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
 )
+_FOREIGN = {
+    "beschleunigung": "acceleration",
+    "drehrate": "gyro",
+    "winkelgeschwindigkeit": "gyro",
+    "magnetfeld": "mag",
+    "加速度": "acceleration",
+    "角速度": "gyro",
+    "陀螺": "gyro",
+    "磁场": "mag",
+}
+# What stands beside a triad of acceleration and is none: counters, times, surroundings.
+_BESIDE = re.compile(
+    r"(soak|run|cycle|chamber|lage|pos(ition)?|unit|nr|no|num|id|i|n|index|row|step|count(er)?|date"
+    r"|t|time.*|.*time|timestamp.*|temp.*|.*temp|位置|序号|编号|时间|温度)",
+    re.IGNORECASE,
+)
 _WITHOUT_GRAVITY = re.compile(r".*(free|user) ?acc.*")
 
 
@@ -92,7 +108,10 @@ def component(name: str) -> NameParts:
     """Return a name cut into its parts."""
     found = _COMPONENT.fullmatch(name)
     stem, axis = (name, -1) if found is None else (found[1], _axis(found[2] or found[3]))
-    plain = re.sub(r"[^a-z]+", " ", stem.casefold()).strip()
+    plain = stem.casefold()
+    for foreign, english in _FOREIGN.items():
+        plain = plain.replace(foreign, english)
+    plain = re.sub(r"[^a-z]+", " ", plain).strip()
     acceleration = _ACCELERATION.fullmatch(plain) is not None
     return NameParts(
         stem if found is None else f"{stem}{found[4]}",
@@ -100,6 +119,11 @@ def component(name: str) -> NameParts:
         acceleration and axis >= 0 and not _WITHOUT_GRAVITY.fullmatch(plain),
         not acceleration and _ELSEWHERE.fullmatch(plain) is not None,
     )
+
+
+def is_beside(name: str) -> bool:
+    """Tell whether a column beside named acceleration is none by its name."""
+    return _BESIDE.fullmatch(name) is not None
 
 
 def _axis(written: str) -> int:
@@ -180,6 +204,8 @@ def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
 def _own_case(names: Sequence[str]) -> dict[str, str]:
     """Return names as they are known here; those that differ in case alone stay as written."""
     known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
+    if "position" not in map(str.casefold, names):
+        known |= {"lage": "position", "位置": "position"}
     beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in names}
     folded = Counter(name.casefold() for name in names)
 

@@ -32,8 +32,10 @@ from multipos.positions.headers import (
     component,
     find_column,
     in_celsius,
+    is_beside,
     is_environment,
     plain_names,
+    triads_of,
     unit_as_known,
     unit_of_outputs,
 )
@@ -242,7 +244,10 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
 def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
     if not others:
         return []
-    whose = "is of another sensor" if len(others) == 1 else "are of other sensors"
+    if any(map(is_beside, others)):
+        whose = "is no output" if len(others) == 1 else "are none"
+    else:
+        whose = "is of another sensor" if len(others) == 1 else "are of other sensors"
     text = (
         f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them {whose}"
     )
@@ -257,6 +262,8 @@ def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, NameParts]) -> 
     """Return the columns named as acceleration, where others are named as rate or field."""
     named = tuple(name for name in names if kinds[name].acceleration)
     elsewhere = any(kinds[name].elsewhere and kinds[name].axis >= 0 for name in names)
+    if len(triads_of(named, kinds)) == 1:
+        names = tuple(name for name in names if name in named or not is_beside(name))
     if not named or not elsewhere:
         return names
     return tuple(name for name in names if name in named or not kinds[name].elsewhere)

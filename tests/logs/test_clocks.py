@@ -170,3 +170,29 @@ def test_a_frozen_stretch_is_no_rest_and_named():
     first, last = (int(cell.rstrip(":")) for cell in said.text.split()[1:4:2])
     assert abs(first - frozen.start) < 12
     assert abs(last - frozen.stop) < 12
+
+
+# --- as a user brings it
+
+
+@pytest.mark.parametrize(
+    "form", ["ax: {}\tay: {}\taz: {}", "ax={}, ay={}, az={}", "ax:{} ay:{} az:{}"]
+)
+def test_names_before_the_numbers_of_a_serial_monitor(form, log, tmp_path):
+    rows = np.column_stack([log[output] for output in OUTPUTS]).tolist()
+    lines = ["MPU6050 init ok", *(form.format(*row) for row in rows)]
+    (tmp_path / "log.txt").write_text("\n".join(lines) + "\n")
+    found = mp.average(tmp_path / "log.txt", rate=RATE)
+    assert found.outputs == OUTPUTS
+    np.testing.assert_allclose(found.readings.values, mp.average(log).readings.values, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("column", "way"), [("position", "--scheme NAME"), ("direction", "m.csv.")]
+)
+def test_a_table_of_means_is_told_from_a_log(column, way, tmp_path):
+    rows = [["+X", 1.0, 0.0, 0.0], ["-X", -1.0, 0.0, 0.0], ["+Y", 0.0, 1.0, 0.0]] * 4
+    path = written(tmp_path / "m.csv", f"{column},ax,ay,az", rows)
+    with pytest.raises(mp.MultiposError, match="table of means.*multipos fit m.csv") as raised:
+        mp.calibrate(path)
+    assert way in str(raised.value)

@@ -160,3 +160,28 @@ def test_a_unit_in_the_header_is_the_unit():
     mixed = columns("ax (g)", "ay (g)", "az (mg)")
     with pytest.raises(mp.MultiposError, match="outputs differ in unit"):
         mp.fit(mixed)
+
+
+@pytest.mark.parametrize(
+    ("header", "outputs"),
+    [
+        ("Lage,Beschleunigung X,Beschleunigung Y,Beschleunigung Z", "Beschleunigung "),
+        ("位置,加速度X,加速度Y,加速度Z", "加速度"),
+        ("time,ax,ay,az,gx,gy,gz,temp", "a"),
+        ("t,soak,ax,ay,az,run", "a"),
+    ],
+)
+def test_what_stands_beside_acceleration_is_no_output(header, outputs):
+    columns = {name: np.arange(6.0) for name in header.split(",")}
+    found = mp.read_readings(columns)
+    assert [name.upper() for name in found.outputs] == [f"{outputs}{x}".upper() for x in "xyz"]
+
+
+def test_the_axis_that_is_up_is_a_direction():
+    """Up is where the specific force of a sensor at rest points."""
+    cells = ["+X", "-x", "Y+", "z- up", "+Z up", "y down", "E-N-U"]
+    found = mp.read_readings({"direction": cells, "ax": np.arange(7.0)})
+    x, y, z = np.eye(3)
+    np.testing.assert_array_equal(found.up, [x, -x, y, -z, z, -y, z])
+    with pytest.raises(mp.MultiposError, match=r"row 2.*'\+-x' is not a triple.*as in \+X"):
+        mp.read_readings({"direction": ["+X", "+-x"], "ax": [1.0, 2.0]})
