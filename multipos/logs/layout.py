@@ -115,7 +115,7 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     body = _body(rows, begin, shape)
     if not body:
         raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
-    if names and header.cells is None and len(names) == shape.columns:
+    if names and len(names) == shape.columns:
         header = header._replace(cells=names)
     return _layout(shape, header, body, above, begin, labelled=bool(names))
 

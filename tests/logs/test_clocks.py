@@ -193,6 +193,6 @@ def test_names_before_the_numbers_of_a_serial_monitor(form, log, tmp_path):
 def test_a_table_of_means_is_told_from_a_log(column, way, tmp_path):
     rows = [["+X", 1.0, 0.0, 0.0], ["-X", -1.0, 0.0, 0.0], ["+Y", 0.0, 1.0, 0.0]] * 4
     path = written(tmp_path / "m.csv", f"{column},ax,ay,az", rows)
-    with pytest.raises(mp.MultiposError, match="table of means.*multipos fit m.csv") as raised:
+    with pytest.raises(mp.MultiposError, match=r"table of means.*multipos fit m\.csv") as raised:
         mp.calibrate(path)
     assert way in str(raised.value)
