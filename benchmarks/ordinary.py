@@ -469,7 +469,9 @@ def line_of(name: str, found: Tally, logs: int) -> str:
     peer = f"{found.error(best):.3g} {best}" if best else "–"
     ratio = f"{ratios[best]:.2f}" if best and np.isfinite(ratios[best]) else "–"
     missed = bool(lost) and not row.may_refuse
-    missed |= row.wanted is not None and not mine <= row.wanted
+    # What no peer reaches on these logs is decided by the ratio.
+    reached = max(row.wanted or np.inf, found.error(best) if best else 0.0)
+    missed |= not mine <= reached
     missed |= bool(best) and not ratios[best] <= LIMIT
     wanted = "–" if row.wanted is None else f"≤ {row.wanted:g}"
     rests = f"{100.0 * np.mean(found.rests):.0f} %" if found.rests else "–"
