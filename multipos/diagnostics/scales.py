@@ -158,7 +158,10 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
         for output, axis in zip(c.outputs, face.text.split(","), strict=True)
     )
     if is_triad(c):
-        how = f"{_rotation_in_words(sensitivity, expected)}: {how}"
+        vector = _nearest_rotation(sensitivity, expected)
+        if math.cos(float(np.linalg.norm(vector))) > _SLANTED:
+            return None  # axes that are not square, and no turn of the whole
+        how = f"{_rotation_in_words(vector)}: {how}"
     return Finding(
         "turned",
         "warning",
@@ -168,10 +171,13 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     )
 
 
-def _rotation_in_words(sensitivity: Array, expected: Array) -> str:
-    """Return the rotation nearest to K, from the axes that the outputs should have."""
+def _nearest_rotation(sensitivity: Array, expected: Array) -> Array:
+    """Return the rotation vector nearest to K, from the axes that the outputs should have."""
     unit = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
-    vector = rotation_vector(align(expected, unit))
+    return rotation_vector(align(expected, unit))
+
+
+def _rotation_in_words(vector: Array) -> str:
     angle = float(np.linalg.norm(vector))
     axis = ", ".join(f"{part:.2f}" for part in (np.round(vector / angle, 2) + 0.0).tolist())
     return f"by {np.degrees(angle):.0f} degrees about ({axis})"

@@ -152,3 +152,24 @@ def test_a_coarse_grid_is_the_floor_of_u():
         assert c.U.min() > 1.9 * 8e-3 / math.sqrt(12.0 * 6.0)
         hits.append(np.abs(c.parameters - np.column_stack([zero, slopes]).ravel()) <= c.U)
     assert np.mean(hits) > 0.93
+
+
+def test_the_level_of_a_table_is_no_orientation_error():
+    """A tilt of .1° east, seen by 24 attitudes of the case: one cause, of that size."""
+    rng = np.random.default_rng(5)
+    rotations = np.linalg.qr(rng.standard_normal((24, 3, 3)))[0]
+    rotations *= np.linalg.det(rotations)[:, None, None]
+    plumb = np.array([math.sin(math.radians(0.1)), 0.0, math.cos(math.radians(0.1))])
+    y = ZERO + rotations @ plumb @ K.T + SD * rng.standard_normal((24, 3))
+    found = mp.fit(mp.Readings(y, rotation=rotations, up=rotations[:, :, 2])).findings
+    (finding,) = (each for each in found if each.level == "warning")
+    assert finding.code == "level"
+    assert abs(float(re.search(r"([\d.]+) degrees", finding.text)[1]) - 0.1) < 0.01
+
+
+def test_axes_that_are_not_square_are_no_turn():
+    slanted = np.eye(3)
+    slanted[1] = [0.5, math.sqrt(0.75), 0.0]  # y stands 30° from where it should
+    up = mp.read_scheme("fibonacci-24").up
+    noise = SD * np.random.default_rng(6).standard_normal((24, 3))
+    assert not mp.fit(mp.Readings(up @ slanted.T + noise, up=up)).findings
