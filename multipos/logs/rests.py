@@ -44,6 +44,7 @@ References
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -220,30 +221,38 @@ class Spikes:
         chunks = kept.reshape(self._outputs, -1, _CHUNK)
         off = np.abs(chunks - chunks @ np.full((_CHUNK, 1), 1.0 / _CHUNK))
         likely = off.max(axis=2) > _LIKELY * (off @ np.full(_CHUNK, 1.0 / _CHUNK))
-        for j, chunk in np.argwhere(likely).tolist():
-            at = chunk * _CHUNK
-            around = samples[j, at : at + _CHUNK + 2 * _LONGEST_SPIKE]
-            middle, places = self._spikes(around, j)
-            for i in places:
-                self.found.append((self._row + at + i, j, float(kept[j, at + i])))
-                kept[j, at + i] = middle
+        for j in np.flatnonzero(likely.any(axis=1)).tolist():
+            at = np.flatnonzero(likely[j]) * _CHUNK
+            around = samples[j, at[:, None] + np.arange(_CHUNK + 2 * _LONGEST_SPIKE)]
+            for which, middle, places in self._spikes(around, j):
+                for i in (int(at[which]) + place for place in places):
+                    self.found.append((self._row + i, j, float(kept[j, i])))
+                    kept[j, i] = middle
 
-    def _spikes(self, around: Array, j: int) -> tuple[float, list[int]]:
-        """Return the median of a chunk, and which of its samples are spikes."""
-        y = around[_LONGEST_SPIKE:-_LONGEST_SPIKE]
-        middle = float(np.sort(y)[_CHUNK // 2])  # a reading, as numbers of a converter are whole
-        steps = np.abs(np.diff(y))
-        steps = steps[steps > 4.0 * np.finfo(float).eps * np.abs(y).max()]
-        if len(steps):
-            self._step[j] = min(self._step[j], float(steps.min()))
-        limit = _SPIKE * max(float(np.sort(np.abs(y - middle))[3 * _CHUNK // 4]), self._step[j])
-        beyond = [False, *(np.abs(around - middle) > limit).tolist(), False]
-        edges = [i for i in range(1, len(beyond)) if beyond[i] != beyond[i - 1]]
-        short = [range(*run) for run in zip(edges[::2], edges[1::2], strict=True)]
-        places = [
-            i - 1 - _LONGEST_SPIKE for run in short if len(run) <= _LONGEST_SPIKE for i in run
+    def _spikes(self, around: Array, j: int) -> list[tuple[int, float, list[int]]]:
+        """Return which of chunks (k, 20) have spikes, the median, and which samples these are."""
+        y = around[:, _LONGEST_SPIKE:-_LONGEST_SPIKE]
+        middle = np.sort(y, axis=1)[:, _CHUNK // 2]  # a reading: numbers of a converter are whole
+        steps = np.abs(np.diff(y, axis=1))
+        none = 4.0 * np.finfo(float).eps * np.abs(y).max(axis=1, keepdims=True)
+        least = np.where(steps > none, steps, np.inf).min(axis=1)
+        least = np.minimum.accumulate(np.minimum(least, self._step[j]))
+        self._step[j] = least[-1]
+        spread = np.sort(np.abs(y - middle[:, None]), axis=1)[:, 3 * _CHUNK // 4]
+        beyond = np.abs(around - middle[:, None]) > _SPIKE * np.maximum(spread, least)[:, None]
+        return [
+            (i, float(middle[i]), places)
+            for i in np.flatnonzero(beyond.any(axis=1)).tolist()
+            if (places := _short_runs(beyond[i].tolist()))
         ]
-        return middle, [i for i in places if 0 <= i < _CHUNK]
+
+
+def _short_runs(beyond: list[bool]) -> list[int]:
+    """Return the samples of a chunk that lie in runs as short as spikes, of it and what is by."""
+    ends = [i for i, (a, b) in enumerate(pairwise([False, *beyond, False])) if a != b]
+    runs = [range(*run) for run in zip(ends[::2], ends[1::2], strict=True)]
+    rows = [i - _LONGEST_SPIKE for run in runs if len(run) <= _LONGEST_SPIKE for i in run]
+    return [i for i in rows if 0 <= i < _CHUNK]
 
 
 class Windows:

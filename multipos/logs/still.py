@@ -137,7 +137,10 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
         if wrong and not wish.accept_faults:
             action = wrong[0].action or "Correct the log."
-            raise MultiposError(f"{log.source}: {wrong[0].text}. {action} --accept-faults goes on.")
+            way = f"{action[0].lower()}{action[1:].removesuffix('.')}"
+            raise MultiposError(
+                f"{log.source}: {wrong[0].text}; {way}, or go on with --accept-faults."
+            )
         known = _known(samples, wish)
         notes = [*log.notes, *_find_clock(samples), *outputs.findings]
         source = log.source if known is None else None
