@@ -4,9 +4,11 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import names
+from multipos.files.tables import Source
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
 from multipos.plots.temperature import regression_figure
+from multipos.regression.observations import RUN, join_runs
 from multipos.regression.regression import regression_sentence
 
 INPUTS = ("data",)
@@ -18,7 +20,12 @@ OUTPUT = Output(
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add("data", metavar="DATA.csv", help="table with a row per reading")
+    add(
+        "data",
+        nargs="+",
+        metavar="DATA.csv",
+        help="table with a row per reading; of several each is a run, as if --run told them apart",
+    )
     add(
         "--response",
         required=True,
@@ -104,11 +111,16 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
-    regression = regress(arguments.data, **options)
+    if len(arguments.data) > 1:
+        options["run"] = options["run"] or RUN
+        data: Source = join_runs(arguments.data, options["run"])
+    else:
+        (data,) = arguments.data
+    regression = regress(data, **options)
     return Answer(
         sentence=lambda: regression_sentence(regression),
         text=lambda: f"{regression}\n",
         json=lambda: to_json(regression.to_dict()),
-        forms={"figure": lambda: regression_figure(regression, arguments.data)},
+        forms={"figure": lambda: regression_figure(regression, data)},
         findings=lambda: regression.findings,
     )

@@ -47,10 +47,12 @@ from multipos.regression.correlation import Noise, find_noise, whitening_of
 from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
 from multipos.regression.junctions import Junction, find_junctions
 from multipos.regression.observations import (
+    RUN,
     Data,
     Observations,
     Rows,
     check_columns,
+    join_runs,
     read_observations,
 )
 from multipos.regression.piecewise import (
@@ -384,7 +386,7 @@ def _segment_name(number: int, variable: str, span: tuple[float, float], branch:
 
 
 def regress(
-    data: Source,
+    data: Source | Sequence[Source],
     *,
     response: Names,
     variables: Names | None = None,
@@ -418,7 +420,8 @@ def regress(
 
     Parameters
     ----------
-    data : path, mapping of columns, or data frame
+    data : path, mapping of columns, or data frame, or a sequence of these
+        Several are runs, one switch-on each.
     response : names
         The column that is described; several, one for each axis, are described by the same
         variables, each by itself.
@@ -490,6 +493,11 @@ def regress(
     >>> print(f"rms {1e6 * segment.rms:.0f}e-6")
     rms 72e-6
     """
+    if isinstance(data, list | tuple) and len(data) > 1:
+        run = run or RUN
+        data = join_runs(data, run)
+    elif isinstance(data, list | tuple):
+        (data,) = data
     arguments = dict(locals())  # all arguments as they are, for each of several responses
     responses = split_names(response, "--response")
     if len(responses) > 1:

@@ -33,12 +33,15 @@ for any spacing of the rows. (2): two first-order lags by implicit steps, p/(1 +
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.tables import Table
+from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, median
 from multipos.regression.correlation import Noise, TimeOrder, time_order
@@ -273,6 +276,55 @@ class Observations:
     dropped: int
     findings: Findings
     order: Findings
+
+
+RUN = "run"  # the column that tells joined files apart
+
+
+def join_runs(sources: Sequence[Source], run: str = RUN) -> Table:
+    """Return several tables as one, each a switch-on of its own.
+
+    Parameters
+    ----------
+    sources : sequence of path, mapping of columns, or data frame
+        With the same columns.
+    run : str
+        The column that tells them apart: the name of the file, with what stood there before.
+
+    Raises
+    ------
+    MultiposError
+        A table lacks a column that the first has, or is written otherwise.
+    """
+    tables = [read_table(source, what="data") for source in sources]
+    first, columns = tables[0], dict[str, list[Any]]()
+    for table in tables[1:]:
+        missing = [name for name in first.columns if name not in table]
+        if missing or table.delimiter != first.delimiter:
+            what = f"no column '{missing[0]}'" if missing else "other marks between its columns"
+            raise MultiposError(
+                f"{table.source}: {what}, which {first.source} has; give tables of one form."
+            )
+    for name in first.columns:
+        columns[name] = [cell for table in tables for cell in table.columns[name]]
+    names = [Path(table.source).stem for table in tables]
+    if len(set(names)) < len(names):
+        names = [table.source for table in tables]
+    if len(set(names)) < len(names):
+        names = [str(number) for number in range(1, len(names) + 1)]
+    columns[run] = [
+        f"{name} {label}" if label else name
+        for name, table in zip(names, tables, strict=True)
+        for label in (table.text(run) if run in table else [""] * table.rows)
+    ]
+    known = [table.sha256 for table in tables if table.sha256 is not None]
+    return Table(
+        ", ".join(table.source for table in tables),
+        columns,
+        rows=sum(table.rows for table in tables),
+        sha256=sha256("".join(known).encode()).hexdigest() if len(known) == len(tables) else None,
+        delimiter=first.delimiter,
+    )
 
 
 def read_observations(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.quantiles import coverage_factor, normal_quantile
 
@@ -103,3 +104,22 @@ def test_refusals():
         mp.regress(TWO | {"run": ["a"] * 6}, response="y", variables="x", run="run")
     with pytest.raises(MultiposError, match="rows of one run only"):
         mp.regress(TWO, response="y", variables="x", run="run", segment="x:1.5", free=True)
+
+
+def test_files_are_runs(tmp_path, capsys):
+    """Two files are one table with a column that tells them apart."""
+    run = np.array(TWO["run"])
+    for name in np.unique(run).tolist():
+        rows = run == name
+        mp.write_table(tmp_path / f"{name}.csv", {k: np.array(TWO[k])[rows] for k in ("x", "y")})
+    files = sorted(map(str, tmp_path.glob("*.csv")))
+    found = mp.regress(files, response="y", variables="x")
+    joined = mp.regress(TWO, response="y", variables="x", run="run")
+    assert found.run == "run"
+    np.testing.assert_allclose(found.segments[0].values, joined.segments[0].values, rtol=1e-14)
+    assert found.segments[0].between == joined.segments[0].between
+    status = main(["regress", *files, "--response", "y", "--variables", "x", "-v"])
+    assert (status, "between 2 runs" in capsys.readouterr().out) == (0, True)
+    mp.write_table(tmp_path / "c.csv", {"x": [1.0, 2.0]})
+    with pytest.raises(MultiposError, match="no column 'y'"):
+        mp.regress([*files, str(tmp_path / "c.csv")], response="y", variables="x")
