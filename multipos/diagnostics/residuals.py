@@ -36,7 +36,7 @@ from multipos.diagnostics.noise_causes import (
 )
 from multipos.diagnostics.score_tests import significant
 from multipos.estimation.gains import information_at_solution
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import REJECTED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.finding import Finding
@@ -195,7 +195,7 @@ _MOST = 600  # readings beyond which eq. (1) is not worked out
 def denied_noise(c: Calibration) -> Finding | None:
     """Find a stated noise that the residuals deny, and name the cause that the data favour."""
     claim = c.diagnostics.claim
-    if claim is None or not claim.chi2 > chi2_quantile(DENIED, claim.dof):
+    if claim is None or not claim.chi2 > chi2_quantile(REJECTED, claim.dof):
         return None
     found = c.variance_components
     scatter = found and found.rest_to_rest

@@ -112,7 +112,7 @@ def solve_closed_form(
 ) -> Solution:
     """Fit every output by the six-position inversion (`multipos.estimation.closed_form`).
 
-    The noise is judged as in `solve_known`; unequal stated noise leaves the inversion unbiased
+    The noise is estimated as in `solve_known`; unequal stated noise leaves the inversion unbiased
     but not best, so its covariance is its own: W V W', with W its weights.
     """
     if model.text not in ("own-quadratic", "linear") or set(model.inputs) != set(COMPONENTS):

@@ -1,18 +1,19 @@
-"""What readings scatter beyond the uncertainty they state, and what that leaves of the parameters.
+"""The excess variance of readings beyond the uncertainty they state, and U of the parameters.
 
-A stated uncertainty is a floor: a reading of output i at position k has variance
+A stated uncertainty is a lower bound: a reading of output i at position k has variance
 
     V_ki = u_ki² + τ²,                                                                      (1)
 
-u what is stated (the scatter within a rest, a data sheet) and τ what readings differ by from rest
-to rest. τ is not decided upon but integrated over. Its posterior is the restricted likelihood
+u as stated (the spread within a rest, a data sheet) and τ² the excess variance (dark uncertainty)
+from rest to rest. τ is not estimated by a number but integrated over. Its posterior is the
+restricted likelihood
 
     ln L(τ²) = −½ [Σ ln V + ln det X'V⁻¹X + e'V⁻¹e − e'V⁻¹X (X'V⁻¹X)⁻¹ X'V⁻¹e]              (2)
 
-times Jeffreys' prior, dτ² (Σ V⁻²)^½, which is d ln V where all u are alike, plus a chance that the
-claim is right, τ = 0, which weighs as much as `_BELIEF` of such a logarithm. Without a stated part
-the posterior of V is that of r'r/χ²_ν, and parameters follow Student's t; with one it is cut off at
-the floor. Parameters then are a mixture of normal laws, and
+times Jeffreys' prior, dτ² (Σ V⁻²)^½, which is d ln V where all u are equal, with a prior chance
+that τ = 0, which weighs as much as `_BELIEF` of such a logarithm. Without a stated part the
+posterior of V is that of r'r/χ²_ν, and parameters follow Student's t; with one it is truncated at
+the stated variance. Parameters then are a mixture of normal laws, and
 
 - the fit is weighted by u² + τ² at the τ² for which 1/V, of a typical u, is its posterior mean;
 - U is half the interval about the estimate that holds the mixture with the confidence of 95 %;
@@ -22,9 +23,9 @@ the floor. Parameters then are a mixture of normal laws, and
 
   and u = U/k, with k of Student's t at ν.
 
-The belief was chosen by coverage: with 6 degrees of freedom U is 23 % larger than where u is right
-and known to be, and covers 94 % or more whatever part of the noise u is; a test that believes or
-denies covers 73 % where u is half the noise (`docs/studies/noise`).
+The prior chance was chosen by coverage: with 6 degrees of freedom U is 23 % longer than where u is
+right and known to be, and covers 94 % or more whatever part of the noise u is; a χ² test that
+either accepts or rejects u covers 73 % where u is half the noise (`docs/studies/noise`).
 
 References
 ----------
@@ -45,7 +46,7 @@ from multipos.numerics.least_squares import block_design
 from multipos.sensor.fit_diagnostics import UNEQUAL, bartlett
 
 _ROWS = 20_000  # readings worked on at once
-_RIDGE = 1e-13  # of rounding, so that floors of any size leave a matrix that can be inverted
+_RIDGE = 1e-13  # of rounding, so that variances of any size leave a matrix that can be inverted
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +82,8 @@ class Part:
         return float(m * (n - self.parameters))
 
     @cached_property
-    def alike(self) -> bool:
-        """Whether the floors of every unit are."""
+    def equal(self) -> bool:
+        """Whether the stated variances of every unit are equal."""
         return not np.ptp(self.floor, axis=1).any()
 
     @cached_property
@@ -103,19 +104,19 @@ class Part:
 
     @cached_property
     def moves(self) -> Array:
-        """What Q'e makes of the parameters where floors are alike (B, 1, p m)."""
+        """What Q'e makes of the parameters where stated variances are equal (B, 1, p m)."""
         return (self.inverse @ self.along).transpose(0, 2, 1).reshape(len(self.along), 1, -1)
 
     @cached_property
     def lengths(self) -> Array:
-        """Variances of the parameters for a unit one of readings (p m,), floors alike."""
+        """Variances of the parameters for readings of variance one (p m,), all equal."""
         own = np.einsum("ip,ip->i", self.inverse, self.inverse)
         return np.tile(own, self.residuals.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
-    """What readings of M outputs scatter beyond what they state, and how well that is known.
+class ExcessVariance:
+    """The excess variance of readings of M outputs, and how well it is known.
 
     Attributes
     ----------
@@ -140,10 +141,10 @@ class Scatter:
         return standard_uncertainty(expanded, dof)
 
 
-def find_scatter(
+def estimate_excess(
     designs: Sequence[Array], residuals: Array, noise: Array, *, pool: bool = False
-) -> Scatter:
-    """Return the scatter of readings of B units beyond the noise that they state.
+) -> ExcessVariance:
+    """Return the excess variance of readings of B units beyond their stated noise.
 
     All outputs of a unit share one where their equality is not rejected, or where they are
     correlated.
@@ -156,7 +157,7 @@ def find_scatter(
     noise : (B, n, M) array, or (n M, n M) of one unit
         Stated variances, or their covariance.
     pool : bool
-        One scatter whatever the outputs say.
+        One excess variance of all outputs, without a test of their equality.
     """
     count, n, m = residuals.shape
     everyone = np.arange(count)
@@ -188,8 +189,8 @@ def _gather(
     groups: Sequence[tuple[Places, Places, list[tuple[list[int], Part]]]],
     designs: Sequence[Array],
     count: int,
-) -> Scatter:
-    """Return the scatter of groups of units and outputs, each of which has its own."""
+) -> ExcessVariance:
+    """Return the excess variance of groups of units and outputs, each of which has its own."""
     m = len(designs)
     variance, u, dof = np.empty((count, m)), np.empty((count, m)), np.empty((count, m))
     ends = np.cumsum([0, *(design.shape[1] for design in designs)])
@@ -200,19 +201,19 @@ def _gather(
         posteriors.append((units, np.concatenate(order), posterior))
         here = np.ix_(units, outputs)
         variance[here], u[here], dof[here] = (each[:, None] for each in posterior.summary)
-    return Scatter(variance, u, dof, tuple(posteriors))
+    return ExcessVariance(variance, u, dof, tuple(posteriors))
 
 
 def _parts(
     designs: Sequence[Array], residuals: Array, floor: Array, outputs: Iterable[int]
 ) -> list[tuple[list[int], Part]]:
     """Return outputs by the part they belong to: those of equal design and floors share one."""
-    alike: dict[tuple[bytes, bytes], list[int]] = {}
+    equal: dict[tuple[bytes, bytes], list[int]] = {}
     for i in outputs:
-        alike.setdefault((designs[i].tobytes(), floor[:, :, i].tobytes()), []).append(i)
+        equal.setdefault((designs[i].tobytes(), floor[:, :, i].tobytes()), []).append(i)
     return [
         (members, _part(designs[members[0]], residuals[:, :, members], floor[:, :, members[0]]))
-        for members in alike.values()
+        for members in equal.values()
     ]
 
 
@@ -236,7 +237,7 @@ def _part(design: Array, residuals: Array, floor: Array) -> Part:
 
 
 def integrate_parts(parts: Sequence[Part]) -> Posterior:
-    """Return the posterior of a scatter that parts share, and of their parameters.
+    """Return the posterior of an excess variance that parts share, and of their parameters.
 
     Parameters
     ----------
@@ -256,7 +257,7 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: Array) -> Found:
     information = np.zeros(nodes.shape)  # of τ², twice
     moves, variances = [], []
     for part in parts:
-        own = _equal(part, nodes) if part.alike else _unequal(part, nodes)
+        own = _equal(part, nodes) if part.equal else _unequal(part, nodes)
         log += own.log
         information += own.information
         moves.append(own.moves)
@@ -265,8 +266,8 @@ def _evaluate(parts: Sequence[Part], nodes: Array, size: Array) -> Found:
     return Found(log, np.concatenate(moves, axis=2), np.concatenate(variances, axis=2))
 
 
-class _Share(NamedTuple):
-    """What a part has of eq. (2) and of Σ V⁻² (B, G), its own moves and variances (B, G, p m)."""
+class _Terms(NamedTuple):
+    """Terms of eq. (2) and Σ V⁻² (B, G) of a part, shifts and variances of its parameters."""
 
     log: Array
     information: Array
@@ -274,11 +275,11 @@ class _Share(NamedTuple):
     variances: Array
 
 
-def _equal(part: Part, nodes: Array) -> _Share:
-    """Return a part whose floors are alike: Q'V⁻¹Q is 1/V, and nothing moves with V."""
+def _equal(part: Part, nodes: Array) -> _Terms:
+    """Return the terms of equal stated variances: Q'V⁻¹Q is 1/V, whatever V the same estimates."""
     (n, p), m = part.basis.shape, part.residuals.shape[2]
     variance = part.floor[:, :1] + nodes
-    return _Share(
+    return _Terms(
         log=-0.5 * (m * (n - p) * np.log(variance) + part.across / variance),
         information=m * n / variance**2,
         moves=np.broadcast_to(part.moves, (*nodes.shape, m * p)),
@@ -286,7 +287,7 @@ def _equal(part: Part, nodes: Array) -> _Share:
     )
 
 
-def _unequal(part: Part, nodes: Array) -> _Share:
+def _unequal(part: Part, nodes: Array) -> _Terms:
     p, m = part.parameters, part.residuals.shape[2]
     sums = _sums(part, nodes)
     scale = 1.0 / np.sqrt(np.einsum("bgpp->bgp", sums.square))
@@ -298,7 +299,7 @@ def _unequal(part: Part, nodes: Array) -> _Share:
     gained = np.einsum("bgpm,bgmp->bg", sums.right, step)
     squares = (part.inverse[:, :, None] * part.inverse[:, None, :]).reshape(p, -1)
     own = inverse.reshape(*nodes.shape, -1) @ squares.T
-    return _Share(
+    return _Terms(
         log=0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained),
         information=m * sums.weight2,
         moves=(step @ part.inverse.T).reshape(*nodes.shape, m * p),

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
-from multipos.estimation.excess_variance import Scatter, find_scatter
+from multipos.estimation.excess_variance import ExcessVariance, estimate_excess
 from multipos.estimation.identifiability import formal_only
 from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, take_stated
@@ -74,7 +74,7 @@ from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
 FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
-DENIED = 0.999  # χ² point beyond which the residuals reject a stated noise
+REJECTED = 0.999  # χ² point beyond which the residuals reject a stated noise
 ROUNDING = 1e-9  # residuals below this part of the readings are those of a search or of rounding
 _COARSE = 20  # bits of the coefficients that multiply without rounding
 _SPLIT = 26  # bits of the design that they multiply
@@ -249,7 +249,7 @@ class Fits(NamedTuple):
         As fitted, and of the fit without weights.
     variances : (M, B, n) array or None
         Stated variances with the excess variance, where there are any.
-    excess : Scatter or None
+    excess : ExcessVariance or None
         The excess variance, where readings state a noise and leave degrees of freedom.
     chi2 : (B,) array or None
         Of the residuals under the stated noise alone, where there is one.
@@ -261,7 +261,7 @@ class Fits(NamedTuple):
     residuals: Array
     plain: Array
     variances: Array | None = None
-    excess: Scatter | None = None
+    excess: ExcessVariance | None = None
     chi2: Array | None = None
 
 
@@ -290,7 +290,7 @@ def solve_units(
         u = np.sqrt(np.einsum("bpp->bp", cofactors(shared, stated)[0]))
         dof = np.full(floor.shape[::2], np.inf)
         return Fits(start, u, dof, residuals, plain[1], stated, None, chi2)
-    excess = find_scatter(shared.designs, np.moveaxis(residuals, 0, 2), floor, pool=pool)
+    excess = estimate_excess(shared.designs, np.moveaxis(residuals, 0, 2), floor, pool=pool)
     variances = stated + excess.variance.T[:, :, None]
     parameters, residuals = _weigh(shared, values, *plain, variances)
     u = excess.standard_uncertainty(parameters - start, per_parameter(shared.model, excess.dof))
@@ -592,7 +592,7 @@ class _One:
     leverage: Array  # (n, M)
     condition: float
     sd: Array | None = None  # (n, M), of the readings as weighted
-    excess: Scatter | None = None
+    excess: ExcessVariance | None = None
     chi2: float | None = None  # where there is an excess variance
 
 
@@ -640,7 +640,7 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
     inflation, dof = np.ones(len(model.keys)), np.full(m, np.inf)
     total = noise
     if shared.dof.sum() > 0.0:
-        excess = find_scatter(shared.designs, first.residuals.reshape(1, n, m), noise, pool=pool)
+        excess = estimate_excess(shared.designs, first.residuals.reshape(1, n, m), noise, pool=pool)
         total = add_variances(noise, np.tile(excess.variance[0], n))
         found = solve(design, values.ravel(), covariance=total, names=model.names)
         moves, (dof,) = (found.coefficients - first.coefficients)[None], excess.dof
@@ -673,7 +673,7 @@ def _of_noise(shared: SharedDesign, found: _One, pool: bool) -> Findings:
     return (_UNSUPPORTED,) if unequal else ()
 
 
-def _components(model: Model, excess: Scatter | None) -> VarianceComponents | None:
+def _components(model: Model, excess: ExcessVariance | None) -> VarianceComponents | None:
     """Return the excess standard deviation of every output."""
     if excess is None:
         return None
@@ -728,7 +728,7 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
 
 def overstated(claim: Claim) -> Findings:
     """Return a warning where the residuals of all outputs are far below the stated noise."""
-    if claim.chi2 >= chi2_quantile(1.0 - DENIED, claim.dof):
+    if claim.chi2 >= chi2_quantile(1.0 - REJECTED, claim.dof):
         return ()
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
     text = f"residuals are smaller than the stated noise implies {seen}; U is probably too large"

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import maximise, resume
-from multipos.estimation.known import DENIED, overstated
+from multipos.estimation.known import REJECTED, overstated
 from multipos.estimation.likelihood import linearise
 from multipos.estimation.orientation_variance import (
     SEPARATING,
@@ -148,7 +148,7 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
         return unit.problem, unit.optimum, noise
     noise = _noise_of(unit.problem, found, stated=True)
     unstated = None
-    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(DENIED, nu):
+    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(REJECTED, nu):
         unstated = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
     noise = replace(noise, findings=overstated(claim), claim=claim, unstated=unstated)
     return unit.problem, unit.optimum, noise

@@ -31,7 +31,7 @@ from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.known import (
-    DENIED,
+    REJECTED,
     ROUNDING,
     Design,
     SharedDesign,
@@ -336,7 +336,7 @@ def fit_robust(shared: Design, y: Array, stated: Array | None, name: Loss) -> Ro
     rejected = np.full(count, np.nan)
     if stated is not None:
         chi2, nu = np.sum(on.q * weight**2, axis=1), on.freedom
-        limits = {each: chi2_quantile(DENIED, each) for each in set(nu.tolist()) if each > 0}
+        limits = {each: chi2_quantile(REJECTED, each) for each in set(nu.tolist()) if each > 0}
         beyond = chi2 > np.array([limits.get(each, np.inf) for each in nu.tolist()])
         rejected[beyond] = chi2[beyond]
         factor, dof = np.where(beyond, factor, 1.0 / EFFICIENCY), np.where(beyond, dof, np.inf)
@@ -526,7 +526,7 @@ class _Texts(NamedTuple):
 
 
 def _texts(shared: SharedDesign, readings: Readings, output: int, found: RobustFits) -> _Texts:
-    """Return what is said of the fit of an output."""
+    """Return the outliers, unidentifiable parameters and findings of an output."""
     model, on, labels = shared.model, found.units, readings.labels
     m, name, factor = len(model.outputs), model.outputs[output], float(found.factor[0])
     sized = np.isfinite(factor) and factor > 0.0  # 0 where every residual is

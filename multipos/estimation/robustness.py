@@ -14,7 +14,7 @@ The covariance is the one without weights, times Huber's factor, with psi(z) = z
 which is the empirical spread of the estimating equations. Positions count with their weight in
 the degrees of freedom, nu = sum w m − p: with all in full, 95 % intervals
 cover 93 % at 24 positions. Where the noise is stated and the
-weighted residuals do not deny it, the factor is what the loss costs under the normal law.
+weighted residuals do not reject it, the factor is what the loss costs under the normal law.
 
 At known orientations outputs are fitted one by one, by `multipos.estimation.robust_known`.
 
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.estimation.descent import resume
-from multipos.estimation.known import DENIED
+from multipos.estimation.known import REJECTED
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.problem import Optimum, Problem
 from multipos.finding import Finding
@@ -41,17 +41,17 @@ from multipos.sensor.fit_diagnostics import Claim
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 SET_ASIDE = 1e-6  # chance below which a position is set aside
-ROUNDS = 30  # of noise and solution in turn
-SETTLED = 1e-4  # change of ln variance far below what a median can tell
-# Noise that is less of what the placement does would leave no digits of what tells them apart.
-_FINEST_OF_PLACEMENT = 1e-6
+ROUNDS = 30  # of noise and solution, alternating
+SETTLED = 1e-4  # change of ln variance far below what a median determines
+# A noise below this part of the orientation errors would leave no digits to separate the two.
+_FINEST_OF_ORIENTATION = 1e-6
 FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
 
 
 def judge_robustly(
     problem: Problem, optimum: Optimum, loss: Loss, names: Sequence[str], *, stated: bool
 ) -> tuple[Problem, Optimum, NoiseEstimate]:
-    """Return problem and optimum under a robust loss, and what they are worth.
+    """Return problem and optimum under a robust loss, and the noise.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def judge_robustly(
     claim = None
     if stated:
         chi2 = float(np.sum(q * weight**2))
-        if not (nu > 0 and chi2 > chi2_quantile(DENIED, nu)):
+        if not (nu > 0 and chi2 > chi2_quantile(REJECTED, nu)):
             noise = NoiseEstimate(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
             return problem, optimum, noise
         claim = Claim(chi2, nu)
@@ -122,7 +122,7 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     typical = np.array([middle[m] for m in degrees.tolist()])
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
-    finest = (FINEST + _FINEST_OF_PLACEMENT * widest) * float(np.abs(problem.values).max())
+    finest = (FINEST + _FINEST_OF_ORIENTATION * widest) * float(np.abs(problem.values).max())
     for _ in range(ROUNDS):
         ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)

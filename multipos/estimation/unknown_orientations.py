@@ -51,7 +51,7 @@ from multipos.estimation.batches import (
     model_coefficients,
 )
 from multipos.estimation.identifiability import plausible_range
-from multipos.estimation.known import DENIED, ROUNDING
+from multipos.estimation.known import REJECTED, ROUNDING
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
@@ -465,7 +465,7 @@ def _with_excess(
     """Return the solutions with the excess variance of readings whose noise is stated."""
     stated = start.variance.copy()
     n, p = start.values.shape[2], len(start.shared.model.keys)
-    rejected = np.flatnonzero(place.objective > chi2_quantile(DENIED, float(n - p)))
+    rejected = np.flatnonzero(place.objective > chi2_quantile(REJECTED, float(n - p)))
     units = _Units(start, stated, place)
     try:
         found = find_excess(units, valid & noise.sound, p, float(n - p))

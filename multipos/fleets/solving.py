@@ -45,7 +45,7 @@ from multipos.estimation.correlated_rows import (
     order_in_time,
     spread_in_time,
 )
-from multipos.estimation.known import DENIED, SharedDesign, estimate_known, share_design
+from multipos.estimation.known import REJECTED, SharedDesign, estimate_known, share_design
 from multipos.estimation.robust_known import estimate_robust
 from multipos.estimation.uncertain_orientations import (
     SharedOrientations,
@@ -359,8 +359,8 @@ def _findings(
     if found.chi2 is not None:
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         freedom = float(equations - len(shared.model.keys))
-        told[_DENIED] = found.chi2 > chi2_quantile(DENIED, freedom)
-        told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - DENIED, freedom)
+        told[_DENIED] = found.chi2 > chi2_quantile(REJECTED, freedom)
+        told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
     for code, each in told.items():
         number += len(words) * each

@@ -60,7 +60,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.estimation.excess_variance import Scatter, find_scatter
+from multipos.estimation.excess_variance import ExcessVariance, estimate_excess
 from multipos.estimation.gains import gravity_effect
 from multipos.estimation.stated_uncertainty import combined_dof
 from multipos.numerics.arrays import Array
@@ -381,8 +381,8 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
     floor = diagonal(noise).reshape(n, m)[:, shown.outputs]
     stated = floor[None] if noise.ndim == 1 else noise
 
-    def scatter(residuals: Array) -> Scatter:
-        return find_scatter(designs, residuals[None], stated)
+    def scatter(residuals: Array) -> ExcessVariance:
+        return estimate_excess(designs, residuals[None], stated)
 
     if noise.ndim == 1:
         found = _settle(
@@ -406,8 +406,8 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
 
 
 def _correlated(
-    shown: _Shown, noise: Array, scatter: Callable[[Array], Scatter]
-) -> tuple[Scatter, Array]:
+    shown: _Shown, noise: Array, scatter: Callable[[Array], ExcessVariance]
+) -> tuple[ExcessVariance, Array]:
     """Return scatter and degrees of freedom left, in the axes in which readings are independent."""
     n, m = shown.residuals.shape
     floor, axes = np.linalg.eigh(noise)
