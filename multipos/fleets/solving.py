@@ -360,6 +360,7 @@ def _findings(
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         freedom = float(equations - len(shared.model.keys))
         told[_DENIED] = found.chi2 > chi2_quantile(REJECTED, freedom)
+        told[_DENIED] &= ~told.get("outlier", np.False_)  # which explains it
         told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
     for code, each in told.items():

@@ -167,7 +167,7 @@ def _find(
     placed = np.zeros_like(missing)
     axes = sorted(shared.model.axes) == list(COMPONENTS)
     if not tests.stated and axes:
-        placed = _off_positions(shared, found.parameters[units], residuals) & ~missing
+        placed = _off_positions(shared, found.parameters[units], residuals) & ~missing & ~outlying
     if tests.soaks:
         singly |= missing
     if tests.order is not None:
