@@ -15,7 +15,7 @@ The names below are imported when they are first used, so that the command line 
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PUBLIC = {
     "Averages": "logs.averages",

@@ -102,9 +102,13 @@ class CalibrationWarning(UserWarning):
     >>> import multipos as mp
     >>> with warnings.catch_warnings(record=True) as caught:
     ...     warnings.simplefilter("always")
-    ...     cal = mp.fit({"up_z": [1.0, -1.0], "az": [1.0, -1.0]}, axes="z", inputs="z")
+    ...     cal = mp.fit(
+    ...         {"up_x": [0, 0], "up_y": [0, 0], "up_z": [1, -1], "az": [1.0, -1.0]},
+    ...         axes="z",
+    ...         inputs="z",
+    ...     )
     >>> caught[0].category is mp.CalibrationWarning, [found.code for found in cal.findings]
-    (True, ['no-redundancy', 'no-dof'])
+    (True, ['no-redundancy', 'hidden-terms'])
     """
 
 

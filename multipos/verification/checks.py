@@ -264,7 +264,7 @@ def check(
     >>> run = mp.simulate(cal, "faces-6", reading_sd=2e-4, seed=1)
     >>> found = mp.check(cal, run, limit_g=0.02)
     >>> sorted(set(found.verdicts.ravel().tolist()))
-    ['pass', 'indeterminate']
+    ['indeterminate', 'pass']
     """
     require(calibration, Calibration, Regression, Regressions)
     if isinstance(calibration, Regression | Regressions):
