@@ -3,7 +3,7 @@
 The outputs are the columns that a log names as acceleration, where it names other sensors beside
 them; what a name says is for `multipos.positions.headers`.
 
-Which columns of a log without names show gravity.
+Which columns of a log show gravity, where no name tells.
 
 Three columns in a row that sense gravity turn with the sensor and keep their size; a gyro at rest
 shows its bias, which neither turns nor means anything, and in motion any size. So blocks of rows
@@ -32,8 +32,6 @@ _CLEAR = 3.0  # times the variation of the next: a magnetometer turns too
 
 def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the three columns in a row that show gravity; None where that is not clear."""
-    if len(names) % 3:
-        return None
     table = next(iter(log.read((), names, lenient=True))).table
     data = np.array([table.columns[name] for name in names], dtype=np.float64)
     data = data[:, (np.abs(data) <= LARGEST_SAMPLE).all(axis=0)]  # and no NaN
@@ -45,12 +43,12 @@ def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None
     usual = median(sd, axis=1)[:, None]
     moves = (sd / np.where(usual > 0.0, usual, 1.0)).max(axis=0)
     quiet = mean[:, moves <= np.quantile(moves, 1.0 / 3.0)]
-    varies = [_variation(quiet[i : i + 3]) for i in range(0, len(names), 3)]
-    order = np.argsort(varies)
-    best = int(order[0])
-    if varies[best] > _VARIES or _CLEAR * varies[best] > varies[int(order[1])]:
+    varies = np.array([_variation(quiet[i : i + 3]) for i in range(len(names) - 2)])
+    best = int(np.argmin(varies))
+    rival = np.delete(varies, np.s_[max(best - 2, 0) : best + 3]).min(initial=np.inf)
+    if varies[best] > _VARIES or _CLEAR * varies[best] > rival:
         return None
-    return names[3 * best : 3 * best + 3]
+    return names[best : best + 3]
 
 
 def _variation(means: Array) -> float:
@@ -152,7 +150,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     names = [name for name in log.numeric if name not in apart]
     kinds = {name: component(name) for name in log.columns}
     chosen, by = _by_name(names, kinds), "their names"
-    if len(chosen) > 3 and log.headless:
+    if len(chosen) > 3 and not any(kinds[name].acceleration for name in chosen):
         chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
     _refuse_text(log, chosen, kinds)
     if not chosen:

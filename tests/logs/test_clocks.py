@@ -196,3 +196,19 @@ def test_a_table_of_means_is_told_from_a_log(column, way, tmp_path):
     with pytest.raises(mp.MultiposError, match=r"table of means.*multipos fit m\.csv") as raised:
         mp.calibrate(path)
     assert way in str(raised.value)
+
+
+@pytest.mark.parametrize("header", ["", "# time tx ty tz wx wy wz"])
+@pytest.mark.parametrize("first", ["force", "rate"])
+def test_three_columns_that_show_gravity_are_taken_and_said(header, first, log, tmp_path):
+    """Rates of a gyro with a bias, and a temperature beside them where nothing names a column."""
+    rng = np.random.default_rng(2)
+    force = np.column_stack([log[output] for output in OUTPUTS])
+    rate = [0.3, -0.2, 0.1] + 0.01 * rng.normal(size=force.shape)
+    rate[1:] += 20.0 * np.diff(force, axis=0)
+    groups = [force, rate] if first == "force" else [rate, force]
+    columns = [log["time"], *groups, *([] if header else [25.0 + 0.0 * log["time"]])]
+    np.savetxt(tmp_path / "log.txt", np.column_stack(columns), header=header, comments="")
+    found = mp.average(tmp_path / "log.txt")
+    np.testing.assert_allclose(found.readings.values, mp.average(log).readings.values, rtol=1e-9)
+    assert any("by what they show of gravity" in each.text for each in found.findings)
