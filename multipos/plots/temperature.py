@@ -161,8 +161,8 @@ def draw_balance(regression: Regression, axes: "Axes") -> None:
     axes.fill_between(b.at, b.predicted - b.U, b.predicted + b.U, color=COLOURS[5], alpha=0.35)
     axes.plot(b.at, b.predicted, color=COLOURS[0], linewidth=1.2, label="in balance, with U")
     if b.outside.any():
-        style = {"color": COLOURS[6], "marker": "x", "linestyle": "none", "label": "outside"}
-        axes.plot(b.at[b.outside], b.predicted[b.outside], **style)
+        x, y = b.at[b.outside], b.predicted[b.outside]
+        axes.plot(x, y, color=COLOURS[6], marker="x", linestyle="none", label="outside")
     axes.set(xlabel=b.variable, ylabel=regression.response)
     name_series(axes, 2)
 

@@ -111,7 +111,8 @@ def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None
     length = np.maximum(rest, shortest)
     beyond = -(R[:q, q:].T @ inverse) / length[:, np.newaxis]
     if L is not None:  # a triangle again: a row of G costs as many products as it has entries
-        inverse = np.linalg.qr(inverse[:, ::-1], mode="r")[::-1, ::-1]
+        triangle: Array = np.asarray(np.linalg.qr(inverse[:, ::-1], mode="r"))
+        inverse = triangle[::-1, ::-1]
     rows = [np.hstack([inverse, np.zeros((len(inverse), m))])]
     rows.append(np.hstack([beyond, np.diag(1.0 / length)]))
     return np.tril(np.vstack(rows)) if L is None else np.vstack(rows)

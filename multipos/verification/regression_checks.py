@@ -116,7 +116,8 @@ def check_regression(
     nothing = np.array([np.nan])
     inside = np.flatnonzero(~outside)
     numbers = np.zeros(table.rows, dtype=np.intp) if run is None else run
-    clock = table.number(r.time) if r.time in table else np.arange(float(table.rows))
+    timed = r.time is not None and r.time in table
+    clock = table.number(str(r.time)) if timed else np.arange(float(table.rows))
     whole = _judge_run(
         r,
         {name: column[inside] for name, column in columns.items()},

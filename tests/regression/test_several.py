@@ -73,6 +73,7 @@ def test_from_a_log_to_c(tmp_path, capsys, monkeypatch):
     left = done.number("corrected_error_z") - done.number("up_z")
     assert np.abs(left).max() < 1e-4  # of 9 mg; noise of 10 µg and the fit's own
     assert "predicted_error_x" in done
+    capsys.readouterr()
     assert main(["check", "reg.json", "errors.csv", "--json"]) == 0
     checked = json.loads(capsys.readouterr().out)
     assert checked["axes"] == responses.split(",")
