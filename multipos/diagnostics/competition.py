@@ -6,6 +6,7 @@ is beyond chance, all are held against each other by S of eq. (3) there, and the
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,8 @@ def compete(c: Calibration, found: list[Finding]) -> list[Finding]:
     Causes of time and table (`multipos.diagnostics.row_order`) are held against the terms that the
     model lacks, orientation error and outliers among what was found; one of them is named.
     """
-    if not asked(c) or any(finding.code == "zero-per-soak" for finding in found):
+    wrong = any(finding.level == "error" for finding in found)
+    if wrong or not asked(c) or any(finding.code == "zero-per-soak" for finding in found):
         return found
     causes = search(c)
     if not causes:
@@ -58,24 +60,26 @@ def _score(c: Calibration, finding: Finding, freedom: float) -> float:
     """Return S of a finding of residuals, as `row_order` has it."""
     n, m = c.residuals.shape
     if finding.code == "missing-term":
-        tests = c.diagnostics.model_tests
-        best = significant(tests)[0]
-        q = sum(q for q, _ in best.dofs)
-        return best.gain + 2.0 * q - q * math.log(freedom) - 2.0 * math.log(len(tests))
+        best = significant(c.diagnostics.model_tests)[0]
+        columns = sum(each for each, _ in best.dofs)
+        tried = len(c.diagnostics.model_tests)
+        return best.gain + columns * (2.0 - math.log(freedom)) - 2.0 * math.log(tried)
     if finding.code == "placement":
         of = residuals_of(c)
         gain = float((explain_unequal(of).deviance - explain_orientations(of).deviance)[0])
-        return gain - (2.0 - m) * math.log(freedom)
+        return float(gain - (2.0 - m) * math.log(freedom))
     if finding.code == SLOW:
         return slow_gain(c, time_order(c)) - math.log(freedom)
     if finding.code == "lack-of-fit":
-        tests = [(t["F"], *t["dof"]) for t in c.diagnostics.lack_of_fit.values()]
+        found: Any = list(c.diagnostics.lack_of_fit.values())
+        tests: list[tuple[float, float, float]] = [(each["F"], *each["dof"]) for each in found]
         gain = sum((q + nu) * math.log1p(q * f / nu) for f, q, nu in tests)
-        return gain - sum(q for _, q, _ in tests) * math.log(freedom)
+        return float(gain - sum(q for _, q, _ in tests) * math.log(freedom))
     if finding.code == "outlier" and c.estimator.exact:
         rows = [i for i, label in enumerate(c.readings.labels) if label in finding.rows]
         gain = _gain_without(c, rows)
-        return gain - m * len(rows) * math.log(freedom) - 2.0 * math.log(math.comb(n, len(rows)))
+        tried = math.comb(n, len(rows))
+        return float(gain - m * len(rows) * math.log(freedom) - 2.0 * math.log(tried))
     return 0.0
 
 
@@ -90,5 +94,5 @@ def _gain_without(c: Calibration, rows: list[int]) -> float:
         )
         Q = np.linalg.qr(X)[0][rows]
         lost = e[rows] @ np.linalg.lstsq(np.eye(len(rows)) - Q @ Q.T, e[rows], rcond=None)[0]
-        total -= (len(e) - X.shape[1]) * math.log(max(1.0 - lost / (e @ e), 1e-15))
+        total -= (len(e) - X.shape[1]) * math.log(max(1.0 - float(lost / (e @ e)), 1e-15))
     return total

@@ -280,7 +280,9 @@ class _Setting:
         weight = np.exp2(np.rint(np.log2(size * (len(own) / size.sum()))))
         # cross terms of a few percent and sd by chance give the same plan
         self.slopes = np.rint(S / (_GRID * own)[:, None]) * (_GRID * weight)[:, None] + 0.0
-        self.weight = None if level else 1.0 / np.sqrt(noise).reshape(c.residuals.shape)
+        self.weight = None
+        if noise is not None and not level:
+            self.weight = 1.0 / np.sqrt(noise).reshape(c.residuals.shape)
         columns, sd = c.readings.environment, c.readings.sd
         self._key = (
             *(c.model.names, c.reference.tobytes(), self.slopes.tobytes()),
@@ -529,7 +531,7 @@ def _restricted(X: Array, e: Array, R: Array) -> float:
     L = np.linalg.cholesky(R)
     size = np.abs(np.diag(np.linalg.qr(np.linalg.solve(L, both), mode="r")))
     logs = float(np.log(np.diag(L)).sum() + np.log(size[:p] / plain[:p]).sum())
-    return -2.0 * (logs + (n - p) * math.log(size[p] / plain[p]))
+    return float(-2.0 * (logs + (n - p) * math.log(float(size[p] / plain[p]))))
 
 
 def _along_normals(c: Calibration) -> tuple[Array, Array, Array]:
@@ -600,11 +602,11 @@ def estimate(c: Calibration, cause: Cause) -> tuple[Cause, Array]:
         np.linalg.qr(phi[:, columns] / sd[:, [i]])[0] for i, columns in enumerate(c.model.columns)
     ]
     if base.shape[1] == 1:
-        sizes = [
+        apart = [
             _joint_sizes([Q], base / sd[:, [i], None], c.residuals[:, [i]] / sd[:, [i]])[0]
             for i, Q in enumerate(bases)
         ]
-        return cause, np.column_stack(sizes)
+        return cause, np.column_stack(apart)
     sizes, gain = _joint_sizes(bases, base / sd[:, :, None], c.residuals / sd)
     return replace(cause, gain=gain), sizes
 
