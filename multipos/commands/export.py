@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from multipos.bias_stability.stability_result import SCHEMA, load_stability
 from multipos.commands.answers import STDOUT, Answer, Output
 from multipos.commands.options import add_export_options, export_options
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Exported, Target, self_test
 from multipos.exports.targets import TARGETS, beside, export, named_target
-from multipos.files.trees import to_json
+from multipos.files.trees import read_schema, to_json
 from multipos.sensor.calibration import Calibration
 
 
@@ -48,8 +49,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "calibration",
         nargs="+",
-        metavar="CAL.json|REG.json",
-        help="calibration to export, or regressions, or both, the calibration first",
+        metavar="CAL.json|REG.json|STABILITY.json",
+        help="calibration to export, or regressions, or both, the calibration first; of a "
+        "stability its noise, --to kalibr or ros",
     )
     targets = ", ".join(target.name for target in TARGETS)
     add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
@@ -64,7 +66,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     exported = export(
-        load_parts(arguments.calibration),
+        _loaded(arguments.calibration),
         arguments.to,
         **export_options(arguments),
         correct=arguments.correct,
@@ -90,6 +92,13 @@ def run(arguments: argparse.Namespace) -> Answer:
         },
         findings=lambda: exported.findings,
     )
+
+
+def _loaded(paths: list[str]) -> Any:
+    """Return a stability, or calibrations and regressions, as their files say."""
+    if len(paths) == 1 and read_schema(paths[0]) == SCHEMA:
+        return load_stability(paths[0])
+    return load_parts(paths)
 
 
 def _listed(exported: Exported) -> list[dict[str, Any]]:

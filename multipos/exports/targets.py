@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.errors import MultiposError, UsageError
+from multipos.exports.noise_parameters import write_noise
 from multipos.exports.parts import Parts, split_parts
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish
 from multipos.exports.target_ardupilot import ARDUPILOT
@@ -30,7 +31,7 @@ Unit = Literal["g", "m/s^2"]
 
 
 def export(
-    calibration: Parts,
+    calibration: "Parts | Stability",
     to: str,
     *,
     name: str = "multipos",
@@ -49,8 +50,9 @@ def export(
 
     Parameters
     ----------
-    calibration : Calibration or Regression, or a sequence of them
-        Regressions go to C; a calibration before them compensates first.
+    calibration : Calibration or Regression, or a sequence of them, or Stability
+        Noise parameters of a stability go to 'kalibr' and 'ros'. Regressions go to C; a
+        calibration before them compensates first.
     to : str
         Name of one of `TARGETS`, as ``multipos export --help`` lists them.
     name : str
@@ -94,6 +96,8 @@ def export(
     >>> [line for line in found.text.splitlines() if line.startswith("void")]
     ['void imu_compensate(const double raw[3], double accel[3])']
     """
+    if isinstance(calibration, Stability):
+        return write_noise(calibration, to)
     target = _target(to, single=float)
     first, regressions = split_parts(calibration)
     first = first and first.of_sensor
