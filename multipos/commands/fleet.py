@@ -49,9 +49,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "tables",
         nargs="+",
         metavar="TABLE",
-        help="CSV or Parquet, one row per unit and position: files, folders or patterns",
+        help="CSV or Parquet, a row per unit and position or a file per unit; folders, patterns",
     )
-    add("--unit-column", required=True, metavar="C", help="column that names the unit")
+    add(
+        "--unit-column",
+        metavar="C",
+        help="column that names the unit (default unit; without one, each file is a unit)",
+    )
     add("--station-column", metavar="C", help="column that names the station")
     add(
         "--limits",

@@ -33,7 +33,7 @@ from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
 from multipos.files.spelling import Names
 from multipos.files.tables import Column, Source, Table
 from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
-from multipos.fleets.labels import Codes, Labels
+from multipos.fleets.labels import Codes, Labels, joined_labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
 from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one, gather
 from multipos.fleets.sources import Rows, read_rows
@@ -427,7 +427,7 @@ class FitOptions(TypedDict, total=False):
 
 def fit_many(
     *tables: Source,
-    unit_column: str,
+    unit_column: str | None = None,
     station_column: str | None = None,
     executor: Executor | None = None,
     progress: Callable[[int], object] | None = None,
@@ -438,9 +438,10 @@ def fit_many(
     Parameters
     ----------
     tables : paths, folders, patterns, mappings of columns, or data frames
-        One row per unit and position; rows of a unit may stand anywhere.
-    unit_column, station_column : str
-        The columns that name the unit and, optional, the station.
+        One row per unit and position; rows of a unit may stand anywhere. Lists of them, too.
+    unit_column, station_column : str, optional
+        The columns that name the unit and the station. Without the first, the column `unit`, or
+        several files are one unit each, by their names.
     executor : concurrent.futures.Executor, optional
         What runs the tasks; threads of this process if not given.
     progress : callable, optional
@@ -492,7 +493,7 @@ def fit_many(
 
 def fit_units(
     tables: Sequence[Source],
-    unit_column: str,
+    unit_column: str | None,
     station_column: str | None,
     options: Mapping[str, Any],
     executor: Executor,
@@ -518,10 +519,11 @@ def fit_units(
         units = _solve(rows, grouped, given, executor, folder, told)
         trials = find_trials(rows, grouped) if study else None
         if trials is None:
-            return units
+            return _with_failed(units, rows)
         each = _solve(rows, trials.grouped, given, executor, folder, lambda done: None)
     usable = ~each.failed & ~each.unfit & (each.names == units.names)
-    return replace(units, study=gather_study(trials, each.parameters, usable))
+    study_found = gather_study(trials, each.parameters, usable)
+    return _with_failed(replace(units, study=study_found), rows)
 
 
 def _solve(
@@ -563,6 +565,32 @@ def _solve(
         gravity_u=known.gravity_u,
         sources=tuple((table.source, table.sha256) for table in rows.tables),
         counted=rows.counted,
+        key=rows.unit_column,
+        notes=rows.findings,
+    )
+
+
+def _with_failed(units: Units, rows: Rows) -> Units:
+    """Return units with those whose files cannot be read, which failed, after them."""
+    more = len(rows.failed)
+    if not more:
+        return units
+    names, reasons = zip(*rows.failed, strict=True)
+    numbers = np.full((more, units.parameters.shape[1]), np.nan)
+    return replace(
+        units,
+        unit=joined_labels([units.unit, Labels(np.arange(more, dtype=np.int32), names)]),
+        station=(*units.station, *[""] * more),
+        parameters=np.concatenate([units.parameters, numbers]),
+        u=np.concatenate([units.u, numbers]),
+        dof=np.concatenate([units.dof, numbers]),
+        rms=np.append(units.rms, [np.nan] * more),
+        findings=np.append(units.findings, np.full(more, "", dtype=np.object_)),
+        unfit=np.append(units.unfit, [False] * more),
+        reasons=np.append(units.reasons, np.array(reasons, dtype=np.object_)),
+        first=np.append(units.first, rows.count + np.arange(more)),
+        time=np.append(units.time, [np.nan] * more),
+        counted=False,
     )
 
 

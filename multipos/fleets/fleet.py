@@ -51,7 +51,7 @@ from multipos.sensor.calibration import Calibration
 
 
 def asked(
-    unit_column: str, station_column: str | None, options: Mapping[str, Any]
+    unit_column: str | None, station_column: str | None, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return what `fleet.json` keeps of how units were fitted; options None where no file can."""
     given = {name: value for name, value in options.items() if value is not None}
@@ -197,7 +197,7 @@ class Fleet(Result, Drawn):
 
 def fleet(
     *tables: Source,
-    unit_column: str,
+    unit_column: str | None = None,
     station_column: str | None = None,
     limits: LimitsSource | None = None,
     engine: Engine = "threads",
@@ -265,7 +265,7 @@ def fleet(
             told=progress or (lambda done: None),
             study=True,
         )
-    return assemble(units, given, asked(unit_column, station_column, options))
+    return assemble(units, given, asked(units.key, station_column, options))
 
 
 def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:
@@ -293,7 +293,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "stations": describe_stations(units, counted),
         "drift": find_drift(units, counted),
         "gauge": _gauge(units, limits),
-        "findings": [each.to_dict() for each in _find_failed(units)],
+        "findings": [each.to_dict() for each in (*_find_failed(units), *units.notes)],
     }
     verdicts = Columns(
         {

@@ -37,8 +37,9 @@ def fleet_text(found: Mapping[str, Any]) -> str:
 def _head(found: Mapping[str, Any]) -> str:
     good = found["yield"]
     counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    named = "" if found["asked"]["unit_column"] else "each file is one unit, named by the file\n"
     return (
-        f"{found['units']} units: {counts}\n"
+        f"{found['units']} units: {counts}\n{named}"
         f"yield {percent(good['value'])}, {percent(good['low'])} to {percent(good['high'])} "
         "with 95 % confidence"
     )

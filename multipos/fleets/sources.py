@@ -2,29 +2,34 @@
 
 A file is CSV, packed by gzip or not, or Parquet by the extra ``parquet``; a folder stands for all
 such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
-the columns of unit and station are read at once, the others piece by piece.
+the columns of unit and station are read at once, the others piece by piece. Where no column names
+the unit, several files are one unit each, by their names; one that cannot be read is a failed unit.
 """
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from glob import glob, has_magic
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.csv_columns import Cells, FileBytes
-from multipos.files.pipes import GZIP, is_folder, is_there, rereadable, unpack_gzip
+from multipos.files.pipes import GZIP, Pipe, is_folder, is_pipe, is_there, rereadable, unpack_gzip
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
+from multipos.finding import Finding, Findings
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 
 _ENDINGS = (".csv", ".parquet")
+_UNIT = "unit"  # the column of units where none is named
+_SHOWN = 5  # equal files that a message lists
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,11 @@ class Rows:
         Of every row; a single station '' where no column names them.
     counted : bool
         Units are whole numbers in the tables, and not texts that look like some.
+    unit_column : str or None
+        None where files name the units.
+    failed : tuple of (unit, reason)
+        Files that are units and cannot be read.
+    findings : tuple of Finding
     """
 
     tables: tuple[Table, ...]
@@ -48,6 +58,9 @@ class Rows:
     unit: Labels
     station: Labels
     counted: bool
+    unit_column: str | None = None
+    failed: tuple[tuple[str, str], ...] = ()
+    findings: Findings = ()
 
     @property
     def count(self) -> int:
@@ -140,7 +153,7 @@ def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
 
 def read_rows(
     sources: Sequence[Source],
-    unit_column: str,
+    unit_column: str | None,
     station_column: str | None = None,
     only: str | None = None,
 ) -> Rows:
@@ -148,9 +161,9 @@ def read_rows(
 
     Parameters
     ----------
-    sources : paths, folders, patterns, mappings of columns, or data frames
-    unit_column, station_column : str
-        Which columns name the unit and the station.
+    sources : paths, folders, patterns, mappings of columns, or data frames, or lists of them
+    unit_column, station_column : str, optional
+        Which columns name the unit and the station; without the first `unit`, or the files.
     only : str, optional
         A unit, of which at least all rows are returned; of Parquet no others.
 
@@ -159,24 +172,116 @@ def read_rows(
     MultiposError
         No such file or column, a table that cannot be read, or one whose columns differ from
         those of the first; a row without a unit.
+    UsageError
+        Nothing names the units.
     """
-    kept = None if only is None else (unit_column, only)
-    apart = {unit_column, station_column}
-    tables = [_read(source, apart, kept) for source in _expanded(sources)]
-    if only is not None:
+    kept = None if only is None or unit_column is None else (unit_column, only)
+    apart = {unit_column or _UNIT, station_column}
+    files = _expanded(sources)
+    read = [_tried(source, apart, kept, alone=len(files) == 1) for source in files]
+    named = _file_units(files)
+    findings = _drop_repeated(read, named)
+    if unit_column is None:
+        _drop_foreign(read)
+        told = [table for table in read if isinstance(table, Table)]
+        if all(_UNIT in table for table in told):
+            unit_column = _UNIT
+        elif (len(files) == 1 and only is None) or not all(map(_is_path, files)):
+            raise UsageError(
+                f"{told[0].source} has no column '{_UNIT}'; name the column of units with "
+                "--unit-column, or give several files, one per unit."
+            )
+    names = [name for name, table in zip(named, read, strict=True) if isinstance(table, Table)]
+    tables = [table for table in read if isinstance(table, Table)]
+    failed = tuple(
+        (n, str(e)) for n, e in zip(named, read, strict=True) if isinstance(e, Exception)
+    )
+    if not tables:
+        raise MultiposError(failed[0][1])
+    if unit_column is None:
+        tables = [_of_unit(table, name) for table, name in zip(tables, names, strict=True)]
+    key = unit_column or _UNIT
+    if kept is not None:
         tables = [table for table in tables if table.rows]
         if not tables:
-            raise MultiposError(f"no unit '{only}' in column '{unit_column}'; look at units.csv.")
+            raise MultiposError(f"no unit '{only}' in column '{key}'; look at units.csv.")
     for table in tables:
-        _require_columns(table, tables[0], unit_column, station_column)
-    unit = joined_labels([labels_of(table, unit_column) for table in tables])
-    _require_units(tables, unit, unit_column)
+        _require_columns(table, tables[0], key, station_column)
+    unit = joined_labels([labels_of(table, key) for table in tables])
+    _require_units(tables, unit, key)
     station = Labels(np.broadcast_to(np.int32(0), len(unit)), ("",))
     if station_column is not None:
         station = joined_labels([labels_of(table, station_column) for table in tables])
     starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
-    left = tuple(_without(table, apart) for table in tables)
-    return Rows(left, tuple(starts), unit, station, _are_counted(tables, unit_column))
+    left = tuple(_without(table, {key, station_column}) for table in tables)
+    counted = _are_counted(tables, key)
+    return Rows(left, tuple(starts), unit, station, counted, unit_column, failed, findings)
+
+
+def _tried(
+    source: Source, apart: set[str | None], kept: tuple[str, str] | None, *, alone: bool
+) -> Table | MultiposError | None:
+    """Return a table; of a file among others, why it cannot be read."""
+    try:
+        return _read(source, apart, kept)
+    except MultiposError as error:
+        if alone or not _is_path(source):
+            raise
+        return error
+
+
+def _is_path(source: Source) -> TypeGuard[str | os.PathLike[str]]:
+    return isinstance(source, str | os.PathLike)
+
+
+def _file_units(files: Sequence[Source]) -> list[str]:
+    """Return the units that files name: without ending, with their folder where names repeat."""
+    paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
+    stems = [Path(path.name.removesuffix(".gz")).stem for path in paths]
+    folders = [f"{p.absolute().parent.name}/{n}" for p, n in zip(paths, stems, strict=True)]
+    for longer in (folders, [*map(str, paths)]):
+        often = Counter(stems)
+        stems = [long if often[n] > 1 else n for n, long in zip(stems, longer, strict=True)]
+    return stems
+
+
+def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str]) -> Findings:
+    """Take files out that hold what one before them holds, and say which."""
+    first: dict[str, str] = {}
+    again: list[str] = []
+    for place, table in enumerate(read):
+        if not isinstance(table, Table) or table.sha256 is None:
+            continue
+        if table.sha256 in first:
+            again.append(f"{named[place]} (as {first[table.sha256]})")
+            read[place] = None
+        else:
+            first[table.sha256] = named[place]
+    if not again:
+        return ()
+    more = f" and {len(again) - _SHOWN} more" if len(again) > _SHOWN else ""
+    text = f"equal files are counted once, left out: {', '.join(again[:_SHOWN])}{more}."
+    return (Finding("repeated-file", "warning", text, "Take the copies out of the folder."),)
+
+
+def _drop_foreign(read: list[Table | MultiposError | None]) -> None:
+    """Put in place of every table with other columns than most have why it is none of them."""
+    kinds = [frozenset(table.columns) for table in read if isinstance(table, Table)]
+    if not kinds:
+        return
+    usual, _ = Counter(kinds).most_common(1)[0]
+    for place, table in enumerate(read):
+        if isinstance(table, Table) and (odd := set(table.columns) ^ usual):
+            read[place] = MultiposError(
+                f"{table.source}: column {quoted(sorted(odd))} is not in both it and the other "
+                "files; give tables with the same columns."
+            )
+
+
+def _of_unit(table: Table, name: str) -> Table:
+    """Return a table whose rows are all of one unit."""
+    unit = Labels(np.zeros(table.rows, dtype=np.int32), (name,))
+    return replace(table, columns={**table.columns, _UNIT: unit})
 
 
 def _require_columns(table: Table, first: Table, unit: str, station: str | None) -> None:
@@ -226,7 +331,10 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
     """Return sources with folders and patterns replaced by the files they stand for."""
     found: list[Source] = []
     for source in sources:
-        found += _files(source) if isinstance(source, str | os.PathLike) else [source]
+        if isinstance(source, list | tuple):
+            found += _expanded(source)
+        else:
+            found += _files(source) if _is_path(source) else [source]
     if not found:
         raise MultiposError("no table; give at least one.")
     return found
@@ -254,8 +362,10 @@ def _is_table(path: Path) -> bool:
 
 
 def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
-    if not isinstance(source, str | os.PathLike):
+    if not _is_path(source):
         return read_table(source, what="table")
+    if is_pipe(source) and not isinstance(source, Pipe):
+        raise MultiposError(f"{source}: a pipe or a device; only files of a folder are read.")
     path = source
     if first_bytes(source, len(GZIP)) == GZIP:
         path = unpack_gzip(Path(source) if isinstance(source, str) else source)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.finding import Findings
 from multipos.fleets.grouping import GaugeStudy
 from multipos.fleets.labels import Labels
 from multipos.fleets.nests import NestSums
@@ -51,6 +52,10 @@ class Units:
         Units are whole numbers in the tables.
     study : GaugeStudy or None
         Repeats of units at several stations.
+    key : str or None
+        The column of units; None where files name them.
+    notes : tuple of Finding
+        About the tables.
     """
 
     unit: Labels
@@ -72,6 +77,8 @@ class Units:
     sources: tuple[tuple[str, str | None], ...]
     counted: bool
     study: GaugeStudy | None = None
+    key: str | None = None
+    notes: Findings = ()
 
     def __len__(self) -> int:
         return len(self.unit)

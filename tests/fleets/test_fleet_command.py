@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 
 import numpy as np
 import pytest
@@ -281,3 +282,62 @@ def test_a_place_that_cannot_be_is_refused_before_the_work(tmp_path, table, caps
     assert "cannot make the folder" in capsys.readouterr().err
     assert main(["fleet", str(tmp_path), *APART, "-o", str(tmp_path)]) == 2
     assert "is the folder that is read" in capsys.readouterr().err
+
+
+def folder_of_units(folder, units=4):
+    """A folder with one file a unit; the same rows in one table."""
+    folder.mkdir(parents=True)
+    table = line(units, scheme="faces-corners-14")
+    for unit in dict.fromkeys(table["unit"].tolist()):
+        mp.write_table(folder / f"{unit}.csv", rows_of(table, unit))
+    return {name: column for name, column in table.items() if name != "station"}
+
+
+def test_a_folder_of_files_is_one_unit_each_and_gives_what_their_table_gives(tmp_path, capsys):
+    table = folder_of_units(tmp_path / "lot")
+    out = tmp_path / "out"
+    assert main(["fleet", str(tmp_path / "lot"), "-o", str(out)]) == 0
+    assert "each file is one unit, named by the file" in capsys.readouterr().out
+    assert json.loads((out / "fleet.json").read_text("utf-8"))["asked"]["unit_column"] is None
+    files = sorted((tmp_path / "lot").iterdir())
+    found, whole = mp.fit_many(files), mp.fit_many(table)
+    assert_array_equal(found["unit"], whole["unit"])
+    for name in ("bias_ax", "u_scale_ay", "rms"):
+        assert_allclose(found[name], whole[name], rtol=1e-12)
+    report = ["report", str(out), "--unit", "U0002", "--data", str(tmp_path / "lot")]
+    assert main([*report, "-o", str(tmp_path / "unit.md")]) == 0
+    # names that repeat have their folder
+    folder_of_units(tmp_path / "b")
+    (tmp_path / "b" / "U0001.csv").write_text((tmp_path / "lot" / "U0002.csv").read_text() + "\n")
+    found = mp.fit_many(tmp_path / "lot" / "U0001.csv", tmp_path / "b" / "U0001.csv")
+    assert found["unit"].tolist() == ["lot/U0001", "b/U0001"]
+    capsys.readouterr()
+    assert main(["fleet", str(files[0]), "-o", str(tmp_path / "one")]) == 2
+    assert "--unit-column" in capsys.readouterr().err
+
+
+def test_a_bad_file_in_a_folder_is_a_failed_unit_and_a_copy_is_left_out(tmp_path, capsys):
+    lot = tmp_path / "lot"
+    folder_of_units(lot)
+    good = (lot / "U0000.csv").read_text()
+    (lot / "empty.csv").write_text("")
+    (lot / "header.csv").write_text(good.splitlines()[0] + "\n")
+    (lot / "foreign.csv").write_text("name,price\nbread,2\n")
+    (lot / "gone.csv").symlink_to(tmp_path / "nowhere.csv")
+    (lot / "copy.csv").symlink_to(lot / "U0003.csv")
+    os.mkfifo(lot / "pipe.csv")
+    out = tmp_path / "out"
+    assert main(["fleet", str(lot), "-o", str(out)]) == 0
+    assert "equal files are counted once" in capsys.readouterr().err
+    with (out / "units.csv").open(encoding="utf-8") as stream:
+        rows = {row["unit"]: row for row in csv.DictReader(stream)}
+    bad = {
+        "empty": "is empty",
+        "header": "only a header",
+        "foreign": "'name'",
+        "gone": "no such file",
+        "pipe": "a pipe or a device",
+    }
+    assert {unit for unit, row in rows.items() if row["verdict"] == "failed"} == set(bad)
+    assert all(text in rows[unit]["reasons"] for unit, text in bad.items())
+    assert sum(row["verdict"] == "pass" for row in rows.values()) == 4  # of five files
