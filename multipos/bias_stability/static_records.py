@@ -14,6 +14,7 @@ from multipos.logs.samples import Progress, Samples, Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.headers import require_units
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 
@@ -132,10 +133,11 @@ def _dropped(samples: Samples) -> list[Finding]:
 
 def _outputs(log: Log, wanted: RecordOptions, time_column: str | None) -> Outputs:
     if wanted.calibration is not None:
-        needed = (*wanted.calibration.outputs, *wanted.calibration.model.environment)
-        for name in needed:
-            log.find(name)
-        return Outputs(wanted.calibration.outputs, ())
+        model = wanted.calibration.model
+        found = {name: log.find(name) for name in (*model.outputs, *model.environment)}
+        units = {name: log.units[its] for name, its in found.items() if its in log.units}
+        require_units(log.source, units, model.outputs, model.environment, model.unit)
+        return Outputs(tuple(found[name] for name in model.outputs), ())
     temperature = None if wanted.temperature is None else log.find(wanted.temperature)
     taken = [*time_columns(log), *filter(None, (time_column, temperature))]
     return choose_outputs(log, wanted.outputs, taken)
@@ -169,7 +171,7 @@ def _compensated(
     if calibration is None:
         return raw
     columns = dict(zip(samples.others, piece[len(samples.outputs) :], strict=False))
-    environment = {name: columns[name] for name in calibration.model.environment}
+    environment = {name: columns[samples.log.find(name)] for name in calibration.model.environment}
     force = calibration.compensate(raw.T, environment).T
     unknown = ~np.isfinite(force).all(axis=0)
     if unknown.any():

@@ -431,3 +431,19 @@ def test_memory_does_not_grow_with_the_record(tmp_path):
     # The samples are 3 and 13 MB; what is kept in memory is pieces, blocks and a first 4 MB.
     assert peaks[1] < 1.2 * peaks[0]
     assert peaks[1] < 25e6
+
+
+def test_a_calibration_finds_its_columns_in_any_case_and_in_its_unit_alone(tmp_path):
+    rng = np.random.default_rng(2)
+    up = mp.read_scheme("faces-corners-14").up
+    values = 0.01 + up + 1e-4 * rng.standard_normal(up.shape)
+    names = ("ax", "ay", "az")
+    cal = mp.fit(mp.Readings(values, outputs=names, up=up, unit="g"))
+    still = {"time": np.arange(600) / 50.0}
+    noise = {name: 0.01 + 1e-3 * rng.standard_normal(600) for name in names}
+    for unit, path in (("", "plain.csv"), (" [m/s^2]", "si.csv")):
+        mp.write_table(tmp_path / path, still | {n.upper() + unit: v for n, v in noise.items()})
+    found = mp.stability(tmp_path / "plain.csv", calibration=cal)
+    assert list(found.outputs) == ["f_x", "f_y", "f_z"]
+    with pytest.raises(MultiposError, match="the calibration is in g"):
+        mp.stability(tmp_path / "si.csv", calibration=cal)
