@@ -10,6 +10,7 @@ from multipos.bias_stability.stability_result import MICRO_G
 from multipos.files.numbers import in_unit
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
+from multipos.numerics.terms import CONSTANT
 from multipos.plots.calibration import nominal_error
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -34,9 +35,11 @@ def calibration_sentence(c: Calibration) -> str:
     if math.isfinite(c.rms):
         before = _rms_before(c)
         after = in_unit(c.rms, "g")
-        parts[0] += f": rms error {before} before, {after} after" if before else f": rms {after}"
+        parts[0] += (
+            f": rms error {before} before, {after} after" if before else f": rms error {after}"
+        )
     bias, scale = _largest_expanded(c)
-    said = [f"{in_unit(bias, c.model.unit)} of bias"] if math.isfinite(bias) else []
+    said = [f"{in_unit(bias, 'g')} of bias"] if math.isfinite(bias) else []
     said += [f"{share(scale)} of scale"] if math.isfinite(scale) else []
     if said:
         parts.append(f"U ({100.0 * c.confidence:g} %) up to {' and '.join(said)}")
@@ -55,11 +58,15 @@ def _rms_before(c: Calibration) -> str:
 
 
 def _largest_expanded(c: Calibration) -> tuple[float, float]:
-    """Return the largest U of a bias, and of an own scale factor as a share of it."""
-    bias = [entry.U for entry in c.entries if entry.name.startswith("bias_")]
-    own = list(c.model.own_scales)
-    scale: Array = c.U[own] / np.abs(c.parameters[own])
-    return max(bias, default=math.nan), float(np.max(scale, initial=0.0)) or math.nan
+    """Return the largest U of a bias [g], and of an own scale factor as a share of it."""
+    own = {c.model.keys[i][0]: i for i in c.model.own_scales}
+    keys = enumerate(c.model.keys)
+    zero = [i for i, (output, term) in keys if term == CONSTANT and output in own]
+    size: Array = np.abs(c.parameters[[own[c.model.keys[i][0]] for i in zero]])
+    bias, scale = c.U[zero] / size, c.U[list(own.values())]
+    scale = scale / np.abs(c.parameters[list(own.values())])
+    largest = (float(np.max(each)) if len(each) else math.nan for each in (bias, scale))
+    return next(largest), next(largest)
 
 
 def share(size: float) -> str:

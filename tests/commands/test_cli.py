@@ -323,11 +323,14 @@ def test_apply_keeps_every_column_and_its_form(here, capsys):
     force = mp.load("cal.json").compensate([0.5, 0.1, 0.8])[0]
     written = [float(cell.replace(",", ".")) for cell in first[5:8]]
     assert written == pytest.approx(list(force), abs=1e-15)
-    first_said, *notes = err.splitlines()
-    assert "averaged reading of the calibration" in " ".join(notes)
-    assert first_said == "multipos: warning: 1 of 2 rows are outside what was calibrated"
+    answer, first, *_ = err.splitlines()
+    assert answer.startswith(
+        "multipos: 2 rows compensated, 1 of them outside what was calibrated; u"
+    )
+    assert "averaged reading of the calibration" in answer
+    assert first == "multipos: warning: 1 of 2 rows are outside what was calibrated"
     status, out, _ = run(capsys, "apply", "cal.json", "raw.csv", "-o", "out.csv")
-    assert (status, out) == (0, "")
+    assert (status, out.count("\n")) == (0, 1)
     assert mp.read_readings("out.csv", outputs="f_x").values[0, 0] == written[0]
 
 
@@ -430,7 +433,8 @@ def test_a_full_disk_and_a_closed_pipe(here):
         capture_output=True,
         check=True,
     )
-    assert (head.stdout, head.stderr) == ("model linear\n", "")
+    assert head.stdout.startswith("all-26: 26 positions, ")
+    assert head.stderr == ""
 
 
 def test_a_terminal_without_chinese_gets_escapes(here, monkeypatch):
