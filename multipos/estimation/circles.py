@@ -123,7 +123,7 @@ def turn_to_axes(
 
 
 def _planes(rolls: OpenRolls, direction: Array) -> tuple[Array, Array]:
-    """Return the normals of the rolls about each axis that they tell (k, 3), and those axes."""
+    """Return the normals of the rolls about each axis that they determine (k, 3), and the axes."""
     normals, axes = [], []
     for name in rolls.axes:
         axis = np.eye(3)[COMPONENTS.index(name)]

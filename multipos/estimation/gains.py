@@ -89,7 +89,7 @@ def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -
 
 
 def estimated_variances(calibration: Calibration) -> NDArray[np.bool_]:
-    """Tell whether reading noise and orientation sd were estimated by restricted likelihood."""
+    """Return whether reading noise and orientation sd were estimated by restricted likelihood."""
     found = calibration.variance_components or VarianceComponents()
     return np.array([found.reading_sd is not None, found.orientation_sd_deg is not None])
 

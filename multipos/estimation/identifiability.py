@@ -1,4 +1,4 @@
-"""What a set of positions cannot tell, in words, and the positions that would.
+"""Parameters that a set of positions cannot determine, in words, and positions that would.
 
 The information S (p, p) of the parameters is judged with its diagonal scaled to one; directions
 whose eigenvalue is below 1e-12 of the largest are not seen at all, and are named. A parameter
@@ -96,7 +96,7 @@ def least_determined(information: Array, rank: int) -> list[int]:
 
 
 def helpful_positions(information: Array, gains: Array, count: int) -> list[int]:
-    """Return which candidate positions tell most, picked one by one.
+    """Return which candidate positions add most information, picked one by one.
 
     Parameters
     ----------

@@ -365,7 +365,7 @@ def _least_noise(problem: Problem, optimum: Optimum) -> Problem:
 
 
 def separates(problem: Problem, optimum: Optimum) -> bool:
-    """Tell whether readings separate noise from orientation errors; where few do, U fails."""
+    """Return whether readings separate noise from orientation errors; where few do, U fails."""
     return bool(contrasts(linear_model(problem, optimum))[0] >= SEPARATING)
 
 

@@ -275,12 +275,12 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
 
 
 def _is_better(found: Optimum, best: Optimum) -> bool:
-    """Tell whether an optimum has converged where the best has not, or fits better."""
+    """Return whether an optimum has converged where the best has not, or fits better."""
     return (found.converged, -found.point.objective) > (best.converged, -best.point.objective)
 
 
 def _several(problem: Problem) -> bool:
-    """Tell whether all starts are tried: those of a user-defined model may have different ends."""
+    """Return whether all starts are tried; those of a user-defined model may have several ends."""
     return isinstance(problem.model, ExpressionModel)
 
 
@@ -393,7 +393,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
 
 
 def _is_odd(term: Term, axes: Set[str]) -> bool:
-    """Tell whether a term changes its sign where these components do."""
+    """Return whether a term changes its sign where these components do."""
     return sum(f.is_odd for f in term.factors if f.variable in axes) % 2 == 1
 
 

@@ -138,7 +138,7 @@ def take_stated(stated: Sequence[Array], stated_dof: Sequence[Array]) -> StatedN
 def shrunk(u: Array, dof: Array) -> Array:
     """Return ũ of eq. (1), of B units, from u and their degrees of freedom, (B, n, M) each.
 
-    Where fewer than three readings of an output tell what they have in common, u stays.
+    Where fewer than three readings of an output are left to have something in common, u stays.
     """
     few = dof < _KNOWN
     count = np.sum(few, axis=1, keepdims=True)
@@ -230,7 +230,7 @@ _CORRELATED = 0.01  # below which outputs of one reading count as independent
 def add_reference_noise(readings: Readings, solution: Solution) -> Readings:
     """Return readings whose noise holds what the forces add, eq. (4).
 
-    Unchanged where the forces are exact, or nothing is left to tell the noise of the readings.
+    Unchanged where the forces are exact, or no residuals are left to estimate the noise from.
     """
     stated = readings.noise
     if readings.reference_u is None or not readings.reference_u.any():

@@ -165,7 +165,7 @@ def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Fi
 
 
 def _correlated(readings: Readings) -> bool:
-    """Tell whether outputs are correlated, so that they cannot be fitted one by one."""
+    """Return whether outputs are correlated, so that they cannot be fitted one by one."""
     noise = readings.noise
     return noise is not None and noise.ndim == 2
 

@@ -167,7 +167,7 @@ class UncertainSearch:
 
     @staticmethod
     def fits(problem: Problem) -> bool:
-        """Tell whether a problem is one of these: a plain one, of readings of a few degrees."""
+        """Return whether a problem is one of these: plain, and off by a few degrees at most."""
         sd = problem.orientation_sd
         return bool(
             problem.robust is None
@@ -562,7 +562,7 @@ def _with_noise(
 
 
 def _are_clear(shared: SharedOrientations, units: _Units, U: Array) -> NDArray[np.bool_]:
-    """Tell of which units nothing need be doubted that residuals and U (B, p) show."""
+    """Return of which units residuals and U (B, p) raise no doubt."""
     place, variance = units.found, units.search.variance
     information = units.search.linearise(place).information
     scale = np.sqrt(np.einsum("bpp->bp", information))

@@ -143,7 +143,7 @@ def combined(coefficients: Array, phi: Array) -> Array:
 
 
 def is_along_force(problem: Problem) -> bool:
-    """Tell whether all positions of a triad are unknown and its outputs uncorrelated.
+    """Return whether all positions of a triad are unknown and its outputs uncorrelated.
 
     W is then that of eq. (1).
     """
@@ -178,7 +178,7 @@ class UnknownSearch:
 
     @staticmethod
     def fits(problem: Problem) -> bool:
-        """Tell whether a problem is one of these, with a model of terms."""
+        """Return whether a problem is one of these, with a model of terms."""
         return is_along_force(problem) and type(problem.model) is Model
 
     @classmethod
@@ -644,7 +644,7 @@ def _inverse(information: Array) -> _Inverse:
 def _is_identifiable(
     shared: SharedSphere, place: Place, information: Array, factor: Array
 ) -> NDArray[np.bool_]:
-    """Tell which units show every parameter far beyond what noise could pretend."""
+    """Return which units determine every parameter far beyond what noise alone could explain."""
     model = shared.model
     typical = median(place.theta, axis=0)
     limit = plausible_range(model, typical, shared.size)

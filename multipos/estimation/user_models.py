@@ -216,7 +216,7 @@ _LEAST = 1e-14  # of an output's spread, below which no residual is known
 
 
 def is_untied(model: Model, readings: Readings) -> bool:
-    """Tell whether the outputs of a user-defined model can be fitted as `solve_own_known` does."""
+    """Return whether a user-defined model can be fitted as `solve_own_known` does."""
     if not isinstance(model, ExpressionModel):
         return False
     noise = readings.noise
