@@ -254,7 +254,10 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
     ends = np.array([survey.lowest, survey.highest])
     for _, j, value in samples.spikes.found:  # which jumps may have been taken for
         ends[:, j] = min(ends[0, j], value), max(ends[1, j], value)
-    bits = [_bits(*ends[:, j], survey.resolution[j]) for j in range(len(samples.outputs))]
+    steps = survey.resolution.tolist()
+    bits = [
+        _bits(low, high, step) for (low, high), step in zip(ends.T.tolist(), steps, strict=True)
+    ]
     if not any(bits):
         return []
     across = [_ACROSS * 2.0**each if each else np.inf for each in bits]
