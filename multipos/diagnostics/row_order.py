@@ -172,7 +172,10 @@ def asked(c: Calibration) -> bool:
     known = c.estimator is Estimator.LINEAR or (
         c.estimator is Estimator.UNKNOWN and len(c.outputs) == 3
     )
-    told = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
+    if not np.isfinite(c.residual_sd).all():
+        return False
+    nothing = _ROUNDING * np.abs(c.readings.values).max(axis=0)
+    told = bool((c.residual_sd > nothing).all())
     return plain and known and told and (noise is None or noise.ndim == 1)
 
 
