@@ -32,7 +32,7 @@ if "numpy" not in sys.modules and not any(name in os.environ for name in _THREAD
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 from multipos.commands.answers import deliver, settle  # noqa: E402
-from multipos.commands.options import say  # noqa: E402
+from multipos.commands.options import say, take_full_scale  # noqa: E402
 from multipos.commands.parsers import COMMANDS, Parser, command, command_parser  # noqa: E402
 from multipos.errors import CalibrationWarning, MultiposError, UsageError  # noqa: E402
 from multipos.files.spelling import near, one_line  # noqa: E402
@@ -100,6 +100,7 @@ def _run(argv: list[str]) -> int:
     arguments = _parse(command_parser(name), rest)
     if arguments is None:
         return 0
+    take_full_scale(arguments)
     module = command(name)
     # no options of the function
     quiet, verbose = (arguments.__dict__.pop(name) for name in ("quiet", "verbose"))

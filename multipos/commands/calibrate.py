@@ -69,6 +69,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(model=None)
     add_order(parser, "paper", "order of rests that have no direction along the scheme")
     add_targets(parser, "CAL.json")
+    parser.add_argument(
+        "--keep-going", action="store_true", help="write the other exports where one is refused"
+    )
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -81,7 +84,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     with file_progress(arguments.logs, "reading") as progress:
         chosen = {name: options[name] for name in _AVERAGE}
         found = average(*arguments.logs, progress=progress, **chosen)
-    apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN} - {"convention"}
+    apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN, "keep_going"} - {"convention"}
     calibration = fit_rests(found, **{k: v for k, v in options.items() if k not in apart})
     exports, refused = _exports(calibration, arguments)
     listing = [
@@ -130,4 +133,5 @@ def _exports(
         return {}, []
     from multipos.commands.export import make_exports
 
-    return make_exports(calibration, arguments, arguments.output)
+    exports, refused = make_exports(calibration, arguments, arguments.output)
+    return ({} if refused and not arguments.keep_going else exports), refused

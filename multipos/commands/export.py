@@ -11,7 +11,7 @@ from typing import Any
 
 from multipos.bias_stability.stability_result import SCHEMA, load_stability
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.options import add_export_options, export_options
+from multipos.commands.options import add_export_options, add_nominal, export_options
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Exported, Target, self_test
@@ -60,6 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="COLUMN,…",
         help="what each regression corrects, in C; without, it gives the predicted responses",
     )
+    add_nominal(parser)
     add_export_options(parser)
 
 
@@ -70,6 +71,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         arguments.to,
         **export_options(arguments),
         correct=arguments.correct,
+        nominal=arguments.nominal,
     )
     names = [arguments.output, *map(str, _beside(arguments))]
     listing = {"target": exported.target, "files": names, "findings": _listed(exported)}

@@ -4,7 +4,14 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_conditions, add_model, add_order, names, numbers
+from multipos.commands.options import (
+    add_conditions,
+    add_model,
+    add_nominal,
+    add_order,
+    names,
+    numbers,
+)
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.sentences import calibration_sentence
@@ -64,7 +71,7 @@ def add_fit_options(parser: argparse.ArgumentParser, exclude: str | None = "none
         metavar="SD[,SD,SD]",
         help="standard uncertainty of an averaged reading",
     )
-    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
+    add_nominal(parser)
     add("--budget", metavar="FILE", help="TOML file of what else is uncertain: level, voltmeter, …")
 
 

@@ -19,6 +19,7 @@ T = TypeVar("T")
 
 _PATIENCE = 2.0  # [s] before progress shows
 _OFTEN = 0.2  # [s] from one line of it to the next
+_BITS = 64  # of a reading, the most
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
 
 
@@ -165,6 +166,27 @@ def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:
         help=f"export beside {beside}, for the targets that multipos export --help lists",
     )
     add_export_options(parser)
+
+
+def add_nominal(parser: argparse.ArgumentParser) -> None:
+    """Add the conversion before calibration, in either of its forms."""
+    add = parser.add_argument
+    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
+    add("--full-scale", type=float, metavar="G", help="the same: counts of N bits over -G to G g")
+    add("--bits", type=int, metavar="N", help="of --full-scale")
+
+
+def take_full_scale(arguments: argparse.Namespace) -> None:
+    """Put the nominal conversion that --full-scale and --bits state in the place of --nominal."""
+    given = vars(arguments)
+    full, bits = given.pop("full_scale", None), given.pop("bits", None)
+    if full is None and bits is None:
+        return
+    if full is None or bits is None or given["nominal"] is not None:
+        raise UsageError("--full-scale G and --bits N go together, and stand for --nominal.")
+    if not (full > 0.0 and 1 <= bits <= _BITS):
+        raise UsageError(f"--full-scale takes g above 0, and --bits 1 to {_BITS}.")
+    arguments.nominal = [0.0, 2.0 ** (bits - 1) / full]
 
 
 def add_export_options(parser: argparse.ArgumentParser) -> None:

@@ -80,10 +80,10 @@ class Correction(NamedTuple):
     offset: Array
     drift: Drift | None = None
 
-    def of_raw_in(self, metres: float) -> "Correction":
-        """Return the law of raw values in m/s²; `metres` is the m/s² in a unit of the readings."""
+    def of_raw_in(self, metres: float, zero: float = 0.0) -> "Correction":
+        """Return the law of raw values in m/s², which are `metres` (readings − `zero`)."""
         drift = None if self.drift is None else self.drift.scaled(metres)
-        return Correction(self.matrix / metres, self.offset * metres, drift)
+        return Correction(self.matrix / metres, (self.offset - zero) * metres, drift)
 
 
 class Law(NamedTuple):
@@ -109,9 +109,9 @@ class Law(NamedTuple):
         """How the offset drifts, where it does."""
         return self.correction.drift
 
-    def of_raw_in(self, metres: float) -> "Law":
-        """Return the law of raw values in m/s²; `metres` is the m/s² in a unit of the readings."""
-        return self._replace(correction=self.correction.of_raw_in(metres))
+    def of_raw_in(self, metres: float, zero: float = 0.0) -> "Law":
+        """Return the law of raw values in m/s², which are `metres` (readings − `zero`)."""
+        return self._replace(correction=self.correction.of_raw_in(metres, zero))
 
 
 def reduce_to(
@@ -225,20 +225,29 @@ def in_metres(calibration: Calibration, target: str) -> float:
     Raises
     ------
     MultiposError
-        The readings are neither in m/s² nor in g.
+        The readings are neither in m/s² nor in g, and no nominal conversion is stated.
     """
     unit = calibration.model.unit
     if unit in _METRES:
         return 1.0
     if unit == "g":
         return STANDARD_GRAVITY
+    if calibration.nominal is not None:
+        return STANDARD_GRAVITY / calibration.nominal.scale
     scale = scale_per_g(calibration)
     if unit == "reading" and 0.5 < scale / STANDARD_GRAVITY < 2.0:  # not stated, but plain
         return 1.0
     raise MultiposError(
         f"{target} holds raw values in m/s^2, but the readings are in '{unit}' with a scale factor "
-        f"of {scale:.4g} per g; convert them, or state --unit g or --unit m/s^2 in fit."
+        f"of {scale:.4g} per g; state the driver's conversion with --nominal BIAS,SCALE, or with "
+        "--full-scale G --bits N."
     )
+
+
+def raw_zero(calibration: Calibration) -> float:
+    """Return the reading that consumers hold as 0 m/s²."""
+    nominal, unit = calibration.nominal, calibration.model.unit
+    return 0.0 if nominal is None or unit in (*_METRES, "g") else nominal.bias
 
 
 def scale_per_g(calibration: Calibration) -> float:

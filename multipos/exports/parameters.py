@@ -8,6 +8,7 @@ the files share are here; each target has a file of its own.
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +22,7 @@ from multipos.exports.laws import (
     in_metres,
     law_residuals,
     loss_text,
+    raw_zero,
     reduce_to,
     rms_left,
 )
@@ -38,8 +40,12 @@ from multipos.finding import Finding, forced, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.inverse import read_nominal
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
+_NOMINAL = re.compile(
+    r"^# nominal conversion of the readings: \(reading - (\S+)\) / (\S+) in g", re.MULTILINE
+)
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
 
 
@@ -85,8 +91,9 @@ def parameter_target(
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
         check_inputs(calibration, name, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        zero = raw_zero(calibration) if raw_in_metres else 0.0
         law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
-        text, found = write(calibration, law.of_raw_in(metres), wish)
+        text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
             found = [Finding("lossy", "warning", loss_text(calibration, law, name)), *found]
         if calibration.convention == "gravity":
@@ -96,11 +103,14 @@ def parameter_target(
 
     def read_file(file: GivenFile, calibration: Calibration) -> Verification:
         given = read(file.path, file.text)
+        if (stated := _NOMINAL.search(file.text)) is not None:
+            calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
         check_inputs(calibration, name, thermal=thermal)
         expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
         metres = in_metres(calibration, name) if raw_in_metres else 1.0
+        zero = raw_zero(calibration) if raw_in_metres else 0.0
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
-            residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres))
+            residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres, -zero * metres))
             should = law_residuals(calibration, expected.correction)
             thermal_too = (given.drift is None) == (expected.drift is None)
             difference = float(np.abs(residuals - should).max()) if thermal_too else np.inf
@@ -195,6 +205,9 @@ def origin(calibration: Calibration) -> list[str]:
     ]
     if calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
+    if calibration.nominal is not None:
+        bias, scale = calibration.nominal
+        lines.append(f"nominal conversion of the readings: (reading - {bias!r}) / {scale!r} in g")
     lines += forced(calibration.diagnostics.findings)
     return [visible(line) for line in lines]
 

@@ -3,7 +3,8 @@
 INAV finds g = (raw − acczero) accgain/(4096 · 1G) axis by axis, raw in counts of the sensor, whole
 numbers all of them, with 1G the counts that its driver takes for a g; so that acczero = o and
 accgain = 4096 · 1G · T_ii, T_ii in g per count. 1G is that of the known drivers which is nearest
-to the calibrated scale factor, and is said. Rounding leaves up to half a count and 1/8192 g.
+to the calibrated scale factor, and is said; where a nominal conversion is stated, its
+scale. Rounding leaves up to half a count and 1/8192 g.
 
 Betaflight has an offset alone: ``acc_calibration`` is o, in the axes of the board.
 
@@ -44,6 +45,8 @@ def _nominal(calibration: Calibration) -> int:
             f"'{calibration.model.unit}' with a scale factor of {scale:.4g} per g; log counts, "
             "with acczero 0 and accgain 4096, or state --unit count in fit."
         )
+    if calibration.nominal is not None:
+        return round(abs(calibration.nominal.scale))
     return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
 
 
@@ -68,6 +71,8 @@ def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Findi
         "save",
         f"# Betaflight, offsets alone: set acc_calibration = {','.join(map(str, whole[:3]))},1",
     ]
+    if calibration.nominal is not None:
+        return "\n".join(lines) + "\n", []
     text = (
         f"1G of the flight controller is taken to be {counts} counts; where its driver has "
         "another, the forces are off by the ratio"

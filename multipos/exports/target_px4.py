@@ -85,11 +85,8 @@ def _thermal(
 
 
 def _without_id(instance: int) -> Finding:
-    text = (
-        f"the file names no sensor, and PX4 ignores what does not carry its ID: give the value of "
-        f"CAL_ACC{instance}_ID, or of device_id in 'listener sensor_accel', with --device-id"
-    )
-    return Finding("no-device-id", "warning", text)
+    text = f"CAL_ACC{instance}_ID is missing; PX4 will ignore the file."
+    return Finding("no-device-id", "warning", text, "Add --device-id.")
 
 
 def _read(path: str, text: str) -> Correction:

@@ -4,6 +4,8 @@ Read an exported file back as its consumer would, and show what is left of the r
 """
 
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,6 +26,7 @@ from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
+from multipos.sensor.inverse import read_nominal
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
@@ -45,6 +48,7 @@ def export(
     stability: "Stability | str | os.PathLike[str] | None" = None,
     correct: Names | None = None,
     tilt: bool = False,
+    nominal: Sequence[float] | None = None,
 ) -> Exported:
     """Return a calibration in the form of a target.
 
@@ -74,6 +78,9 @@ def export(
         Of the sensor, whose noise densities go to Kalibr.
     tilt : bool
         Write ``NAME_tilt`` as well, in C: the angles of `apply` with tilt.
+    nominal : (bias, scale), optional
+        The conversion of the consumer's driver, force [g] = (reading − bias)/scale, of readings in
+        counts; that of the calibration if not given.
     correct : names, optional
         The column that each regression corrects; without, C gives the predicted responses.
 
@@ -101,6 +108,8 @@ def export(
     target = _target(to, single=float)
     first, regressions = split_parts(calibration)
     first = first and first.of_sensor
+    if first is not None and nominal is not None:
+        first = replace(first, nominal=read_nominal(nominal))
     others = {
         "output_unit": output_unit,
         "instance": instance,

@@ -88,9 +88,14 @@ def test_the_command_writes_the_calibration_and_the_exports_beside_it(path, tmp_
     assert verified.target == "px4"
 
 
-def test_a_target_that_is_refused_is_named_and_the_others_are_written(path, tmp_path, capsys):
+def test_a_target_that_is_refused_is_named_and_no_other_is_written(path, tmp_path, capsys):
     out = tmp_path / "cal.json"
-    assert main(["calibrate", str(path), "--to", "px4", "--to", "c", "-o", str(out)]) == 1
+    asked = ["calibrate", str(path), "--to", "px4", "--to", "c", "-o", str(out)]
+    assert main(asked) == 1
+    assert out.exists()
+    assert not (tmp_path / "cal.c").exists()
+    capsys.readouterr()
+    assert main([*asked, "--keep-going"]) == 1
     printed, err = capsys.readouterr()
     assert printed == ""
     last = err.splitlines()[-1]

@@ -397,8 +397,8 @@ def test_verify_without_a_compiler(tmp_path, monkeypatch):
         ("linear", ["--to", "c", "--name", "é"], 2, "is no C identifier"),
         ("linear", ["--to", "matlab"], 2, "--to takes c, ros-imu-calib, px4, ardupilot"),
         ("linear", ["--to", "ros-imu-calib", "--float"], 2, "--float is for --to c"),
-        ("linear", ["--to", "px4"], 1, "convert them, or state --unit"),
-        ("temperature", ["--to", "px4", "--allow-lossy"], 1, "convert them, or state --unit"),
+        ("linear", ["--to", "px4"], 1, "--nominal BIAS,SCALE"),
+        ("temperature", ["--to", "px4", "--allow-lossy"], 1, "--nominal BIAS,SCALE"),
         ("temperature", ["--to", "inav", "--allow-lossy"], 1, "has no such input"),
         ("linear", ["--to", "c", "--instance", "1"], 2, "--instance is for --to px4, ardupilot"),
         ("linear", ["--to", "px4", "--output-unit", "g"], 2, "--output-unit is for --to c"),
@@ -454,3 +454,32 @@ def test_the_real_session_reaches_c(tmp_path, capsys):
         assert main([*map(str, argv)]) == 0
     found = json.loads(capsys.readouterr().out.partition('{\n "target"')[2].join(('{"target"', "")))
     assert found["difference"] < 1e-12
+
+
+@pytest.mark.parametrize("of_export", [False, True])
+def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path):
+    # ±2 g over 2^16 counts: the driver makes (counts - 100)/16384 g of a reading. A reading of
+    # 1.01 g and -0.01 g on an axis is an offset of 0, a scale of 1/1.01 about it.
+    bias, gain = np.array([164.0, -82.0, 33.0]), np.array([1.01, 0.99, 1.02]) * 16384
+    up = mp.read_scheme("faces-corners-14").up
+    rng = np.random.default_rng(1)
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    counts = 100 + bias + gain * up + rng.normal(scale=1.0, size=up.shape)
+    table |= dict(zip(("ax", "ay", "az"), counts.T, strict=True))
+    mp.write_table(tmp_path / "in.csv", table)
+    cal, out = str(tmp_path / "cal.json"), tmp_path / "out.params"
+    stated = ["--nominal", "100,16384"]
+    fit = ["fit", str(tmp_path / "in.csv"), "--model", "1 + own", "--unit", "count", "-o", cal]
+    assert main(fit + ([] if of_export else stated)) == 0
+    export_it = ["export", cal, "--to", "px4", "-o", str(out)]
+    assert main(export_it + (stated if of_export else [])) == 0
+    rows = [line.split() for line in out.read_text().splitlines() if line[0] != "#"]
+    values = [float(row[3]) for row in rows]
+    np.testing.assert_allclose(values[:3], bias / 16384 * 9.80665, atol=2e-3)
+    np.testing.assert_allclose(values[3:], 16384 / gain, atol=2e-4)
+    assert main(["verify-export", str(out), cal]) == 0
+    # the same in the words of a data sheet; inav keeps counts
+    words = ["--full-scale", "2", "--bits", "16", "-o", str(tmp_path / "o.txt")]
+    assert main(["export", cal, "--to", "inav", *words]) == 0
+    assert "# 1G = 16384 counts" in (tmp_path / "o.txt").read_text()
+    assert main(["export", cal, "--to", "inav", *words, "--nominal", "0,1"]) == 2
