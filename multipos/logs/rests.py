@@ -609,7 +609,7 @@ def _change(samples: Array, reach: int, limits: Limits) -> int | None:
 
 def _onset(z: Array, change: int, astray: float) -> int:
     """Return up to which of samples (M, n) nothing moves, no more than `change`, by eq. (4)."""
-    first = np.unique(np.linspace(0, change, min(change + 1, _ONSETS)).astype(int))
+    first = np.arange(change, -1, -(change // _ONSETS + 1))[::-1]
     ramp = np.maximum(np.arange(1, z.shape[1] + 1) - first[:, None], 0.0) ** 2
     explained = ((ramp @ z.T) ** 2).sum(axis=1) / (ramp**2).sum(axis=1)
     return int(first[np.flatnonzero(explained >= explained.max() - astray)[-1]])
