@@ -26,7 +26,7 @@ from multipos.files.pipes import is_there
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
-from multipos.finding import Finding, Findings
+from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fit_many import FitOptions, fit_units
 from multipos.fleets.gauge import describe_gauge
@@ -43,7 +43,7 @@ from multipos.fleets.quality import (
     proportion,
 )
 from multipos.fleets.sources import read_rows
-from multipos.fleets.stations import describe_stations
+from multipos.fleets.stations import describe_stations, find_off
 from multipos.fleets.unit_results import Units
 from multipos.fleets.workers import Engine, open_engine
 from multipos.results import Columns, Drawn, Result, plain
@@ -293,8 +293,10 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "stations": describe_stations(units, counted),
         "drift": find_drift(units, counted),
         "gauge": _gauge(units, limits),
-        "findings": [each.to_dict() for each in (*_find_failed(units), *units.notes)],
     }
+    off = [found for station in summary["stations"] for found in find_off(station)]
+    found = in_order((*_find_failed(units), *off, *units.notes))
+    summary["findings"] = [each.to_dict() for each in found]
     verdicts = Columns(
         {
             "unit": units.unit_column,

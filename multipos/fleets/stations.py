@@ -37,12 +37,13 @@ half, because a turn about what is up does not show. A rotation that all positio
 it: units take it for cross terms, and no fleet can tell it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.finding import Finding, Findings
 from multipos.fleets.nests import NestSums
 from multipos.fleets.unit_results import Units
 from multipos.numerics.arrays import Array, median
@@ -50,6 +51,8 @@ from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.sensor.model import Model
 
+_OFF = 0.1  # [deg] from which a station is said to be off,
+_CLEAR = 5.0  # where it is so many times its u
 FEWEST = 10  # units that a correction rests on: of fewer it adds as much doubt as it takes away
 
 
@@ -138,7 +141,7 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
     levels = _levels(units, counted, stations, who, len(names)) if told else None
     shifts = _shifts(units, counted, stations, who, len(names)) if told else None
     nests = describe_nests(units.nests)
-    return [
+    described: list[dict[str, Any]] = [
         {
             "station": name,
             "units": int(np.sum(stations == place)),
@@ -148,6 +151,36 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
         }
         for place, name in enumerate(names)
     ]
+    return [
+        each | {"findings": [found.to_dict() for found in find_off(each)]} for each in described
+    ]
+
+
+def find_off(station: Mapping[str, Any]) -> Findings:
+    """Return a warning of a station whose level, or a position of it, is off.
+
+    Parameters
+    ----------
+    station : mapping
+        As of `describe_stations`.
+    """
+    named = [("level", station["level_deg"] or {})]
+    named += [(f"position {each['position']}", each) for each in station["positions_deg"]]
+    off = [
+        (abs(each[axis]["value"]), what, axis, each[axis]["u"])
+        for what, each in named
+        for axis in COMPONENTS
+        if each.get(axis) and abs(each[axis]["value"]) > max(_OFF, _CLEAR * each[axis]["u"])
+    ]
+    if not off:
+        return ()
+    size, what, axis, u = max(off)
+    more = f", and {len(off) - 1} more" if len(off) > 1 else ""
+    text = (
+        f"station {station['station']}: its {what} is off by {size:.2g} degrees about {axis} "
+        f"(u {u:.1g}){more}"
+    )
+    return (Finding("station", "warning", text, "Correct the fixture, or use its correction."),)
 
 
 def _levels(

@@ -63,8 +63,9 @@ def _largest_expanded(c: Calibration) -> tuple[float, float]:
     keys = enumerate(c.model.keys)
     zero = [i for i, (output, term) in keys if term == CONSTANT and output in own]
     size: Array = np.abs(c.parameters[[own[c.model.keys[i][0]] for i in zero]])
-    bias, scale = c.U[zero] / size, c.U[list(own.values())]
-    scale = scale / np.abs(c.parameters[list(own.values())])
+    places = list(own.values())
+    with np.errstate(divide="ignore", invalid="ignore"):  # an output that does not respond
+        bias, scale = c.U[zero] / size, c.U[places] / np.abs(c.parameters[places])
     largest = (float(np.max(each)) if len(each) else math.nan for each in (bias, scale))
     return next(largest), next(largest)
 

@@ -25,25 +25,37 @@ def test_a_doubt_is_named_and_read_back(tmp_path):
     cal = mp.fit(DEAD)
     (finding,) = cal.diagnostics.findings
     assert (finding.code, finding.level, finding.outputs) == ("dead-output", "error", ("ay",))
-    assert texts(cal)[0] == finding.text
+    assert texts(cal)[0] == str(finding)
     cal.save(tmp_path / "cal.json")
     assert mp.load(tmp_path / "cal.json").diagnostics.findings == (finding,)
     (said,) = cal.to_dict()["diagnostics"]["findings"]
     assert said == {**finding, "rows": [], "outputs": ["ay"]}
 
 
-def test_a_file_from_before_there_were_doubts_is_read():
-    content = mp.fit(DEAD).to_dict()
-    del content["diagnostics"]["findings"]
-    assert from_dict(json.loads(json.dumps(content))).diagnostics.findings == ()
+def test_a_file_of_version_0_1_is_read():
+    """Doubts and warnings as that version wrote them: texts of doubts are the first warnings."""
+    content = json.loads(json.dumps(mp.fit(DEAD).to_dict()))
+    doubts = [
+        {"code": "sign", "severity": "implausible", "text": "x", "rows": [], "outputs": ["ax"]},
+        {"code": "outlier", "severity": "caution", "text": "y", "rows": ["2"], "outputs": []},
+    ]
+    del content["findings"], content["diagnostics"]["findings"]
+    assert from_dict(content).findings == ()
+    content["diagnostics"] |= {"doubts": doubts, "warnings": ["x", "y", "z"]}
+    found = from_dict(content).findings
+    assert [(each.code, each.level, each.text) for each in found] == [
+        ("sign", "error", "x"),
+        ("outlier", "warning", "y"),
+        ("earlier-warning", "warning", "z"),
+    ]
+    assert (found[0].outputs, found[1].rows, found[0].action) == (("ax",), ("2",), "")
 
 
 def test_doubts_come_first_wherever_a_calibration_is_shown():
     cal = mp.fit(DEAD)
-    text = cal.diagnostics.findings[0].text
-    assert text_report(cal).startswith(
-        f"This calibration is not fit for use.\n{36 * '-'}\n- {text}"
-    )
+    text = text_report(cal)
+    assert text.startswith("Not fit for use: ax, ay calibrated from 6 positions; ")
+    assert text.index("Findings\n--------\n- 'ay' read the same") < text.index("Residuals")
     content = build_content(cal)
     for page in (plain_report(content), markdown_report(content), html_report(content)):
         verdict, finding, first = map(page.index, ("not fit for use", "read the same", "Results"))
@@ -69,7 +81,7 @@ def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
     status, out, err = run(capsys, "fit", path)
     assert status == 3
     assert err.count("multipos: not fit for use: 'az' read the same number at all 6 positions") == 1
-    assert out.startswith("This calibration is not fit for use.")
+    assert out.startswith("Not fit for use: ax, ay, az calibrated from 6 positions; 1 error.")
 
 
 @pytest.mark.parametrize(("shift", "codes"), [(0.0, []), (273.15, ["temperature-kelvin"])])

@@ -341,3 +341,34 @@ def test_a_bad_file_in_a_folder_is_a_failed_unit_and_a_copy_is_left_out(tmp_path
     assert {unit for unit, row in rows.items() if row["verdict"] == "failed"} == set(bad)
     assert all(text in rows[unit]["reasons"] for unit, text in bad.items())
     assert sum(row["verdict"] == "pass" for row in rows.values()) == 4  # of five files
+
+
+def test_a_station_whose_nest_is_turned_is_named(tmp_path):
+    """Two stations, thirty units each, the second with position 3 turned by .4° about z."""
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("faces-corners-14").up
+    turned = up.copy()
+    angle = np.radians(0.4)
+    turned[2, :2] = turned[2, :2] @ [
+        [np.cos(angle), np.sin(angle)],
+        [-np.sin(angle), np.cos(angle)],
+    ]
+    rows = []
+    for unit in range(60):
+        station, true = ("A", up) if unit % 2 else ("B", turned)
+        K = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
+        values = true @ K.T + 0.02 * rng.standard_normal(3) + 2e-4 * rng.standard_normal((14, 3))
+        rows += [
+            (f"U{unit}", station, str(k + 1), *listed, *value)
+            for k, (listed, value) in enumerate(zip(up.tolist(), values.tolist(), strict=True))
+        ]
+    names = ("unit", "station", "position", "up_x", "up_y", "up_z", "ax", "ay", "az")
+    found = mp.fleet(
+        dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)),
+        unit_column="unit",
+        station_column="station",
+    )
+    off = {station["station"]: station["findings"] for station in found["stations"]}
+    assert [each["code"] for each in off["B"]] == ["station"]
+    assert "position 3 is off by 0." in off["B"][0]["text"]
+    assert off["B"][0] in found.to_dict()["findings"]
