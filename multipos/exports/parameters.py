@@ -21,7 +21,6 @@ from multipos.exports.laws import (
     check_inputs,
     in_metres,
     law_residuals,
-    loss_text,
     raw_zero,
     reduce_to,
     rms_left,
@@ -46,6 +45,7 @@ _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with 
 _NOMINAL = re.compile(
     r"^# nominal conversion of the readings: \(reading - (\S+)\) / (\S+) in g", re.MULTILINE
 )
+_CALLED = {"px4": "PX4", "ardupilot": "ArduPilot", "inav": "INAV"}
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
 
 
@@ -95,7 +95,12 @@ def parameter_target(
         law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
-            found = [Finding("lossy", "warning", loss_text(calibration, law, name)), *found]
+            called = _CALLED.get(name, name)
+            text = (
+                f"Residual error with the {called} parameters: {1e3 * law.rms:.2f} mg rms (full "
+                f"model: {1e3 * calibration.rms:.2f} mg)."
+            )
+            found = [Finding("lossy", "warning", text), *found]
         if calibration.convention == "gravity":
             turned = "the force is turned from gravity to specific force"
             found.append(Finding("convention-turned", "note", f"{turned}, which {name} works in"))
