@@ -96,11 +96,11 @@ def parameter_target(
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
             called = _CALLED.get(name, name)
-            text = (
+            left = (
                 f"Residual error with the {called} parameters: {1e3 * law.rms:.2f} mg rms (full "
                 f"model: {1e3 * calibration.rms:.2f} mg)."
             )
-            found = [Finding("lossy", "warning", text), *found]
+            found = [Finding("lossy", "warning", left), *found]
         if calibration.convention == "gravity":
             turned = "the force is turned from gravity to specific force"
             found.append(Finding("convention-turned", "note", f"{turned}, which {name} works in"))
