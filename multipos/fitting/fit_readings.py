@@ -78,7 +78,7 @@ def note_names(readings: Readings, model: Model) -> Readings:
         return readings
     pairs = zip(model.outputs, model.axes, strict=True)
     said = ", ".join(f"{output} senses {axis}" for output, axis in pairs)
-    found = Finding("axes-by-name", "note", f"by their names {said}; --axes says otherwise")
+    found = Finding("axes-by-name", "note", f"by their names {said}", "State others with --axes.")
     return replace(readings, findings=(*readings.findings, found))
 
 
@@ -111,10 +111,10 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
     other = next(name for name in CONVENTIONS if name != c.convention)
     how = "of the other sign than --axes says" if down else "negative"
     text = (
-        f"every own-axis scale factor is {how} under --convention {c.convention}; "
-        f"the readings look like --convention {other}"
+        f"every own-axis scale factor is {how} under the convention {c.convention}; "
+        f"the readings look like {other}"
     )
-    found = Finding("convention", "warning", text)
+    found = Finding("convention", "warning", text, f"Fit with --convention {other}.")
     diagnostics = replace(c.diagnostics, findings=(*c.diagnostics.findings, found))
     return replace(c, diagnostics=diagnostics)
 

@@ -94,8 +94,8 @@ def find_in_choice(
             "the terms were chosen by the same data that test them: F and p of the chosen model "
             "are optimistic"
         )
-        more = "" if validation else "; --cross-validate checks it by blocks of time"
-        said.append(Finding("selected-terms", "note", f"{text}{more}"))
+        action = "" if validation else "Check it by blocks of time with --cross-validate."
+        said.append(Finding("selected-terms", "note", text, action))
     if hysteresis is not None and not hysteresis["significant"]:
         p = hysteresis["p"]
         text = (

@@ -77,8 +77,9 @@ def sentences():
     yield from returned("capturing/evaluation.py", {"_out_of_reach"}, {"way_out": OF_SCHEMES})
     faults = {"at_one_value", "_moved", "_gaps", "_output_faults", "_settled", "_twins"}
     yield from returned("logs/faults.py", faults, {"fault": "stuck"})
-    for name in ("completion", "known", "problem", "uncertain", "user_models"):
+    for name in ("known", "problem", "uncertain", "user_models"):
         yield from raised(f"estimation/{name}.py", PARTS)
+    yield from raised("fitting/completion.py", PARTS)
     for way_out in WAYS_OUT:
         yield from raised("estimation/starts.py", PARTS | {"way_out": way_out})
     yield from raised("fitting/calibrate_logs.py", PARTS)

@@ -546,7 +546,7 @@ def test_groups_with_a_roll_about_an_unknown_direction():
 def test_a_group_tells_the_convention():
     values = SENSOR.read(UP @ TURN.T) + 1e-5 * rng().standard_normal(UP.shape)
     cal = mp.fit(mp.Readings(values, up=UP, group=("g",) * 24), convention="gravity")
-    assert any("look like --convention specific-force" in w for w in texts(cal))
+    assert any("Fit with --convention specific-force" in w for w in texts(cal))
 
 
 def test_level_sd_needs_whole_attitudes():

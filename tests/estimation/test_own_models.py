@@ -304,7 +304,7 @@ def test_a_rotation_that_squares_hardly_tell_is_fixed_like_a_free_one():
 
 def test_a_convention_that_is_not_the_readings_own_is_said():
     cal = mp.fit(readings(), model=SATURATING, convention="gravity")
-    assert any("look like --convention specific-force" in w for w in texts(cal))
+    assert any("Fit with --convention specific-force" in w for w in texts(cal))
 
 
 def test_stated_noise_of_outputs_fitted_apart_reaches_the_file(tmp_path):

@@ -62,7 +62,7 @@ def test_a_sensor_made_to_fall_is_not_sent_to_the_other_convention():
     given = columns("ax", "ay", "az")
     for name in ("ax", "ay", "az"):
         given[name] = -given[name]
-    with pytest.warns(mp.CalibrationWarning, match="is negative under .* look like --convention g"):
+    with pytest.warns(mp.CalibrationWarning, match="is negative under .* look like g"):
         mp.fit(given)
     assert texts(mp.fit(given, axes="-x,-y,-z")) == ()
     with pytest.warns(mp.CalibrationWarning, match="of the other sign than --axes says"):
