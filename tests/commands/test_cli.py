@@ -234,6 +234,32 @@ def test_warnings_go_to_stderr(here, capsys):
     assert "multipos: note: column 'ay' is not among the outputs and is not used" in err
 
 
+def test_the_answer_comes_first_and_what_explains_last_in_one_pipe(here):
+    text = shell("multipos fit six.csv --convention gravity -v 2>&1").stdout
+    order = ["ax, ay, az calibrated", "scale_az", "multipos: warning: ", "Residuals\n---------"]
+    places = [text.index(words) for words in order]
+    assert places[0] == 0
+    assert places == sorted(places)
+    assert text.count("every own-axis scale factor is negative") == 1
+    short = shell("multipos fit six.csv --convention gravity 2>&1").stdout
+    assert "Residuals" not in short
+    assert len(short.splitlines()) <= 40
+    assert shell("multipos fit six.csv --convention gravity -q").stderr == ""
+
+
+def test_a_negative_verdict_ends_with_status_3(here, capsys):
+    assert run(capsys, "check", "cal.json", "six.csv", "--limit-g", "1")[0] == 0
+    status, out, _ = run(capsys, "check", "cal.json", "six.csv", "--limit-g", "1e-6")
+    assert (status, out.split(":")[0]) in ((3, "Fail"), (0, "Indeterminate"))
+    (here / "dead.csv").write_text(re.sub(r",[^,\n]*$", ",0.25", SIX, flags=re.MULTILINE))
+    (here / "dead.csv").write_text((here / "dead.csv").read_text().replace("ay,0.25", "ay,az"))
+    status, out, err = run(capsys, "fit", "dead.csv", "-o", "dead.json")
+    assert (status, out.startswith("Not fit for use: ")) == (3, True)
+    assert err.startswith("multipos: not fit for use: 'az' read the same number")
+    assert run(capsys, "report", "dead.json", "-o", "dead.html")[0] == 0
+    assert run(capsys, "export", "dead.json", "--to", "c", "-o", "dead.c")[0] == 1
+
+
 def test_the_file_is_what_python_gives(here, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     options = [
