@@ -474,10 +474,11 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
     export_it = ["export", cal, "--to", "px4", "-o", str(out)]
     if not of_export:  # a sensor of 1 % misalignment loses it, which is said
         table |= {"ax": table["ax"] + 164.0 * up[:, 1]}
-        text = mp.export(
+        lossy = mp.export(
             mp.fit(table, unit="count", nominal=(100, 16384)), "px4", allow_lossy=True
-        ).findings
-        said = {each.code: str(each) for each in text}
+        )
+        assert "CAL_ACC0_XOFF" in lossy.text
+        said = {each.code: str(each) for each in lossy.findings}
         left = re.fullmatch(
             r"Residual error with the PX4 parameters: (\S+) mg rms \(full model: 0\.0\d mg\)\.",
             said["lossy"],
