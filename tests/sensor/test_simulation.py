@@ -130,7 +130,7 @@ def test_command_writes_what_python_gives(tmp_path, capsys):
     out = tmp_path / "readings.csv"
     argv = ["simulate", str(tmp_path / "cal.json"), "--scheme", "faces-6", "--seed", "4"]
     assert main([*argv, "--reading-sd", "1e-3", "-o", str(out)]) == 0
-    assert capsys.readouterr().out == ""
+    assert capsys.readouterr().out == "6 readings simulated.\n"
     expected = mp.simulate(cal, "faces-6", reading_sd=1e-3, seed=4)
     np.testing.assert_array_equal(mp.read_readings(out).values, matrix(expected, cal))
     assert main([*argv, "--log", "--rate", "50", "--json"]) == 0
