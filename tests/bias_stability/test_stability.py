@@ -311,7 +311,7 @@ REFUSED = {
     "an empty name": ((short(),), {"time_column": ""}, MultiposError, "no column ''"),
     "no such temperature": ((short(),), {"temperature": "temp"}, MultiposError, "no column 'temp'"),
     "an output as temperature": (
-        ({"ax": np.sin(np.arange(100.0)), "t": np.arange(100.0), "time": np.arange(100.0)},),
+        ({"ax": np.sin(np.arange(100.0)), "t": np.arange(100.0), "time": np.arange(100) / RATE},),
         {"outputs": "ax,t", "temperature": "t"},
         MultiposError,
         "so no temperature",

@@ -74,7 +74,9 @@ def test_positions_much_alike_are_said():
 def test_a_scale_factor_that_u_leaves_open_is_said():
     rng = np.random.default_rng(4)
     noisy = mp.Readings(UP + 0.15 * rng.standard_normal(UP.shape), up=UP)
-    assert "U leaves scale factors open: scale_az to 27 %" in " ".join(texts(mp.fit(noisy)))
+    assert "scale factors are poorly determined (U): scale_az to 27 %" in " ".join(
+        texts(mp.fit(noisy))
+    )
     assert "no-redundancy" not in codes(mp.fit(mp.Readings(readings().values, up=UP)))
 
 
