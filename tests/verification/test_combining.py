@@ -152,7 +152,7 @@ def test_on_the_command_line(tmp_path, capsys):
         names.append(str(tmp_path / f"run{i}.json"))
         c.save(names[-1])
     out = tmp_path / "pooled.json"
-    assert main(["compare", *names, "--combine", "-o", str(out)]) == 0
+    assert main(["compare", *names, "--combine", "-v", "-o", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "combined" in printed
     assert "bias stability" in printed

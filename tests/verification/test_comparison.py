@@ -217,7 +217,7 @@ def test_drift_is_against_a_common_clock_or_the_order_given(name, tmp_path, caps
     files = [str(tmp_path / f"{i}.json") for i in range(4)]
     for calibration, file in zip(found, files, strict=True):
         calibration.save(file)
-    assert main(["compare", *files]) == 0
+    assert main(["compare", *files, "-v"]) == 0
     shown = capsys.readouterr().out
     if times == "as given":
         assert "drift per run" in shown
@@ -369,7 +369,7 @@ def test_json_has_the_promised_keys(tmp_path, capsys):
     assert set(found["bias_stability"]) == {"ax", "ay", "az"}
     first = found["parameters"][0]
     assert first["range"] == pytest.approx(np.ptp(first["values"]))
-    assert main(["compare", *files]) == 0
+    assert main(["compare", *files, "-v"]) == 0
     text = capsys.readouterr().out
     assert "bias stability" in text
     assert main(["compare", *files, "-o", str(tmp_path / "figure.svg")]) == 0

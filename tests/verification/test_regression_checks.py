@@ -166,8 +166,10 @@ def test_text_is_by_segment(files, capsys):
     status, out, _ = run(capsys, "check", model, later, "--limit-g", "0.01")
     assert status == 0
     found = mp.check(mp.load_regression(model), later, limit_g=0.01)
-    assert out == check_text(found)
-    lines = out.splitlines()
+    answer, _, rest = out.partition("\n\n")
+    assert answer.startswith("Pass: largest error ")
+    assert rest == check_text(found)
+    lines = rest.splitlines()
     assert lines[0] == "Errors before and after correction"
     assert [line[:14] for line in lines[3:6]] == [
         "1: temperature",
@@ -260,7 +262,7 @@ def test_check_draws_the_errors(files, capsys):
     figure = folder / "check.SVG"
     status, out, _ = run(capsys, "check", model, later, "--limit-g", "0.005", "-o", figure)
     assert status == 0
-    assert out.startswith("Errors before and after correction")
+    assert out.startswith("Pass: largest error ")
     said = words(figure)
     for text in ("temperature", "error [mg]", "before", "after, with U", "limit ±5 mg"):
         assert text in said
@@ -273,7 +275,8 @@ def test_regress_draws_correction_and_paths(tmp_path, capsys):
     options += ["--segment", "temperature:20", "--free"]
     status, out, _ = run(capsys, *options, "-o", figure)
     assert status == 0
-    assert out.startswith("response   error, 80 rows")
+    assert out.startswith("error by temperature: ")
+    assert "80 rows, 2 segments" in out.splitlines()[0]
     said = words(figure)
     assert said.count("+ temperature") == 2
     high = chamber(1)["temperature"].max()
@@ -303,7 +306,7 @@ def test_tumble_draws_signal_and_harmonics(tmp_path, capsys):
     data = write(tmp_path / "t.csv", {"E": np.cos(t) + 1e-5 * rng.standard_normal(12)})
     figure = tmp_path / "t.svg"
     status, out, _ = run(capsys, "tumble", data, "--scheme", "tumble-12", "-o", figure)
-    assert (status, out[:6]) == (0, "Tumble")
+    assert (status, out[:6]) == (0, "E: K1 ")
     assert {"angle [°]", "order", "plane xy"} <= set(words(figure))
 
 

@@ -353,6 +353,7 @@ def test_an_input_axis_that_leans_from_where_it_is_said_to_be(lean, told):
     found = mp.tumble({"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}, unit="V")
     assert [finding.code for finding in found.findings] == told
     assert found.to_dict()["findings"] == [finding.to_dict() for finding in found.findings]
-    assert list(texts(found)[: len(told)]) == [finding.text for finding in found.findings]
+    for text, finding in zip(texts(found), found.findings, strict=False):
+        assert text.startswith(finding.text)
     if lean == 20.0:
         assert "leans by 20 degrees from x" in found.findings[0].text
