@@ -139,7 +139,8 @@ def aligned(want: str, got: str) -> list[str]:
                 found.append(LEFT_OUT)
             found.append(new[best])
             place = best + 1
-    return found
+    shown = "\n".join([*found, ""])
+    return found if doctest.OutputChecker().check_output(shown, got, doctest.ELLIPSIS) else new
 
 
 def main(arguments: list[str]) -> None:

@@ -87,6 +87,8 @@ def runs_figure(comparison: Comparison) -> "Figure":
         axes.set_visible(False)
     for i, axes in enumerate(panels[: len(comparison.changes)]):
         draw_chart(comparison, i, axes)
+        if i < len(comparison.changes) - _PANELS:  # said once, below
+            axes.set_xlabel("")
     return figure
 
 
