@@ -19,6 +19,7 @@ import numpy as np
 
 from multipos.designs.information import Setting
 from multipos.errors import MultiposError, UsageError
+from multipos.estimation.correlated_rows import order_in_time
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.finding import Findings, errors_of
@@ -226,7 +227,7 @@ def _way_to_target(found: Worth) -> list[str]:
 def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     """Return the setting, the information of the readings, and what scales its inverse.
 
-    The scale is 1 but where the fit found the noise other than it was stated.
+    The scale is 1 but where the fit found the noise other than it was stated, or slow.
     """
     model, readings = calibration.model, calibration.readings
     if model.environment:
@@ -258,6 +259,10 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     for part in setting.blocks:
         # gravity adds nothing to a bias: the least ratio is that of the noise alone
         covered[part] = ratio[part].min()
+    if calibration.budget is None and order_in_time(readings) is not None:
+        # what slow noise adds to a bias falls with more readings, as noise does
+        biases = [str(term) == "1" for _, term in model.keys]
+        covered[biases] = ratio[biases]
     return setting, present, covered
 
 
