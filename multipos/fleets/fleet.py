@@ -276,6 +276,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
     failed = int(units.failed.sum())
     passed = int(np.sum(judged.verdict == PASS))
     total = len(units)
+    stations = describe_stations(units, counted)
     summary = {
         "input": [
             {"file": PurePath(name).name, "sha256": sha256} for name, sha256 in units.sources
@@ -290,11 +291,11 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
         "parameters": _parameters(units, limits, counted),
         "outliers": find_outliers(units, counted),
-        "stations": describe_stations(units, counted),
+        "stations": stations,
         "drift": find_drift(units, counted),
         "gauge": _gauge(units, limits),
     }
-    off = [found for station in summary["stations"] for found in find_off(station)]
+    off = [found for station in stations for found in find_off(station)]
     found = in_order((*_find_failed(units), *off, *units.notes))
     summary["findings"] = [each.to_dict() for each in found]
     verdicts = Columns(

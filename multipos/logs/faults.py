@@ -254,9 +254,9 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
     ends = np.array([survey.lowest, survey.highest])
     for _, j, value in samples.spikes.found:  # which jumps may have been taken for
         ends[:, j] = min(ends[0, j], value), max(ends[1, j], value)
-    steps = survey.resolution.tolist()
+    finest = survey.resolution.tolist()
     bits = [
-        _bits(low, high, step) for (low, high), step in zip(ends.T.tolist(), steps, strict=True)
+        _bits(low, high, step) for (low, high), step in zip(ends.T.tolist(), finest, strict=True)
     ]
     if not any(bits):
         return []
