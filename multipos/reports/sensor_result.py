@@ -200,7 +200,7 @@ def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Sect
                 "U is that of the next session beside these parameters: it holds how the sessions "
                 "differ, mounting and switch-on among it, on {dof} degrees of freedom, and what "
                 "all sessions share, such as gravity.",
-                dof=str(sessions.runs - 1),
+                dof=f"{np.min(c.parameter_dof):.3g}",
             ),
         ),
         tables=(table,),

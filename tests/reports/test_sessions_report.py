@@ -40,15 +40,17 @@ def table_of(content):
 def test_a_combined_calibration_says_of_what_and_what_u_holds(compared):
     section, rows = table_of(build_content(compared.combined))
     assert section.paragraphs[0].startswith("4 sessions were combined: ")
-    assert "on 3 degrees of freedom" in section.paragraphs[1]
+    assert "on 9 degrees of freedom" in section.paragraphs[1]
     zeros = np.array([c["bias_ax"].value for c in compared.calibrations])
     _, value, u, U, unit, k, spread = rows["bias_ax"]
-    assert (unit, k) == ("mg", "3.18")  # Student's t at 3 degrees of freedom
+    assert (unit, k) == ("mg", "2.26")  # Student's t at 3 degrees of freedom of each of 3 zeros
     sd = 1e3 * zeros.std(ddof=1)
+    every = np.array([[c[f"bias_a{a}"].value for a in "xyz"] for c in compared.calibrations])
+    pooled = 1e3 * np.sqrt(every.var(axis=0, ddof=1).mean())
     assert float(value) == pytest.approx(1e3 * zeros.mean(), abs=0.02 * sd)
     assert float(spread) == pytest.approx(sd, rel=0.05)
-    assert float(u) == pytest.approx(np.sqrt(1.25) * sd, rel=0.05)  # (1 + 1/4) S
-    assert float(U) == pytest.approx(3.182 * np.sqrt(1.25) * sd, rel=0.05)
+    assert float(u) == pytest.approx(np.sqrt(1.25) * pooled, rel=0.05)  # (1 + 1/4) S
+    assert float(U) == pytest.approx(2.262 * np.sqrt(1.25) * pooled, rel=0.05)
     assert not any(
         part.title == "Combined sessions"
         for part in build_content(compared.calibrations[0]).sections

@@ -119,7 +119,7 @@ def test_terms_of_a_regression_are_a_data_frame():
     """y = 2 + 3 x below 0, 5 - x from there, without noise."""
     x = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
     y = np.where(x < 0.0, 2.0 + 3.0 * x, 5.0 - x) + 1e-9 * np.array([1, -2, 1, 0, 0, 1, -2, 1])
-    found = mp.regress({"x": x, "y": y}, response="y", variables="x", segment="x:0")
+    found = mp.regress({"x": x, "y": y}, response="y", variables="x", segment="x:0", free=True)
     frame = found.to_pandas()
     assert frame["segment"].tolist() == [1, 1, 2, 2]
     assert frame["term"].tolist() == ["1", "x", "1", "x"]
