@@ -462,16 +462,23 @@ def test_two_units_of_a_line_are_told_from_one_that_drifts():
     assert drifted == 0
 
 
-def test_what_differs_most_between_two_sensors_is_said_first_of_all():
+def test_what_differs_most_between_two_sensors_is_said_first_of_all(tmp_path, capsys):
     rng = np.random.default_rng(1)
     first = run_of(np.zeros(3), np.eye(3), rng)
-    told = mp.compare(first, run_of(np.zeros(3), np.diag([1.0, 1.1, 1.0]), rng))
+    second = run_of(np.zeros(3), np.diag([1.0, 1.1, 1.0]), rng)
+    told = mp.compare(first, second)
     finding, _ = told.findings
     assert (finding.code, finding.level) == ("different-sensors", "warning")
     assert "ay responds 1.099 times" in finding.text
     assert finding.text.startswith("runs 1 and 2 look like")
     assert told.to_dict()["findings"][0] == finding.to_dict()
     assert texts(told)[0].startswith(finding.text)
+    files = [str(tmp_path / "first.json"), str(tmp_path / "second.json")]
+    first.save(files[0])
+    second.save(files[1])
+    assert main(["compare", *files]) == 0
+    printed = capsys.readouterr()
+    assert (printed.out + printed.err).count(finding.text) == 1
 
 
 def test_a_run_given_twice_is_no_repeat():
