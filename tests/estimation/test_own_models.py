@@ -271,7 +271,7 @@ def test_a_bend_within_the_uncertainty_is_said():
     (said,) = (w for w in texts(exact) if w.startswith("`k_"))
     stated = float(said.partition("about ")[2].split()[0].rstrip(",.;"))
     off, se = float(found.mean()) - k, float(found.std()) / 20.0
-    assert "larger" in said
+    assert "too large" in said
     # of second order: what is of fourth is a third of it here
     assert abs(off - stated) < 0.35 * stated + 3.0 * se
 
