@@ -415,6 +415,7 @@ def _orthonormal(V: Array, Z: Array) -> Array:
     """Return orthonormal rows (K, q, r) of V (K, r, q); of what is no more than rounding, zeros."""
     scale = np.sqrt(np.einsum("krq,krq->kq", Z, Z))[:, None]
     U = V / np.where(scale > 0.0, scale, 1.0)
+    U = np.where(np.isfinite(U), U, 0.0)  # of readings beyond all numbers
     values, vectors = np.linalg.eigh(U.transpose(0, 2, 1) @ U)
     told = values > _TOLD
     roots = np.where(told, 1.0 / np.sqrt(np.where(told, values, 1.0)), 0.0)
