@@ -62,7 +62,7 @@ def takes_memory(argv):
 
 
 def ends_in_another_status(argv):
-    return complain(status=3)
+    return complain(status=4)
 
 
 def says_nothing(argv):
@@ -159,7 +159,7 @@ FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # 
         (dies, "killed: SIGSEGV"),
         (works_for_ever, "slow: more than 1 s"),
         (takes_memory, "memory: more than 256 MB"),
-        (ends_in_another_status, "status: 3"),
+        (ends_in_another_status, "status: 4"),
         (says_nothing, "stderr: does not end"),
         (hides_what_it_did_not_expect, "unexpected: "),
         (prints_before_it_fails, "stdout: not empty on 1"),
