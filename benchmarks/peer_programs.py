@@ -62,7 +62,7 @@ def as_it_advises(task: Task) -> Found:
     """Fit again with the formula that the caution `missing-term` prints, where there is one."""
     for finding in _fit(task).diagnostics.findings:
         if finding.code == "missing-term":
-            formula = finding.text.split("--model '")[1].split("'")[0]
+            formula = finding.action.split("--model '")[1].split("'")[0]
             return _found(_fit(task, model=formula))
     raise NoAdviceError
 

@@ -687,7 +687,7 @@ def _say_replaced(c: Calibration, cause: Cause, sizes: Array) -> Finding:
 
 
 def _say_settling(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    share = 100.0 * float(sizes[0])
+    share = 100.0 * float(sizes.item())
     return Finding(
         "settling",
         "warning",

@@ -76,6 +76,18 @@ def test_the_one_cause_is_named_at_unknown_orientations(cause):
     assert sum(cause in found for found in codes) >= 3, codes
 
 
+def test_settling_of_one_output_is_named():
+    """Each reading holds 5 % of the row before."""
+    rng = np.random.default_rng(4)
+    up = rng.permutation(mp.read_scheme("fibonacci-24").up)
+    y = ZERO[0] + up @ K[0]
+    y[1:] = 0.95 * y[1:] + 0.05 * y[:-1]
+    y += SD * rng.standard_normal(24)
+    (finding,) = mp.fit(mp.Readings(y[:, None], up=up), model="linear").findings
+    assert finding.code == "settling"
+    assert abs(float(re.search(r"([\d.]+) %", finding.text)[1]) - 5.0) < 0.5
+
+
 @pytest.mark.parametrize("cause", ["slipped", "replaced"])
 def test_the_first_row_after_a_change_is_told(cause):
     (finding,) = world(cause, 3).findings
