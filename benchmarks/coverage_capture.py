@@ -29,7 +29,7 @@ SETTING = make_setting(
 WANTED = [i for i, name in enumerate(MODEL.names) if name.startswith(("bias", "scale"))]
 MISS_DEG = 10.0
 MOST = 60
-FLOOR, SCATTER = 5e-5, 2e-4  # [g]: what a rest claims, and what it really is
+ZERO_NORM, SCATTER = 5e-5, 2e-4  # [g]: what a rest claims, and what it really is
 
 
 def main() -> None:
@@ -167,15 +167,15 @@ def session(rng: np.random.Generator, target: float) -> dict[str, tuple[np.ndarr
         values = np.concatenate([values, reading[None]])
         if len(up) < 11:
             continue
-        readings = mp.Readings(values, outputs=MODEL.outputs, u=np.full_like(values, FLOOR))
+        readings = mp.Readings(values, outputs=MODEL.outputs, u=np.full_like(values, ZERO_NORM))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             cal = mp.fit(readings, unknown_orientation=True)
         U = np.array([entry.U for entry in cal.entries])
         covered = np.abs(cal.parameters - truth) <= U
-        claims = bool((U[WANTED] <= target).all())
-        small = small + 1 if claims and len(up) - 9 >= FEWEST_DOF else 0
-        if claims and "first claim" not in ended:
+        stated_noise = bool((U[WANTED] <= target).all())
+        small = small + 1 if stated_noise and len(up) - 9 >= FEWEST_DOF else 0
+        if stated_noise and "first claim" not in ended:
             ended["first claim"] = covered, len(up)
         if small == 2:
             ended["capture"] = covered, len(up)

@@ -62,8 +62,8 @@ def judge(
 ) -> tuple[bool, bool, bool]:
     """Return whether F, the likeliest law and F_robust call the model of one table significant."""
     rho, sd, white, variables = case
-    x = wander(n, variables, rng, 4)
-    y = sd * wander(n, rho, rng, 1)[:, 0] + white * rng.standard_normal(n)
+    x = drift_factor(n, variables, rng, 4)
+    y = sd * drift_factor(n, rho, rng, 1)[:, 0] + white * rng.standard_normal(n)
     y = y + slope * np.hypot(sd, white) / np.sqrt(n) * x[:, 0]
     table = {f"x{j}": x[:, j] for j in range(4)} | {"y": y, "time": np.arange(float(n))}
     told: list[correlation.Noise | None] = []
@@ -93,7 +93,7 @@ def regressed(table: dict[str, NDArray[np.float64]]) -> tuple[bool, bool]:
     return segment.significant, (segment.p if robust is None else robust.p) < LEVEL
 
 
-def wander(n: int, rho: float, rng: np.random.Generator, columns: int) -> NDArray[np.float64]:
+def drift_factor(n: int, rho: float, rng: np.random.Generator, columns: int) -> NDArray[np.float64]:
     """Return columns of a stationary first-order process of unit variance."""
     found = rng.standard_normal((n, columns))
     for i in range(1, n):

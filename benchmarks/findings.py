@@ -202,9 +202,9 @@ def good(rng: np.random.Generator) -> Bench:
     matrix = one_g * scale[:, None] * leaning(rng, outputs, np.radians(rng.uniform(0.0, 10.0)))
     if outputs == 3 and rng.random() < 0.1:
         matrix = matrix @ some_turn(rng)
-    placement = np.radians(10.0 ** rng.uniform(-3.0, np.log10(2.0)))
+    stated_up = np.radians(10.0 ** rng.uniform(-3.0, np.log10(2.0)))
     second = 10.0 ** rng.uniform(-5.0, np.log10(5e-3)) * one_g * rng.standard_normal(outputs)
-    true_up = placed(up, placement, rng)
+    true_up = placed(up, stated_up, rng)
     sign = 1.0
     options: dict[str, Any] = {"model": str(rng.choice(["linear"] * 3 + ["own-quadratic"]))}
     if len(up) >= 14 and rng.random() < 0.2:
@@ -226,7 +226,7 @@ def good(rng: np.random.Generator) -> Bench:
         options["unit"] = unit
     chance = rng.random()
     if chance < 0.1:
-        options["orientation_sd"] = max(float(np.degrees(placement)), 0.01)
+        options["orientation_sd"] = max(float(np.degrees(stated_up)), 0.01)
     elif chance < 0.2 and outputs == 3 and len(up) >= 12 and options["model"] == "linear":
         options["unknown_orientation"] = True
     return Bench(up, values, one_g, options)
@@ -272,11 +272,11 @@ def plain(rng: np.random.Generator, scheme: str) -> Bench:
     up = mp.read_scheme(scheme).up
     scale = rng.uniform(0.8, 1.2, 3)
     matrix = scale[:, None] * leaning(rng, 3, np.radians(rng.uniform(0.0, 3.0)))
-    placement = np.radians(rng.uniform(0.0, 0.3))
-    values = rng.uniform(-0.1, 0.1, 3) + placed(up, placement, rng) @ matrix.T
+    stated_up = np.radians(rng.uniform(0.0, 0.3))
+    values = rng.uniform(-0.1, 0.1, 3) + placed(up, stated_up, rng) @ matrix.T
     noise = 10.0 ** rng.uniform(-4.0, np.log10(2e-3))
     values += noise * rng.standard_normal(values.shape)
-    return Bench(up, values, 1.0, {}, float(np.hypot(noise, placement * scale.max())))
+    return Bench(up, values, 1.0, {}, float(np.hypot(noise, stated_up * scale.max())))
 
 
 Plant = Callable[[Bench, np.random.Generator], Bench | None]

@@ -41,13 +41,13 @@ _INTERRUPTED = 130  # the status by which shells know Ctrl-C
 
 
 class _Ended(BaseException):
-    """The process was told to end, and cleans up."""
+    """The process was asked to end, and cleans up."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status.
 
-    Where the process is told to end (SIGTERM, SIGHUP), it ends by that signal when its temporary
+    Where the process is asked to end (SIGTERM, SIGHUP), it ends by that signal when its temporary
     files are gone.
     """
     _fill_closed_streams()

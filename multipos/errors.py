@@ -39,7 +39,7 @@ class RankError(MultiposError):
     rank, parameters : int
         How many parameters can be separated, and how many there are.
     combinations : tuple of str
-        What cannot be told apart, one sentence each; empty where there are simply too few rows.
+        What cannot be separated, one sentence each; empty where there are simply too few rows.
 
     Examples
     --------

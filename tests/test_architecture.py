@@ -281,3 +281,47 @@ def test_the_running_package_agrees():
         check=False,
     )
     assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+# A private word -> what the field says: never in a name or a docstring of the package.
+PLAIN_WORDS = {
+    "told": "identifiable, estimated or separated",
+    "denied": "rejected",
+    "claimed": "stated",
+    "claims": "stated uncertainty",
+    "believed": "prior, or accepted",
+    "placement": "orientation error",
+    "placed": "of uncertain orientation",
+    "nest": "fixture",
+    "nests": "fixtures",
+    "floor": "stated variance, or lower bound",
+    "in turn": "alternating",
+    "sketch": "parsed model",
+    "stating": "building",
+    "wander": "drift",
+    "appraisal": "assessment",
+}
+# What users have these names of: `mp.capture(told=)`, `Worth.floor`, and a third party's functions.
+PUBLIC = {"capturing/running.py": {"told"}, "designs/prospects.py": {"floor"}}
+THIRD_PARTY = {"plots/svg.py": {"floor"}, "plots/style.py": {"floor"}}
+
+
+def words_of(tree: ast.Module) -> set[str]:
+    """Return the words in the names and in the docstrings, examples apart, that a file gives."""
+    found = set()
+    for node in ast.walk(tree):
+        documented = ast.Module | ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+        if isinstance(node, documented):
+            prose = re.sub(r">>>(.+\n?)+", "", ast.get_docstring(node) or "")
+            found |= set(re.findall(r"in turn|[^\W_]+", prose.lower()))
+        for name in (getattr(node, key, None) for key in ("name", "id", "arg")):
+            found |= set(name.lower().split("_")) if isinstance(name, str) else set()
+    return found
+
+
+def test_names_and_docstrings_use_the_words_of_the_field():
+    kept = {**PUBLIC, **THIRD_PARTY}
+    found = {
+        name: words_of(parse(name)) & set(PLAIN_WORDS) - kept.get(name, set()) for name in EXISTING
+    }
+    assert not {name: {w: PLAIN_WORDS[w] for w in words} for name, words in found.items() if words}

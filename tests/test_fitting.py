@@ -111,7 +111,7 @@ def stated(factor, seed=5):
 
 
 def test_a_denied_noise_is_added_to_and_said():
-    cal, believed = stated(5), stated(1)
+    cal, with_prior = stated(5), stated(1)
     chi2 = float(np.sum(cal.residuals**2)) / 1e-6
     assert chi2 > stats.chi2.ppf(0.999, 30)
     (said,) = texts(cal)
@@ -123,8 +123,8 @@ def test_a_denied_noise_is_added_to_and_said():
     variance = float(np.sum(cal.residuals**2)) / 30
     assert scatter == pytest.approx(math.sqrt(variance - 1e-6), rel=1e-3)
     assert_allclose(cal.dof, 30.0, rtol=1e-3)
-    assert_allclose(cal.u / believed.u, math.sqrt(variance) / 1e-3, rtol=0.15)
-    assert not texts(believed)
+    assert_allclose(cal.u / with_prior.u, math.sqrt(variance) / 1e-3, rtol=0.15)
+    assert not texts(with_prior)
 
 
 def test_the_limit_is_the_99_9_percent_point():

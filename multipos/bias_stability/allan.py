@@ -27,12 +27,12 @@ On its diagonal that is the equivalent number of degrees of freedom of Greenhall
 White noise, bias instability and random walk from an Allan curve, by generalised least squares.
 
 The curve (T,) is a linear function of N², B², K² (`multipos.bias_stability.allan`, eq. (6)), none
-of them negative; its covariance follows from them (eq. (8) there), so both are found in turn.
-Flicker noise that is sampled at instants has more than its law at the shortest times, how much
-depends on what filtered it: that excess is taken as uncertain, by all of itself. Quantisation comes
-in where it explains more. Where χ² is more than chance allows, the shortest averaging times, at
-which filters stand in the way of the laws, are left out as long as each takes some χ² with it;
-where it is still too much, the covariance grows by χ²/dof.
+of them negative; its covariance follows from them (eq. (8) there), so both are found by
+alternation. Flicker noise that is sampled at instants has more than its law at the shortest times,
+how much depends on what filtered it: that excess is taken as uncertain, by all of itself.
+Quantisation comes in where it explains more. Where χ² is more than chance allows, the shortest
+averaging times, at which filters stand in the way of the laws, are left out as long as each takes
+some χ² with it; where it is still too much, the covariance grows by χ²/dof.
 
 The square of a coefficient is normal, with the standard uncertainty s; the coefficient itself is
 not where it is small. Its U is the wider side of the interval
@@ -231,10 +231,10 @@ def _kernels(ratio: float, strides: int) -> tuple[Array, Array, Array]:
     return lags, weights, s
 
 
-_TOGETHER = 30  # times the curve and its covariance are found in turn at most
+_TOGETHER = 30  # times the curve and its covariance are found by alternation at most
 _SAME = 1e-6  # relative change of the curve at which they have settled
 _CHANCE = 1e-3  # of a larger χ² by chance: below it the shortest times are left out
-_WORTH = 4.0  # of χ², which quantisation must explain more
+_LEAST_GAIN = 4.0  # of χ², which quantisation must explain more
 _COST = 4.0  # of χ², which a length that is left out must take with it
 _FEWEST = 4  # lengths to fit: three laws, and one to spare
 _NEXT_TO_NOTHING = 1e-12  # of the squares that the curve allows: keeps logarithms and roots finite
@@ -286,7 +286,7 @@ def fit_laws(lengths: Sequence[int], variances: Array, records: Sequence[int]) -
         Samples of the records, which were pooled.
     """
     found = _best(lengths, variances, records, 0)
-    if not _is_denied(found):
+    if not _is_rejected(found):
         return found
     tried = [found]
     for first in range(1, len(lengths) - _FEWEST + 1):
@@ -294,12 +294,12 @@ def fit_laws(lengths: Sequence[int], variances: Array, records: Sequence[int]) -
             break
         tried.append(_best(lengths, variances, records, first))
     found = min(tried, key=lambda each: each.chi2 + _COST * each.first)
-    if not _is_denied(found):
+    if not _is_rejected(found):
         return found
     return found._replace(covariance=found.covariance * found.chi2 / found.dof)
 
 
-def _is_denied(found: Laws) -> bool:
+def _is_rejected(found: Laws) -> bool:
     return found.dof > 0 and chi2_tail(found.chi2, found.dof) < _CHANCE
 
 
@@ -307,11 +307,11 @@ def degrees_of_freedom(laws: Laws, lengths: Sequence[int], records: Sequence[int
     """Return the equivalent degrees of freedom (T,) of Allan variances under the laws."""
     design = law_variances(np.array(lengths, dtype=np.float64))[:, : len(laws.squares)]
     curve = design @ laws.squares
-    squares = laws.squares + _floor(curve, design)
+    squares = laws.squares + _lower_bound(curve, design)
     return np.asarray(2.0 * curve**2 / np.diag(variance_covariance(squares, lengths, records)))
 
 
-def _floor(curve: Array, design: Array) -> Array:
+def _lower_bound(curve: Array, design: Array) -> Array:
     return np.asarray(_NEXT_TO_NOTHING * curve.max() / design.max(axis=0))
 
 
@@ -321,7 +321,7 @@ def _best(lengths: Sequence[int], variances: Array, records: Sequence[int], firs
     if len(lengths) - first <= _FEWEST:
         return three
     four = _fit(lengths, variances, records, first, 4)
-    return four if four.chi2 < three.chi2 - _WORTH else three
+    return four if four.chi2 < three.chi2 - _LEAST_GAIN else three
 
 
 def _not_negative(A: Array, y: Array) -> Array:
@@ -355,7 +355,7 @@ def _fit(
         squares, before, model = found, model, design @ found
         if len(before) and (np.abs(model - before) <= _SAME * model).all():
             break
-        noise = squares + _floor(curve, design)
+        noise = squares + _lower_bound(curve, design)
         aliased = squares[1] * flicker_excess(np.array(used, dtype=np.float64))
         covariance = variance_covariance(noise, used, records) + np.outer(aliased, aliased)
         factor = np.linalg.cholesky(covariance)

@@ -159,8 +159,8 @@ class Values:
             return None
         amplitude = self._estimate(found.found[WARM_UP], 1.0, self._unit)
         constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
-        floor = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
-        times = np.log(max(abs(amplitude.value) / floor, 1.0))
+        lowest = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
+        times = np.log(max(abs(amplitude.value) / lowest, 1.0))
         return WarmUp(amplitude, constant, float(constant.value * times))
 
     def _temperature(self, found: Description, index: int) -> TemperatureCoefficient | None:
@@ -222,7 +222,7 @@ def stability(
     confidence : float
         Coverage probability of U.
     progress : callable, optional
-        Is told how much has been read.
+        Called with how much has been read.
 
     Returns
     -------
@@ -263,8 +263,8 @@ def stability(
     )
     raw = []
     for i, each in enumerate(given):
-        told = None if progress is None else _share(progress, i, len(given))
-        raw.append(read_record(open_log(each, columns=columns), wanted, told))
+        report = None if progress is None else _share(progress, i, len(given))
+        raw.append(read_record(open_log(each, columns=columns), wanted, report))
     _check_alike(raw)
     return _complete(raw, model, unit or ("reading" if model is None else "g"), confidence)
 

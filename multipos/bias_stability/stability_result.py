@@ -543,7 +543,7 @@ def _spread(found: Spread, factor: float) -> list[str]:
 
 
 def _shown(found: Estimate, factor: float) -> str:
-    """Return value(u); a coefficient that is not told from zero as its upper bound."""
+    """Return value(u); a coefficient that is not distinguishable from zero as its upper bound."""
     value, u = factor * found.value, factor * found.u
     if found.value == 0.0 and math.isfinite(u):
         return f"< {number(factor * found.U, 2)}"

@@ -6,8 +6,8 @@ The means y of blocks of L samples, several hundred a record, at the times t sin
 
 with c, R, k and A of every record its own and T_w common. e are blocks of noise by the laws of
 `multipos.bias_stability.allan`, so cov e follows from N², B², K² (its eq. (3)): generalised least
-squares with it, and the laws from the Allan curve without R, k, A, are found in turn. Noise that
-walks looks like drift and warm-up. Whether there is one of them is therefore judged by the
+squares with it, and the laws from the Allan curve without R, k, A, are found by alternation. Noise
+that walks looks like drift and warm-up. Whether there is one of them is therefore judged by the
 likelihood of both explanations, each with the noise that it leaves:
 
     −2 ln L = ln det C + ln 1'C⁻¹1 + r'C⁻¹r.                                                 (2)
@@ -30,7 +30,7 @@ from multipos.numerics.quantiles import chi2_quantile
 
 DRIFT, TEMPERATURE, WARM_UP = "drift", "temperature", "warm_up"
 
-_TURNS = 8  # of coefficients and noise in turn
+_TURNS = 8  # of alternation of coefficients and noise
 _FARTHEST = 0.5  # of the logarithm of the time constant, in one step
 _SETTLED = 1e-4  # relative change of the time constant
 _CERTAIN = 1.0 - 1e-4  # a drift or warm-up that noise would feign more often is none
@@ -145,7 +145,7 @@ def _describe(
     names: tuple[str, ...],
     constant: float | None = None,
 ) -> Description:
-    """Find coefficients and noise in turn."""
+    """Find coefficients and noise by alternation."""
     fit = _least_squares(records, names, constant, np.array([1.0, 0.0, 0.0]))
     laws = _noise(records, lengths, fit.trends)
     for _ in range(_TURNS):

@@ -1,4 +1,4 @@
-"""What the poses taken are worth together: the fit, its parameters against targets, the next pose.
+"""What the poses taken determine together: the fit, its parameters against targets, the next pose.
 
 An evaluation is a function of the poses and of what was asked for, and of nothing else: a pose that
 is taken back leaves no trace. The linear model comes first; the model that was asked for as soon as
@@ -142,8 +142,8 @@ class Progress(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class PosesWorth(Result):
-    """What some poses are worth.
+class PosesGain(Result):
+    """How well some poses determine the parameters.
 
     Attributes
     ----------
@@ -167,13 +167,13 @@ class PosesWorth(Result):
     enough: bool
 
 
-NOTHING = PosesWorth(None, None, "no pose has been taken yet", None, (), (), enough=False)
+NOTHING = PosesGain(None, None, "no pose has been taken yet", None, (), (), enough=False)
 
 
 def evaluate(
-    plan: SessionPlan, log: StillLog, poses: list[Pose], before: "PosesWorth | None"
-) -> PosesWorth:
-    """Return what accepted poses are worth.
+    plan: SessionPlan, log: StillLog, poses: list[Pose], before: "PosesGain | None"
+) -> PosesGain:
+    """Return how well accepted poses determine the parameters.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def evaluate(
         parameters = tuple(_progress(plan, calibration, before))
     wanted = [each.met for each in parameters if each.met is not None]
     found = averages.findings if calibration is None else calibration.findings
-    return PosesWorth(
+    return PosesGain(
         averages=averages,
         calibration=calibration,
         problem=problem,
@@ -241,18 +241,18 @@ def _dof(calibration: Calibration) -> float:
 
 
 def _progress(
-    plan: SessionPlan, calibration: Calibration, before: PosesWorth | None
+    plan: SessionPlan, calibration: Calibration, before: PosesGain | None
 ) -> list[Progress]:
     targets = _targets_in(plan, calibration.model)
     known = None if before is None else before.calibration
-    told = known is not None and known.names == calibration.names
+    same_names = known is not None and known.names == calibration.names
     said = []
     for entry in calibration.entries:
         target = targets.get(entry.name)
         met = None
         if target is not None:
             met = _small(calibration, entry.name, target)
-            met = met and told and known is not None and _small(known, entry.name, target)
+            met = met and same_names and known is not None and _small(known, entry.name, target)
         said.append(Progress(entry.name, entry.value, entry.U, entry.unit, target, met))
     return said
 
@@ -336,7 +336,7 @@ def is_unknown(plan: SessionPlan) -> bool:
 
 
 def next_pose(
-    plan: SessionPlan, model: Model, found: PosesWorth, poses: list[Pose], under_way: Array
+    plan: SessionPlan, model: Model, found: PosesGain, poses: list[Pose], under_way: Array
 ) -> NextPose | None:
     """Return the pose to take next.
 
@@ -368,7 +368,7 @@ def _targets_in(plan: SessionPlan, model: Model) -> dict[str, float]:
 def _next_of_scheme(
     scheme: Scheme,
     model: Model,
-    found: PosesWorth,
+    found: PosesGain,
     poses: list[Pose],
     targets: dict[str, float],
     order: Order | None,

@@ -50,7 +50,7 @@ _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 @dataclass(frozen=True)
 class RowOptions:
-    """How the rows are read, as `average` is told."""
+    """How the rows are read, as `average` has it."""
 
     outputs: tuple[str, ...] | None = None
     timing: Timing = field(default_factory=Timing)
@@ -124,7 +124,8 @@ class LiveRows:
     def take(self, columns: Array) -> tuple[Array, list[bool]]:
         """Take up the numeric columns (k, n) of rows; return outputs, and which rows are good.
 
-        The outputs are those of whole chunks in which spikes can be told, of earlier rows too.
+        The outputs are those of whole chunks in which spikes can be identified, of earlier rows
+        too.
 
         A time that runs backwards is that of a source that began anew: the row counts as a gap.
         """
@@ -251,7 +252,7 @@ def _rises(time: Array) -> bool:
 
 
 _ENOUGH = 3  # rests that show what stillness is
-_FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is told of at once
+_FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is handed at once
 _MANY = 1024  # pieces, each of which costs more than what it holds
 _OFTEN = 4  # windows from one look for provisional rests to the next
 

@@ -52,7 +52,7 @@ from multipos.sensor.model import Model
 from multipos.units import STANDARD_GRAVITY
 
 REPEAT_DEG = 5.0
-_SPREAD = 30.0  # condition of eq. (1) up to which the centre is told
+_SPREAD = 30.0  # condition of eq. (1) up to which the centre is identifiable
 _SIGNIFICANT = 5.0  # times its standard uncertainty, of a drift
 _ONE_G = (1.0, STANDARD_GRAVITY, 1000.0)
 _NEAR = 0.15  # relative: how far a bias moves the size of gravity
@@ -166,8 +166,8 @@ def refuse_rest(still: Still, outputs: tuple[str, ...], threshold: float | None)
     if still.saturated:
         return f"saturated: {still.saturated[0]}"
     limit = np.inf if threshold is None else threshold
-    told = np.abs(found.drift) > _SIGNIFICANT * found.drift_u
-    far = np.flatnonzero(told & (np.abs(found.drift) > limit)).tolist()
+    significant = np.abs(found.drift) > _SIGNIFICANT * found.drift_u
+    far = np.flatnonzero(significant & (np.abs(found.drift) > limit)).tolist()
     if far:
         j = far[0]
         return (

@@ -93,7 +93,7 @@ class RawLog:
         self._stream.close()
 
 
-Told = Callable[[dict[str, Any]], object]
+Notify = Callable[[dict[str, Any]], object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +161,7 @@ def capture(
     threshold: float | None = None,
     convention: Convention = "specific-force",
     log: str | os.PathLike[str] | None = None,
-    told: Told | None = None,
+    told: Notify | None = None,
     **fitting: Any,
 ) -> Captured:
     """Take rests from a live source until it is enough, and calibrate from them.

@@ -15,7 +15,7 @@ import numpy as np
 
 from multipos.capturing.evaluation import (
     NOTHING,
-    PosesWorth,
+    PosesGain,
     SessionPlan,
     evaluate,
     model_of,
@@ -47,7 +47,7 @@ class Session:
     Attributes
     ----------
     changed : threading.Condition
-        To be held by whoever looks at the session or changes it; told of every change.
+        To be held by whoever looks at the session or changes it; called at every change.
     version : int
         Counts changes of anything but the live values.
     poses : list of Pose
@@ -62,7 +62,7 @@ class Session:
         What the sensor reads.
     under_way : Pose or None
         What is still for long enough, but has not ended.
-    told : callable
+    notify : callable
         Is given the session after each pose, once the threshold is fixed.
     """
 
@@ -70,10 +70,10 @@ class Session:
         self,
         plan: SessionPlan,
         reading: RowOptions,
-        told: "Callable[[Session], object] | None" = None,
+        notify: "Callable[[Session], object] | None" = None,
     ) -> None:
         self.plan, self._reading = plan, reading
-        self._told = told
+        self._notify = notify
         self.changed = threading.Condition()
         self.version = self.ticks = 0
         self.poses: list[Pose] = []
@@ -83,7 +83,7 @@ class Session:
         self.rows: LiveRows | None = None
         self.rests: LiveRests | None = None
         self.model: Model | None = None
-        self._known: dict[tuple[str, ...], PosesWorth] = {(): NOTHING}
+        self._known: dict[tuple[str, ...], PosesGain] = {(): NOTHING}
         self.next: NextPose | None = None
         self._is_fixed = reading.threshold is not None
         self._again = ""  # the pose that is to be taken again
@@ -257,8 +257,8 @@ class Session:
                 return
             self.poses.append(self._judge(still, str(len(self.poses) + 1)))
             self._evaluate()
-            if self._told is not None and self.threshold is not None:
-                self._told(self)
+            if self._notify is not None and self.threshold is not None:
+                self._notify(self)
 
     def _judge(self, still: Still, number: str) -> Pose:
         """Return the pose that a rest is, accepted or refused."""
@@ -333,7 +333,7 @@ class Session:
         self._choose_next()
         self.version += 1
 
-    def _evaluated(self, poses: Sequence[Pose]) -> PosesWorth:
+    def _evaluated(self, poses: Sequence[Pose]) -> PosesGain:
         key = tuple(self.key(pose) for pose in poses)
         if key not in self._known:
             before = None

@@ -62,7 +62,7 @@ def read_ahead(chunks: Chunks) -> Chunks:
     ----------
     chunks : generator of bytes or None
         Is closed in the end. It gives something several times a second, if only b"", unless it
-        cannot be told to end.
+        cannot be made to end.
     """
     reader = _Reader(chunks)
     reader.start()
@@ -83,7 +83,7 @@ class _Reader(threading.Thread):
     """Reads, and waits where nobody takes it."""
 
     def __init__(self, chunks: Chunks) -> None:
-        super().__init__(daemon=True)  # stdin cannot be told to end
+        super().__init__(daemon=True)  # stdin cannot be made to end
         self._chunks = chunks
         self._changed = threading.Condition()
         self._waiting: list[bytes | None] = []

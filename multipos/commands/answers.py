@@ -139,7 +139,7 @@ class Answer:
     findings : callable
         Asked when all else has been made.
     negative : callable
-        Whether the verdict is negative, of the findings: where one is an error, if not told.
+        Whether the verdict is negative, of the findings: where one is an error, if not given.
     failure : str
         What could not be done; the rest is written, nothing is printed, and it is an error.
     verbatim : bool

@@ -109,8 +109,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     findings = in_order(
         (*calibration.findings, *(note for each in exports.values() for note in each.findings))
     )
-    told = [each.to_dict() for each in findings]
-    summary = {"average": found.to_dict(), "exports": listing, "findings": told}
+    listed = [each.to_dict() for each in findings]
+    summary = {"average": found.to_dict(), "exports": listing, "findings": listed}
     answer = Answer(
         sentence=lambda: calibration_sentence(calibration),
         text=text,

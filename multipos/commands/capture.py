@@ -108,11 +108,11 @@ def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, K
     for said in kept.said:
         say(said)
 
-    def told(session: Session) -> None:
+    def notify(session: Session) -> None:
         if arguments.headless:
             print_out([to_json_line(line_of(session))])
 
-    session = Session(plan, kept.as_before(reading), told)
+    session = Session(plan, kept.as_before(reading), notify)
     session.decide(kept.decided)
     return session, kept
 

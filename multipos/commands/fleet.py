@@ -77,8 +77,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     folder = Path(arguments.output)
     _check_place(folder, arguments.tables)
     options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
-    with progress_bar("units", 0) as told, _kept_if_stopped(folder) as kept:
-        found = fleet(*arguments.tables, progress_folder=kept, progress=told, **options)
+    with progress_bar("units", 0) as advance, _kept_if_stopped(folder) as kept:
+        found = fleet(*arguments.tables, progress_folder=kept, progress=advance, **options)
         content = fleet_content(found.to_dict())
         page = html_report(content) if has_page() else markdown_report(content)
         write_fleet(found, folder, page)

@@ -54,7 +54,7 @@ def add_range(parser: argparse.ArgumentParser) -> None:
 
 
 def add_conditions(parser: argparse.ArgumentParser) -> None:
-    """Add what a fit is told of its bench: convention, gravity, unit, range, confidence."""
+    """Add what a fit needs to know of its bench: convention, gravity, unit, range, confidence."""
     add = parser.add_argument
     add(
         "--convention",
@@ -242,7 +242,7 @@ def asks_export(arguments: argparse.Namespace) -> bool:
 def progress_bar(what: str, total: int | None = None) -> Iterator[Callable[[int], object]]:
     """Show how much of a long task is done, on stderr, only on a terminal, and after two seconds.
 
-    Yields the function that is told how much is done; without a total the seconds are shown.
+    Yields the function that is called with how much is done; without a total the seconds are shown.
     """
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda done: None
@@ -274,7 +274,7 @@ def progress_bar(what: str, total: int | None = None) -> Iterator[Callable[[int]
 def file_progress(
     paths: Sequence[str | os.PathLike[str]], what: str
 ) -> Iterator[Callable[[float], object] | None]:
-    """Show how much of large files is read, a share from 0 to 1; yield who is told, or None."""
+    """Show how much of large files is read, a share from 0 to 1; yield what to call, or None."""
     size = 0
     for path in paths:
         with suppress(OSError):  # what cannot be looked at is refused where it is read
@@ -282,5 +282,5 @@ def file_progress(
     if size <= _LARGE:
         yield None
         return
-    with progress_bar(what, 1000) as told:
-        yield lambda done: told(round(1000 * done))
+    with progress_bar(what, 1000) as advance:
+        yield lambda done: advance(round(1000 * done))

@@ -35,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Answer:
-    """Return what was written, or serve until the process is told to end."""
+    """Return what was written, or serve until the process is asked to end."""
     if arguments.output is not None:
         folder = Path(arguments.output)
         check_folder(folder)
@@ -48,14 +48,14 @@ def run(arguments: argparse.Namespace) -> Answer:
     with open_server(make_site(arguments.pyodide), arguments.port) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
         print_out([to_json({"address": address}) if arguments.json else f"{address}\n"])
-        with _until_told_to_end():
+        with _until_a_signal():
             server.serve_forever()
     return Answer(text=lambda: "", json=lambda: "")
 
 
 @contextmanager
-def _until_told_to_end() -> Iterator[None]:
-    """Run the block until a signal ends it: to be told to end is how a server ends well."""
+def _until_a_signal() -> Iterator[None]:
+    """Run the block until a signal ends it: to be asked to end is how a server ends well."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

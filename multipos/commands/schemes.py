@@ -23,7 +23,7 @@ OUTPUT = Output(
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("schemes", nargs="*", metavar="SCHEME", help="names or files; all if none")
-    listing = "\n".join(f"  {name:<18}{scheme.told}" for name, scheme in SCHEMES.items())
+    listing = "\n".join(f"  {name:<18}{scheme.description}" for name, scheme in SCHEMES.items())
     parser.epilog = f"names, which may be joined by +:\n{listing}"
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_model(parser)

@@ -263,7 +263,7 @@ class AppliedLog:
     uncertainty : ReadingUncertainty or None
         Of the force, where it is asked for.
     progress : callable or None
-        Is told how much of the log has been read, 0 to 1.
+        Called with how much of the log has been read, 0 to 1.
     rows, beyond : int
         Rows done so far, and those of them beyond what was calibrated.
     samples : tuple of Finding

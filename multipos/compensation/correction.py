@@ -115,19 +115,19 @@ def correct(
         values["corrected"] = table.number(target, largest=LARGEST) - predicted
     added: dict[str, Column] = dict(values)
     noise: str | None = None
-    told: Findings = ()
+    raised: Findings = ()
     if uncertainty:
         noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
         u, U = predict_uncertainty(regression, used, place, sd)
         added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
         text = f"u_… and U_… hold the noise of one row: {noise}"
-        told = (Finding("reading-noise", "note", text),)
+        raised = (Finding("reading-noise", "note", text),)
     if target is None:
         text = f"no column '{regression.response}' to correct: predicted only"
-        told = (Finding("predicted-only", "note", text), *told)
-    told = (*told, *find_outside(int(beyond.sum()), table.rows))
+        raised = (Finding("predicted-only", "note", text), *raised)
+    raised = (*raised, *find_outside(int(beyond.sum()), table.rows))
     added["outside"] = beyond.astype(np.int64)
-    return Corrected(_beside(table, added), noise, in_order(told))
+    return Corrected(_beside(table, added), noise, in_order(raised))
 
 
 def _beside(table: Table, added: Mapping[str, Column]) -> dict[str, Column]:
@@ -160,7 +160,7 @@ def _correct_each(
     added: dict[str, Column] = {}
     beyond = np.zeros(table.rows, dtype=np.int64)
     noises: list[str | None] = []
-    told: list[Finding] = []
+    raised: list[Finding] = []
     for (name, one), target in zip(regressions.items(), targets, strict=True):
         found = correct(
             one,
@@ -175,10 +175,10 @@ def _correct_each(
         mine = [key for key in found if key not in table and key != "outside"]
         added |= {f"{key}_{name}": found[key] for key in mine}
         noises.append(found.noise)
-        told += about(name, (each for each in found.findings if each.code != "outside"))
+        raised += about(name, (each for each in found.findings if each.code != "outside"))
     added["outside"] = beyond
-    told += find_outside(int(beyond.sum()), table.rows)
-    return Corrected(_beside(table, added), noises[0], in_order(told))
+    raised += find_outside(int(beyond.sum()), table.rows)
+    return Corrected(_beside(table, added), noises[0], in_order(raised))
 
 
 def _target(regression: Regression, table: Table, names: Names | None) -> str | None:

@@ -1,4 +1,4 @@
-"""What the force of one reading is worth: parameters, budget and the reading's own noise together.
+"""Uncertainty of the force of one reading: parameters, budget and the reading's own noise together.
 
 With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.validity`)
 and the noise s of one reading, at the force f,
@@ -6,7 +6,7 @@ and the noise s of one reading, at the force f,
     cov f = (df/dp) C (df/dp)' + cov unseen + J⁺ diag(s²) J⁺'.                              (1)
 
 The degrees of freedom are Welch's and Satterthwaite's over the lines of the budget. A noise that
-the calibration's own readings told stands on the same residuals as C does, so that both are one
+the calibration's own readings gave stands on the same residuals as C does, so that both are one
 line of it; a noise that is stated is known for certain. U = k u, k of Student's t.
 
 s is, in this order: `u_<output>` of the table, what `reading_sd` states, or that of an averaged
@@ -67,7 +67,7 @@ class Noise:
     sd : (M,) array
         Zero where it is left out; NaN where nothing tells it.
     own : bool
-        Whether the calibration's own readings told it.
+        Whether the calibration's own readings gave it.
     """
 
     text: str
@@ -239,7 +239,7 @@ class ReadingUncertainty:
         return u, coverage_by_tenths(c.confidence, nu) * u
 
     def find_samples(self, table: Table, columns: Iterable[str]) -> Findings:
-        """Return a warning where rows look like single samples, and their noise is not told.
+        """Return a warning where rows look like single samples, and their noise is not stated.
 
         Parameters
         ----------
@@ -256,10 +256,10 @@ class ReadingUncertainty:
         close = step < _NEIGHBOURS * np.linalg.norm(c.sensitivity, axis=1)
         if not close.all() or not (step > _TELLING * self.noise.sd).any():
             return ()
-        told = ",".join(f"{each:.2g}" for each in step.tolist())
+        listed = ",".join(f"{each:.2g}" for each in step.tolist())
         text = (
             "the rows look like single samples, which scatter more than the averaged readings of "
             "the calibration: u_… and U_… are too small for them; state the noise of a sample "
-            f"with --reading-sd (from row to row they scatter by {told})"
+            f"with --reading-sd (from row to row they scatter by {listed})"
         )
         return (Finding("single-samples", "warning", text),)

@@ -12,7 +12,7 @@ on the whole sphere (`multipos.designs.optimum`), per position, so that n does n
 
 and a scheme that needs 1/efficiency times as many positions tells as much.
 
-What a scheme cannot see is told by `multipos.designs.assessment`.
+What a scheme cannot see is listed by `multipos.designs.assessment`.
 
 Sources: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS, 2007
 (criteria, efficiencies).
@@ -47,7 +47,7 @@ from multipos.designs.information import (
     nothing_to_weigh,
 )
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
-from multipos.estimation.known import FLOOR
+from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
@@ -58,9 +58,9 @@ from multipos.numerics.terms import COMPONENTS, Term
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame
-from multipos.sensor.formulas import Sketch, read_model
+from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.model import Model
-from multipos.sensor.own_models import build_sketch
+from multipos.sensor.own_models import build_parsed
 from multipos.sensor.stating import build_model, default_axes
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
@@ -114,7 +114,7 @@ def _column_of(setting: Setting, up: Array, output: int, term: Term) -> Array:
 def _share_left(column: Array, explained: Array) -> float:
     """Return the share of a column that is left beside what explains it, 0 where none to see."""
     size = float(np.linalg.norm(column))
-    share = float(np.linalg.norm(column - explained)) / size if size > FLOOR else 0.0
+    share = float(np.linalg.norm(column - explained)) / size if size > ZERO_NORM else 0.0
     return share if share >= UNSEEN else 0.0
 
 
@@ -309,10 +309,10 @@ def read_setting(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
         for i, axis in enumerate(names)
     )
-    if isinstance(written, Sketch):
+    if isinstance(written, ParsedModel):
         used = written.columns_among(())
         written.require_no_near_miss(used, ())
-        built: Model = build_sketch(written, outputs, names, seen, "reading", used)
+        built: Model = build_parsed(written, outputs, names, seen, "reading", used)
     else:
         built = build_model(written, outputs, names, seen, known=())
     return make_setting(
@@ -357,7 +357,7 @@ class Assessor:
                 (model.names[part], Z.reshape(-1, Z.shape[2]))
                 for part, Z in zip(exact.blocks, exact.rows(up), strict=True)
             ]
-        found = [(names, separability(Z, floor=FLOOR)) for names, Z in designs]
+        found = [(names, separability(Z, least_norm=ZERO_NORM)) for names, Z in designs]
         problems: list[str] = []
         for names, one in found:
             problems += name_combinations(one.null, names)
@@ -367,7 +367,7 @@ class Assessor:
         """Return what one scheme tells."""
         n, model = len(scheme), self.setting.model
         unidentifiable, condition = self.separate(scheme.reference)
-        told = Assessment(
+        assessed = Assessment(
             name=scheme.name,
             positions=n,
             up=dict(zip(scheme.names, map(tuple, scheme.reference.tolist()), strict=True)),
@@ -380,14 +380,14 @@ class Assessor:
             dof=_dof(self.setting, n),
         )
         if unidentifiable:
-            return told
+            return assessed
         information = inform(self.setting.rows(scheme.reference))
         inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
         u = self.reading_sd * np.sqrt(inverse / n)
         found = find_aliases(self.setting, scheme.reference)
         names = [f"{output}:{term}" for output, term in model.keys]
         return replace(
-            told,
+            assessed,
             log_det=log_det(information),
             d_efficiency=self._efficiency(information, "D"),
             a_efficiency=self._efficiency(information, "A"),
@@ -494,13 +494,13 @@ def _dof(setting: Setting, count: int) -> dict[str, int]:
 
 def schemes_sentence(found: Schemes) -> str:
     """Return the best of several schemes, and how many cannot determine the model."""
-    told = [entry for entry in found.schemes if entry.identifiable]
-    if not told:
+    assessed = [entry for entry in found.schemes if entry.identifiable]
+    if not assessed:
         return f"None of {len(found.schemes)} schemes determines the model {found.model}."
-    best = max(told, key=lambda entry: entry.d_efficiency or 0.0)
+    best = max(assessed, key=lambda entry: entry.d_efficiency or 0.0)
     good = f"{100.0 * (best.d_efficiency or 0.0):.1f} % of the best D efficiency per position"
     if len(found.schemes) == 1:
         return f"{best.name}: {best.positions} positions, {good}."
-    others = len(found.schemes) - len(told)
+    others = len(found.schemes) - len(assessed)
     without = f"; {others} cannot determine it" if others else ""
     return f"Best of {len(found.schemes)} schemes for {found.model}: {best.name}, {good}{without}."

@@ -96,7 +96,7 @@ class Design(Keyed, Drawn, Tabular):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The label that the bench gives each position, told apart where one comes again."""
+        """The label that the bench gives each position, numbered where one comes again."""
         labels: list[str] = []
         for place in range(len(self.positions)):
             setting = self.settings[place] if self.settings else {}

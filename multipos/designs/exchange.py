@@ -7,7 +7,7 @@ Z_i], C = diag(1, −1) and S = C + W (N M)⁻¹ W',
     ln det M' − ln det M = ln |det S|,
     tr(M'⁻¹ B) − tr(M⁻¹ B) = −tr(S⁻¹ W (N M)⁻¹ B M⁻¹ W'),                                    (1)
 
-so that all candidates are tried for a position at once. Each position in turn takes its best
+so that all candidates are tried for a position at once. One position after another takes its best
 replacement until none improves (Fedorov's exchange, in the manner of Cook and Nachtsheim);
 random starts guard against local optima. Where there are few choices all are tried. On the sphere
 the positions of the best starts then move freely (BFGS along the gradient (3) of
@@ -54,7 +54,7 @@ def choose(
 ) -> list[tuple[float, Choice]]:
     """Return choices of `count` candidates, best first, with their criteria.
 
-    A candidate may be taken more than once: the position is placed again.
+    A candidate may be taken more than once: the position is taken up again.
 
     Parameters
     ----------

@@ -240,12 +240,12 @@ def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
     have the prior's mean and covariance.
     """
     nominal = nominal_parameters(model)
-    believed = dict.fromkeys(q.name for q in model.quantities if q.sd is not None)
+    with_prior = dict.fromkeys(q.name for q in model.quantities if q.sd is not None)
     draws = []
-    for name in believed:
+    for name in with_prior:
         for sign in (-1.0, 1.0):
             move = [
-                math.sqrt(len(believed)) * sign * (q.sd or 0.0) if q.name == name else 0.0
+                math.sqrt(len(with_prior)) * sign * (q.sd or 0.0) if q.name == name else 0.0
                 for q in model.quantities
             ]
             draws.append(model.within(nominal + np.array(move)))

@@ -321,7 +321,7 @@ def _spread(rows: Blocks) -> NDArray[np.intp]:
 
 
 def _pivots(rows: Array) -> list[int]:
-    """Return rows (n, p) of which each, in turn, is the longest across those before it."""
+    """Return rows (n, p) of which each, one by one, is the longest across those before it."""
     rest, found = rows.copy(), []
     for _ in range(rows.shape[1]):
         size = np.einsum("np,np->n", rest, rest)

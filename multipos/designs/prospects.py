@@ -6,8 +6,8 @@ With the information N of the positions measured and I(u) of one more at u, both
     C = N⁻¹      becomes      C(u) = (N + I(u))⁻¹,      u_j(u)² = [C(u)]_jj + c_j²,          (1)
 
 where c_j² is what the calibration's uncertainty has beyond C and no position lowers, such as that
-of gravity. The worth of a position is how far the u_j fall; taking the most worthy again and again
-until u_j is small enough says how many more are needed.
+of gravity. The expected gain of a position is how far the u_j fall; taking the most worthy again
+and again until u_j is small enough says how many more are needed.
 """
 
 import math
@@ -70,7 +70,7 @@ class Worth(Keyed):
     further_positions : int or None
         Until the target; None without one, or beyond reach.
     path : (further_positions, 3) array or None
-        Up vectors of these, in the order of their worth.
+        Up vectors of these, in the order of their expected gain.
     floor : float or None
         The part of u of the parameter that no position lowers.
     drift_absorbed : float

@@ -6,9 +6,9 @@ are tried on it (`repairs`), and where none explains the data, it is asked wheth
 signal at all: residuals as large as what the outputs respond to one g, or an output that does
 not respond to its own axis. A sensor that has a signal is then asked for its directions and units.
 
-Which repair of the data is believed, and which of several.
+Which repair of the data is accepted, and which of several.
 
-A repair leaves a misfit rho' where there was rho (`linear_view`). It is believed where
+A repair leaves a misfit rho' where there was rho (`linear_view`). It is accepted where
 
     N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
 
@@ -20,7 +20,7 @@ row that happens to be near, nor are many rows upside down where leaving out one
 row that a repair moves by D and leaves d away from the others is an outlier by itself with
 the chance (d/D)^M, for repairs of several rows their product.
 
-Of several that are believed the least probable by chance is taken, each output by itself and in
+Of several that are accepted the least probable by chance is taken, each output by itself and in
 reading units, so that nothing is gained by a unit:
 
     log N + sum over outputs of nu_i log(s_i'/s_i) + log J,                                  (2)
@@ -67,9 +67,9 @@ _BY_ROWS = {"flipped-row": 0.8, "wrapped": 0.8, "row-unit": 0.6}
 _TIE = 1.5  # repairs whose misfits are within this factor fit as well as each other
 
 
-def is_absurd(view: View, placement_sd: float) -> bool:
-    """Tell whether the misfit is beyond any sensor, placed to so many radians."""
-    allowed = 2.5 * placement_sd
+def is_absurd(view: View, typical_orientation_sd: float) -> bool:
+    """Tell whether the misfit is beyond any sensor whose axes are uncertain by so many radians."""
+    allowed = 2.5 * typical_orientation_sd
     return view.misfit > max(ABSURD, allowed) or view.misfit_but_one > max(ABSURD_BUT_ONE, allowed)
 
 
@@ -178,7 +178,7 @@ def explained(c: Calibration) -> tuple[Finding, ...]:
 
 
 def _is_calm(c: Calibration) -> bool:
-    """Tell, from what the fit has found, that a closer look is not worth its time.
+    """Tell, from what the fit has found, that a closer look is not needed.
 
     Nearly every fit ends here, so it goes by plain numbers: arrays of three cost more.
     """
@@ -231,7 +231,7 @@ def _silent(c: Calibration) -> Finding | None:
     )
 
 
-def _placement_sd(c: Calibration) -> float:
+def _orientation_sd(c: Calibration) -> float:
     sd = c.readings.orientation_sd
     return 0.0 if sd is None or c.estimator.exact else float(np.max(sd))
 
@@ -240,7 +240,7 @@ def _repair(c: Calibration, view: View) -> Finding | None:
     """Return what one repair explains, the one after which the outputs face their own axes."""
     expected = expected_directions(c)
     found, tried = candidates(view, expected, slight=_is_slight(c))
-    absurd = is_absurd(view, _placement_sd(c))
+    absurd = is_absurd(view, _orientation_sd(c))
     sound = [
         repair
         for repair in found
@@ -321,7 +321,7 @@ def _no_signal(c: Calibration, view: View) -> Finding | None:
     """Find residuals as large as the signal, or outputs of a triad that are not three."""
     own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), np.finfo(float).tiny)
     poor = np.isnan(own) | (own > _SUSPICIOUS)
-    if not is_absurd(view, _placement_sd(c)) or not poor.any():
+    if not is_absurd(view, _orientation_sd(c)) or not poor.any():
         return None
     share = np.sqrt(np.sum(view.residuals**2, axis=0) / view.dof) / view.response
     loud = [output for output, own in zip(c.outputs, share.tolist(), strict=True) if own > ABSURD]

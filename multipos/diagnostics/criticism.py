@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError, RankError
-from multipos.estimation.known import FLOOR
+from multipos.estimation.known import ZERO_NORM
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
@@ -248,7 +248,11 @@ def residual_sum(c: Calibration, column: int, terms: tuple[Term, ...]) -> float:
     variances = None if noise is None or noise.ndim == 2 else noise.reshape(n, m)[:, column]
     names = [str(term) for term in terms]
     found = solve(
-        design, c.readings.values[:, column], covariance=variances, floor=FLOOR, names=names
+        design,
+        c.readings.values[:, column],
+        covariance=variances,
+        least_norm=ZERO_NORM,
+        names=names,
     )
     return float(found.rss)
 

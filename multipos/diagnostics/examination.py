@@ -2,7 +2,7 @@
 
 A finding is a function from a calibration to at most one finding, a `Finding`, and a line in one of
 the lists below. Cautions about what the residuals say are asked only where nothing wrong
-was found: rows interchanged look like a missing term, an outlier and a denied noise as well, and
+was found: rows interchanged look like a missing term, an outlier and a rejected noise as well, and
 are none of these.
 """
 
@@ -20,14 +20,14 @@ from multipos.diagnostics.columns import (
 )
 from multipos.diagnostics.competition import RIVALS, compete
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
-from multipos.diagnostics.redundancy import drift_absorbed, hardly_told, no_redundancy
+from multipos.diagnostics.redundancy import drift_absorbed, no_redundancy, poorly_determined
 from multipos.diagnostics.residuals import (
-    denied_noise,
+    effective_number,
     lack_of_fit,
+    orientation_error,
     outlier,
-    placement,
+    rejected_noise,
     unequal_noise,
-    worth_fewer,
 )
 from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model
@@ -43,17 +43,17 @@ OF_OPTIONS: tuple[Question, ...] = (gravity,)
 CAUTIONS: tuple[Question, ...] = (quantized, no_redundancy, repeated_rows, temperature_kelvin)
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Question, ...] = (
-    hardly_told,
+    poorly_determined,
     hidden_terms,
     drift_absorbed,
     zero_per_soak,
     missing_term,
     outlier,
     lack_of_fit,
-    denied_noise,
-    placement,
+    rejected_noise,
+    orientation_error,
     unequal_noise,
-    worth_fewer,
+    effective_number,
 )
 # What a finding explains is not said beside it: rows alike because of a soak are no drift.
 _BY_ROWS = ("denied-noise", "placement", "unequal-noise")

@@ -78,8 +78,8 @@ class View:
     @cached_property
     def response(self) -> Array:
         """|K_i| (M,), never quite zero."""
-        floor = 1e-12 * float(np.abs(self.values).max()) + np.finfo(float).tiny
-        return np.asarray(np.maximum(np.linalg.norm(self.sensitivity, axis=1), floor))
+        least_norm = 1e-12 * float(np.abs(self.values).max()) + np.finfo(float).tiny
+        return np.asarray(np.maximum(np.linalg.norm(self.sensitivity, axis=1), least_norm))
 
     @cached_property
     def misfit(self) -> float:

@@ -53,13 +53,13 @@ def zero_per_soak(c: Calibration) -> Finding | None:
     if found is None or not found[0].is_below(_LEVEL):
         return None
     test, sizes = found
-    told = ", ".join(
+    listed = ", ".join(
         f"{output} {size:.2g}" for output, size in zip(c.outputs, sizes.tolist(), strict=True)
     )
     return Finding(
         "zero-per-soak",
         "note",
-        f"bias is not repeatable from soak to soak (p = {test.p:.1g}; {told} {c.model.unit}); it "
+        f"bias is not repeatable from soak to soak (p = {test.p:.1g}; {listed} {c.model.unit}); it "
         "is in U of the bias over temperature",
     )
 

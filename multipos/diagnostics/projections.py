@@ -150,7 +150,7 @@ def _varies(c: Calibration, name: str) -> bool:
 
 
 _HIDDEN = 2.0  # of the root of r/l: a term just found puts force off by some ten u
-TOLD = 1e-8  # of a column's square, below which what is left of it tells nothing
+IDENTIFIABLE = 1e-8  # of a column's square, below which what is left of it tells nothing
 _IMITATED = 0.1  # of a term, within which the model does the same over the sphere
 _APPLIED = 1e-9  # of the largest square, below which a direction was never applied
 _NOTHING = 1e-12  # of a column's square, below which it is rounding
@@ -302,8 +302,8 @@ def seen_rows(V: Array, Z: Array) -> Array:
     scale = np.sqrt(np.einsum("nq,nq->q", Z, Z))
     U = V / np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(U.T @ U)
-    told = values > TOLD
-    return np.asarray((U @ vectors[:, told] / np.sqrt(values[told])).T)
+    identifiable = values > IDENTIFIABLE
+    return np.asarray((U @ vectors[:, identifiable] / np.sqrt(values[identifiable])).T)
 
 
 def values_of(
@@ -444,7 +444,7 @@ def _by_kind(
     return tuple(values[..., kind_of == k] for k in range(len(kinds)))
 
 
-_TOLD = 1e-3  # of a column's square, which must be left of it to tell a size
+_LEAST_LEFT = 1e-3  # of a column's square, which must be left of it to tell a size
 _LOWER = ("1", "own", "other")
 
 
@@ -480,8 +480,8 @@ def _tested(c: Calibration, kind: Kind, response: Array) -> list[float]:
         Q = np.linalg.qr(phi[:, columns])[0]
         V = left_of(Q, Z)
         gram, nu = V.T @ V, len(Z) - Q.shape[1] - Z.shape[1]
-        told = np.linalg.eigvalsh(gram)[0] > _TOLD * np.sum(Z**2, axis=0).max()
-        if nu < 1 or not told:
+        identifiable = np.linalg.eigvalsh(gram)[0] > _LEAST_LEFT * np.sum(Z**2, axis=0).max()
+        if nu < 1 or not identifiable:
             continue
         inverse = np.linalg.inv(gram)
         coefficients = inverse @ (V.T @ c.residuals[:, i])

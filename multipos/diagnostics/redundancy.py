@@ -77,7 +77,7 @@ def _moved_by_noise(c: Calibration) -> tuple[str, float]:
     return c.names[int(np.argmax(share))], float(share.max())
 
 
-def hardly_told(c: Calibration) -> Finding | None:
+def poorly_determined(c: Calibration) -> Finding | None:
     """Find positions that are much alike, and own scale factors that U leaves open, if not zero."""
     if c.diagnostics.condition > _ILL_CONDITIONED:
         return Finding(

@@ -2,7 +2,7 @@
 
 A row may belong to another position, have been taken upside down, or stand in another unit; a
 converter may have wrapped around; angles may have been radians. Each such repair is tried, on the
-linear view of the readings (`linear_view`); which one is believed stands in `belief`.
+linear view of the readings (`linear_view`); which one is accepted stands in `belief`.
 
 All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ' the
 projector on the residuals, r = M y,
@@ -207,7 +207,7 @@ def _single_flips(view: View, rows: Rows) -> tuple[list[Repair], int]:
 
 
 def _many_flips(view: View, guess: Array) -> Iterator[Repair]:
-    """Yield sets of rows upside down: as first guessed, then in turns with the fit."""
+    """Yield sets of rows upside down: as first guessed, then alternating with the fit."""
     n = len(view.values)
     reference = view.odd[:, :3]
     middle = (view.values.max(axis=0) + view.values.min(axis=0)) / 2.0
@@ -251,7 +251,7 @@ def _alternate(start: Mask, step: Callable[[Rows], Mask]) -> Rows:
 
 
 def _many_factors(view: View) -> Iterator[Repair]:
-    """Yield sets of rows in another unit: the largest readings first, then in turns."""
+    """Yield sets of rows in another unit: the largest readings first, then alternating."""
     n, outputs = view.values.shape
     width = np.abs(view.values).mean(axis=0)
     width = np.maximum(width, 1e-12 * width.max())

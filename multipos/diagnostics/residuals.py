@@ -1,7 +1,7 @@
 """Cautions about what the residuals show, of readings that are no absurdity.
 
 - Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
-- Rows whose correlation U follows from are worth fewer. What else residuals show in the order of
+- Rows whose correlation U follows from count as fewer. What else residuals show in the order of
   their rows stands in `multipos.diagnostics.row_order`.
 
 Cautions about what was stated of readings and positions, with the cause that the data prefer
@@ -48,7 +48,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 
-_LEVEL = 0.01  # at which repeats deny the model, all outputs together
+_LEVEL = 0.01  # at which repeats reject the model, all outputs together
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
 _SHOWN = 4
 _GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
@@ -166,12 +166,12 @@ def lack_of_fit(c: Calibration) -> Finding | None:
     )
 
 
-def worth_fewer(c: Calibration) -> Finding | None:
-    """Find rows that are worth fewer, of whose correlation U follows."""
-    return _worth_fewer(c, c.effective_rows) if c.effective_rows else None
+def effective_number(c: Calibration) -> Finding | None:
+    """Find rows that count as fewer, of whose correlation U follows."""
+    return _effective_number(c, c.effective_rows) if c.effective_rows else None
 
 
-def _worth_fewer(c: Calibration, effective: Mapping[str, float]) -> Finding:
+def _effective_number(c: Calibration, effective: Mapping[str, float]) -> Finding:
     """Return the finding about rows whose correlation U follows from."""
     n = len(c.residuals)
     fewer = {output: rows for output, rows in effective.items() if rows < n}
@@ -192,8 +192,8 @@ _FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
 _MOST = 600  # readings beyond which eq. (1) is not worked out
 
 
-def denied_noise(c: Calibration) -> Finding | None:
-    """Find a stated noise that the residuals deny, and name the cause that the data favour."""
+def rejected_noise(c: Calibration) -> Finding | None:
+    """Find a stated noise that the residuals reject, and name the cause that the data favour."""
     claim = c.diagnostics.claim
     if claim is None or not claim.chi2 > chi2_quantile(REJECTED, claim.dof):
         return None
@@ -214,8 +214,8 @@ def denied_noise(c: Calibration) -> Finding | None:
     )
 
 
-def placement(c: Calibration) -> Finding | None:
-    """Find readings that scatter across the force, as placement makes them."""
+def orientation_error(c: Calibration) -> Finding | None:
+    """Find readings that scatter across the force, as orientation errors make them."""
     if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
         return None
     of = residuals_of(c)
@@ -242,12 +242,12 @@ def unequal_noise(c: Calibration) -> Finding | None:
     p, sizes = judge_equality(c)
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None
-    told = ",".join(f"{size:.2g}" for size in sizes.tolist())
+    listed = ",".join(f"{size:.2g}" for size in sizes.tolist())
     return Finding(
         "unequal-noise",
         "warning",
         (
-            f"outputs differ in noise (p = {p:.1g}; residuals {told}), and the "
+            f"outputs differ in noise (p = {p:.1g}; residuals {listed}), and the "
             "fit takes them as "
             f"{'stated' if c.readings.noise is not None else 'equal'}: U of the "
             "noisiest is too small"
@@ -258,7 +258,7 @@ def unequal_noise(c: Calibration) -> Finding | None:
 
 
 def _cause(c: Calibration) -> str:
-    """Return the cause of a denied claim that the data favour, with the way out in this mode."""
+    """Return the cause of a rejected noise that the data favour, with the way out in this mode."""
     missing = significant(c.diagnostics.model_tests)
     if missing:
         return f"a term that the model lacks explains them, {missing[0].term}"
@@ -336,11 +336,11 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     n, m = c.residuals.shape
     if n * m > _MOST:
         return 1.0, np.full(m, np.nan)
-    problem, told = information_at_solution(c)
+    problem, optimum = information_at_solution(c)
     if float(problem.degrees.sum()) - problem.unknowns < _FEW:
         return 1.0, np.full(m, np.nan)
-    P = told.projection()
-    push = weigh(problem.precision, told.point.residuals)
+    P = optimum.projection()
+    push = weigh(problem.precision, optimum.point.residuals)
     precision = problem.precision
     if precision.ndim == 3:
         precision = np.diagonal(precision, axis1=1, axis2=2)
@@ -361,7 +361,7 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
 
 
 def _separable(c: Calibration) -> bool:
-    """Tell whether placement shows beside scatter: a triad at known positions, all counted."""
+    """Tell whether orientation error shows beside excess variance: a triad, all rows counted."""
     return (
         c.estimator.exact
         and c.robust_weight is None

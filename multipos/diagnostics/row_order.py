@@ -54,13 +54,13 @@ from multipos.uncertainty.turntable import table_effects
 
 LEVEL = 0.0025  # of every cause by itself
 _LEAST = 2  # rows before and after a change
-_TOLD = 1e-3  # of a column's square, which a fit must leave of it
+_IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
 _TURN = 12  # positions of a roll on a table
 _UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
 _MOST = 400  # rows, beyond which steps are tried at so many of them
-_ROUNDS = 5  # of weights in turn
+_ROUNDS = 5  # of alternation of weights
 _ROUNDING = 1e-12
 _TIME, APPROACH, SLOW = "time", "approach", "time-correlated"
 _OF_ATTITUDE = ("slipped", "level", "table")  # where a turn of the case is free, nothing
@@ -175,8 +175,8 @@ def asked(c: Calibration) -> bool:
     if not np.isfinite(c.residual_sd).all():
         return False
     nothing = _ROUNDING * np.abs(c.readings.values).max(axis=0)
-    told = bool((c.residual_sd > nothing).all())
-    return plain and known and told and (noise is None or noise.ndim == 1)
+    identifiable = bool((c.residual_sd > nothing).all())
+    return plain and known and identifiable and (noise is None or noise.ndim == 1)
 
 
 def search(c: Calibration) -> tuple[Cause, ...]:
@@ -417,8 +417,8 @@ def _orthonormal(V: Array, Z: Array) -> Array:
     U = V / np.where(scale > 0.0, scale, 1.0)
     U = np.where(np.isfinite(U), U, 0.0)  # of readings beyond all numbers
     values, vectors = np.linalg.eigh(U.transpose(0, 2, 1) @ U)
-    told = values > _TOLD
-    roots = np.where(told, 1.0 / np.sqrt(np.where(told, values, 1.0)), 0.0)
+    identifiable = values > _IDENTIFIABLE
+    roots = np.where(identifiable, 1.0 / np.sqrt(np.where(identifiable, values, 1.0)), 0.0)
     return np.asarray((U @ vectors * roots[:, None]).transpose(0, 2, 1))
 
 

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import (
+    IDENTIFIABLE,
     OF_FORCE,
-    TOLD,
     Kind,
     Projection,
     Setting,
@@ -79,9 +79,11 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
     """
     kinds = lacking(c)
     alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
-    told = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
-    told = alone or (told and (c.robust_weight is None or c.robust_weight.ndim == 1))
-    if not kinds or not told:
+    identifiable = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
+    identifiable = alone or (
+        identifiable and (c.robust_weight is None or c.robust_weight.ndim == 1)
+    )
+    if not kinds or not identifiable:
         return Tested((), ())
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -126,7 +128,7 @@ def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
 
 
 def _of_fewer(test: ModelTest, share: float) -> ModelTest:
-    """Return a test as if there were only a share of the rows, as correlated ones are worth."""
+    """Return a test as if there were only the effective number of correlated rows."""
     return replace(
         test,
         ratios=tuple(ratio * share for ratio in test.ratios),
@@ -157,8 +159,8 @@ def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -
     (explained,) = explained_by(found, e.T[:, None])
     whole, q, left = np.einsum("nm,nm->m", e, e), found.q, found.left
     if c.noise is None:
-        floor = np.square(np.ptp(c.readings.values, axis=0) * FINEST)
-        tests = _ratios(found.names, c.outputs, explained, whole, q, left, floor)
+        least_variance = np.square(np.ptp(c.readings.values, axis=0) * FINEST)
+        tests = _ratios(found.names, c.outputs, explained, whole, q, left, least_variance)
         return Tested(tests, found.hidden)
     explained, q = explained.sum(axis=1, keepdims=True), q.sum(axis=1, keepdims=True)
     one = _ratios(found.names, (), explained, whole.sum(), q, left.sum(), np.zeros(1))
@@ -177,11 +179,11 @@ def explained_by(found: Projection, errors: Array) -> Array:
 
 
 def ratios_of(
-    explained: Array, whole: Array | float, q: Array, left: Array | float, floor: Array
+    explained: Array, whole: Array | float, q: Array, left: Array | float, least_variance: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return R of eq. (1) (…, kinds, outputs), ν, and where there is such a test."""
     nu = left - q
-    rest = np.maximum(whole - explained, nu * floor)
+    rest = np.maximum(whole - explained, nu * least_variance)
     tested = (q > 0.0) & (nu >= 1.0) & (rest > 0.0) & np.isfinite(explained)
     safe = np.where(tested, rest, 1.0)
     ratio = np.minimum(explained * nu / (np.where(tested, q, 1.0) * safe), _LARGEST)
@@ -195,13 +197,13 @@ def _ratios(
     whole: Array | float,
     q: Array,
     left: Array | float,
-    floor: Array,
+    least_variance: Array,
 ) -> tuple[ModelTest, ...]:
     """Return R of eq. (1) for kinds (K, B) of outputs, or of all as one."""
-    ratio, nu, told = ratios_of(explained, whole, q, left, floor)
+    ratio, nu, tested = ratios_of(explained, whole, q, left, least_variance)
     tests = []
     for kind, chosen, fs, qs, nus in zip(
-        kinds, told.tolist(), ratio.tolist(), q.tolist(), nu.tolist(), strict=True
+        kinds, tested.tolist(), ratio.tolist(), q.tolist(), nu.tolist(), strict=True
     ):
         rows = [i for i, keep in enumerate(chosen) if keep]
         if rows:
@@ -232,7 +234,7 @@ class _Sums:
         X'X.
     kind_of : (R,) array of int
         The kind of each column.
-    whole, left, floor : float
+    whole, left, least_variance : float
         e'e, degrees of freedom without the terms, and the least that one of them may leave.
     """
 
@@ -244,7 +246,7 @@ class _Sums:
     kind_of: NDArray[np.intp]
     whole: float
     left: float
-    floor: float = 0.0
+    least_variance: float = 0.0
 
 
 def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
@@ -255,7 +257,7 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
     gram, score, left, kind_of = sums.gram, sums.score, sums.left, sums.kind_of
     names = [kind.name for kind in kinds]
     for name in added:  # fitted beside the parameters
-        T = _told(gram, sums.size, kind_of == names.index(name))
+        T = _identifiable(gram, sums.size, kind_of == names.index(name))
         score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
         left -= T.shape[1]
     explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
@@ -267,8 +269,8 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
         some = np.flatnonzero((kind_of[:, None] == faint).any(axis=1))
         shown = gram[some[:, None], some], sums.across[:, some], sums.information
         hidden = _hidden(c, [kinds[k] for k in faint], *shown)
-    floor = np.full(1, sums.floor)
-    alone = explained[:, None], sums.whole, q[:, None], left, floor
+    least_variance = np.full(1, sums.least_variance)
+    alone = explained[:, None], sums.whole, q[:, None], left, least_variance
     return Tested(_ratios(names, (), *alone), hidden)
 
 
@@ -304,21 +306,21 @@ def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
 
 def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
-    problem, told = information_at_solution(c)
+    problem, optimum = information_at_solution(c)
     Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
-    beside = told.with_slopes(Z, output_of)
-    across = respond(told.information, beside.cross)
+    beside = optimum.with_slopes(Z, output_of)
+    across = respond(optimum.information, beside.cross)
     return _Sums(
         gram=beside.gram - beside.cross.T @ across,
         score=beside.score - across.T @ beside.own,
         size=beside.gram.diagonal(),
         across=across,
-        information=told.information,
+        information=optimum.information,
         kind_of=kind_of,
-        whole=float(np.sum(told.point.q)) + _of_priors(c, problem),
+        whole=float(np.sum(optimum.point.q)) + _of_priors(c, problem),
         left=float(problem.degrees[problem.weight == 1.0].sum()) - problem.unknowns,
-        # what was stated of positions is a floor: less is no finer scale to judge by
-        floor=float(problem.has_prior),
+        # what was stated of positions is a lower bound: less is no finer scale to judge by
+        least_variance=float(problem.has_prior),
     )
 
 
@@ -357,18 +359,18 @@ def _explained(
     for some in alike.values():  # kinds of as many terms at once
         places = np.array([columns[kind] for kind in some])
         values, vectors = np.linalg.eigh(unit[places[:, :, None], places[:, None, :]])
-        told = values > TOLD
+        identifiable = values > IDENTIFIABLE
         along = np.einsum("kr,krs->ks", score[places], vectors)
-        explained[some] = np.sum(along**2 / np.where(told, values, np.inf), axis=1)
-        q[some], least[some] = told.sum(axis=1), values[:, 0]
+        explained[some] = np.sum(along**2 / np.where(identifiable, values, np.inf), axis=1)
+        q[some], least[some] = identifiable.sum(axis=1), values[:, 0]
     return explained, q, least
 
 
-def _told(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
+def _identifiable(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
     """Return T (R, r) of the terms of a kind, T'GT = 1."""
     scale = _scale(size)
     values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
-    seen = values > TOLD
+    seen = values > IDENTIFIABLE
     result = np.zeros((len(size), int(seen.sum())))
     result[mine] = vectors[:, seen] / np.sqrt(values[seen]) / scale[mine, None]
     return result

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
-from multipos.estimation.known import FLOOR, solve_known
+from multipos.estimation.known import ZERO_NORM, solve_known
 from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
@@ -42,7 +42,7 @@ from multipos.sensor.found import add_scatter
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
 
-_TOLERANCE = 1e-9  # [g], the floor below which a component of the reference is zero
+_TOLERANCE = 1e-9  # [g], the lower bound below which a component of the reference is zero
 
 
 def six_positions(reference: Array) -> NDArray[np.intp] | None:
@@ -186,7 +186,7 @@ def closed_form_difference(model: Model, reference: Array, readings: Readings) -
     difference = 0.0
     for output, axis in enumerate(model.axes):
         values = readings.values[:, output]
-        fitted = solve(phi[:, full.columns[output]], values, floor=FLOOR).coefficients
+        fitted = solve(phi[:, full.columns[output]], values, least_norm=ZERO_NORM).coefficients
         direct = closed_form_weights(reference, rows, COMPONENTS.index(axis)) @ values
         difference = max(difference, *np.abs((direct - fitted) * [1.0, g, g, g, g * g]))
     return difference / largest

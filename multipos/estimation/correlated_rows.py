@@ -20,7 +20,8 @@ with B = (X'X)⁻¹X', so that for the variance s² that rows leave when whitene
 The law is not decided upon but integrated over by its restricted likelihood and Jeffreys' prior of
 a long correlation, dρ (1 − ρ)^−½, at nodes even in ln(1 − ρ) up to times longer than the record. So
 U is half the interval that holds the mixture of (3), never less than that of independent rows, with
-the degrees of freedom that its tails have. The effective number of rows is what a mean is worth,
+the degrees of freedom that its tails have. The effective number of rows is the number whose mean
+has the same variance,
 
     n_eff = n² Σ_g p_g r_g / 1'R_g 1,                                                       (4)
 
@@ -54,7 +55,7 @@ from multipos.numerics.arrays import Array, Places, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.numerics.series import recur
-from multipos.positions.orientations import Placement
+from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
@@ -65,7 +66,7 @@ _TIME = "time"  # the column
 _FEWEST_IN_TIME = 8  # rows in order of time
 _DENSE = 120  # rows in order of time, from which on eq. (1) is asked
 _CURVE = 2.0  # nodes of 1 − ρ are even in its root
-_FEWEST = 40  # rows of which any law can be told
+_FEWEST = 40  # rows of which any law can be identified
 _FEWEST_UNKNOWN = 100  # where no position repeats that tells noise from model
 _LEVEL = 0.01  # at which rows are taken as correlated
 _RUNS = 6  # of a length, that tell whether sums are beyond chance
@@ -81,8 +82,8 @@ _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 
 
 @dataclass(frozen=True, eq=False)
-class _Worth:
-    """What correlated rows are worth."""
+class _RowPrecision:
+    """The effective number of correlated rows."""
 
     ratio: Array  # (p,) of U over that of independent rows
     dof: float
@@ -90,7 +91,7 @@ class _Worth:
 
 
 def spread_correlation(
-    solution: Solution, readings: Readings, placement: Placement, estimator: Estimator
+    solution: Solution, readings: Readings, stated_up: StatedOrientations, estimator: Estimator
 ) -> Solution:
     """Return a solution with what correlation from row to row makes of its uncertainty.
 
@@ -106,8 +107,8 @@ def spread_correlation(
         return _known_in_time(solution, readings, order)
     if estimator is Estimator.LINEAR:
         return _at_known(solution, readings)
-    loose = np.isinf(placement.orientation_sd).all() and not placement.listed.any()
-    if estimator is not Estimator.UNKNOWN or not loose or placement.rolls is not None:
+    loose = np.isinf(stated_up.orientation_sd).all() and not stated_up.listed.any()
+    if estimator is not Estimator.UNKNOWN or not loose or stated_up.rolls is not None:
         return solution
     return _unknown(solution, readings, order)
 
@@ -126,7 +127,7 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     """Tell whether rows at some forces (n, 3) [g] can show whether they are correlated."""
     if isinstance(model, ExpressionModel) or readings.covariance is not None:
         return False
-    # what wanders with a column is for the model, and its tests, to say
+    # what varies with a column is for the model, and its tests, to say
     if set(readings.environment) - {_TIME, "approach"}:
         return False
     if estimator is Estimator.LINEAR:
@@ -243,7 +244,9 @@ def _sd(solution: Solution, readings: Readings) -> Array:
     return np.asarray(np.sqrt(noise).reshape(solution.residuals.shape))
 
 
-def _with(solution: Solution, found: Sequence[tuple[tuple[int, ...], slice, _Worth]]) -> Solution:
+def _with(
+    solution: Solution, found: Sequence[tuple[tuple[int, ...], slice, _RowPrecision]]
+) -> Solution:
     """Return the solution with U and dof of what was found of outputs and their parameters."""
     if not found:
         return solution
@@ -270,8 +273,8 @@ def _with(solution: Solution, found: Sequence[tuple[tuple[int, ...], slice, _Wor
     )
 
 
-def _judge(design: Array, error: Array) -> _Worth:
-    """Return what rows (n, p) of equal variance are worth, by their errors (n,)."""
+def _judge(design: Array, error: Array) -> _RowPrecision:
+    """Return the effective number of rows (n, p) of equal variance, by their errors (n,)."""
     n, p = design.shape
     variance = float(error @ error) / (n - p)
     together = -(-n // _ROWS)
@@ -287,19 +290,21 @@ def _judge(design: Array, error: Array) -> _Worth:
     mixture = Posterior(still[:, :, 0], weight[None], still, variances[None, :, :p], np.ones(1))
     usual = coverage_factor(_COVERAGE, float(n - p)) * np.sqrt(plain)
     effective = together * float(weight @ (of_row / variances[:, p]))
-    return _Worth(
+    return _RowPrecision(
         ratio=np.maximum(mixture.expanded(still[:, 0])[0] / usual, 1.0),
         dof=min(float(mixture.shape[0]), float(n - p)),
         rows=min(effective, float(n)),
     )
 
 
-def _judge_in_time(designs: list[Array], errors: list[Array], alike: Array | None) -> list[_Worth]:
-    """Return what rows in order of time are worth by eq. (5), for every output."""
+def _judge_in_time(
+    designs: list[Array], errors: list[Array], alike: Array | None
+) -> list[_RowPrecision]:
+    """Return the effective number of rows in order of time by eq. (5), for every output."""
     ratios, rows = spread_in_time(designs, [error[None] for error in errors], alike)
     n = len(errors[0])
     effective = float(rows[0]) if rows[0] < n else None
-    return [_Worth(ratio[0], inf, effective) for ratio in ratios]
+    return [_RowPrecision(ratio[0], inf, effective) for ratio in ratios]
 
 
 def spread_in_time(
@@ -319,7 +324,7 @@ def spread_in_time(
     -------
     ratios : list of (B, p) arrays
     rows : (B,) array
-        What a mean is worth; n where rows may be independent.
+        Whose mean has the same variance; n where rows may be independent.
     """
     count, n = errors[0].shape
     low = (_LONGEST / n) ** (1.0 / _CURVE)

@@ -61,14 +61,14 @@ class Part:
         R⁻¹.
     residuals : (B, n, m) array
         e of every output.
-    floor : (B, n) array
+    stated_variance : (B, n) array
         Stated variances u².
     """
 
     basis: Array
     inverse: Array
     residuals: Array
-    floor: Array
+    stated_variance: Array
 
     @property
     def parameters(self) -> int:
@@ -84,7 +84,7 @@ class Part:
     @cached_property
     def equal(self) -> bool:
         """Whether the stated variances of every unit are equal."""
-        return not np.ptp(self.floor, axis=1).any()
+        return not np.ptp(self.stated_variance, axis=1).any()
 
     @cached_property
     def square(self) -> Array:
@@ -205,14 +205,17 @@ def _gather(
 
 
 def _parts(
-    designs: Sequence[Array], residuals: Array, floor: Array, outputs: Iterable[int]
+    designs: Sequence[Array], residuals: Array, stated_variance: Array, outputs: Iterable[int]
 ) -> list[tuple[list[int], Part]]:
     """Return outputs by the part they belong to: those of equal design and floors share one."""
     equal: dict[tuple[bytes, bytes], list[int]] = {}
     for i in outputs:
-        equal.setdefault((designs[i].tobytes(), floor[:, :, i].tobytes()), []).append(i)
+        equal.setdefault((designs[i].tobytes(), stated_variance[:, :, i].tobytes()), []).append(i)
     return [
-        (members, _part(designs[members[0]], residuals[:, :, members], floor[:, :, members[0]]))
+        (
+            members,
+            _part(designs[members[0]], residuals[:, :, members], stated_variance[:, :, members[0]]),
+        )
         for members in equal.values()
     ]
 
@@ -226,14 +229,14 @@ def _rotated(
     design = block_design(designs).reshape(n * m, -1)
     turned = axes.T @ np.column_stack([design, residuals.ravel()])
     least = np.finfo(float).eps * variances[-1]
-    floor = np.maximum(variances, least)
-    return list(range(m)), _part(turned[:, :-1], turned[None, :, -1:], floor[None])
+    stated_variance = np.maximum(variances, least)
+    return list(range(m)), _part(turned[:, :-1], turned[None, :, -1:], stated_variance[None])
 
 
-def _part(design: Array, residuals: Array, floor: Array) -> Part:
+def _part(design: Array, residuals: Array, stated_variance: Array) -> Part:
     length = np.linalg.norm(design, axis=0)
     Q, R = np.linalg.qr(design / length)
-    return Part(Q, np.linalg.inv(R) / length[:, None], residuals, floor)
+    return Part(Q, np.linalg.inv(R) / length[:, None], residuals, stated_variance)
 
 
 def integrate_parts(parts: Sequence[Part]) -> Posterior:
@@ -245,9 +248,9 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
         Of the same units, with more readings than parameters, all together.
     """
     dof = sum(part.degrees for part in parts)
-    precisions = np.concatenate([1.0 / part.floor for part in parts], axis=1)
+    precisions = np.concatenate([1.0 / part.stated_variance for part in parts], axis=1)
     size = 1.0 / np.mean(precisions, axis=1)
-    weighted = size * sum(np.sum(part.square / part.floor, axis=1) for part in parts)
+    weighted = size * sum(np.sum(part.square / part.stated_variance, axis=1) for part in parts)
     plain = np.sum(np.concatenate([part.square for part in parts], axis=1), axis=1)
     return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))
 
@@ -278,7 +281,7 @@ class _Terms(NamedTuple):
 def _equal(part: Part, nodes: Array) -> _Terms:
     """Return the terms of equal stated variances: Q'V⁻¹Q is 1/V, whatever V the same estimates."""
     (n, p), m = part.basis.shape, part.residuals.shape[2]
-    variance = part.floor[:, :1] + nodes
+    variance = part.stated_variance[:, :1] + nodes
     return _Terms(
         log=-0.5 * (m * (n - p) * np.log(variance) + part.across / variance),
         information=m * n / variance**2,
@@ -336,14 +339,14 @@ class _Sums(NamedTuple):
 
 def _sums(part: Part, nodes: Array) -> _Sums:
     p, m = part.parameters, part.residuals.shape[2]
-    (count, G), n = nodes.shape, part.floor.shape[1]
+    (count, G), n = nodes.shape, part.stated_variance.shape[1]
     square = np.zeros((count, G, p * p))
     right = np.zeros((count, G, p * m + 1))
     log_weight, weight2 = np.zeros((count, G)), np.zeros((count, G))
     for first in range(0, n, _ROWS):
         rows = slice(first, first + _ROWS)
         Q, e = part.basis[rows], part.residuals[:, rows]
-        weight = 1.0 / (part.floor[:, None, rows] + nodes[:, :, None])  # (B, G, n)
+        weight = 1.0 / (part.stated_variance[:, None, rows] + nodes[:, :, None])  # (B, G, n)
         square += weight @ (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
         products = (Q[:, :, None] * e[:, :, None, :]).reshape(count, len(Q), -1)
         misfit = np.einsum("bnm,bnm->bn", e, e)[:, :, None]

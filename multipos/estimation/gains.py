@@ -58,13 +58,13 @@ def restate(calibration: Calibration) -> Problem:
     c = calibration
     size = signed_size(c.gravity, c.convention)
     level_sd_deg = (c.orientations and c.orientations.level_sd_deg) or 0.0
-    placement = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
+    stated_up = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     shape = c.readings.values.shape
     if c.noise is None:
         precision = np.broadcast_to(1.0 / c.residual_sd**2, shape)
     else:
         precision = precision_of(c.noise, *shape)
-    problem = pose(c.model, c.readings, placement, precision)
+    problem = pose(c.model, c.readings, stated_up, precision)
     if c.robust_weight is not None:
         problem = set_aside(problem, c.robust_weight == 0.0)
     return problem

@@ -65,7 +65,7 @@ from multipos.positions.readings import Readings, add_variances
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import (
     UNEQUAL,
-    Claim,
+    NoiseTest,
     bartlett,
     find_correlated_outliers,
     find_outliers,
@@ -73,7 +73,7 @@ from multipos.sensor.fit_diagnostics import (
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
-FLOOR = 1e-9  # [g], absolute norm below which a column of the design is zero
+ZERO_NORM = 1e-9  # [g], absolute norm below which a column of the design is zero
 REJECTED = 0.999  # χ² point beyond which the residuals reject a stated noise
 ROUNDING = 1e-9  # residuals below this part of the readings are those of a search or of rounding
 _COARSE = 20  # bits of the coefficients that multiply without rounding
@@ -217,7 +217,7 @@ def _factored(model: Model, phi: Array, stack: Sequence[list[int]]) -> list[Desi
     designs = phi.T[np.array([model.columns[output] for output in firsts])].transpose(0, 2, 1)
     names = [model.names[model.slices[output]] for output in firsts]
     try:
-        found = factor_alike(designs, floor=FLOOR, names=names)
+        found = factor_alike(designs, least_norm=ZERO_NORM, names=names)
     except DependentColumnsError as error:
         raise _not_separable(error, model, phi, firsts[error.problem]) from None
     inverses = found.inverse @ found.Q.transpose(0, 2, 1)
@@ -283,14 +283,16 @@ def solve_units(
     plain = _fit_plain(shared, values)
     if stated is None:
         return _from_residuals(shared, *plain, pool)
-    floor = np.moveaxis(stated, 0, 2)
+    stated_variance = np.moveaxis(stated, 0, 2)
     start, residuals = _weigh(shared, values, *plain, stated)
     chi2 = np.sum(residuals**2 / stated, axis=(0, 2))
     if shared.dof.sum() == 0.0:
         u = np.sqrt(np.einsum("bpp->bp", cofactors(shared, stated)[0]))
-        dof = np.full(floor.shape[::2], np.inf)
+        dof = np.full(stated_variance.shape[::2], np.inf)
         return Fits(start, u, dof, residuals, plain[1], stated, None, chi2)
-    excess = estimate_excess(shared.designs, np.moveaxis(residuals, 0, 2), floor, pool=pool)
+    excess = estimate_excess(
+        shared.designs, np.moveaxis(residuals, 0, 2), stated_variance, pool=pool
+    )
     variances = stated + excess.variance.T[:, :, None]
     parameters, residuals = _weigh(shared, values, *plain, variances)
     u = excess.standard_uncertainty(parameters - start, per_parameter(shared.model, excess.dof))
@@ -320,7 +322,7 @@ def _fit_plain(shared: SharedDesign, values: Array) -> tuple[Array, Array]:
         if each.condition <= _WORST:
             b, r = fit_output(each.design, each.inverse, y)
         else:
-            found = solve(each.design, y.T, floor=FLOOR)
+            found = solve(each.design, y.T, least_norm=ZERO_NORM)
             b, r = found.coefficients.T, found.residuals.T
         _put(shared, each, b, r, parameters, residuals)
     return parameters, residuals
@@ -411,7 +413,7 @@ def _solve_refined(shared: SharedDesign, output: int, y: Array, variance: Array)
     model, design = shared.model, shared.by_output[output].design
     names = model.names[model.slices[output]]
     try:
-        return solve(design, y, covariance=variance, floor=FLOOR, names=names)
+        return solve(design, y, covariance=variance, least_norm=ZERO_NORM, names=names)
     except RankError as error:
         raise _not_separable(error, model, shared.basis, output) from None
 
@@ -487,18 +489,18 @@ def estimate_known(
 
 
 def _estimates(
-    shared: SharedDesign, values: Array, claims: StatedNoise | None, pool: bool
+    shared: SharedDesign, values: Array, stated_noise: StatedNoise | None, pool: bool
 ) -> Estimates:
     model = shared.model
-    variances = None if claims is None else np.moveaxis(claims.u, 2, 0) ** 2
+    variances = None if stated_noise is None else np.moveaxis(stated_noise.u, 2, 0) ** 2
     found = solve_units(shared, values, variances, pool=pool)
     square = np.einsum("mbn,mbn->mb", found.plain, found.plain)
     sound = (square > ROUNDING**2 * np.einsum("mbn,mbn->mb", values, values)).all(axis=0)
     dof = found.dof
-    if claims is not None:
-        sound &= claims.sound
-        if claims.dof is not None and found.excess is not None:
-            dof = combined_dof(dof, claims.u**2, claims.dof, found.excess.variance)
+    if stated_noise is not None:
+        sound &= stated_noise.sound
+        if stated_noise.dof is not None and found.excess is not None:
+            dof = combined_dof(dof, stated_noise.u**2, stated_noise.dof, found.excess.variance)
     rms, inverse, inverted = rms_of(
         model, shared.environment, shared.reference, found.parameters, values, found.residuals
     )
@@ -554,7 +556,7 @@ def solve_known(
     covariance = found.cofactor * np.outer(found.inflation, found.inflation)
     square = np.einsum("nm,nm->m", found.residuals, found.residuals)
     chi2 = found.chi2 if tested else None
-    claim = None if chi2 is None else Claim(chi2, float(dof.sum()))
+    claim = None if chi2 is None else NoiseTest(chi2, float(dof.sum()))
     return Solution(
         model=model,
         reference=reference,
@@ -726,7 +728,7 @@ def chi_squares(residuals: Array, noise: Array | None) -> Array:
     )
 
 
-def overstated(claim: Claim) -> Findings:
+def overstated(claim: NoiseTest) -> Findings:
     """Return a warning where the residuals of all outputs are far below the stated noise."""
     if claim.chi2 >= chi2_quantile(1.0 - REJECTED, claim.dof):
         return ()
@@ -757,7 +759,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     kept: list[int] = []
     for column in range(len(terms)):
         trial = [*kept, column]
-        if separability(design[:, trial], floor=FLOOR).rank == len(trial):
+        if separability(design[:, trial], least_norm=ZERO_NORM).rank == len(trial):
             kept = trial
     formula = " + ".join(str(terms[column]) for column in kept)
     way_out = (
@@ -784,7 +786,7 @@ def _missing_positions(model: Model, phi: Array) -> str:
     """Return what to add: for positions that never excite one input, a roll about another axis."""
     components = [linear_term(axis) for axis in model.inputs]
     seen = [model.basis_terms.index(term) for term in components if term in model.basis_terms]
-    silent = [column for column in seen if np.abs(phi[:, column]).max() <= FLOOR]
+    silent = [column for column in seen if np.abs(phi[:, column]).max() <= ZERO_NORM]
     if len(silent) == 1 and len(seen) > 1:
         return "a roll about another axis, as all positions lie in one plane"
     return "positions that differ more"

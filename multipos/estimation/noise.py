@@ -53,11 +53,11 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
-from multipos.sensor.fit_diagnostics import Claim
-from multipos.sensor.found import Component, Placed, RestToRest, VarianceComponents
+from multipos.sensor.fit_diagnostics import NoiseTest
+from multipos.sensor.found import Component, OrientationSpread, RestToRest, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
 
-_DETERMINED = 2.0  # factor to either side within which a placement is called determined
+_DETERMINED = 2.0  # factor to either side within which an orientation error is called determined
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
 _INSEPARABLE = Finding(
@@ -82,7 +82,7 @@ class NoiseEstimate:
     components: VarianceComponents | None = None
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     weight: Array | None = None  # (n,) of each position under a robust loss
-    claim: Claim | None = None  # of the stated noise, where there is one
+    claim: NoiseTest | None = None  # of the stated noise, where there is one
     unstated: Array | None = None  # (n, M), fraction of variances in which axes may be unequal
 
 
@@ -132,7 +132,7 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
     if nu <= 0:
         return first, start, NoiseEstimate(1.0, np.inf)
     unit, found = _find(first, start, nu, both=False)
-    claim = Claim(start.point.objective, nu)
+    claim = NoiseTest(start.point.objective, nu)
     unexplained = unit.optimum.point.objective > chi2_quantile(STILL, nu)
     if unexplained and first.prior.any() and separates(first, start):
         # the stated orientation sds are then a lower bound as well
@@ -193,7 +193,8 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
         orientation_sd=unit.problem.orientation_sd,
         findings=(Finding("estimated-noise", "note", text),),
         components=replace(
-            noise.components, orientation_sd_deg=Placed(sd, (high - low) / 2.0, determined)
+            noise.components,
+            orientation_sd_deg=OrientationSpread(sd, (high - low) / 2.0, determined),
         ),
     )
     return unit.problem, unit.optimum, noise

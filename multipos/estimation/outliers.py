@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from multipos.numerics.arrays import Array, Places, resolution
 from multipos.numerics.terms import COMPONENTS, Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_TOLD, p_values
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values
 from multipos.sensor.model import Model
 
 _LINEAR = frozenset(("1", *COMPONENTS))
@@ -273,7 +273,7 @@ def _beyond_noisy_rows(
     """
     rows = np.flatnonzero(~kept)
     n, m = values.shape
-    if n - max(X.shape[1] for X in designs) < ROWS_TOLD:
+    if n - max(X.shape[1] for X in designs) < ROWS_NAMED:
         return rows
     questioned = np.repeat(~kept[:, None], m, axis=1)
     least = np.ones(len(rows))

@@ -23,10 +23,10 @@ from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import directions, tangent_basis
-from multipos.positions.orientations import OpenRolls, Placement, listed_rows
+from multipos.positions.orientations import OpenRolls, StatedOrientations, listed_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
-from multipos.sensor.fit_diagnostics import Claim
+from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import Block, Model
 
@@ -245,7 +245,7 @@ class Solution:
         Where it was estimated; inf for unknown.
     variance_components, orientations, robust_weight
         As in `Calibration`.
-    claim : Claim or None
+    claim : NoiseTest or None
         As in `Diagnostics`.
     """
 
@@ -268,11 +268,11 @@ class Solution:
     variance_components: VarianceComponents | None = None
     orientations: FoundOrientations | None = None
     robust_weight: Array | None = None
-    claim: Claim | None = None
+    claim: NoiseTest | None = None
 
 
 def state_problem(
-    model: Model, readings: Readings, placement: Placement, robust: Loss | None
+    model: Model, readings: Readings, stated_up: StatedOrientations, robust: Loss | None
 ) -> Problem:
     """Return the problem of the likelihood; without stated noise, with one of arbitrary size.
 
@@ -295,13 +295,13 @@ def state_problem(
         precision = np.full((n, m), 1.0 / (RELATIVE_NOISE * size) ** 2)
     else:
         precision = precision_of(noise, n, m)
-    return pose(model, readings, placement, precision, robust)
+    return pose(model, readings, stated_up, precision, robust)
 
 
 def pose(
     model: Model,
     readings: Readings,
-    placement: Placement,
+    stated_up: StatedOrientations,
     precision: Array,
     robust: Loss | None = None,
 ) -> Problem:
@@ -311,15 +311,15 @@ def pose(
         values=readings.values,
         environment=readings.environment,
         precision=precision,
-        reference=placement.reference,
-        orientation_sd=placement.orientation_sd,
-        group=placement.group,
+        reference=stated_up.reference,
+        orientation_sd=stated_up.orientation_sd,
+        group=stated_up.group,
         weight=np.ones(len(readings)),
-        groups=placement.groups,
-        attitude=placement.attitude,
-        level_sd=placement.level_sd,
+        groups=stated_up.groups,
+        attitude=stated_up.attitude,
+        level_sd=stated_up.level_sd,
         robust=robust,
-        rolls=placement.rolls,
+        rolls=stated_up.rolls,
     )
 
 

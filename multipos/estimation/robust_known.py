@@ -56,7 +56,7 @@ from multipos.numerics.losses import EFFICIENCY, Loss, loss, loss_slope, loss_we
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
-from multipos.sensor.fit_diagnostics import Claim, find_outlying_positions
+from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
 from multipos.sensor.model import Model
 
 _ITERATIONS = 2000  # weights that change with the step make convergence linear
@@ -490,8 +490,8 @@ def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits])
     dof = np.concatenate([each.dof for each in found])
     factor = np.concatenate([each.factor for each in found])
     units = [each.units for each in found]
-    claims = [
-        Claim(float(each.rejected[0]), float(each.units.freedom[0]))
+    stated_noise = [
+        NoiseTest(float(each.rejected[0]), float(each.units.freedom[0]))
         for each in found
         if np.isfinite(each.rejected[0])
     ]
@@ -515,7 +515,9 @@ def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits])
         unidentifiable=tuple(text for each in texts for text in each.unidentifiable),
         status=_status(max(units, key=lambda each: int(each.iterations[0]))),
         robust_weight=weight if m > 1 else weight[:, 0],
-        claim=Claim(sum(c.chi2 for c in claims), sum(c.dof for c in claims)) if claims else None,
+        claim=NoiseTest(sum(c.chi2 for c in stated_noise), sum(c.dof for c in stated_noise))
+        if stated_noise
+        else None,
     )
 
 

@@ -37,7 +37,7 @@ from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import EFFICIENCY, Loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
-from multipos.sensor.fit_diagnostics import Claim
+from multipos.sensor.fit_diagnostics import NoiseTest
 
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 SET_ASIDE = 1e-6  # chance below which a position is set aside
@@ -91,7 +91,7 @@ def judge_robustly(
         if not (nu > 0 and chi2 > chi2_quantile(REJECTED, nu)):
             noise = NoiseEstimate(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
             return problem, optimum, noise
-        claim = Claim(chi2, nu)
+        claim = NoiseTest(chi2, nu)
     counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
     factor = _huber_factor(problem, optimum, counted)
     return (

@@ -43,11 +43,11 @@ from multipos.finding import Finding, Findings, about
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
-from multipos.positions.orientations import Placement, across
+from multipos.positions.orientations import StatedOrientations, across
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel, at_bounds
-from multipos.sensor.fit_diagnostics import Claim, find_outlying_positions
+from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.own_models import hold
@@ -58,7 +58,7 @@ _REPORTED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is reported
 def solve_uncertain(
     model: Model,
     readings: Readings,
-    placement: Placement,
+    stated_up: StatedOrientations,
     *,
     gauge: Gauge = "lower",
     robust: Loss | None = None,
@@ -71,7 +71,7 @@ def solve_uncertain(
     ----------
     model : Model
     readings : Readings
-    placement : Placement
+    stated_up : StatedOrientations
         Orientations and what is known of them.
     gauge : str
         'lower' or 'symmetric', where nothing ties the readings to the directions of the world.
@@ -93,10 +93,10 @@ def solve_uncertain(
         Too few positions, or readings that do not spread.
     """
     tied = isinstance(model, ExpressionModel) and bool(model.shared)
-    if placement.exact and len(model.outputs) > 1 and not (pool or tied or _correlated(readings)):
-        return _solve_separately(model, readings, placement, robust)
-    model = _with_gauge(model, placement, gauge)
-    problem = state_problem(model, readings, placement, None if robust is None else "huber")
+    if stated_up.exact and len(model.outputs) > 1 and not (pool or tied or _correlated(readings)):
+        return _solve_separately(model, readings, stated_up, robust)
+    model = _with_gauge(model, stated_up, gauge)
+    problem = state_problem(model, readings, stated_up, None if robust is None else "huber")
     if _degrees(problem, model) < 0:
         raise too_few(problem)
     held: Findings = ()
@@ -106,7 +106,7 @@ def solve_uncertain(
     optimum, fisher = search(problem)
     searched, reached = problem, optimum
     stated = readings.noise is not None
-    unstated = not (stated or placement.estimated or problem.has_prior or robust is not None)
+    unstated = not (stated or stated_up.estimated or problem.has_prior or robust is not None)
     dof: Array | None = None
     if unstated and (problem.has_parameter_prior or (tied and not pool)):
         problem, optimum, noise, dof = estimate_tied_noise(problem, optimum)
@@ -116,7 +116,7 @@ def solve_uncertain(
         )
     else:
         problem, optimum, noise = estimate_noise(
-            problem, optimum, nu, stated=stated, estimate_sd=placement.estimated
+            problem, optimum, nu, stated=stated, estimate_sd=stated_up.estimated
         )
     noise = replace(noise, findings=(*held, *noise.findings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
@@ -130,7 +130,7 @@ def _degrees(problem: Problem, model: Model) -> float:
     return float(problem.degrees.sum()) - problem.unknowns + int(np.count_nonzero(model.beliefs))
 
 
-def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
+def _with_gauge(model: Model, stated_up: StatedOrientations, gauge: Gauge) -> Model:
     """Return the model without the parameters that free rotations of the case fix.
 
     Raises
@@ -138,14 +138,14 @@ def _with_gauge(model: Model, placement: Placement, gauge: Gauge) -> Model:
     MultiposError
         The model has too few outputs for positions of unknown orientation.
     """
-    listed = placement.listed.any()
-    if not listed or np.isinf(placement.orientation_sd).any() or placement.rolls is not None:
+    listed = stated_up.listed.any()
+    if not listed or np.isinf(stated_up.orientation_sd).any() or stated_up.rolls is not None:
         _require_triad(model)
     if listed or isinstance(model, ExpressionModel):
         return model
-    if placement.rolls is None:
+    if stated_up.rolls is None:
         return model.with_gauge(gauge)
-    about = placement.rolls.axes
+    about = stated_up.rolls.axes
     if len(about) > 1:  # no rotation leaves two axes where they are
         return model
     return model.with_gauge(next(name for name in ROLL_GAUGES if name.endswith(about[0])))
@@ -171,14 +171,14 @@ def _correlated(readings: Readings) -> bool:
 
 
 def _solve_separately(
-    model: Model, readings: Readings, placement: Placement, robust: Loss | None
+    model: Model, readings: Readings, stated_up: StatedOrientations, robust: Loss | None
 ) -> Solution:
     """Fit each output alone where orientations are exact: nothing ties them together."""
     parts = [
         solve_uncertain(
             model.only(output),
             select_outputs(readings, (output,)),
-            placement,
+            stated_up,
             robust=robust,
             parts=len(model.outputs),
         )
@@ -237,11 +237,13 @@ def _joined(parts: list[VarianceComponents | None]) -> VarianceComponents | None
     return VarianceComponents({output: one for part in found for output, one in part.items()})
 
 
-def _together(claims: list[Claim]) -> Claim | None:
+def _together(stated_noise: list[NoiseTest]) -> NoiseTest | None:
     """Return the test of the stated noise of outputs that were fitted one by one."""
-    if not claims:
+    if not stated_noise:
         return None
-    return Claim(sum(claim.chi2 for claim in claims), sum(claim.dof for claim in claims))
+    return NoiseTest(
+        sum(claim.chi2 for claim in stated_noise), sum(claim.dof for claim in stated_noise)
+    )
 
 
 def _require_triad(model: Model) -> None:

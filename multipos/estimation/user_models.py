@@ -64,7 +64,7 @@ from multipos.sensor.own_models import Fixed, hold
 _TRIED = (0.0, 1.0, 0.1, 10.0)  # values of what has no start
 _ALONE = 3  # parameters of an output up to which all their combinations are tried
 _STEPS = 2  # on each, where one does not explain the readings
-_KEPT = 3  # guesses that are worth a search
+_KEPT = 3  # guesses from which a search starts
 _EXPLAINED = 1e-3  # of the readings' variance: what is left of it where no other is needed
 _RANK = 1e-9  # of the largest, a direction that least squares of a guess leaves alone
 

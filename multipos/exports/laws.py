@@ -9,8 +9,9 @@ is all that these consumers can do; some take an offset that drifts with the tem
     f = T (raw - o - sum_k c_k (t' - t_0)^k),    k = 1 to 3,                               (2)
 
 t' being t held to the calibrated range. A calibration with more in it is fitted again with the
-terms that remain, to the same readings and references, and what that loses is told. A calibration
-under the convention 'gravity' has the sign of its force turned: consumers work in specific force.
+terms that remain, to the same readings and references, and what that loses is reported. A
+calibration under the convention 'gravity' has the sign of its force turned: consumers work in
+specific force.
 """
 
 from typing import NamedTuple

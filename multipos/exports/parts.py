@@ -71,7 +71,7 @@ class Correction:
 
 
 def load_parts(paths: Sequence[str | os.PathLike[str]]) -> tuple[Part, ...]:
-    """Read calibrations and regressions, each told by its schema.
+    """Read calibrations and regressions, each recognised by its schema.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are told.
+r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are printed.
 
 Characters that act instead of being read, and text in which they are only shown.
 

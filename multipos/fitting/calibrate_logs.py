@@ -208,8 +208,8 @@ def fit_rests(
 
     Parameters and errors are those of `calibrate`.
     """
-    told = closed_form or orientation_sd is not None or level_sd != 0.0
-    assumed = found.scheme_up is None and not told
+    by_user = closed_form or orientation_sd is not None or level_sd != 0.0
+    assumed = found.scheme_up is None and not by_user
 
     def fitted(
         readings: Readings, model: str | Expression, budget: "BudgetSource | Budget | None"

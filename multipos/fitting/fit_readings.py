@@ -53,19 +53,19 @@ from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.order import Order
-from multipos.positions.orientations import Placement, as_used, place, resolve
+from multipos.positions.orientations import StatedOrientations, as_used, place, resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression, ExpressionModel
-from multipos.sensor.formulas import Sketch, read_model
+from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
-from multipos.sensor.own_models import build_sketch
+from multipos.sensor.own_models import build_parsed
 from multipos.sensor.stating import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.uncertainty.propagation import state_budget
@@ -309,7 +309,7 @@ def fit(
     if axes is None:
         data = note_names(data, built)
     _check_environment(data, built)
-    data, placement = resolve(
+    data, stated_up = resolve(
         data,
         scheme,
         signed_size(local, convention),
@@ -321,11 +321,11 @@ def fit(
     )
     _require_one_unit(data, local)
     # Six positions that are inverted are all needed.
-    apart = find_apart(built, data, placement, "none" if closed_form else exclude)
-    whole, everywhere = data, placement.reference
+    apart = find_apart(built, data, stated_up, "none" if closed_form else exclude)
+    whole, everywhere = data, stated_up.reference
     if apart.any():
         data = select_rows(data, ~apart)
-        placement = place(
+        stated_up = place(
             data,
             signed_size(local, convention),
             orientation_sd=options.orientation_sd,
@@ -333,7 +333,7 @@ def fit(
             level_sd=options.level_sd,
         )
     try:
-        calibration = calibrate_at(built, data, placement, options, local)
+        calibration = calibrate_at(built, data, stated_up, options, local)
     except MultiposError as error:
         if not options.unknown_orientation:
             raise
@@ -353,7 +353,7 @@ def fit(
 
 
 def find_apart(
-    model: Model, readings: Readings, placement: Placement, exclude: Names
+    model: Model, readings: Readings, stated_up: StatedOrientations, exclude: Names
 ) -> NDArray[np.bool_]:
     """Return which rows (n,) are to be set aside.
 
@@ -366,11 +366,11 @@ def find_apart(
     if exclude == "none":
         return apart
     if exclude == "auto":
-        known = None if placement.unknown else placement.reference
-        if known is not None and (placement.groups or placement.rolls is not None):
+        known = None if stated_up.unknown else stated_up.reference
+        if known is not None and (stated_up.groups or stated_up.rolls is not None):
             return apart  # directions of some positions follow from the others
         found = find_outlying_rows(
-            model, shrink_variances(readings), known, placement.orientation_sd
+            model, shrink_variances(readings), known, stated_up.orientation_sd
         )
         if found is not None:
             apart[found.rows] = True
@@ -422,7 +422,7 @@ def with_excluded(
 _WITHIN = 1e6  # degrees of freedom of a rounding
 
 
-def _with_grid_floor(readings: Readings, solution: Solution) -> Readings | None:
+def _with_grid_variance(readings: Readings, solution: Solution) -> Readings | None:
     """Return readings whose u is that of their grid, where it is coarser than their scatter.
 
     None where it is not; u of other outputs is what their residuals show.
@@ -435,10 +435,10 @@ def _with_grid_floor(readings: Readings, solution: Solution) -> Readings | None:
     steps = coarse_steps(readings.values, sd)
     if not steps.any():
         return None
-    floor = np.broadcast_to(steps / math.sqrt(12.0), readings.values.shape)
+    lower_bound = np.broadcast_to(steps / math.sqrt(12.0), readings.values.shape)
     if readings.u is not None:
-        return replace(readings, u=np.maximum(readings.u, floor))
-    u = np.where(steps > 0.0, floor, np.maximum(sd, 1e-3 * steps.max()))
+        return replace(readings, u=np.maximum(readings.u, lower_bound))
+    u = np.where(steps > 0.0, lower_bound, np.maximum(sd, 1e-3 * steps.max()))
     dof = np.where(steps > 0.0, _WITHIN, np.maximum(solution.dof, 1.0))
     return replace(readings, u=u, dof=np.broadcast_to(dof, u.shape))
 
@@ -446,7 +446,7 @@ def _with_grid_floor(readings: Readings, solution: Solution) -> Readings | None:
 def calibrate_at(
     model: Model,
     readings: Readings,
-    placement: Placement,
+    stated_up: StatedOrientations,
     options: Options,
     gravity: Gravity | None,
     *,
@@ -456,36 +456,36 @@ def calibrate_at(
 
     Rows that are `ordered` stand in the order of time, and may be correlated.
     """
-    tied = _TIED if placement.listed.any() else placement.rolls and _ROLLED
+    tied = _TIED if stated_up.listed.any() else stated_up.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
         text = f"--gauge {options.gauge} has no effect: {tied}"
         unused = Finding("gauge-unused", "warning", text)
         readings = replace(readings, findings=(*readings.findings, unused))
-    estimator = choose_estimator(options, placement)
-    if options.robust is not None and placement.exact:
+    estimator = choose_estimator(options, stated_up)
+    if options.robust is not None and stated_up.exact:
         _require_spare(model, len(readings))
     readings = shrink_variances(readings)
-    solve = _solver(estimator, readings, placement, options)
+    solve = _solver(estimator, readings, stated_up, options)
     chosen = None
     if options.stepwise:
-        model, chosen = _stepwise(model, readings, placement, solve)
+        model, chosen = _stepwise(model, readings, stated_up, solve)
     solution = solve(model)
     if readings.reference_u is not None:
         tested = readings.noise is not None
         readings = add_reference_noise(readings, solution)
-        solution = _solver(estimator, readings, placement, options, tested=tested)(model)
-    floored = None if options.robust is not None else _with_grid_floor(readings, solution)
-    if floored is not None:
-        readings = floored
-        solution = _solver(estimator, readings, placement, options, tested=False)(model)
+        solution = _solver(estimator, readings, stated_up, options, tested=tested)(model)
+    bounded_below = None if options.robust is not None else _with_grid_variance(readings, solution)
+    if bounded_below is not None:
+        readings = bounded_below
+        solution = _solver(estimator, readings, stated_up, options, tested=False)(model)
     solution = with_stated_dof(solution, readings, joint=not estimator.exact)
     if ordered:
-        solution = spread_correlation(solution, readings, placement, estimator)
+        solution = spread_correlation(solution, readings, stated_up, estimator)
     found = solution.orientation_sd
     calibration = complete(
         solution,
-        as_used(readings, placement.orientation_sd if found is None else found),
-        listed=np.where(placement.listed[:, None], placement.reference, np.nan),
+        as_used(readings, stated_up.orientation_sd if found is None else found),
+        listed=np.where(stated_up.listed[:, None], stated_up.reference, np.nan),
         convention=options.convention,
         gravity=gravity,
         estimator=estimator,
@@ -521,13 +521,13 @@ def _require_spare(model: Model, n: int) -> None:
 def _solver(
     estimator: Estimator,
     readings: Readings,
-    placement: Placement,
+    stated_up: StatedOrientations,
     options: Options,
     *,
     tested: bool = True,
 ) -> Callable[[Model], Solution]:
     """Return what solves a model by the estimator; `tested`: residuals test the stated noise."""
-    reference, pool = placement.reference, options.pool
+    reference, pool = stated_up.reference, options.pool
 
     def solve(model: Model) -> Solution:
         if estimator is Estimator.CLOSED_FORM:
@@ -543,20 +543,23 @@ def _solver(
             if found is not None:
                 return found
         return solve_uncertain(
-            model, readings, placement, gauge=options.gauge, robust=options.robust, pool=pool
+            model, readings, stated_up, gauge=options.gauge, robust=options.robust, pool=pool
         )
 
     return solve
 
 
 def _stepwise(
-    model: Model, readings: Readings, placement: Placement, solve: Callable[[Model], Solution]
+    model: Model,
+    readings: Readings,
+    stated_up: StatedOrientations,
+    solve: Callable[[Model], Solution],
 ) -> tuple[Model, dict[str, Chosen]]:
     """Return the model with the terms that the readings support, and how they were chosen."""
     if isinstance(model, ExpressionModel):
         raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
-    if placement.exact:
-        return select_terms(model, placement.reference, readings)
+    if stated_up.exact:
+        return select_terms(model, stated_up.reference, readings)
     whole = solve(model)  # where the positions are is found with all terms
     return select_terms(whole.model, whole.reference, readings)
 
@@ -579,9 +582,9 @@ def _with_rolls(calibration: Calibration) -> Calibration:
     return replace(calibration, diagnostics=replace(found, findings=(*found.findings, *said)))
 
 
-def _columns_named(model: str | Expression | Sketch) -> tuple[str, ...]:
+def _columns_named(model: str | Expression | ParsedModel) -> tuple[str, ...]:
     """Return the names in a model that are columns, where the readings have such."""
-    if isinstance(model, Sketch):
+    if isinstance(model, ParsedModel):
         return model.possible_columns
     return formula_columns(model) if isinstance(model, str) else ()
 
@@ -611,7 +614,7 @@ def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
 
 
 def _build(
-    model: str | Expression | Sketch,
+    model: str | Expression | ParsedModel,
     readings: Readings,
     axes: Names | None,
     inputs: Names,
@@ -619,10 +622,10 @@ def _build(
     own = default_axes(readings.outputs, axes)
     columns = tuple(readings.environment)
     seen = split_names(inputs, "--inputs")
-    if isinstance(model, Sketch):
+    if isinstance(model, ParsedModel):
         used = model.columns_among(columns)
         model.require_no_near_miss(used, (*columns, *readings.outputs), readings.outputs)
-        return build_sketch(model, readings.outputs, own, seen, readings.unit, used)
+        return build_parsed(model, readings.outputs, own, seen, readings.unit, used)
     if not isinstance(model, str):
         return build_expression(model, readings.outputs, own, readings.unit, columns)
     return build_model(model, readings.outputs, own, seen, readings.unit, columns)

@@ -8,7 +8,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.numerics.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
 from multipos.positions.attitudes import Convention, check_convention
-from multipos.positions.orientations import Placement
+from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -138,7 +138,7 @@ def _radians(orientation_sd: float | str | None) -> float | None:
     return math.radians(orientation_sd)
 
 
-def choose_estimator(options: Options, placement: Placement) -> Estimator:
+def choose_estimator(options: Options, stated_up: StatedOrientations) -> Estimator:
     """Return the estimator that the options and what is known of the positions call for.
 
     Raises
@@ -147,15 +147,15 @@ def choose_estimator(options: Options, placement: Placement) -> Estimator:
         The closed form, which takes exact orientations, is asked for where they are not.
     """
     if options.closed_form:
-        if not placement.exact:
+        if not stated_up.exact:
             raise MultiposError(
                 "--closed-form takes exact orientations, but the readings have groups, rolls of "
                 "open angle or orientation_sd_deg above 0; leave --closed-form out."
             )
         return Estimator.CLOSED_FORM
-    if placement.unknown:
+    if stated_up.unknown:
         return Estimator.UNKNOWN
-    return Estimator.LINEAR if placement.exact else Estimator.UNCERTAIN
+    return Estimator.LINEAR if stated_up.exact else Estimator.UNCERTAIN
 
 
 def criterion_in_words(

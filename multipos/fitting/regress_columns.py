@@ -8,7 +8,7 @@ Where a rate is named, heating and cooling are modelled apart if they differ.
 
 What a reader should know before believing a regression: what was chosen, jumps, too few rows.
 
-Validation by blocks of time: what a model is worth on data it has not seen.
+Validation by blocks of time: the error of a model on data it has not seen.
 
 Leaving out single rows of a log proves nothing, since the neighbours that stay know the answer. So
 the rows are cut into consecutive blocks of time; each is predicted by a model whose terms were
@@ -22,7 +22,7 @@ Sources: P. Burman, E. Chow, D. Nolan, Biometrika 81, 1994 (blocks for dependent
 
 Rows cut into segments and branches, each of which is fitted.
 
-Edges are given, or found where they are worth their coefficients; branches are the rows of
+Edges are given, or found where they lower the criterion; branches are the rows of
 heating and of cooling, by the sign of a rate.
 """
 
@@ -200,7 +200,7 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
 
 
 def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) -> dict[str, Any]:
-    """Return {blocks, rms, r2, rms_of_blocks} of predictions of blocks left out in turn.
+    """Return {blocks, rms, r2, rms_of_blocks} of predictions of blocks left out one after another.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) 
     return {
         "blocks": blocks,
         "rms": float(np.sqrt(np.mean(errors**2))),
-        # A response that never changes, told without an intercept, has nothing to compare with.
+        # A response that never changes, fitted without an intercept, has nothing to compare with.
         "r2": 1.0 - float((errors**2).sum()) / total if total > 0.0 else np.nan,
         "rms_of_blocks": [float(np.sqrt(np.mean(errors[part] ** 2))) for part in parts],
     }
@@ -300,7 +300,7 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
 
 
 def _noise(design: Array, data: Data, place: Rows) -> Noise | None:
-    """Return what is told of the noise that fits to the rows of each place leave."""
+    """Return what is known of the noise that fits to the rows of each place leave."""
     apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in np.unique(place)]
     return find_noise(np.column_stack(apart), data.response, data.order)
 
@@ -463,7 +463,7 @@ def regress(
     cluster : str, optional
         A column whose equal values mark rows that belong together.
     cross_validate : int, optional
-        Check by leaving out this many blocks of time in turn.
+        Check by leaving out this many blocks of time, one after another.
     confidence : float
         Of the critical F.
     drop_missing : bool
@@ -561,7 +561,7 @@ def _regress_each(responses: Sequence[str], given: Mapping[str, Any]) -> Regress
 def _describe(
     plan: Plan, response: str, read: Observations, cut: Cut, blocks: int | None
 ) -> Regression:
-    """Return the fitted segments with what tells how far to believe them."""
+    """Return the fitted segments with what tells how well they are determined."""
     hysteresis = None
     if cut.branch_column is not None:
         hysteresis = compare_branches(

@@ -264,15 +264,15 @@ class Piece:
         return Conditions(self._rows, self._grouped, self._known.outputs, self._known.used)
 
     def solve(
-        self, executor: Executor, folder: Path | None, told: Callable[[int], object]
+        self, executor: Executor, folder: Path | None, report: Callable[[int], object]
     ) -> Iterator[Solved]:
         """Yield what is found of the units, of those that batches leave over last."""
         left: list[Places] = []
 
-        def told_of_all(done: int) -> None:
-            told(self._first + done)
+        def report_all(done: int) -> None:
+            report(self._first + done)
 
-        for solved in solve_all(self._tasks(), executor, folder=folder, told=told_of_all):
+        for solved in solve_all(self._tasks(), executor, folder=folder, report=report_all):
             yield solved
             left.append(solved.units[[reason == LEFT for reason in solved.reasons]])
         rest = np.concatenate(left) - self._first if left else np.zeros(0, dtype=np.intp)
@@ -367,7 +367,7 @@ class Piece:
         if sd is not None:
             u = spread_reading_sd(sd, (n, len(values)))
             return tuple(np.broadcast_to(each, (count, n)) for each in u.T), ()
-        return read.of(read.stated, units, n), read.of(read.claimed, units, n)
+        return read.of(read.stated, units, n), read.of(read.stated_dof, units, n)
 
     def _alone(self, units: Places) -> Iterator[Task]:
         """Yield tasks of units that are fitted one by one, without those that are already."""
@@ -445,7 +445,7 @@ def fit_many(
     executor : concurrent.futures.Executor, optional
         What runs the tasks; threads of this process if not given.
     progress : callable, optional
-        Is told how many units are done.
+        Called with how many units are done.
     options
         Of `fit`; `stepwise` is refused, as all units have one model.
 
@@ -486,7 +486,7 @@ def fit_many(
             station_column,
             options,
             running,
-            told=progress or (lambda done: None),
+            report=progress or (lambda done: None),
         )
     return found.columns()
 
@@ -499,7 +499,7 @@ def fit_units(
     executor: Executor,
     *,
     folder: Path | None = None,
-    told: Callable[[int], object] = lambda done: None,
+    report: Callable[[int], object] = lambda done: None,
     study: bool = False,
 ) -> Units:
     """Return every unit's numbers; parameters are those of `fit_many`.
@@ -516,7 +516,7 @@ def fit_units(
     grouped = group_rows(rows)
     rows = rows.without_labels()
     with _quiet():
-        units = _solve(rows, grouped, given, executor, folder, told)
+        units = _solve(rows, grouped, given, executor, folder, report)
         trials = find_trials(rows, grouped) if study else None
         if trials is None:
             return _with_failed(units, rows)
@@ -532,7 +532,7 @@ def _solve(
     options: dict[str, Any],
     executor: Executor,
     folder: Path | None,
-    told: Callable[[int], object],
+    report: Callable[[int], object],
 ) -> Units:
     """Return the numbers of units, piece by piece."""
     known = Known(options)
@@ -542,7 +542,7 @@ def _solve(
         for cut in cuts:
             mine = slice(cut.first, cut.first + len(cut.grouped))
             piece = Piece(cut.rows, cut.grouped, stations[mine], cut.first, known)
-            for solved in piece.solve(executor, folder, told):
+            for solved in piece.solve(executor, folder, report):
                 found.take(solved)
             times[mine] = piece.times()
             del cut, piece  # before the next one is read
@@ -560,7 +560,7 @@ def _solve(
         reasons=found.reasons,
         first=grouped.firsts,
         time=times,
-        nests=tuple(found.nests),
+        fixtures=tuple(found.fixtures),
         confidence=float(options.get("confidence", 0.95)),
         gravity_u=known.gravity_u,
         sources=tuple((table.source, table.sha256) for table in rows.tables),

@@ -222,7 +222,7 @@ def fleet(
     progress_folder : path, optional
         Where finished tasks are kept while the run goes on, so that one that was stopped goes on.
     progress : callable, optional
-        Is told how many units are done.
+        Called with how many units are done.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def fleet(
             options,
             running,
             folder=progress_folder,
-            told=progress or (lambda done: None),
+            report=progress or (lambda done: None),
             study=True,
         )
     return assemble(units, given, asked(units.key, station_column, options))

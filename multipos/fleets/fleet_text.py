@@ -79,9 +79,11 @@ def _spread(each: Mapping[str, Any]) -> tuple[str, ...]:
         for key in ("mean", "sd", "sd_true", "lsl", "usl")
     )
     decimals = decimals_of(others[0] or 0.0)
-    told = plain_number(mean) if mean is None or decimals is None else f"{mean:.{decimals + 1}f}"
+    mean_text = (
+        plain_number(mean) if mean is None or decimals is None else f"{mean:.{decimals + 1}f}"
+    )
     sd, sd_true, low, high = others
-    return unit, told, plain_number(sd), plain_number(sd_true), number(low), number(high)
+    return unit, mean_text, plain_number(sd), plain_number(sd_true), number(low), number(high)
 
 
 def _interval(figure: Mapping[str, float] | None) -> str:

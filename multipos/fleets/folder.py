@@ -1,7 +1,8 @@
 """The folder that `multipos fleet` writes: its files, and where a run that was stopped left off.
 
-Where the angles of a station's nest are told, `stations` in it has two files of the station's name:
-the positions where they are, as a scheme (.csv), and how well that is known, as a budget (.toml).
+Where the angles of a station's fixture are identifiable, `stations` in it has two files of the
+station's name: the positions where they are, as a scheme (.csv), and how well that is known, as a
+budget (.toml).
 """
 
 import io
@@ -92,7 +93,7 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
 
 
 def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, str]]:
-    """Yield the files of every station whose correction is told."""
+    """Yield the files of every station whose correction is identifiable."""
     taken: set[str] = set()
     for station in fleet["stations"]:
         name = _file_name(station["station"], taken)

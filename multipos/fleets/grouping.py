@@ -139,7 +139,7 @@ class Conditions:
 
     Attributes
     ----------
-    values, stated, claimed : lists of M (N,) arrays
+    values, stated, stated_dof : lists of M (N,) arrays
         Outputs, and where they are stated of all of them their u and its degrees of freedom,
         which units need not share; in the order of the units.
     """
@@ -151,9 +151,9 @@ class Conditions:
         self._grouped = grouped
         self.values = self._columns(rows, outputs)
         self.stated = self._of_all(rows, outputs, "u")
-        self.claimed = self._of_all(rows, outputs, "dof") if self.stated else []
+        self.stated_dof = self._of_all(rows, outputs, "dof") if self.stated else []
         self._sound = self._sound_units(rows)
-        kinds = ("u",) * bool(self.stated) + ("dof",) * bool(self.claimed)
+        kinds = ("u",) * bool(self.stated) + ("dof",) * bool(self.stated_dof)
         apart = {f"{kind}_{output}" for kind in kinds for output in outputs}
         self._cells = [
             self._cells_of(rows, name)

@@ -195,11 +195,11 @@ def find_drift(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]
         if len(mine) < _FEWEST:
             continue
         for place in range(len(units.names)):
-            told = mine[np.isfinite(units.parameters[mine, place])]
-            if len(told) < _FEWEST:
+            finite = mine[np.isfinite(units.parameters[mine, place])]
+            if len(finite) < _FEWEST:
                 continue
-            after, chance = find_step(normal_scores(units.parameters[told, place]))
-            tests.append((station, place, told, after, chance))
+            after, chance = find_step(normal_scores(units.parameters[finite, place]))
+            tests.append((station, place, finite, after, chance))
     if not tests:
         return []
     found = discoveries(np.array([test[-1] for test in tests]))

@@ -86,8 +86,8 @@ def read_parquet(
 
     try:
         with parquet.ParquetFile(path) as file:
-            schema, told = file.schema_arrow, file.metadata
-        groups = {i: told.row_group(i).num_rows for i in range(told.num_row_groups)}
+            schema, about = file.schema_arrow, file.metadata
+        groups = {i: about.row_group(i).num_rows for i in range(about.num_row_groups)}
         if kept is not None:
             columns = _rows_kept(path, schema, kept)
         elif count := sum(groups.values()):

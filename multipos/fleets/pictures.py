@@ -84,22 +84,22 @@ _FEWEST = 5  # units of a point
 
 def histogram(values: Array) -> dict[str, Any] | None:
     """Return counts of values (n,) between low and high, and how many are beyond."""
-    told = values[np.isfinite(values)]
-    finest = _BINS * float(np.spacing(np.max(np.abs(told), initial=0.0)))
-    if len(told) < 2 or np.ptp(told) <= finest:
+    finite = values[np.isfinite(values)]
+    finest = _BINS * float(np.spacing(np.max(np.abs(finite), initial=0.0)))
+    if len(finite) < 2 or np.ptp(finite) <= finest:
         return None  # alike but for rounding
-    middle = float(median(told))
-    reach = _REACH * NORMAL * float(median(np.abs(told - middle)))
-    low, high = float(told.min()), float(told.max())
+    middle = float(median(finite))
+    reach = _REACH * NORMAL * float(median(np.abs(finite - middle)))
+    low, high = float(finite.min()), float(finite.max())
     if reach > finest:
         low, high = max(low, middle - reach), min(high, middle + reach)
-    counts, _ = np.histogram(told, bins=_BINS, range=(low, high))
+    counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return {
         "low": low,
         "high": high,
         "counts": counts.tolist(),
-        "below": int(np.sum(told < low)),
-        "above": int(np.sum(told > high)),
+        "below": int(np.sum(finite < low)),
+        "above": int(np.sum(finite > high)),
     }
 
 

@@ -156,9 +156,9 @@ def describe(
     confidence: float,
 ) -> dict[str, Any]:
     """Return what is said of one number of all units; values may be NaN."""
-    told = np.isfinite(values)
-    x, at = values[told], stations[told]
-    own = None if u is None else u[told]
+    finite = np.isfinite(values)
+    x, at = values[finite], stations[finite]
+    own = None if u is None else u[finite]
     spread = spread_of(x, own, at)
     said: dict[str, Any] = {
         "name": name,

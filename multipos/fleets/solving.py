@@ -56,7 +56,7 @@ from multipos.estimation.unknown_orientations import SharedSphere, estimate_unkn
 from multipos.files.tables import Table
 from multipos.finding import errors_of, serious
 from multipos.fitting.fit_readings import fit
-from multipos.fleets.nests import Nest, NestSums, sum_nests
+from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import UnitTests, find_in_units, unit_tests
 from multipos.numerics.arrays import Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
@@ -78,7 +78,11 @@ _WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number
 
 
 def find_suspects(
-    model: Model, values: tuple[Array, ...], found: Estimates, *, placed: bool = False
+    model: Model,
+    values: tuple[Array, ...],
+    found: Estimates,
+    *,
+    uncertain_orientation: bool = False,
 ) -> NDArray[np.bool_]:
     """Tell which units (B,) are to be looked at in full.
 
@@ -87,14 +91,14 @@ def find_suspects(
     model : Model
     values : M arrays (B, n)
     found : Estimates
-    placed : bool
+    uncertain_orientation : bool
         Orientations are uncertain.
     """
     matrix = inverses(found.inverse)
     length = np.asarray(np.linalg.norm(matrix, axis=2))
     usual = median(length, axis=0).tolist()
     suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
-    if placed:
+    if uncertain_orientation:
         suspect |= _ends_repeat(values)
     for i, residuals in enumerate(found.residuals):
         size = length[:, i]
@@ -151,7 +155,7 @@ class Solved(NamedTuple):
     findings, reasons : lists of B str
         Codes of errors and warnings, with `;` between them.
     unfit : (B,) array of bool
-    nests : tuple of NestSums
+    fixtures : tuple of FixtureSums
     """
 
     units: Places
@@ -163,7 +167,7 @@ class Solved(NamedTuple):
     findings: list[str]
     reasons: list[str]
     unfit: NDArray[np.bool_]
-    nests: tuple[NestSums, ...] = ()
+    fixtures: tuple[FixtureSums, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -174,8 +178,8 @@ class Pattern:
     ----------
     shared : SharedDesign, SharedSphere or SharedOrientations
         Known orientations, unknown ones, or uncertain ones.
-    nest : Nest or None
-        Where the angles of the positions can be told from residuals.
+    fixture : Fixture or None
+        Where the angles of the positions can be identified from residuals.
     gravity : Gravity or None
     findings : str
         Codes that the positions alone give, whatever the unit.
@@ -188,7 +192,7 @@ class Pattern:
     """
 
     shared: Shared
-    nest: Nest | None
+    fixture: Fixture | None
     gravity: Gravity | None
     findings: str
     asked: bool
@@ -212,7 +216,7 @@ class Task:
         Of those that are taken one by one.
     options : mapping
         Of `fit`.
-    stated, claimed : tuples of M (B, n) arrays
+    stated, stated_dof : tuples of M (B, n) arrays
         What is stated of the readings' uncertainties, and their degrees of freedom, if anything.
     time : (B, n) array or None
         Where U allows for slow noise.
@@ -225,7 +229,7 @@ class Task:
     tables: Mapping[int, Table]
     options: Mapping[str, Any]
     stated: tuple[Array, ...] = ()
-    claimed: tuple[Array, ...] = ()
+    stated_dof: tuple[Array, ...] = ()
     time: Array | None = None
 
 
@@ -266,12 +270,12 @@ def find_pattern(
         return None
     if shared is None:
         return None
-    nest, tests = None, None
+    fixture, tests = None, None
     if isinstance(shared, SharedDesign):
         tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
-        nest = Nest.of(shared, c.readings.labels, c.readings.up)
-    return Pattern(shared, nest, c.gravity, _common(c), asked, tests, timed)
+        fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
+    return Pattern(shared, fixture, c.gravity, _common(c), asked, tests, timed)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -302,34 +306,34 @@ def _share_uncertain(
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
     sd = options.get("orientation_sd")
     estimated = isinstance(sd, str)
-    _, placement = resolve(
+    _, stated_up = resolve(
         readings,
         options.get("scheme"),
         c.sign * float(np.linalg.norm(c.reference[0])),
         orientation_sd=None if sd is None or isinstance(sd, str) else math.radians(sd),
         estimate=estimated,
     )
-    apart = placement.groups or placement.rolls is not None
+    apart = stated_up.groups or stated_up.rolls is not None
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
     return share_orientations(
-        c.model, placement.reference, placement.orientation_sd, columns, estimated=estimated
+        c.model, stated_up.reference, stated_up.orientation_sd, columns, estimated=estimated
     )
 
 
-_POOR, _DENIED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noise"
+_POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noise"
 # What units are found of without being looked at in full, in the order of `fit`.
-_TOLD = (
+_CODES = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
-    *("lack-of-fit", _DENIED, "placement", "time-correlated", _OVERSTATED),
+    *("lack-of-fit", _REJECTED, "placement", "time-correlated", _OVERSTATED),
 )
-_OF_UNITS = frozenset((*_TOLD[4:], _POOR))
+_OF_UNITS = frozenset((*_CODES[4:], _POOR))
 
 
 def _common(calibration: Calibration) -> str:
     """Return what every unit at these positions is found of."""
-    # what depends on the unit is told of each by itself
+    # what depends on the unit is found of each by itself
     return _in_order(_codes(calibration) - _OF_UNITS)
 
 
@@ -338,7 +342,7 @@ def _codes(calibration: Calibration) -> set[str]:
 
 
 def _in_order(codes: Iterable[str]) -> str:
-    return ";".join(code for code in _TOLD if code in codes)
+    return ";".join(code for code in _CODES if code in codes)
 
 
 def _findings(
@@ -347,7 +351,7 @@ def _findings(
     found: Estimates,
     u: Array,
     dof: Array,
-    told: dict[str, NDArray[np.bool_]],
+    named: dict[str, NDArray[np.bool_]],
 ) -> list[str]:
     """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
@@ -355,15 +359,15 @@ def _findings(
     if not isinstance(shared, SharedOrientations):
         k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
         poor = are_poorly_known if unknown else are_open
-        told[_POOR] = poor(shared.model, found.parameters, k * u)
+        named[_POOR] = poor(shared.model, found.parameters, k * u)
     if found.chi2 is not None:
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         freedom = float(equations - len(shared.model.keys))
-        told[_DENIED] = found.chi2 > chi2_quantile(REJECTED, freedom)
-        told[_DENIED] &= ~told.get("outlier", np.False_)  # which explains it
-        told[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
+        named[_REJECTED] = found.chi2 > chi2_quantile(REJECTED, freedom)
+        named[_REJECTED] &= ~named.get("outlier", np.False_)  # which explains it
+        named[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
-    for code, each in told.items():
+    for code, each in named.items():
         number += len(words) * each
         words += [_in_order((*word.split(";"), code)) for word in words]
     return [words[i] for i in number.tolist()]
@@ -380,19 +384,19 @@ def solve_task(task: Task) -> Solved:
         found, in_time = _spread(shared, task.time, found)
     u, dof = _with_gravity(task.pattern, found)
     count = len(task.units)
-    nests: tuple[NestSums, ...] = ()
-    if task.pattern.nest is not None:
-        nests = sum_nests(task.pattern.nest, found, task.stations)
-    placed = isinstance(shared, SharedOrientations)
+    fixtures: tuple[FixtureSums, ...] = ()
+    if task.pattern.fixture is not None:
+        fixtures = sum_fixtures(task.pattern.fixture, found, task.stations)
+    uncertain_orientation = isinstance(shared, SharedOrientations)
     looked_at = ~(found.sound & in_time) | find_suspects(
-        shared.model, task.values, found, placed=placed
+        shared.model, task.values, found, uncertain_orientation=uncertain_orientation
     )
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= find_correlated(shared.reference, task.values, found.residuals)
-    told: dict[str, NDArray[np.bool_]] = {}
+    named: dict[str, NDArray[np.bool_]] = {}
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
         tested = find_in_units(task.pattern.tests, shared, task.values, found)
-        told, looked_at = tested.found, looked_at | tested.singly
+        named, looked_at = tested.found, looked_at | tested.singly
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
@@ -401,10 +405,10 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        _findings(task, task.pattern, found, u, dof, told),
+        _findings(task, task.pattern, found, u, dof, named),
         reasons,
         np.zeros(count, dtype=np.bool_),
-        nests,
+        fixtures,
     )
 
 
@@ -425,14 +429,14 @@ def _spread(
 
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
-        return estimate_unknown(shared, task.values, task.stated, task.claimed)
+        return estimate_unknown(shared, task.values, task.stated, task.stated_dof)
     if isinstance(shared, SharedOrientations):
-        return estimate_uncertain(shared, task.values, task.stated, task.claimed)
+        return estimate_uncertain(shared, task.values, task.stated, task.stated_dof)
     loss = task.options.get("robust")
     if loss is not None:
         return estimate_robust(shared, task.values, loss)
     pool = bool(task.options.get("pool"))
-    return estimate_known(shared, task.values, task.stated, task.claimed, pool=pool)
+    return estimate_known(shared, task.values, task.stated, task.stated_dof, pool=pool)
 
 
 LEFT = "\0left"  # the reason of a unit that a batch leaves to the fit of one

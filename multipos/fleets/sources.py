@@ -183,12 +183,12 @@ def read_rows(
     findings = _drop_repeated(read, named)
     if unit_column is None:
         _drop_foreign(read)
-        told = [table for table in read if isinstance(table, Table)]
-        if all(_UNIT in table for table in told):
+        read_tables = [table for table in read if isinstance(table, Table)]
+        if all(_UNIT in table for table in read_tables):
             unit_column = _UNIT
         elif (len(files) == 1 and only is None) or not all(map(_is_path, files)):
             raise UsageError(
-                f"{told[0].source} has no column '{_UNIT}'; name the column of units with "
+                f"{read_tables[0].source} has no column '{_UNIT}'; name the column of units with "
                 "--unit-column, or give several files, one per unit."
             )
     names = [name for name, table in zip(named, read, strict=True) if isinstance(table, Table)]

@@ -1,4 +1,4 @@
-"""What stations do to their units: level, zero, and how well that can be told.
+"""What stations do to their units: level, zero, and how well that can be identified.
 
 Units are allotted to stations at random; that is what these figures rest on. A number y of unit j
 at station s is
@@ -21,10 +21,10 @@ shows under listed references are A (1 + [ω]×), so that
 A station's shift is that of the bias. Both are against the mean of all stations, since nothing in
 a fleet tells what these have in common.
 
-What the nests of stations are: the angle of every position, and the correction that it asks for.
+Fixtures of stations: the angle of every position, and the correction that it asks for.
 
-A nest's angles δ_k come from `multipos.fleets.nests`, their mean over the units of a station. The
-correction lists each position where it was,
+A fixture's angles δ_k come from `multipos.fleets.fixtures`, their mean over the units of a station.
+The correction lists each position where it was,
 
     u_k = R(δ_k) u_k,listed,                                                                 (3)
 
@@ -44,7 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.finding import Finding, Findings
-from multipos.fleets.nests import NestSums
+from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.unit_results import Units
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import rotation_matrix
@@ -56,13 +56,13 @@ _CLEAR = 5.0  # where it is so many times its u
 FEWEST = 10  # units that a correction rests on: of fewer it adds as much doubt as it takes away
 
 
-def describe_nests(nests: Sequence[NestSums]) -> dict[int, dict[str, Any]]:
+def describe_fixtures(fixtures: Sequence[FixtureSums]) -> dict[int, dict[str, Any]]:
     """Return `positions_deg` and `correction` of every station, of its commonest positions."""
-    joined: dict[tuple[int, tuple[str, ...], bytes], list[NestSums]] = {}
-    for each in nests:
-        key = (each.station, each.labels, each.told.tobytes())
+    joined: dict[tuple[int, tuple[str, ...], bytes], list[FixtureSums]] = {}
+    for each in fixtures:
+        key = (each.station, each.labels, each.identifiable.tobytes())
         joined.setdefault(key, []).append(each)
-    most: dict[int, list[NestSums]] = {}
+    most: dict[int, list[FixtureSums]] = {}
     for (station, _, _), parts in joined.items():
         known = most.get(station, [])
         if sum(p.units for p in parts) > sum(p.units for p in known):
@@ -70,7 +70,7 @@ def describe_nests(nests: Sequence[NestSums]) -> dict[int, dict[str, Any]]:
     return {station: _described(parts) for station, parts in most.items()}
 
 
-def _described(parts: Sequence[NestSums]) -> dict[str, Any]:
+def _described(parts: Sequence[FixtureSums]) -> dict[str, Any]:
     count = sum(part.units for part in parts)
     mean = np.asarray(sum(part.total for part in parts) / count)
     square = sum(part.square for part in parts) / count
@@ -81,24 +81,26 @@ def _described(parts: Sequence[NestSums]) -> dict[str, Any]:
     }
 
 
-def _angles(nest: NestSums, value: Array, u: Array, count: int) -> list[dict[str, Any]]:
+def _angles(fixture: FixtureSums, value: Array, u: Array, count: int) -> list[dict[str, Any]]:
     found = []
-    for row, (label, told) in enumerate(zip(nest.labels, nest.told, strict=True)):
+    for row, (label, identifiable) in enumerate(
+        zip(fixture.labels, fixture.identifiable, strict=True)
+    ):
         angles = {
             axis: {"value": float(value[row, i]), "u": float(u[row, i])} if count > 1 else None
             for i, axis in enumerate(COMPONENTS)
         }
-        found.append({"position": label, **(angles if told else dict.fromkeys(COMPONENTS))})
+        found.append({"position": label, **(angles if identifiable else dict.fromkeys(COMPONENTS))})
     return found
 
 
 def _correction(
-    parts: Sequence[NestSums], mean: Array, u: Array, count: int
+    parts: Sequence[FixtureSums], mean: Array, u: Array, count: int
 ) -> dict[str, Any] | None:
-    """Return eqs. (3) and (4) as a scheme and a budget; None where an angle is not told."""
+    """Return eqs. (3) and (4) as a scheme and a budget; None where an angle is not identifiable."""
     first = parts[0]
     alike = all(np.array_equal(part.up, first.up) for part in parts)
-    if count < FEWEST or not first.told.all() or not alike:
+    if count < FEWEST or not first.identifiable.all() or not alike:
         return None
     labels = list(dict.fromkeys(first.labels))
     member = np.array([labels.index(label) for label in first.labels])
@@ -137,17 +139,17 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
     places = {name: place for place, name in enumerate(names)}
     stations = np.array([places[name] for name in units.station], dtype=np.intp)
     who = units.unit.codes.astype(np.intp)
-    told = units.model is not None and len(names) > 1
-    levels = _levels(units, counted, stations, who, len(names)) if told else None
-    shifts = _shifts(units, counted, stations, who, len(names)) if told else None
-    nests = describe_nests(units.nests)
+    identifiable = units.model is not None and len(names) > 1
+    levels = _levels(units, counted, stations, who, len(names)) if identifiable else None
+    shifts = _shifts(units, counted, stations, who, len(names)) if identifiable else None
+    fixtures = describe_fixtures(units.fixtures)
     described: list[dict[str, Any]] = [
         {
             "station": name,
             "units": int(np.sum(stations == place)),
             "level_deg": None if levels is None else levels[place],
             "shift": None if shifts is None else shifts[place],
-            **nests.get(place, {"positions_deg": [], "correction": None}),
+            **fixtures.get(place, {"positions_deg": [], "correction": None}),
         }
         for place, name in enumerate(names)
     ]
@@ -238,7 +240,7 @@ def _shifts(
 def _by_station(
     found: dict[str, list[dict[str, float]] | None], count: int
 ) -> list[dict[str, Any] | None]:
-    """Return {name: {value, u}} of every station, None where one of them is not told."""
+    """Return {name: {value, u}} of every station, None where one of them is not identifiable."""
     return [
         None
         if any(each is None for each in found.values())
@@ -293,10 +295,10 @@ def station_effects(values: Array, stations: Codes, who: Codes) -> tuple[Array, 
         return means, np.diag(total / seen)
     several = times[who] > 1
     rows, units = _centred(values[several], stations[several], who[several], count)
-    told = _within(rows, units, int(several.sum()) - len(np.unique(who[several])))
-    if told is None:
+    variance = _within(rows, units, int(several.sum()) - len(np.unique(who[several])))
+    if variance is None:
         return means, np.diag(total / seen)
-    within = max(told, _LEAST * total, 1e-300)
+    within = max(variance, _LEAST * total, 1e-300)
     between = max(total - within, 0.0)
     information = np.zeros((count, count))
     right = np.zeros(count)

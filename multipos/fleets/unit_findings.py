@@ -35,7 +35,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.fit_diagnostics import (
     OUTLIER_LEVEL,
-    ROWS_TOLD,
+    ROWS_NAMED,
     lack_of_fit_ratios,
     largest_square,
     p_values_of_units,
@@ -164,10 +164,12 @@ def _find(
     missing = _missing_terms(tests, values, error)
     sensitivity = inverses(found.inverse[units])
     outlying, singly = _outliers(tests, shared, sensitivity, residuals, error)
-    placed = np.zeros_like(missing)
+    misplaced = np.zeros_like(missing)
     axes = sorted(shared.model.axes) == list(COMPONENTS)
     if not tests.stated and axes:
-        placed = _off_positions(shared, found.parameters[units], residuals) & ~missing & ~outlying
+        misplaced = (
+            _off_positions(shared, found.parameters[units], residuals) & ~missing & ~outlying
+        )
     if tests.soaks:
         singly |= missing
     if tests.order is not None:
@@ -176,7 +178,7 @@ def _find(
         "missing-term": missing,
         "outlier": outlying,
         "lack-of-fit": _lack_of_fit(tests, shared, values, residuals),
-        "placement": placed,
+        "placement": misplaced,
     }
     return UnitFindings(codes, singly)
 
@@ -188,13 +190,15 @@ def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> Mask:
         return np.zeros(error.shape[1], dtype=np.bool_)
     explained = explained_by(on, error)
     whole = np.einsum("mbn,mbn->bm", error, error)[:, None]
-    q, left, floor = on.q, on.left, np.zeros(1)
+    q, left, least_variance = on.q, on.left, np.zeros(1)
     if tests.stated:
         explained, whole = explained.sum(axis=2, keepdims=True), whole.sum(axis=2, keepdims=True)
         q, left = q.sum(axis=1, keepdims=True), left.sum(keepdims=True)
     else:
-        floor = np.stack([np.square(np.ptp(y, axis=1) * FINEST) for y in values], axis=1)[:, None]
-    ratio, nu, tested = ratios_of(explained, whole, q, left, floor)
+        least_variance = np.stack([np.square(np.ptp(y, axis=1) * FINEST) for y in values], axis=1)[
+            :, None
+        ]
+    ratio, nu, tested = ratios_of(explained, whole, q, left, least_variance)
     logs = np.zeros(ratio.shape)
     for kind, output in np.argwhere((q > 0.0) & (nu >= 1.0)).tolist():
         dof = float(q[kind, output]), float(nu[kind, output])
@@ -237,7 +241,7 @@ def _outliers(
     beyond = r2 > limit[:, None, None]
     units = np.flatnonzero(beyond.any(axis=(0, 2)))
     outlying[units] = True
-    if len(units) and m > 1 and shared.dof.min() >= ROWS_TOLD:
+    if len(units) and m > 1 and shared.dof.min() >= ROWS_NAMED:
         questioned = np.moveaxis(beyond[:, units], 0, 2)
         bases = [each.Q for each in shared.by_output]
         given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned

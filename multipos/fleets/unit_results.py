@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.finding import Findings
+from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import GaugeStudy
 from multipos.fleets.labels import Labels
-from multipos.fleets.nests import NestSums
 from multipos.fleets.solving import Solved
 from multipos.numerics.arrays import Array
 from multipos.results import Columns
@@ -43,7 +43,7 @@ class Units:
         Why a unit failed; '' where it did not.
     first, time : (B,) arrays
         The first row of each unit in the tables, and the mean of its column `time`, NaN without.
-    nests : tuple of NestSums
+    fixtures : tuple of FixtureSums
     confidence : float
     gravity_u : float
         Relative uncertainty of gravity, which all units have in common.
@@ -71,7 +71,7 @@ class Units:
     reasons: Texts
     first: NDArray[np.intp]
     time: Array
-    nests: tuple[NestSums, ...]
+    fixtures: tuple[FixtureSums, ...]
     confidence: float
     gravity_u: float
     sources: tuple[tuple[str, str | None], ...]
@@ -118,7 +118,7 @@ class UnitsFound:
         self.findings: Texts = np.full(count, "", dtype=np.object_)
         self.reasons: Texts = np.full(count, "", dtype=np.object_)
         self.unfit = np.zeros(count, dtype=np.bool_)
-        self.nests: list[NestSums] = []
+        self.fixtures: list[FixtureSums] = []
 
     def take(self, solved: Solved) -> None:
         """Take up what a task found."""
@@ -141,4 +141,4 @@ class UnitsFound:
             self.dof[units] = solved.dof[good]
             self.rms[units] = solved.rms[good]
             self.unfit[units] = solved.unfit[good]
-        self.nests += solved.nests
+        self.fixtures += solved.fixtures

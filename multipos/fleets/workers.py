@@ -22,7 +22,7 @@ import numpy as np
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
 from multipos.files.whole import write_text
-from multipos.fleets.nests import NestSums
+from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.solving import Solved, Task, solve_task
 
 Engine = Literal["threads", "processes", "dask"]
@@ -89,7 +89,7 @@ def solve_all(
     executor: Executor,
     *,
     folder: Path | None = None,
-    told: Callable[[int], object] = lambda done: None,
+    report: Callable[[int], object] = lambda done: None,
 ) -> Iterator[Solved]:
     """Yield what every task found, in their order.
 
@@ -99,8 +99,8 @@ def solve_all(
     executor : concurrent.futures.Executor
     folder : path, optional
         Where finished tasks are kept, and found again.
-    told : callable
-        Is told how many units are done.
+    report : callable
+        Called with how many units are done.
     """
     waiting: deque[tuple[Path | None, Solved | Future[Solved]]] = deque()
     most = _AHEAD * int(getattr(executor, "_max_workers", 8)) + 1
@@ -113,12 +113,12 @@ def solve_all(
             while len(waiting) >= most:
                 solved = _finish(*waiting.popleft())
                 done += len(solved.units)
-                told(done)
+                report(done)
                 yield solved
         while waiting:
             solved = _finish(*waiting.popleft())
             done += len(solved.units)
-            told(done)
+            report(done)
             yield solved
     finally:
         for _, each in waiting:
@@ -139,7 +139,7 @@ def _finish(path: Path | None, each: "Solved | Future[Solved]") -> Solved:
 def _name(task: Task) -> str:
     """Return the SHA-256 of all that the numbers of a task depend on."""
     digest = hashlib.sha256(f"{__version__} {_said(task.options)}".encode())
-    for array in (task.units, task.stations, *task.values, *task.stated, *task.claimed):
+    for array in (task.units, task.stations, *task.values, *task.stated, *task.stated_dof):
         digest.update(np.ascontiguousarray(array).tobytes())
     if task.pattern is not None:
         shared = task.pattern.shared
@@ -172,12 +172,12 @@ def _packed(solved: Solved) -> bytes:
         "names": solved.names,
         "findings": solved.findings,
         "reasons": solved.reasons,
-        "nests": [[each.station, each.labels, each.units] for each in solved.nests],
+        "fixtures": [[each.station, each.labels, each.units] for each in solved.fixtures],
     }
     arrays: dict[str, Any] = {
         f"{name}{i}": getattr(each, name)
-        for i, each in enumerate(solved.nests)
-        for name in ("up", "told", "total", "square")
+        for i, each in enumerate(solved.fixtures)
+        for name in ("up", "identifiable", "total", "square")
     }
     np.savez(
         stream,
@@ -200,17 +200,17 @@ def _load(path: Path) -> Solved | None:
     try:
         with np.load(path, allow_pickle=False) as kept:
             words = json.loads(kept["words"].tobytes())
-            nests = tuple(
-                NestSums(
+            fixtures = tuple(
+                FixtureSums(
                     station,
                     tuple(labels),
                     kept[f"up{i}"],
-                    kept[f"told{i}"],
+                    kept[f"identifiable{i}"],
                     count,
                     kept[f"total{i}"],
                     kept[f"square{i}"],
                 )
-                for i, (station, labels, count) in enumerate(words["nests"])
+                for i, (station, labels, count) in enumerate(words["fixtures"])
             )
             return Solved(
                 kept["units"],
@@ -222,7 +222,7 @@ def _load(path: Path) -> Solved | None:
                 words["findings"],
                 words["reasons"],
                 kept["unfit"],
-                nests,
+                fixtures,
             )
     except (OSError, ValueError, KeyError, BadZipFile):
         return None

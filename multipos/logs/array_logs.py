@@ -44,7 +44,7 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
     header = None if all(map(str.isdigit, whole)) else list(whole)
     named = name_header(source, header, len(whole), names)
     arrays = dict(zip(named.columns, whole.values(), strict=True))
-    told = zip(named.columns, map(split_unit, whole), strict=True)
+    named_units = zip(named.columns, map(split_unit, whole), strict=True)
     return Log(
         source=source,
         columns=named.columns,
@@ -53,7 +53,7 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
         text=False,
         read=partial(_read_arrays, source, arrays, rows),
         header=named.header,
-        units={name: unit for name, (_, unit) in told if unit},
+        units={name: unit for name, (_, unit) in named_units if unit},
         headless=named.headless,
         nameless=named.nameless,
         dates=frozenset(_of_kind(arrays, "M")),

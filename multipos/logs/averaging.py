@@ -92,7 +92,7 @@ def average(
     convention : str
         'specific-force' or 'gravity': which sign the axis that points up has, for matching.
     progress : callable, optional
-        Is told how much has been read.
+        Called with how much has been read.
 
     Returns
     -------
@@ -177,11 +177,11 @@ def _sensor(
     only: tuple[str, ...] | None,
 ) -> tuple[tuple[str, ...] | None, tuple[str, str] | None]:
     """Return labels, and the column and value of one sensor, that --only names."""
-    told = [each.partition("=")[::2] for each in only or () if "=" in each]
-    if len(told) > 1:
+    filters = [each.partition("=")[::2] for each in only or () if "=" in each]
+    if len(filters) > 1:
         raise UsageError("--only takes the rows of one sensor: give one COLUMN=VALUE.")
     labels = tuple(each for each in only or () if "=" not in each)
-    return labels or None, told[0] if told else None
+    return labels or None, filters[0] if filters else None
 
 
 def _share(progress: Progress | None, done: int, count: int) -> Callable[[float], object] | None:

@@ -64,7 +64,7 @@ class Clock(NamedTuple):
     column: str
     unit: str  # a key of the units' sizes
     seconds: float  # of one such unit
-    by: str  # what told the unit
+    by: str  # that state the unit
 
 
 def time_columns(log: Log) -> list[str]:
@@ -118,8 +118,8 @@ def read_clock(log: Log, column: str, time: Array, given: TimeUnit | None) -> Cl
 
 def counts_rows(log: Log, column: str, time: Array) -> bool:
     """Tell whether a column (n,) whose unit nothing tells goes up by ones."""
-    told = column in log.dates or column in log.units or _named_unit(column) is not None
-    return not told and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
+    stated = column in log.dates or column in log.units or _named_unit(column) is not None
+    return not stated and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
 
 
 class Unwrapped(NamedTuple):
@@ -217,11 +217,11 @@ def read_dates(dates: Sequence[str]) -> Array:
     21.11.2026 the day.
     """
     dated = [len(cell.partition(":")[0]) > _HOURS for cell in dates]
-    told = [
+    stated = [
         cell if DATE.fullmatch(cell) and has_date == any(dated) else "NaT"
         for cell, has_date in zip(dates, dated, strict=True)
     ]
-    plain = _ZONE.sub("", "\n".join(told))
+    plain = _ZONE.sub("", "\n".join(stated))
     plain = _DAY_FIRST.sub(_turned(3, 2, 1), plain)
     plain = plain.replace(",", ".").replace("/", "-")
     plain = _MONTH_FIRST.sub(_turned(3, 1, 2), plain)

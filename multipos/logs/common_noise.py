@@ -1,8 +1,8 @@
 """The law of noise that the rests of a log have in common, where their means do not settle.
 
 One rest hardly tells flicker noise or a random walk from white noise where white noise is the
-larger; many rests of one sensor do. The slowest cosines of a rest of b batch means z, worth n
-samples of standard deviation s,
+larger; many rests of one sensor do. The slowest cosines of a rest of b batch means z, equivalent to
+n samples of standard deviation s,
 
     ρ_k = 2/b² [ Σ_i z_i cos π k (i − ½)/b ]² / (g s²/n),     k = 1 … 8,                    (1)
 
@@ -13,9 +13,9 @@ with g the median of n/n_eff of the rests, are independent, each χ² on one deg
 Where samples remember nothing beyond a tenth of a rest that is 1. Flicker noise has γ = 1 and φ_k
 nearly 1/k, a random walk γ = 2 and φ_k = 1/k², λ being the length of a rest over the median length.
 
-White noise is denied where the mean of ρ_k, weighted by k^−3/2, which is nearly as good as the best
-weights for either law, is beyond chance; or where ρ_1 and ρ_2 are so against ρ_5 … ρ_8 and a
-memory, m_k = a/(1 + k²/κ²), explains less. It must be denied without the rest that speaks loudest
+White noise is rejected where the mean of ρ_k, weighted by k^−3/2, which is nearly as good as the
+best weights for either law, is beyond chance; or where ρ_1 and ρ_2 are so against ρ_5 … ρ_8 and a
+memory, m_k = a/(1 + k²/κ²), explains less. It must be rejected without the rest that speaks loudest
 as well, so that one disturbed rest says nothing about the others, and what sticks out far takes no
 part at all. Outputs are taken together unless they differ beyond chance. α, 1 or below it, A and
 the law then follow by maximum likelihood [1]_, and
@@ -47,7 +47,7 @@ from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_tail
 
 _LEAST = 64  # samples of a rest, below which eight cosines are no longer like χ²
-_LEVEL = 0.045  # at which the weighted mean denies white noise
+_LEVEL = 0.045  # at which the weighted mean rejects white noise
 _FALL = 0.01  # at which ρ_1 and ρ_2 do
 _MANY = 36  # means, of which fewer must speak louder, as their u would be raised by more
 _OTHERS = 2.5  # times these levels are enough without the loudest rest
@@ -57,14 +57,14 @@ _WALK, _LOWER = 1.0, 2.0  # of the log likelihood, that a walk and α below 1 mu
 _MEMORIES = np.geomspace(3.0, 100.0, 12)  # κ: of a memory up to a tenth of a rest
 _RATIOS = np.geomspace(0.03, 1e4, 80)  # A/α
 _STEP = float(np.log(_RATIOS[1] / _RATIOS[0])) / sqrt(12.0)  # what lies between two of them
-_STRETCH = 16.0  # rest lengths, to whose mean u is told
+_STRETCH = 16.0  # rest lengths, to whose mean u refers
 _NOTHING = 1e-9  # of the slow cosines, below which the others are rounding
 _BLOCKS = 128  # enough for integrals over a rest
 
 _ORDER = np.arange(1, COSINES + 1)
 _WEIGHT = _ORDER**-1.5 / np.sum(_ORDER**-1.5)
 _DOF = 1.0 / float(_WEIGHT @ _WEIGHT)  # of the weighted mean of one rest
-_NEEDED = ("n", "sd", "u", "wander")  # of a rest
+_NEEDED = ("n", "sd", "u", "drift_factor")  # of a rest
 
 Mask = NDArray[np.bool_]
 
@@ -73,14 +73,14 @@ class Law(NamedTuple):
     """Eq. (2) of some outputs: whether it is a walk, α, A, and the standard deviation of A."""
 
     walk: bool
-    floor: float
+    lowest: float
     amplitude: float
     spread: float
 
     def square(self, length: Array) -> tuple[Array, Array]:
         """Return eq. (3) over g s²/n for every λ (R,), and its degrees of freedom."""
         slow = _growths()[self.walk] * length ** (1 + self.walk)
-        square = self.floor + slow * self.amplitude
+        square = self.lowest + slow * self.amplitude
         return square, 2.0 * (square / (slow * self.spread)) ** 2
 
 
@@ -94,20 +94,20 @@ def settle_together(found: Sequence[RestMean], lengths: Array) -> list[RestMean]
     lengths : (R,) array
         Of the rests, in one unit.
     """
-    n, sd, u, wander = (np.array([getattr(r, k) for r in found]) for k in _NEEDED)
+    n, sd, u, drift_factor = (np.array([getattr(r, k) for r in found]) for k in _NEEDED)
     white = sd**2 / n[:, None]
     cosines = np.array([each.cosines for each in found])
-    told = (white > 0.0) & (u > 0.0) & cosines.any(axis=2) & (n >= _LEAST)[:, None]
-    if len(found) < 2 or not told.any():
+    usable = (white > 0.0) & (u > 0.0) & cosines.any(axis=2) & (n >= _LEAST)[:, None]
+    if len(found) < 2 or not usable.any():
         return list(found)
-    memory = _medians((u / wander) ** 2 / np.where(told, white, 1.0), told)
+    memory = _medians((u / drift_factor) ** 2 / np.where(usable, white, 1.0), usable)
     rho = cosines / memory[:, None]
     size = rho @ _WEIGHT
-    told &= _are_usual(size / _medians(size, told), told)[:, None]
+    usable &= _are_usual(size / _medians(size, usable), usable)[:, None]
     length = lengths / float(median(lengths))
     square, dof = np.zeros(sd.shape), np.ones(sd.shape)
-    for outputs in _alike(size, told):
-        law = find_law(rho[:, outputs], told[:, outputs], length)
+    for outputs in _alike(size, usable):
+        law = find_law(rho[:, outputs], usable[:, outputs], length)
         if law is not None:
             by, own = law.square(length)
             square[:, outputs] = by[:, None] * (memory * white)[:, outputs]
@@ -122,24 +122,24 @@ def settle_together(found: Sequence[RestMean], lengths: Array) -> list[RestMean]
 def _raised(each: RestMean, more: Mask, square: Array, dof: Array) -> RestMean:
     u = np.where(more, np.sqrt(square), each.u)
     ratio = np.ones_like(u)
-    ratio[more] = (u * each.wander)[more] / each.u[more]
+    ratio[more] = (u * each.drift_factor)[more] / each.u[more]
     dof = np.where(more, np.clip(dof, 1.0, each.dof), each.dof)
     return replace(each, u=u, dof=dof, common=ratio)
 
 
-def _medians(values: Array, told: Mask) -> Array:
-    """Return the median of what is told of each output (M,), 1 where nothing is."""
-    columns = zip(values.T, told.T, strict=True)
+def _medians(values: Array, usable: Mask) -> Array:
+    """Return the median of the usable of each output (M,), 1 where nothing is."""
+    columns = zip(values.T, usable.T, strict=True)
     return np.array([float(median(v[t])) if t.any() else 1.0 for v, t in columns])
 
 
-def _are_usual(size: Array, told: Mask) -> Mask:
+def _are_usual(size: Array, usable: Mask) -> Mask:
     """Tell of which rests (R,) the outputs together are not far beyond the median of all."""
-    count = np.maximum(told.sum(axis=1), 1)
+    count = np.maximum(usable.sum(axis=1), 1)
     most = {c: _most(_DOF * c) for c in set(count.tolist())}
     limit = np.array([most[c] for c in count.tolist()])
-    mean = np.where(told, size, 0.0).sum(axis=1) / count
-    return np.asarray(mean <= limit * float(median(mean[told.any(axis=1)])))
+    mean = np.where(usable, size, 0.0).sum(axis=1) / count
+    return np.asarray(mean <= limit * float(median(mean[usable.any(axis=1)])))
 
 
 @cache
@@ -147,11 +147,11 @@ def _most(dof: float) -> float:
     return chi2_quantile(1.0 - _APART, dof) / chi2_quantile(0.5, dof)
 
 
-def _alike(size: Array, told: Mask) -> list[list[int]]:
+def _alike(size: Array, usable: Mask) -> list[list[int]]:
     """Return the outputs that are judged together: all that tell something, or each."""
-    count = told.sum(axis=0)
+    count = usable.sum(axis=0)
     outputs = np.flatnonzero(count).tolist()
-    each = (size * told).sum(axis=0)[outputs] / count[outputs]
+    each = (size * usable).sum(axis=0)[outputs] / count[outputs]
     dof = _DOF * count[outputs]
     together = float(each @ dof / dof.sum())
     off = float(4.5 * dof @ (np.cbrt(each / together) - 1.0) ** 2)  # as a cube root is normal
@@ -160,20 +160,20 @@ def _alike(size: Array, told: Mask) -> list[list[int]]:
     return [[j] for j in outputs]
 
 
-def find_law(rho: Array, told: Mask, length: Array) -> Law | None:
+def find_law(rho: Array, usable: Mask, length: Array) -> Law | None:
     """Return the law that rests have in common; None where they may have white noise.
 
     Parameters
     ----------
     rho : (R, M, 8) array
-    told : (R, M) array
+    identifiable : (R, M) array
         Which of them take part.
     length : (R,) array
         λ.
     """
-    others = told.copy()
-    others[int(np.where(told, rho @ _WEIGHT, 0.0).sum(axis=1).argmax())] = False
-    rows, without = rho[told], rho[others]
+    others = usable.copy()
+    others[int(np.where(usable, rho @ _WEIGHT, 0.0).sum(axis=1).argmax())] = False
+    rows, without = rho[usable], rho[others]
     if not len(without):
         return None
     level = min(1.0, len(rows) / _MANY) ** 2
@@ -181,7 +181,7 @@ def find_law(rho: Array, told: Mask, length: Array) -> Law | None:
     falls = _falls(rows, level * _FALL) and _falls(without, level * _OTHERS * _FALL)
     if not grown and not falls:
         return None
-    law, likelihood = _most_likely(rows, np.broadcast_to(length[:, None], told.shape)[told])
+    law, likelihood = _most_likely(rows, np.broadcast_to(length[:, None], usable.shape)[usable])
     return law if grown or likelihood > _with_memory(rows) + _LOWER else None
 
 
@@ -213,14 +213,14 @@ def _most_likely(rows: Array, length: Array) -> tuple[Law, float]:
         means = (1.0 + ratio * shape for ratio in _RATIOS.tolist())  # one by one: logs may be long
         plain, left = np.array([(np.log(m).sum(), (rows / m).sum()) for m in means]).T
         lower = np.minimum(left / rows.size, 1.0)  # the likeliest α
-        for floor, cost in ((np.ones_like(lower), 0.0), (lower, _LOWER)):
-            logs = -0.5 * (rows.size * np.log(floor) + plain + left / floor)
-            best, amplitude = int(logs.argmax()), floor * _RATIOS
+        for lowest, cost in ((np.ones_like(lower), 0.0), (lower, _LOWER)):
+            logs = -0.5 * (rows.size * np.log(lowest) + plain + left / lowest)
+            best, amplitude = int(logs.argmax()), lowest * _RATIOS
             weight = np.exp(logs - logs[best]) * _RATIOS  # of A, even in A
             weight /= weight.sum()
             spread = sqrt(float(weight @ (amplitude - weight @ amplitude) ** 2))
             spread = max(spread, _STEP * float(amplitude[best]))
-            law = Law(bool(walk), float(floor[best]), float(amplitude[best]), spread)
+            law = Law(bool(walk), float(lowest[best]), float(amplitude[best]), spread)
             found.append((law, float(logs[best]) - cost - walk * _WALK))
     return max(found, key=lambda each: each[1])
 

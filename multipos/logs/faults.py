@@ -199,10 +199,10 @@ def _settled(output: str, j: int, each: RestMean) -> list[Finding]:
     """Say where a mean does not settle, or rests on few independent samples."""
     if each.common[j] > 1.0:  # which is said once, of all rests
         return []
-    if each.wander[j] > 1.0:
+    if each.drift_factor[j] > 1.0:
         text = (
             f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "
-            f"is {each.wander[j]:.2g} times what its scatter says"
+            f"is {each.drift_factor[j]:.2g} times what its scatter says"
         )
         return [Finding("slow-drift", "note", text, outputs=(output,))]
     if each.sd[j] > 0.0 and each.effective[j] < _FEW:

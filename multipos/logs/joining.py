@@ -5,8 +5,8 @@ Which position of a scheme each rest is: the nearest direction, or the next of t
 The raw readings of three outputs show a direction once bias and scale factor are roughly known.
 Both follow, output by output, from the readings themselves: first from their range against the
 range of the scheme, then from the least-squares line through the positions found, until the
-positions stay the same. Misalignment and placement remain as the distance, an angle. A rest is
-doubtful where that angle is large, or the second-nearest direction is not twice as far.
+positions stay the same. Misalignment and orientation error remain as the distance, an angle. A rest
+is doubtful where that angle is large, or the second-nearest direction is not twice as far.
 
 Fewer than three outputs read the same of two directions. Their rests are taken as the positions of
 the scheme in order, one each, and are doubtful where they are far from what the scheme makes them.
@@ -206,7 +206,7 @@ def _from_lines(means: Array, targets: Array, scale: Array) -> tuple[Array, Arra
 
 
 def _spread_over(rows: list[int], scheme: Scheme) -> list[int]:
-    """Give rests of one direction to the scheme's positions of that direction in turn."""
+    """Give rests of one direction to the scheme's positions of that direction one after another."""
     taken: dict[int, int] = {}
     result = []
     for row in rows:

@@ -62,7 +62,7 @@ class Layout:
     header : tuple of str or None
         What stands in the header, without white space; '' is no name.
     units : tuple of str or None
-        Of each column; '' where none is told.
+        Of each column; '' where none is stated.
     numeric, dates : tuples of bool
         Which columns hold numbers, and dates.
     first : int
@@ -167,9 +167,9 @@ def _layout(
     )
 
 
-def _mostly(told: Sequence[object]) -> bool:
+def _mostly(units_found: Sequence[object]) -> bool:
     """Tell whether half of the cells are of a kind: a bad one is an error, where it is used."""
-    return any(told) and 2 * sum(map(bool, told)) >= len(told)
+    return any(units_found) and 2 * sum(map(bool, units_found)) >= len(units_found)
 
 
 def _stated(lines: Sequence[str]) -> tuple[str | None, list[Line]]:
@@ -318,8 +318,8 @@ def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
         if cells is None:
             if not comment:
                 break
-        elif not units and line is not above[0] and (told := _units(cells)):
-            units = told
+        elif not units and line is not above[0] and (units_found := _units(cells)):
+            units = units_found
         else:
             _refuse_open_quote(source, line)
             return _Header(cells, units or _units_behind(cells), line.number, comment)
@@ -372,10 +372,10 @@ def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
 def _units(cells: Sequence[str]) -> tuple[str, ...] | None:
     """Return units, where all cells are units."""
     bare = [cell[1:-1] if cell[:1] in ("(", "[") else cell for cell in cells]
-    told = ["" if cell.casefold() in _UNITLESS else unit_of(cell) for cell in bare]
-    if None in told or not any(told):
+    units_found = ["" if cell.casefold() in _UNITLESS else unit_of(cell) for cell in bare]
+    if None in units_found or not any(units_found):
         return None
-    return tuple(unit or "" for unit in told)
+    return tuple(unit or "" for unit in units_found)
 
 
 def _refuse_other_width(source: str, line: Line, shape: _Shape) -> None:

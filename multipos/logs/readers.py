@@ -22,12 +22,12 @@ from multipos.logs.flight_logs import load_bag, load_dataflash, load_ulog
 
 
 class Reader(NamedTuple):
-    """How one kind of file is told from others, and opened.
+    """How one kind of file is distinguished from others, and opened.
 
     One of `columns` and `unpack` is there.
     """
 
-    listed: str  # what users are told is read
+    listed: str  # named to users as read
     suffixes: tuple[str, ...]
     magic: bytes
     columns: Callable[[os.PathLike[str]], Mapping[str, Any]] | None

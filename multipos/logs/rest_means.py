@@ -21,7 +21,7 @@ remember much.
 No autoregression is flicker noise or a random walk, whose means do not settle. They are known by
 the Allan variances (`multipos.bias_stability.allan`) over m = b/64 … b/4 batches, a weighted line
 in ln σ²(m) of slope −1 for white noise, 0 for flicker, 1 for a walk (each known to about 0.2). A
-rest wanders where that slope is above −.45 although σ² does not rise up to b/64 either, as it does
+rest drifts where that slope is above −.45 although σ² does not rise up to b/64 either, as it does
 where the noise has only a short memory, or where it rises by more than .6 to the end. Neighbouring
 means then differ by √2 σ(b) of that line, and those of a session sixteen rests long by
 
@@ -159,8 +159,8 @@ class RestMean(Result):
         Longest run of equal samples.
     dof : array
         Degrees of freedom of u.
-    wander : array
-        How many times the u of eq. (1) that of eq. (3) is, where the rest wanders, else 1.
+    drift_factor : array
+        How many times the u of eq. (1) that of eq. (3) is, where the rest drifts, else 1.
     cosines : (M, 8) array
         Squares of its slowest cosines, over their mean if its samples were independent.
     common : array
@@ -181,7 +181,7 @@ class RestMean(Result):
     at_high: Counts
     longest: Counts
     dof: Array
-    wander: Array
+    drift_factor: Array
     cosines: Array
     common: Array
 
@@ -217,7 +217,7 @@ def _means_of_some(sums: Sequence[RestSum]) -> list[RestMean]:
     plain = np.maximum(np.where(variance > 0.0, density / count, 0.0), variance / n)
     phases = np.concatenate([np.zeros((*plain.shape, 1)), np.cumsum(batches, axis=2)], axis=2)
     dof = np.where(variance > 0.0, dof, n - 1.0)
-    u2, dof, wander = _wandering(phases, count[:, 0], plain, dof)
+    u2, dof, drift_factor = _drifting(phases, count[:, 0], plain, dof)
     dof = np.maximum(np.minimum(dof, n - 1.0), 1.0)
 
     sd, u, drift_u = np.sqrt(variance), np.sqrt(u2), np.sqrt(12.0 * around / count)
@@ -238,7 +238,7 @@ def _means_of_some(sums: Sequence[RestSum]) -> list[RestMean]:
             at_high=each.ends[1].count,
             longest=each.longest,
             dof=dof[i],
-            wander=wander[i],
+            drift_factor=drift_factor[i],
             cosines=cosines[i],
             common=np.ones_like(sd[i]),
         )
@@ -280,7 +280,7 @@ def _densities(batches: Array, left: Array, count: Counts) -> tuple[Array, Array
     return density, dof
 
 
-def _wandering(
+def _drifting(
     phases: Array, count: Counts, square: Array, dof: Array
 ) -> tuple[Array, Array, Array]:
     """Return u² (R, M) by eq. (3) where it is larger, its degrees of freedom, and by how much.
@@ -294,24 +294,24 @@ def _wandering(
     square, dof : (R, M) arrays
         Of eqs. (1) and (2).
     """
-    wander = np.ones_like(square)
+    drift_factor = np.ones_like(square)
     long = np.flatnonzero((count >= 2 * _PARTS[0][0]) & (square > 0.0).any(axis=1))
     if not len(long):
-        return square, dof, wander
+        return square, dof, drift_factor
     lengths = count[long, None] // np.array([part for part, _ in _PARTS])
     weights = np.array([nu for _, nu in _PARTS])
     slope, end, spread = _allan_line(phases[long], lengths, weights, count[long])
-    wanders = np.zeros(square.shape, dtype=np.bool_)
+    drifts = np.zeros(square.shape, dtype=np.bool_)
     for i in np.flatnonzero((slope > _SETTLES).any(axis=1)).tolist():
         short = np.array([[1 << k for k in range(int(lengths[i, 0]).bit_length())]])
         rest = long[i : i + 1]
         rise, _, _ = _allan_line(phases[rest], short, 1.0 / short[0], count[rest])
-        wanders[rest] = np.where(rise < _RISES, slope[i] > _SETTLES, slope[i] > _WALKS)
-    raised, told = np.zeros_like(square), np.ones_like(square)
-    raised[long], told[long] = 2.0 * np.exp(end), 1.0 / spread[:, None]
-    more = wanders & (raised > square) & (square > 0.0)
-    wander[more] = np.sqrt(raised[more] / square[more])
-    return np.where(more, raised, square), np.where(more, told, dof), wander
+        drifts[rest] = np.where(rise < _RISES, slope[i] > _SETTLES, slope[i] > _WALKS)
+    raised, dof_left = np.zeros_like(square), np.ones_like(square)
+    raised[long], dof_left[long] = 2.0 * np.exp(end), 1.0 / spread[:, None]
+    more = drifts & (raised > square) & (square > 0.0)
+    drift_factor[more] = np.sqrt(raised[more] / square[more])
+    return np.where(more, raised, square), np.where(more, dof_left, dof), drift_factor
 
 
 def _allan_line(

@@ -78,7 +78,7 @@ _PEAK = 0.2  # of the highest density: a lower hill is no peak of its own
 _BETWEEN = (2.5, 4.0)  # times the peak
 _BETWEEN_SLOW = (1.7, 2.8)  # of v, which is hardly that of noise without a memory
 _NOISY = 0.02  # of the log's half range: above, turns hide in s
-_MOTION = 0.05  # of it: no sensor at rest wanders as far
+_MOTION = 0.05  # of it: no sensor at rest drifts as far
 _NOISE = 1.0  # steps of resolution: with more no window is constant by chance
 
 # Spikes.
@@ -378,18 +378,18 @@ class Survey:
             )
         # A window can vary by less than the resolution by chance, but a sensor never is that good.
         step = float(np.nanmax(self.resolution))
-        floor = max(step / np.sqrt(12.0), 10.0**_LOWEST)
+        quietest = max(step / np.sqrt(12.0), 10.0**_LOWEST)
         noise = size = 0.0
         if self._counts[0].any():
-            noise, size = _valley(self._counts[0], 0, floor)
+            noise, size = _valley(self._counts[0], 0, quietest)
         frozen = noise > _NOISE * step
         if not frozen:
-            noise, size = _valley(self._counts[0], self._constant, floor)
+            noise, size = _valley(self._counts[0], self._constant, quietest)
         half_range = float((self._mean_range[1] - self._mean_range[0]).max()) / 2.0
         # Where even the range is noise the log is one long rest, which is said elsewhere.
         if not (half_range > 2.0 * noise and noise > _NOISY * half_range):
             return Limits(size, np.inf, frozen)
-        noise, slow = _valley(self._counts[1], 0, floor, _BETWEEN_SLOW)
+        noise, slow = _valley(self._counts[1], 0, quietest, _BETWEEN_SLOW)
         if noise > _MOTION * half_range:
             raise MultiposError(
                 f"the log has no rest: even where it is quietest it varies by {noise:.3g} (one "
@@ -400,10 +400,10 @@ class Survey:
 
 
 def _valley(
-    counts: Array, constant: int, floor: float, between: tuple[float, float] = _BETWEEN
+    counts: Array, constant: int, quietest: float, between: tuple[float, float] = _BETWEEN
 ) -> tuple[float, float]:
     """Return the first peak of a histogram, and where it has the fewest windows above."""
-    first = int((np.log10(floor) - _LOWEST) * _BINS_PER_DECADE)
+    first = int((np.log10(quietest) - _LOWEST) * _BINS_PER_DECADE)
     density = counts.astype(np.float64)
     density[first] += density[:first].sum() + constant
     density[:first] = 0.0

@@ -88,7 +88,7 @@ class Runs:
         return found
 
 
-Progress = Callable[[float], object]  # is told how much of the log has been read, 0 to 1
+Progress = Callable[[float], object]  # is called with how much of the log has been read, 0 to 1
 
 Mask = NDArray[np.bool_]
 

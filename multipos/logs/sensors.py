@@ -1,4 +1,4 @@
-"""Logs of several sensors whose rows take turns, told apart by a column.
+"""Logs of several sensors whose rows take turns, distinguished by a column.
 
 A column with few values that come in the same order again and again numbers sensors, or samples of
 a packet. They are sensors where readings differ more from one row to the next than from one round
@@ -19,7 +19,7 @@ from multipos.numerics.arrays import Array, median
 
 _SENSORS = 16  # at most
 _ROUNDS = 32  # at least
-_SAME = 0.98  # of the rows that go on in turn: some may be lost
+_SAME = 0.98  # of the rows that go on by turns: some may be lost
 _APART = 2.0  # times as far as from one round to the next
 _HEAD = 4096  # rows that are looked at
 
@@ -56,10 +56,10 @@ def _read(
     for piece in log.read(names, *more, lenient=lenient):
         table = piece.table
         if numeric:
-            told = np.asarray(table.columns[column], dtype=np.float64) == _number(value)
+            matches = np.asarray(table.columns[column], dtype=np.float64) == _number(value)
         else:
-            told = np.array([cell == value for cell in table.text(column)])
-        rows = np.flatnonzero(told).tolist()
+            matches = np.array([cell == value for cell in table.text(column)])
+        rows = np.flatnonzero(matches).tolist()
         kept = {name: _some(cells, rows) for name, cells in table.columns.items()}
         lines = None if table.lines is None else [int(table.lines[row]) for row in rows]
         chosen = replace(table, columns=kept, rows=len(rows), lines=lines, first=first)

@@ -398,7 +398,7 @@ def _read_head(
 def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log:
     layout = text.layout
     numbers = zip(named.columns, layout.numeric, layout.dates, strict=True)
-    told = zip(named.columns, layout.units, strict=True)
+    named_units = zip(named.columns, layout.units, strict=True)
     return Log(
         source=str(text.path),
         columns=named.columns,
@@ -407,7 +407,7 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log
         text=True,
         read=read,
         header=named.header,
-        units={name: unit for name, unit in told if unit},
+        units={name: unit for name, unit in named_units if unit},
         rising=named.headless and layout.rising,
         headless=named.headless,
         nameless=named.nameless,
@@ -515,7 +515,7 @@ def _lines(text: _Text, block: _Block) -> list[str]:
 
 
 class _Wanted(NamedTuple):
-    """What is read of rows, as `Log.read` is told."""
+    """What is read of rows, as `Log.read` has it."""
 
     names: tuple[str, ...]
     optional: tuple[str, ...]

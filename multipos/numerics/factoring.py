@@ -5,7 +5,7 @@ rows, or a full covariance. Householder QR of the whitened rows never squares th
 
 **Rank.** Columns may be in any unit, so R is judged with its columns scaled to unit length:
 singular values below `RANK` of the largest count as zero. Columns dependent but for rounding leave
-1e-16 to 1e-15; the hardest problem known to be worth solving (NIST's Filip) leaves 2e-10. `RANK` =
+1e-16 to 1e-15; the hardest problem known that is solved (NIST's Filip) leaves 2e-10. `RANK` =
 1e-13 lies between, with two and three decades to either side.
 
 **Size.** Many rows are factored in small blocks and the triangles again: as stable as one

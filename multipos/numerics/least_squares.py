@@ -111,7 +111,7 @@ def solve(
     response: ArrayLike,
     *,
     covariance: ArrayLike | None = None,
-    floor: float = 0.0,
+    least_norm: float = 0.0,
     names: Sequence[str] | None = None,
     rows: str = "positions",
 ) -> LinearFit:
@@ -124,7 +124,7 @@ def solve(
         k responses may share the design and the covariance.
     covariance : (n,) or (n, n) array, optional
         Variances of the rows or their full covariance; unit variances if not given.
-    floor : float
+    least_norm : float
         A column whose Euclidean norm does not exceed this counts as zero.
     names : sequence of p str, optional
         Names of the coefficients, for messages.
@@ -144,7 +144,7 @@ def solve(
     """
     X, y = _checked(design, response)
     V = Covariance(covariance, len(X))
-    factored = _factored(X[np.newaxis], V, floor, [names], rows)
+    factored = _factored(X[np.newaxis], V, least_norm, [names], rows)
     (found,) = factored.fits(y.reshape(1, len(X), -1))
     if y.ndim == 2:
         return found
@@ -162,7 +162,7 @@ def solve_alike(
     responses: Array,
     *,
     variances: Array | None = None,
-    floor: float = 0.0,
+    least_norm: float = 0.0,
     names: Sequence[Sequence[str] | None],
     rows: str = "positions",
 ) -> list[LinearFit]:
@@ -174,7 +174,7 @@ def solve_alike(
     responses : (G, n, k) array
     variances : (G, n) array, optional
         Of the rows of each problem.
-    floor, rows
+    least_norm, rows
         As in `solve`.
     names : G sequences of p str
         Names of the coefficients of each problem, for messages.
@@ -185,9 +185,9 @@ def solve_alike(
         As in `solve`; of columns that depend on each other it is a `DependentColumnsError`.
     """
     _require_finite(responses, "response")
-    return factor_alike(designs, variances=variances, floor=floor, names=names, rows=rows).fits(
-        responses
-    )
+    return factor_alike(
+        designs, variances=variances, least_norm=least_norm, names=names, rows=rows
+    ).fits(responses)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -246,7 +246,7 @@ def factor_alike(
     designs: Array,
     *,
     variances: Array | None = None,
-    floor: float = 0.0,
+    least_norm: float = 0.0,
     names: Sequence[Sequence[str] | None],
     rows: str = "positions",
 ) -> Factored:
@@ -254,11 +254,11 @@ def factor_alike(
     design_matrix(designs[0])  # refuses one without columns
     _require_finite(designs, "design")
     V = Covariance(variances, designs.shape[1], stacked=True)
-    return _factored(designs, V, floor, names, rows)
+    return _factored(designs, V, least_norm, names, rows)
 
 
 def _factored(
-    X: Array, V: Covariance, floor: float, names: Sequence[Sequence[str] | None], rows: str
+    X: Array, V: Covariance, least_norm: float, names: Sequence[Sequence[str] | None], rows: str
 ) -> Factored:
     """Factor a stack of designs (G, n, p), and refuse dependent columns."""
     n, p = X.shape[1:]
@@ -273,11 +273,11 @@ def _factored(
     singular = singular_values(R)
     judged = singular if V.full is None else singular_values(X)  # see `separability`
     dependent = judged[:, -1] <= RANK * judged[:, 0]
-    if floor > 0.0:
-        dependent |= column_norms(X).min(axis=1) <= floor
+    if least_norm > 0.0:
+        dependent |= column_norms(X).min(axis=1) <= least_norm
     if dependent.any():
         first = int(np.argmax(dependent))
-        _refuse(X[first], V.of(first), floor, names[first], rows, first)
+        _refuse(X[first], V.of(first), least_norm, names[first], rows, first)
     conditions = (singular[:, 0] / singular[:, -1]).tolist()
     T: Array = np.asarray(np.linalg.inv(R), dtype=np.float64)  # triangular: back substitution
     cofactors = T @ T.transpose(0, 2, 1)
@@ -365,12 +365,14 @@ def _require_finite(numbers: Array, name: str) -> None:
 def _refuse(
     X: Array,
     V: Covariance,
-    floor: float,
+    least_norm: float,
     names: Sequence[str] | None,
     rows: str,
     problem: int,
 ) -> None:
-    found = separability(X, floor=floor, covariance=V.variances if V.full is None else V.full)
+    found = separability(
+        X, least_norm=least_norm, covariance=V.variances if V.full is None else V.full
+    )
     if names is None:
         names = [f"column {j + 1}" for j in range(found.parameters)]
     combinations = name_combinations(found.null, names, rows=rows)

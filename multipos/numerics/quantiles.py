@@ -12,7 +12,7 @@ one estimated on ν degrees of freedom; at ν = ∞ the second is χ²_k/k.
 `coverage_factor`      k of a two-sided interval, `coverage_factors` of many
 `t_tail`               p value of an estimate over its u, both sides
 `f_tail`, `f_quantile` variances compared: terms entering a model, lack of fit
-`chi2_tail`            residuals against claimed noise
+`chi2_tail`            residuals against stated noise
 =====================  ============================================================
 
 Degrees of freedom may be fractional (Welch–Satterthwaite) and infinite; where they are not positive
@@ -197,7 +197,7 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
 
 
 _KEPT = 256  # quantiles: a fit asks for the same one of each of its parameters
-_MANY = 100  # degrees of freedom from which on SciPy is worth its import
+_MANY = 100  # degrees of freedom from which on SciPy is imported
 _ARRAY = 20_000  # values from which on its error function is
 _KNOWN = 1e6  # beyond which the difference of two tails is rounding
 

@@ -315,7 +315,7 @@ def select_backward(
     Raises
     ------
     MultiposError
-        The full model is saturated, or its columns cannot be told apart.
+        The full model is saturated, or its columns cannot be separated.
     """
     p = len(names)
     if triangle.rows <= p:
@@ -560,7 +560,7 @@ def all_subsets(
     requires: Sequence[frozenset[int]] | None = None,
     criterion: SubsetCriterion = "aicc",
 ) -> tuple[Subset, ...]:
-    """Return the subsets worth looking at, the best by the criterion first.
+    """Return the subsets to try, the best by the criterion first.
 
     Parameters
     ----------

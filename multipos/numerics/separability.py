@@ -1,10 +1,10 @@
-"""What the rows of a design can tell apart, whatever the response.
+"""What the rows of a design can separate, whatever the response.
 
 The rank is that of the whitened design with its columns scaled to unit length
 (`multipos.numerics.factoring`). Scaling alone would promote a column that is nothing but rounding,
-cos 90° = 6e-17, to a full member: a column whose Euclidean norm does not exceed `floor` is zero.
-References in g have a floor of 1e-9; columns of a regression have units of their own and no floor.
-What cannot be separated is named by the null space in reduced echelon form
+cos 90° = 6e-17, to a full member: a column whose norm does not exceed `least_norm` is zero.
+References in g have a least norm of 1e-9; columns of a regression have units of their own and no
+least norm. What cannot be separated is named by the null space in reduced echelon form
 (`multipos.numerics.separability`).
 
 Words for what a design cannot tell apart: combinations of parameters, as sums of their names.
@@ -32,7 +32,7 @@ from multipos.numerics.factoring import (
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Separability:
-    """What the rows of a design can tell apart.
+    """What the rows of a design can separate.
 
     Attributes
     ----------
@@ -51,15 +51,15 @@ class Separability:
 
 
 def separability(
-    design: ArrayLike, *, floor: float = 0.0, covariance: ArrayLike | None = None
+    design: ArrayLike, *, least_norm: float = 0.0, covariance: ArrayLike | None = None
 ) -> Separability:
-    """What the rows of a design can tell apart, whatever the response.
+    """What the rows of a design can separate, whatever the response.
 
     Parameters
     ----------
     design : (n, p) array
         May have fewer rows than columns; the rank is then n at most.
-    floor, covariance
+    least_norm, covariance
         As in `multipos.numerics.least_squares.solve`. The covariance bears on the condition; what
         rows of finite variance can tell apart does not depend on it.
 
@@ -70,7 +70,7 @@ def separability(
     X = design_matrix(design)
     n, p = X.shape
     V = Covariance(covariance, n)
-    dead = column_norms(X) <= floor
+    dead = column_norms(X) <= least_norm
     if dead.any():
         X = np.where(dead, 0.0, X)
     R = factor(V, X)[1] if n >= p else V.whitened(X)

@@ -142,12 +142,14 @@ def factor_from_list(entry: list[Any]) -> Factor:
     ValueError
         A function that is not known.
     """
-    variable, power, told = entry
-    if told is False:
+    variable, power, function_name = entry
+    if function_name is False:
         return Factor(variable, power)
-    named = [name for name, function in FUNCTIONS.items() if function.json == told]
+    named = [name for name, function in FUNCTIONS.items() if function.json == function_name]
     if not named:
-        raise ValueError(f"a factor of '{variable}' has a function that is not known, '{told}'")
+        raise ValueError(
+            f"a factor of '{variable}' has a function that is not known, '{function_name}'"
+        )
     return Factor(variable, power, *named)
 
 

@@ -46,8 +46,8 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     at = np.arange(len(c.readings))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
-        told = "±2 sd" if c.sessions is None else "±2 sd within a session"
-        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=told)
+        band_label = "±2 sd" if c.sessions is None else "±2 sd within a session"
+        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=band_label)
     axes.plot(
         at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
     )

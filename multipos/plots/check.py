@@ -103,14 +103,14 @@ def set_beside(known: Array) -> Array:
         return known
     span = float(np.ptp(known))
     group = np.cumsum(np.append(0, np.diff(known) > _SAME * span))
-    placed = known.astype(np.float64)
+    shifted = known.astype(np.float64)
     steps = np.diff(known)
     room = _BESIDE * float(steps[steps > _SAME * span].min(initial=span))
     for number in range(int(group[-1]) + 1):
         rows = np.flatnonzero(group == number)
         if len(rows) > 2:
-            placed[rows] += np.linspace(-0.5, 0.5, len(rows)) * room
-    return placed
+            shifted[rows] += np.linspace(-0.5, 0.5, len(rows)) * room
+    return shifted
 
 
 def errors_apart(found: Check) -> bool:

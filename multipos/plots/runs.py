@@ -138,15 +138,15 @@ def draw_terms(comparison: RegressionComparison, axes: "Axes") -> None:
     """Draw the terms of repeated regressions, each less its mean over its u, with a bar of u."""
     runs = len(comparison.files)
     for run in range(runs):
-        told = [
+        shown = [
             (row, term, float(np.sqrt(np.nanmean(term.u**2))))
             for row, term in enumerate(comparison.terms)
             if not np.isnan(term.values[run]) and term.u[run] > 0.0
         ]
         axes.errorbar(
-            [(term.values[run] - np.nanmean(term.values)) / typical for _, term, typical in told],
-            [row + 0.6 * ((run + 0.5) / runs - 0.5) for row, _, _ in told],
-            xerr=[term.u[run] / typical for _, term, typical in told],
+            [(term.values[run] - np.nanmean(term.values)) / typical for _, term, typical in shown],
+            [row + 0.6 * ((run + 0.5) / runs - 0.5) for row, _, _ in shown],
+            xerr=[term.u[run] / typical for _, term, typical in shown],
             color=COLOURS[run % 6],
             marker=MARKERS[run % 8],
             elinewidth=0.8,

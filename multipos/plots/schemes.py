@@ -75,10 +75,10 @@ def schemes_figure(found: Schemes, **setting: Any) -> "Figure":
     figure, axes = new_figure(len(found.schemes), height=2.4)
     for entry, one in zip(found.schemes, axes, strict=True):
         draw_scheme(_table(np.array(list(entry.up.values()))), one, **setting)
-        told = "cannot separate the parameters"
+        caption = "cannot separate the parameters"
         if entry.d_efficiency is not None:
-            told = f"D-efficiency {entry.d_efficiency:.3f}"
-        write_title(one, f"{entry.name or 'scheme'}: {entry.positions} positions, {told}")
+            caption = f"D-efficiency {entry.d_efficiency:.3f}"
+        write_title(one, f"{entry.name or 'scheme'}: {entry.positions} positions, {caption}")
     return figure
 
 

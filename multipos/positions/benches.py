@@ -6,7 +6,7 @@ bench too. Up vectors that come twice are kept once. Angles are degrees.
 - ``two-axis-A`` or ``two-axis-AxB``: a dividing head that tilts in steps of A and rolls the case
   about its z axis in steps of B, u = (sin a cos b, sin a sin b, cos a);
 - ``roll-A-xyz``: one horizontal roll axis in steps of A, and a fixture that lays the case axes
-  named along it in turn (``roll-15-x`` is one mounting, ``roll-15-xyz`` three);
+  named along it one after another (``roll-15-x`` is one mounting, ``roll-15-xyz`` three);
 - ``cube``, ``dodecahedron``: blocks laid on each of their faces;
 - ``near-faces-D``: held by hand, each face up to within D;
 - ``tilt-D``, ``tilt-D-x``: within D of z (or of the axis named) up, a vehicle on a ramp;

@@ -12,7 +12,7 @@ Fourier transform,
 
 with 1/N at h = N/2, where the sampled cosine and sine are one and the same function and the
 shorter of all answers is given. Elsewhere (1) is fitted by least squares, up to the highest order
-at which cosines and sines are still told apart.
+at which cosines and sines are still distinguished.
 """
 
 import math
@@ -33,7 +33,7 @@ from multipos.results import Result
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
 _HIGHEST_UNEVEN = 24
 _SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
-_APART = 10.0  # condition up to which unevenly spaced cosines and sines are told apart
+_APART = 10.0  # condition up to which unevenly spaced cosines and sines are distinguished
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 Outputs are in the unit that their header says. A column in a unit of temperature, time or pressure
 is about the surroundings and no output. Temperatures are in degrees Celsius everywhere; a header in
-kelvin is believed, and
+kelvin is taken as such, and
 
     t/°C = T/K − 273.15.                                                                    (1)
 

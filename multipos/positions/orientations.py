@@ -1,9 +1,9 @@
 """Where the sensor stood, resolved: listed, uncertain, unknown, in groups, on a tilted table.
 
 Readings, a scheme and options together say, position by position, where the reference should be and
-how far it may be from there. `resolve` gathers that once; what follows reads a `Placement` and asks
-no more. A standard deviation of zero is a position known exactly, an infinite one a position of
-which nothing is known, in every type.
+how far it may be from there. `resolve` gathers that once; what follows reads `StatedOrientations`
+and asks no more. A standard deviation of zero is a position known exactly, an infinite one a
+position of which nothing is known, in every type.
 
 Rolls of open angle: the sensor turned about one case axis by an angle that nobody read.
 
@@ -157,7 +157,7 @@ _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no posit
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class StatedOrientations:
     """What is known of the positions.
 
     Attributes
@@ -226,7 +226,7 @@ def resolve(
     orientation_sd: float | None = None,
     estimate: bool = False,
     level_sd: float = 0.0,
-) -> tuple[Readings, Placement]:
+) -> tuple[Readings, StatedOrientations]:
     """Return readings with the orientations that are used, and what is known of them.
 
     Parameters
@@ -258,7 +258,7 @@ def place(
     orientation_sd: float | None = None,
     estimate: bool = False,
     level_sd: float = 0.0,
-) -> Placement:
+) -> StatedOrientations:
     """Return what oriented readings and options say of the positions.
 
     Parameters
@@ -286,7 +286,7 @@ def place(
     group = _group_numbers(labels, rolls)
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)
-    return Placement(
+    return StatedOrientations(
         reference=_references(readings, unknown, rolls, size),
         orientation_sd=sd,
         group=group,

@@ -1,6 +1,6 @@
 """Readings: what the sensor said at each position, how well it is known, and where it was.
 
-A reading is the mean output of one placement held still. A position read more than once stays
+A reading is the mean output of one position held still. A position read more than once stays
 more than one row (a repeat), because the spread of repeats is the only pure measure of error.
 Columns of a readings file, beside the outputs, are listed in `docs/reference/formats`.
 

@@ -325,7 +325,7 @@ def _all() -> Attitudes:
 class NamedScheme(NamedTuple):
     """A named scheme, or a family of them whose name ends in N."""
 
-    told: str  # its positions in words
+    description: str  # its positions in words
     positions: Callable[..., Attitudes]  # of nothing, or of the N of a family
     shown: int | None = None  # the N of a family that the list of schemes shows
 

@@ -1,7 +1,7 @@
 """Covariance of a regression whose rows are correlated in time.
 
 A chamber runs for hours and is logged every second: neighbouring rows carry nearly the same error,
-and n rows are worth far fewer. The classical covariance s² (X'X)⁻¹ divides by n all the same and
+and n rows count as far fewer. The classical covariance s² (X'X)⁻¹ divides by n all the same and
 calls everything significant. With the scores g_k = x_k e_k of a row, three ways tell the truth:
 
     HAC         (X'X)⁻¹ S (X'X)⁻¹,    S = Σ_l (1 − |l|/B) Σ_k g_k g_{k+l}'               (1)
@@ -39,7 +39,7 @@ J. Hum. Resour. 50, 2015 (clusters).
 
 Rows that are correlated in time made independent, so that tests of terms keep their level.
 
-Neighbouring rows of a slow run carry nearly the same error, and whatever term wanders as slowly
+Neighbouring rows of a slow run carry nearly the same error, and whatever term varies as slowly
 looks as if it explained it. The errors are taken as slow noise and white noise together, which is
 
     e_k − ρ e_{k−1} = w_k − θ w_{k−1},      0 ≤ θ ≤ ρ,                                      (6)
@@ -146,7 +146,7 @@ def window_dof(residuals: Array, order: TimeOrder) -> float:
 
 
 def effective_size(residuals: Array, order: TimeOrder) -> float:
-    """Return the number of independent rows that correlated ones are worth, eq. (4)."""
+    """Return the number of independent rows equivalent to correlated ones, eq. (4)."""
     n = len(residuals)
     power = float(residuals @ residuals)
     if power == 0.0:
@@ -252,7 +252,7 @@ _PLAUSIBLE = 2.7  # of the same: what one quantity is beyond once in ten times
 _ROWS = 3000  # of which the correlation is estimated: the first in time
 _ORDERS = 6
 _RANK = 1e-10
-_FEWEST = 6  # rows beyond the columns, for a correlation to be told
+_FEWEST = 6  # rows beyond the columns, for a correlation to be identified
 _NOTHING = 1e-12  # of the response, below which what is left is rounding
 
 
@@ -336,11 +336,11 @@ def find_noise(design: Array, response: Array, order: TimeOrder | None) -> Noise
     likely = _likelihoods(both, age)
     ranked = sorted(likely, key=lambda point: -likely[point])
     top = likely[ranked[0]]
-    told = 2.0 * (top - likely[0.0, 0.0]) >= _BEYOND_CHANCE
+    correlated = 2.0 * (top - likely[0.0, 0.0]) >= _BEYOND_CHANCE
     if len(order.order) > _ROWS:
-        ranked = ranked[:1] if told else []
+        ranked = ranked[:1] if correlated else []
     laws = [_law(both, age, point) for point in ranked if 2.0 * (top - likely[point]) <= _PLAUSIBLE]
-    return Noise(laws[0] if told else None, tuple(laws))
+    return Noise(laws[0] if correlated else None, tuple(laws))
 
 
 def _law(both: Array, age: NDArray[np.intp], point: tuple[float, float]) -> Law:

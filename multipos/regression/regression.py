@@ -179,8 +179,8 @@ class Regression(Result, Tabular):
         """Return the terms: segment, term, value, u, t, p."""
         terms = [(i, c) for i, s in enumerate(self.segments, start=1) for c in s.coefficients]
         names = ("term", "value", "u", "t", "p")
-        told = {key: [getattr(c, key) for _, c in terms] for key in names}
-        return {"segment": [i for i, _ in terms], **told}
+        listed = {key: [getattr(c, key) for _, c in terms] for key in names}
+        return {"segment": [i for i, _ in terms], **listed}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""
@@ -337,10 +337,10 @@ def _runs_text(s: Segment) -> list[str]:
     if s.between is None:
         return []
     b = s.between
-    told = f"between {b.runs} runs: the constant by {b.sd:.2g} (sd on {b.runs - 1} dof)"
+    listed = f"between {b.runs} runs: the constant by {b.sd:.2g} (sd on {b.runs - 1} dof)"
     if b.slope_sd is not None:
-        told += f", the slope of {b.variable} by {b.slope_sd:.2g}"
-    return [told]
+        listed += f", the slope of {b.variable} by {b.slope_sd:.2g}"
+    return [listed]
 
 
 def _path_text(s: Segment) -> list[str]:

@@ -15,9 +15,9 @@ every run counting once. The zeros scatter by
     s² = Σ o_i²/(m − 1),        u²(a) = s²/m + x̄' C_b x̄.                                   (2)
 
 A slope of the variable v (that of the segments, else the first) may differ from run to run as well:
-o_i + c_i (v − v̄). It is told where the scatter of the c_i is beyond what the noise within the runs
-gives them (F at 95 % on m − 1), and v itself is a term. Ψ is the covariance of o_i and c_i. A
-prediction for a run that nobody has seen, at terms x, with z = (1, v − v̄),
+o_i + c_i (v − v̄). It is identifiable where the scatter of the c_i is beyond what the noise within
+the runs gives them (F at 95 % on m − 1), and v itself is a term. Ψ is the covariance of o_i and
+c_i. A prediction for a run that nobody has seen, at terms x, with z = (1, v − v̄),
 
     u² = x' C x + z' Ψ z + rms²,        U² = t²(m − 1) (1 + 1/m) z' Ψ z + t²(ν) · the rest,      (3)
 
@@ -102,7 +102,7 @@ def find_between(
     variable : str
         Whose slope may differ.
     n_effective : float
-        What the rows are worth.
+        The effective number of rows.
     """
     assert data.run is not None  # which is what there is to tell about
     v = data.columns[variable]
@@ -120,9 +120,9 @@ def find_between(
         variance = float(rest @ rest) / max(len(e) - 2, 1) * len(left) / n_effective
         noise.append(variance / spread if spread > 0.0 else np.inf)
     m = len(slopes)
-    told = linear_term(variable) in terms
-    told &= np.var(slopes, ddof=1) > np.mean(noise) * f_quantile(0.95, m - 1, n_effective)
-    if told:
+    varies = linear_term(variable) in terms
+    varies &= np.var(slopes, ddof=1) > np.mean(noise) * f_quantile(0.95, m - 1, n_effective)
+    if varies:
         return Between(m, variable, centre, np.cov(offsets, slopes))
     means = [float(left[data.run == label].mean()) for label in np.unique(data.run)]
     return Between(m, None, centre, np.array([[np.var(means, ddof=1)]]))

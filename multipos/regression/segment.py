@@ -60,7 +60,7 @@ class Robust(Result):
         Of F.
     t_dof : float
     n_effective, lag_one : float
-        How many independent rows these are worth; correlation of neighbouring residuals.
+        How many independent rows these are equivalent to; correlation of neighbouring residuals.
     """
 
     kind: str
@@ -81,7 +81,7 @@ class Between(Result):
     ----------
     runs : int
     variable : str or None
-        Whose slope differs as well; None where it cannot be told.
+        Whose slope differs as well; None where it cannot be identified.
     centre : float
         v̄ of this variable.
     covariance : (1, 1) or (2, 2) array
@@ -100,7 +100,7 @@ class Between(Result):
 
     @property
     def slope_sd(self) -> float | None:
-        """Standard deviation of the slope, where it can be told."""
+        """Standard deviation of the slope, where it can be identified."""
         return None if self.variable is None else float(np.sqrt(self.covariance[1, 1]))
 
     def variance(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
@@ -160,7 +160,7 @@ class Segment(Result):
     subsets : tuple of (terms, Subset)
     robust : Robust or None
     between : Between or None
-        What differs from one switch-on to the next, where runs are told apart; then `covariance`
+        What differs from one switch-on to the next, where runs are distinguished; then `covariance`
         has it too.
     """
 

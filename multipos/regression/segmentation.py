@@ -136,7 +136,7 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
     chosen: tuple[int, ...] = ()
     last: list[Rows] = []
     # of a response that is nothing throughout no logarithm is lost
-    floor = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
+    least_rss = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
     for m in range(1, MOST + 1):
         if m > 1:
             total = best[:-1, np.newaxis] + cost[1:]
@@ -145,7 +145,7 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
         if not np.isfinite(best[-1]):
             break
         rss, edges = _polish(data, _trace(last, len(data.bins)), minimum)
-        bic = n * log(max(rss, floor) / n) + (m * p + m - 1) * log(n)
+        bic = n * log(max(rss, least_rss) / n) + (m * p + m - 1) * log(n)
         if bic < score:
             score, chosen = bic, edges
     return tuple(float(v[i - 1] + v[i]) / 2.0 for i in chosen)
@@ -171,7 +171,7 @@ class _Sorted:
 
 
 def _polish(data: _Sorted, bins: Sequence[int], minimum: int) -> tuple[float, tuple[int, ...]]:
-    """Move each edge in turn among finer cuts beside it; return the residual sum and the rows."""
+    """Move one edge after another among finer cuts; return the residual sum and the rows."""
     n, cuts = len(data.v), data.cuts
     edges = [cuts[i] for i in bins]
     for i, place in enumerate(bins):

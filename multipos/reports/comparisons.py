@@ -93,7 +93,7 @@ _REGRESSIONS = Fields(
     },
     FINDINGS,
 )
-_DENIED = "The runs are NOT consistent with what each claims."
+_REJECTED = "The runs are NOT consistent with what each claims."
 _KEYS = ("calibrations", "regressions")
 
 
@@ -155,7 +155,7 @@ def comparison_content(
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
         verdict=tr(NOT_FIT) if errors_of(findings) else None,
         findings=(
-            *(() if found["consistent"] else (tr(_DENIED),)),
+            *(() if found["consistent"] else (tr(_REJECTED),)),
             *(tr.message(each.text) for each in serious(findings)),
         ),
         fields=lab_fields(said, tr),
@@ -168,7 +168,9 @@ def comparison_content(
 def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     """Return whether the runs agree, what has moved, and the biases by run."""
     paragraphs = [
-        tr("The runs are consistent with what each claims.") if found["consistent"] else tr(_DENIED)
+        tr("The runs are consistent with what each claims.")
+        if found["consistent"]
+        else tr(_REJECTED)
     ]
     if "parameters" not in found:
         return Section(tr("Result"), tuple(paragraphs))
@@ -200,11 +202,11 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
 
 
 def _less_mean(entry: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return the values of a parameter less their mean, and their U: NaN where none is told."""
+    """Return the values of a parameter less their mean, and their U: NaN where there is none."""
     values = np.array([_or_nan(value) for value in entry["values"]])
-    told = values[np.isfinite(values)]
+    finite = values[np.isfinite(values)]
     U = [_or_nan(size) for size in entry.get("U", (None,) * len(values))]
-    return values - (told.mean() if len(told) else math.nan), np.array(U)
+    return values - (finite.mean() if len(finite) else math.nan), np.array(U)
 
 
 def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
@@ -225,19 +227,19 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         )
         for entry in found["parameters"]
     )
-    told = tr(
+    finite = tr(
         "Each parameter in every run. p is the chance of as much scatter, by what the runs claim; "
         "drift is the slope over the runs, judged alone by its own p."
     )
     table = PageTable(tr("Parameters by run"), header, rows, left=2)
-    return Section(tr("Parameters"), (told,), tables=(table,))
+    return Section(tr("Parameters"), (finite,), tables=(table,))
 
 
 def _values_of(entry: Mapping[str, Any]) -> list[str]:
     """Return unit, values, mean and sd, and drift of a parameter, in a unit that people read."""
     values = np.array([_or_nan(value) for value in entry["values"]])
-    told = values[np.isfinite(values)]
-    factor, unit = readable_unit(float(np.abs(told).max(initial=0.0)), entry["unit"])
+    finite = values[np.isfinite(values)]
+    factor, unit = readable_unit(float(np.abs(finite).max(initial=0.0)), entry["unit"])
     sd = factor * _or_nan(entry["sd"])
     decimals = decimals_of(sd)
     form = ".7g" if decimals is None else f".{decimals + 1}f"
@@ -250,23 +252,23 @@ def _values_of(entry: Mapping[str, Any]) -> list[str]:
 def _combined(found: Mapping[str, Any], tr: Translator) -> list[Section]:
     """Return the one calibration of all sessions, or how it is made."""
     if "combined" not in found:
-        told = tr("multipos compare … --combine -o CAL.json makes one calibration of all runs.")
-        return [Section(tr("Combined sessions"), (told,))]
+        finite = tr("multipos compare … --combine -o CAL.json makes one calibration of all runs.")
+        return [Section(tr("Combined sessions"), (finite,))]
     combined = from_dict(found["combined"], "the combined calibration")
     return [] if combined.sessions is None else [sessions_section(combined, combined.sessions, tr)]
 
 
 def _stability(found: Mapping[str, Any], tr: Translator) -> Section:
     unit = next((e["unit"] for e in found["parameters"] if e["term"] == "1"), "")
-    told_of = [sd for sd in found["bias_stability"].values() if sd is not None]
-    factor, unit = readable_unit(max(told_of, default=0.0), unit)
+    estimated_of = [sd for sd in found["bias_stability"].values() if sd is not None]
+    factor, unit = readable_unit(max(estimated_of, default=0.0), unit)
     rows = tuple(
         (output, plain_number(None if sd is None else factor * sd))
         for output, sd in found["bias_stability"].items()
     )
-    told = tr("Standard deviation of the repeated biases, from switch-on to switch-on.")
+    finite = tr("Standard deviation of the repeated biases, from switch-on to switch-on.")
     table = PageTable(tr("Bias stability"), (tr("Output"), f"sd [{unit}]"), rows)
-    return Section(tr("Bias stability"), (told,), tables=(table,))
+    return Section(tr("Bias stability"), (finite,), tables=(table,))
 
 
 def _terms(found: Mapping[str, Any], tr: Translator) -> Section:

@@ -143,7 +143,9 @@ class _Writer:
         child.text = _NO_CHARACTERS.sub("\ufffd", one_line(text)) or None
         return child
 
-    def told(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
+    def text_element(
+        self, parent: ElementTree.Element, name: str, text: str
+    ) -> ElementTree.Element:
         """Add an element that holds a sentence of ours, translated."""
         return self.words(parent, name, self._tr.message(text))
 
@@ -166,7 +168,7 @@ class _Writer:
         quantity = self.add(parent, "quantity")
         self.words(quantity, "name", name)
         if label:
-            self.told(quantity, "description", label)
+            self.text_element(quantity, "description", label)
         real = self.add(quantity, "si:real")
         self.add(real, "si:value", _number(value))
         self.add(real, "si:unit", unit)
@@ -194,7 +196,7 @@ def _administrative(
     serial = writer.add(writer.add(item, "identifications"), "identification")
     writer.add(serial, "issuer", "manufacturer")
     writer.add(serial, "value", lab["item.serial"])
-    writer.told(serial, "name", "Serial number")
+    writer.text_element(serial, "name", "Serial number")
     laboratory = writer.add(part, "calibrationLaboratory")
     if lab.get("laboratory.accreditation"):
         writer.add(laboratory, "calibrationLaboratoryCode", lab["laboratory.accreditation"])
@@ -273,20 +275,20 @@ def _statements(writer: _Writer, part: ElementTree.Element, content: Content, la
 def _results(writer: _Writer, root: ElementTree.Element, c: Calibration, lab: Lab) -> None:
     results = writer.add(root, "measurementResults")
     result = writer.add(results, "measurementResult")
-    writer.told(result, "name", "Static calibration in gravity")
+    writer.text_element(result, "name", "Static calibration in gravity")
     method = writer.add(writer.add(result, "usedMethods"), "usedMethod")
     if lab.get("measurement.method"):
         writer.words(method, "name", lab["measurement.method"])
     else:
-        writer.told(method, "name", "static positions in gravity")
-    writer.told(method, "description", _description(c))
+        writer.text_element(method, "name", "static positions in gravity")
+    writer.text_element(method, "description", _description(c))
     writer.add(method, "reference", "JCGM 100:2008")
     _conditions(writer, result, c)
     found = writer.add(result, "results")
     _parameters(writer, found, c)
     _covariance(writer, found, c)
     whole = writer.add(found, "result")
-    writer.told(whole, "name", "The calibration as JSON")
+    writer.text_element(whole, "name", "The calibration as JSON")
     data = writer.add(writer.add(whole, "data"), "byteData")
     writer.file(data, "calibration.json", "application/json", to_json(c.to_dict()))
 
@@ -306,14 +308,14 @@ def _conditions(writer: _Writer, result: ElementTree.Element, c: Calibration) ->
     if temperature is None or not np.isfinite(temperature).all():
         return
     condition = writer.add(writer.add(result, "influenceConditions"), "influenceCondition")
-    writer.told(condition, "name", "temperature during the calibration, mean")
+    writer.text_element(condition, "name", "temperature during the calibration, mean")
     data = writer.add(condition, "data")
     writer.quantity(data, "temperature", float(temperature.mean()), r"\degreecelsius")
 
 
 def _parameters(writer: _Writer, found: ElementTree.Element, c: Calibration) -> None:
     result = writer.add(found, "result")
-    writer.told(result, "name", "Parameters")
+    writer.text_element(result, "name", "Parameters")
     table = writer.add(writer.add(result, "data"), "list")
     for parameter in c.entries:
         factor, unit, named = _unit(parameter.unit, known=c.gravity is not None)
@@ -338,7 +340,7 @@ def _covariance(writer: _Writer, found: ElementTree.Element, c: Calibration) -> 
     factors = np.array([factor for factor, _, _ in units])
     covariance = c.covariance * np.outer(factors, factors)
     result = writer.add(found, "result")
-    writer.told(result, "name", "Covariance of the parameters, in their order")
+    writer.text_element(result, "name", "Covariance of the parameters, in their order")
     table = writer.add(writer.add(result, "data"), "list")
     for name, row, (_, own, _) in zip(names, covariance, units, strict=True):
         quantity = writer.add(table, "quantity")
@@ -354,7 +356,7 @@ def _product(units: Iterable[str]) -> str:
 
 
 def _unit(text: str, *, known: bool) -> tuple[float, str, bool]:
-    """Return what a unit of ours is in D-SI: factor, unit, and whether its name must be told."""
+    """Return what a unit of ours is in D-SI: factor, unit, and whether its name must be written."""
     numerator, *divisors = _pieces(text)
     factor, parts, strange = 1.0, [], False
     for piece, sign in ((numerator, 1), *((piece, -1) for piece in divisors)):

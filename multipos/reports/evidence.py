@@ -64,9 +64,9 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     dof = [number(value) for value in c.dof.tolist()]
     if c.estimator is Estimator.UNKNOWN:
         sizes, sd = size_residuals(c)
-        told = column(sizes[shown], "g", float(sd.max()), signed=True)
-        header.append(f"{tr('size of the force')} [{told.unit}]")
-        rows = [(*row, cell) for row, cell in zip(rows, [*told.cells, ""], strict=True)]
+        printed = column(sizes[shown], "g", float(sd.max()), signed=True)
+        header.append(f"{tr('size of the force')} [{printed.unit}]")
+        rows = [(*row, cell) for row, cell in zip(rows, [*printed.cells, ""], strict=True)]
         dof.append("")
     paragraphs = [
         tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")

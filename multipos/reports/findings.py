@@ -202,10 +202,10 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int, factor: flo
     if not size > 1e-12 * combined:
         return "0"  # rounding
     decimals = decimals_of(factor * combined)
-    told = plain_number(factor * size, 2)
+    printed = plain_number(factor * size, 2)
     if decimals is not None and size < combined:
-        told = f"{factor * size:.{decimals + 1}f}"
-    return f"({told})" if any(row.contained[parameter] for row in rows) else told
+        printed = f"{factor * size:.{decimals + 1}f}"
+    return f"({printed})" if any(row.contained[parameter] for row in rows) else printed
 
 
 def sphere_section(c: Calibration, tr: Translator) -> Section:
@@ -247,8 +247,8 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             )
         )
     if c.readings.forced.any():
-        told = seen.in_words(sensed_axes(c.model))
-        paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=told))
+        printed = seen.in_words(sensed_axes(c.model))
+        paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=printed))
     header = ("Quantity", "At", "rms u", "worst u", "U", "Unit", "k", "Worst direction")
     return Section(
         tr("Compensated force and tilt"),

@@ -57,7 +57,7 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
         _section("Parameters", parameter_rows(found), tr, _TOLD, _histograms(found, tr)),
         _risks(found, tr),
         _section("Stations", station_rows(found), tr, (_STATIONS,)),
-        _nests(found, tr),
+        _fixtures(found, tr),
         _gauge(found, tr),
         _section("What moved", _moves(found), tr, (), _charts(found, tr)),
         _section("Units that do not belong", ((_WHICH, *outliers[1:]), named), tr, (_OUTLIERS,)),
@@ -98,7 +98,7 @@ _RISKS = (
     "outside the limits (consumer's risk), and some fail although it is inside (producer's "
     "risk); shares of all units."
 )
-_NESTS = (
+_FIXTURES = (
     "By how much every position of a nest is turned, from what units leave in common; a turn "
     "that all positions share is not seen. From ten units on, stations/NAME.csv lists the "
     "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
@@ -188,7 +188,7 @@ def _risks(found: Mapping[str, Any], tr: Translator) -> Section | None:
     return _section("Wrong verdicts", (header, rows), tr, (_RISKS,))
 
 
-def _nests(found: Mapping[str, Any], tr: Translator) -> Section | None:
+def _fixtures(found: Mapping[str, Any], tr: Translator) -> Section | None:
     tables = []
     for station in found["stations"]:
         rows = [
@@ -203,7 +203,7 @@ def _nests(found: Mapping[str, Any], tr: Translator) -> Section | None:
             tables.append(PageTable(caption, header, tuple(rows)))
     if not tables:
         return None
-    return Section(tr("Angles of the positions"), (tr(_NESTS),), (), tuple(tables))
+    return Section(tr("Angles of the positions"), (tr(_FIXTURES),), (), tuple(tables))
 
 
 def _angle(figure: Mapping[str, float] | None) -> str:

@@ -127,10 +127,10 @@ def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
         n=str(r.n),
         count=str(len(r.segments)),
     )
-    told = [first]
+    sentences = [first]
     between = next((s.between for s in r.segments if s.between is not None), None)
     if between is not None:
-        told.append(
+        sentences.append(
             tr(
                 "{runs} switch-ons were told apart by '{column}': U holds the zero of the next.",
                 runs=str(between.runs),
@@ -144,13 +144,13 @@ def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     ]
     if worth:
         said = "Rows are correlated in time and worth fewer: {worth}, by segment."
-        told.append(tr(said, worth=tr.listed(worth)))
+        sentences.append(tr(said, worth=tr.listed(worth)))
     if r.rates and not r.causal:
-        told.append(tr("Rates need rows that come later: for a device fit it with --causal."))
+        sentences.append(tr("Rates need rows that come later: for a device fit it with --causal."))
     if r.cross_validation is not None:
         said = "On blocks of time left out in turn the error is {rms} rms."
-        told.append(tr(said, rms=f"{r.cross_validation['rms']:.3g}"))
-    return Section(of("What to know"), paragraphs=tuple(told))
+        sentences.append(tr(said, rms=f"{r.cross_validation['rms']:.3g}"))
+    return Section(of("What to know"), paragraphs=tuple(sentences))
 
 
 def _tests(r: Regression, of: Titled, tr: Translator) -> Section:
@@ -250,8 +250,8 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
     """Return before and after against the variable of the segments and against time."""
     if table is None:
         said = "The rows of the fit ({source}) are not here; --data draws before and after."
-        told = tr(said, source=str(r.source))
-        return [Section(of("Before and after"), paragraphs=(told,))]
+        sentences = tr(said, source=str(r.source))
+        return [Section(of("Before and after"), paragraphs=(sentences,))]
     complete = _complete(r, table)
     columns = read_predictors(r, complete, read_runs(r, complete))
     variable, x = range_column(r, complete, columns)
@@ -276,7 +276,7 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
     )
     most, left = (float(np.abs(values).max()) for values in (before, after))
     rms, rms_left = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-    told = tr(
+    sentences = tr(
         "Largest |{response}| {most} before and {left} after, rms {rms} and {rms_left}, on the "
         "rows of the fit; an independent run is what proves it (check).",
         response=r.response,
@@ -285,7 +285,7 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
         rms=f"{rms:.4g}",
         rms_left=f"{rms_left:.4g}",
     )
-    return [Section(of("Before and after"), paragraphs=(told,), figures=figures)]
+    return [Section(of("Before and after"), paragraphs=(sentences,), figures=figures)]
 
 
 def _draw_both(

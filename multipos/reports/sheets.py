@@ -42,7 +42,7 @@ class Sheet(NamedTuple):
 
 
 def installation_sheets(calibration: Calibration) -> list[Sheet]:
-    """Return how the outputs are installed, θ_ij with u and U; nothing where it cannot be told."""
+    """Return how the outputs are installed, θ_ij with u and U; nothing where not identifiable."""
     rows = []
     for pair, angle in calibration.installation_deg.items():
         output = calibration.outputs[calibration.model.axes.index(pair[0])]
@@ -63,12 +63,14 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
     sections = []
     rows = []
     for error in found.errors:
-        told = error.value_deg is not None and error.u_deg is not None
+        known = error.value_deg is not None and error.u_deg is not None
         rows.append(
             [
                 error.plane,
                 error.quantity.replace("_", " "),
-                uncertain(error.value_deg or 0.0, error.u_deg or 0.0) if told else "cannot be told",
+                uncertain(error.value_deg or 0.0, error.u_deg or 0.0)
+                if known
+                else "cannot be told",
                 plain_number(error.U_deg, 2),
                 ", ".join(error.confounded_with) or "nothing",
             ]
@@ -111,8 +113,8 @@ def table_errors_text(found: TableErrors) -> str:
 def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:
     """Return a shift with u, its U, and the unit of both."""
     factor, unit = readable_unit(max(abs(shift.value), shift.U), shift.unit)
-    told = uncertain(factor * shift.value, factor * shift.u)
-    return told, plain_number(factor * shift.U, 2), unit
+    known = uncertain(factor * shift.value, factor * shift.u)
+    return known, plain_number(factor * shift.U, 2), unit
 
 
 def check_sheets(found: Check) -> list[Sheet]:
@@ -221,13 +223,13 @@ def _by_segment(found: Check) -> Sheet:
     for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
         s = found.summary(segment=name)
         counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
-        told = np.isfinite(s["after"]["largest_U"])
+        known = np.isfinite(s["after"]["largest_U"])
         rows.append(
             [
                 name or "all",
                 str(int(counted.sum())),
                 *_scaled(s, scales),
-                _longest(s, scales) if told else "-",
+                _longest(s, scales) if known else "-",
                 s["verdict"] or "-",
             ]
         )

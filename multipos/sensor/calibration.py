@@ -228,7 +228,7 @@ class Calibration(Result, Drawn):
 
     @property
     def effective_rows(self) -> Mapping[str, float] | None:
-        """How many independent rows each output is worth; None where rows are taken as such."""
+        """Effective number of rows of each output; None where rows are independent."""
         found = self.variance_components
         return None if found is None else found.effective_rows
 
@@ -275,8 +275,8 @@ class Calibration(Result, Drawn):
     @property
     def relative_residuals(self) -> Array:
         """The largest residual of each position (n,), in standard deviations of its output."""
-        told = np.isfinite(self.residual_sd) & (self.residual_sd > 0.0)
-        sd = np.where(told, self.residual_sd, 1.0)
+        estimated = np.isfinite(self.residual_sd) & (self.residual_sd > 0.0)
+        sd = np.where(estimated, self.residual_sd, 1.0)
         return np.asarray(np.abs(self.residuals / sd).max(axis=1))
 
     @property

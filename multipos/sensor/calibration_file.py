@@ -54,14 +54,19 @@ from multipos.positions.forces import known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
-from multipos.sensor.fit_diagnostics import MODEL_TESTS, Claim, Diagnostics, model_test_from_dict
+from multipos.sensor.fit_diagnostics import (
+    MODEL_TESTS,
+    Diagnostics,
+    NoiseTest,
+    model_test_from_dict,
+)
 from multipos.sensor.found import (
     Chosen,
     Component,
     Estimator,
     Excluded,
     FoundOrientations,
-    Placed,
+    OrientationSpread,
     RestToRest,
     Sessions,
     StatedBudget,
@@ -71,7 +76,7 @@ from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import Gravity
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
-from multipos.sensor.own_models import expression_dict, load_sketch
+from multipos.sensor.own_models import expression_dict, load_parsed
 from multipos.sensor.stating import build_model
 
 SCHEMA = "multipos/calibration/1"
@@ -93,7 +98,7 @@ _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table 
 # One number a position, or one an output as well where the outputs were fitted apart.
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
 _COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
-_PLACED = Fields({"value": POSITIVE, "u": POSITIVE}, {"determined": Flag()})
+_ORIENTATION_SPREAD = Fields({"value": POSITIVE, "u": POSITIVE}, {"determined": Flag()})
 _REST_TO_REST = Named(Fields({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}))
 _QUANTITY = Fields(
     {},
@@ -105,7 +110,7 @@ _QUANTITY = Fields(
         "high": ANY_NUMBER,
     },
 )
-_CLAIM = Maybe(Fields({"chi2": NOT_NEGATIVE, "dof": POSITIVE}))
+_NOISE_TEST = Maybe(Fields({"chi2": NOT_NEGATIVE, "dof": POSITIVE}))
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 CALIBRATION = Fields(
@@ -160,7 +165,7 @@ CALIBRATION = Fields(
                 "outliers": TEXTS,
                 "unidentifiable": TEXTS,
             },
-            {**FINDINGS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _CLAIM},
+            {**FINDINGS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _NOISE_TEST},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
@@ -189,7 +194,7 @@ CALIBRATION = Fields(
             {
                 "rest_to_rest": _REST_TO_REST,
                 "reading_sd": _COMPONENT,
-                "orientation_sd_deg": _PLACED,
+                "orientation_sd_deg": _ORIENTATION_SPREAD,
                 "effective_rows": Named(NOT_NEGATIVE),
             },
         ),
@@ -307,7 +312,7 @@ def _known_of(readings: Readings) -> dict[str, Any]:
         "force": readings.force,
         "reference_u": readings.reference_u,
     }
-    return _told(known)
+    return _stated(known)
 
 
 def _found_dict(c: Calibration) -> dict[str, Any]:
@@ -325,15 +330,15 @@ def _found_dict(c: Calibration) -> dict[str, Any]:
         ("sessions", c.sessions),
     ):
         if parts is not None:
-            found[name] = _told(parts)
-    return _told(found)
+            found[name] = _stated(parts)
+    return _stated(found)
 
 
-def _told(parts: Mapping[str, Any]) -> dict[str, Any]:
+def _stated(parts: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in parts.items() if value is not None}
 
 
-_PLACED_LOADING = ("value", "u", "determined")
+_SPREAD_LOADING = ("value", "u", "determined")
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
@@ -410,7 +415,7 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
 
 def _model(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
-        return load_sketch(content)
+        return load_parsed(content)
     if "expression" in content:
         model: Model = load_expression(content)
     else:
@@ -481,7 +486,7 @@ def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
         findings=read_findings(found),
         model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
         hidden=tuple(found.get("hidden", ())),
-        claim=Claim(claim["chi2"], claim["dof"]) if (claim := found.get("claim")) else None,
+        claim=NoiseTest(claim["chi2"], claim["dof"]) if (claim := found.get("claim")) else None,
     )
 
 
@@ -523,7 +528,7 @@ def _orientations(content: Mapping[str, Any]) -> FoundOrientations | None:
 
 
 def _components(said: Mapping[str, Any]) -> VarianceComponents:
-    scatter, reading, placed = (
+    scatter, reading, spread = (
         said.get(key) for key in ("rest_to_rest", "reading_sd", "orientation_sd_deg")
     )
     if scatter is not None:
@@ -536,8 +541,8 @@ def _components(said: Mapping[str, Any]) -> VarianceComponents:
         scatter,
         None if reading is None else Component(reading["value"], reading["u"]),
         None
-        if placed is None
-        else Placed(**{"determined": True, **_known_keys(placed, _PLACED_LOADING)}),
+        if spread is None
+        else OrientationSpread(**{"determined": True, **_known_keys(spread, _SPREAD_LOADING)}),
         said.get("effective_rows"),
     )
 

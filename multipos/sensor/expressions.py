@@ -34,7 +34,7 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
 from multipos.sensor.compiled import Compiled, Instruction, Values, compile_model
-from multipos.sensor.formulas import SHARED, Sketch, StatedParameter
+from multipos.sensor.formulas import SHARED, ParsedModel, StatedParameter
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.units import unit_per
 
@@ -79,7 +79,7 @@ class ExpressionModel(Model):
         Which of these each output uses.
     quantities : tuple of p StatedParameter
         What is known of each parameter.
-    sketch : Sketch or None
+    parsed : ParsedModel or None
         The formulas as they were written; None for a Python function.
     fixed : mapping of (output, name) to float
         Parameters that are held at a value, and so are none.
@@ -92,7 +92,7 @@ class ExpressionModel(Model):
     shared: tuple[Symbol, ...] = ()
     shared_by: tuple[tuple[int, ...], ...] = ()
     quantities: tuple[StatedParameter, ...] = ()
-    sketch: Sketch | None = None
+    parsed: ParsedModel | None = None
     fixed: tuple[tuple[str, str, float], ...] = ()
     inner: bool = False
 

@@ -31,7 +31,7 @@ off by t standard deviations on D degrees of freedom (Welch and Satterthwaite: i
     t² = r² (d + m_k)/(d v + q_k),    1/D = 1/(d + m_k) + 1/ν_m,                            (5)
 
 and its p value is the mean of those of all d by their chance given the readings, v at its best:
-L(d, v) √(1 + (M + 2)/d), the second factor the width of L in ln v, times what is believed before:
+L(d, v) √(1 + (M + 2)/d), the second factor the width of L in ln v, times what is assumed before:
 .7 that rows are alike, and else d even in its logarithm from 1 to 60. With d = ∞ alone it would be
 eq. (1) of `multipos.sensor.fit_diagnostics`.
 
@@ -78,7 +78,7 @@ from multipos.sensor.model import Model
 
 _ALIKE = 0.7  # chance, before anything is seen, that rows are alike
 _DS = np.append(np.geomspace(1.0, 60.0, 8), 1e6)  # the last as good as alike
-_BELIEVED = np.append(np.full(8, (1.0 - _ALIKE) / 8.0), _ALIKE)
+_PRIOR = np.append(np.full(8, (1.0 - _ALIKE) / 8.0), _ALIKE)
 _STEPS = 20  # towards the best v: within 1e-8 of it where rows are of 4:2:1, 2e-3 at 10:1
 _MANY = 50  # readings that are questioned, from which tails are kept
 _DIGITS = 9  # of degrees of freedom, so that there are few of them
@@ -205,7 +205,7 @@ def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Arr
     constant = constant.transpose(1, 0, 2) - 0.5 * m * np.log(np.pi * size)
     tails = 0.5 * (d + m) * np.log1p(q / size)
     log = np.einsum("bn,bdn->bd", weight, constant - tails)
-    log += 0.5 * np.log1p((outputs + 2.0) / _DS) + np.log(_BELIEVED)
+    log += 0.5 * np.log1p((outputs + 2.0) / _DS) + np.log(_PRIOR)
     chances = np.exp(log - log.max(axis=1, keepdims=True))
     return chances / chances.sum(axis=1, keepdims=True), v
 
@@ -315,10 +315,10 @@ def _pair(dof: Sequence[float]) -> tuple[float, float]:
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
-ROWS_TOLD = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
+ROWS_NAMED = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
 
 
-class Claim(NamedTuple):
+class NoiseTest(NamedTuple):
     """chi² of the residuals under the stated noise alone, on its degrees of freedom."""
 
     chi2: float
@@ -344,7 +344,7 @@ class Diagnostics(Result):
         Of every standard term up to third order that the model lacks and the positions show.
     hidden : tuple of str
         Terms of that set that the positions cannot show.
-    claim : Claim or None
+    claim : NoiseTest or None
         How the residuals stand to the stated noise, where there is one.
     """
 
@@ -358,7 +358,7 @@ class Diagnostics(Result):
     findings: Findings = ()
     model_tests: tuple[ModelTest, ...] = ()
     hidden: tuple[str, ...] = ()
-    claim: Claim | None = None
+    claim: NoiseTest | None = None
 
 
 def find_outliers(
@@ -397,7 +397,7 @@ def find_outliers(
             if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
             beyond.append((column, int(suspects[place])))
-    judged = nu.min() >= ROWS_TOLD and error.any(axis=0).all()
+    judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
     if beyond and error.shape[1] > 1 and judged:
         weighed = [design[:, own] for own in columns]
         if sd is not None:
@@ -492,8 +492,8 @@ def find_correlated_outliers(
     s2 = float(residuals.ravel() @ shift) / nu if nu > 0.0 else 0.0
     if nu < 2.0 or s2 == 0.0:
         return ()
-    told = np.diag(Q) > 1e-9 * np.diag(inverse)
-    r2 = np.where(told, shift**2 / np.where(told, np.diag(Q), 1.0), 0.0) / s2
+    identifiable = np.diag(Q) > 1e-9 * np.diag(inverse)
+    r2 = np.where(identifiable, shift**2 / np.where(identifiable, np.diag(Q), 1.0), 0.0) / s2
     found = []
     for place in np.flatnonzero(r2 > 4.0).tolist():
         if _is_outlier(float(r2[place]), nu, n * m):

@@ -327,7 +327,7 @@ class StatedParameter(Result):
 
 
 @dataclass(frozen=True)
-class Sketch(Result):
+class ParsedModel(Result):
     """A model of one's own as it was written.
 
     Attributes
@@ -433,7 +433,7 @@ def _meant(name: str, words: Collection[str]) -> str:
     return next(swapped, "") or "".join(close)
 
 
-def read_model(model: "str | os.PathLike[str]") -> "str | Sketch":
+def read_model(model: "str | os.PathLike[str]") -> "str | ParsedModel":
     """Return a model of one's own from its line or from a TOML file; any other text as it is.
 
     Only a text with '=' is a line of one's own, so that a misspelt name never becomes one.
@@ -454,7 +454,7 @@ def read_model(model: "str | os.PathLike[str]") -> "str | Sketch":
 
 
 @lru_cache(maxsize=_KEPT)
-def _from_line(text: str) -> Sketch:
+def _from_line(text: str) -> ParsedModel:
     where = f"model '{' '.join(text.split())}'"
     lines, starts, at = [], [], 0
     for part in re.split(r"[;\n]", text):
@@ -470,10 +470,10 @@ def _from_line(text: str) -> Sketch:
                 at + len(name) + 1 + len(formula) - len(formula.lstrip()) if formula.strip() else at
             )
         at += len(part) + 1
-    return _checked(Sketch(tuple(lines), (), where, tuple(starts)))
+    return _checked(ParsedModel(tuple(lines), (), where, tuple(starts)))
 
 
-def _from_tables(tables: Mapping[str, Any], path: str) -> Sketch:
+def _from_tables(tables: Mapping[str, Any], path: str) -> ParsedModel:
     for name, table in tables.items():
         if name not in ("parameters", "outputs") or not isinstance(table, Mapping):
             raise MultiposError(
@@ -488,7 +488,7 @@ def _from_tables(tables: Mapping[str, Any], path: str) -> Sketch:
     found = [_quantity(path, name, said) for name, said in tables.get("parameters", {}).items()]
     lines = tuple((name, formula.strip()) for name, formula in outputs.items())
     starts = tuple(len(text) - len(text.lstrip()) for text in outputs.values())
-    return Sketch(lines, tuple(found), path, starts)
+    return ParsedModel(lines, tuple(found), path, starts)
 
 
 def _quantity(path: str, name: str, said: Any) -> StatedParameter:
@@ -534,26 +534,26 @@ def _check_quantity(quantity: StatedParameter, where: str) -> None:
         raise MultiposError(f"{where}: sd is that of a prior about start; give start as well.")
 
 
-def _checked(sketch: Sketch) -> Sketch:
-    """Return a sketch whose lines can be read, and whose listed parameters are all used."""
-    names = [name for name, _ in sketch.lines]
+def _checked(parsed: ParsedModel) -> ParsedModel:
+    """Return a parsed model whose lines can be read, and whose listed parameters are all used."""
+    names = [name for name, _ in parsed.lines]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
-        raise sketch.fault(f"{sketch.where}: '{twice[0]}' has two lines; give one.")
-    used = {name for formula in sketch.formulas.values() for name in formula.names}
-    for quantity in sketch.quantities:
+        raise parsed.fault(f"{parsed.where}: '{twice[0]}' has two lines; give one.")
+    used = {name for formula in parsed.formulas.values() for name in formula.names}
+    for quantity in parsed.quantities:
         if quantity.name not in used:
             raise MultiposError(
-                f"{sketch.where}: [parameters] {quantity.name} stands in no formula"
+                f"{parsed.where}: [parameters] {quantity.name} stands in no formula"
                 f"{near(quantity.name, used)} Use it, or leave it out."
             )
-    return sketch
+    return parsed
 
 
-def sketch_dict(sketch: Sketch) -> dict[str, Any]:
-    """Return a sketch as what JSON can carry."""
+def parsed_dict(parsed: ParsedModel) -> dict[str, Any]:
+    """Return a parsed model as what JSON can carry."""
     quantities = {}
-    for q in sketch.quantities:
+    for q in parsed.quantities:
         said = {"start": q.start, "sd": q.sd, "unit": q.unit}
         said |= {"low": q.low, "high": q.high}
         quantities[q.name] = {
@@ -561,11 +561,11 @@ def sketch_dict(sketch: Sketch) -> dict[str, Any]:
             for key, value in said.items()
             if value is not None and not (isinstance(value, float) and math.isinf(value))
         }
-    return {"parameters": quantities, "outputs": dict(sketch.lines)}
+    return {"parameters": quantities, "outputs": dict(parsed.lines)}
 
 
-def sketch_from_dict(content: Mapping[str, Any]) -> Sketch:
-    """Return the sketch that `sketch_dict` described.
+def parsed_from_dict(content: Mapping[str, Any]) -> ParsedModel:
+    """Return the parsed model that `parsed_dict` described.
 
     Raises
     ------

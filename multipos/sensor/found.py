@@ -39,7 +39,7 @@ class Component(Keyed):
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(Keyed):
+class OrientationSpread(Keyed):
     """How far positions were off [degrees], per axis, estimated with the parameters.
 
     Attributes
@@ -81,14 +81,15 @@ class VarianceComponents(Keyed):
         Where readings state their uncertainty.
     reading_sd : Component or None
         In reading units.
-    orientation_sd_deg : Placed or None
+    orientation_sd_deg : OrientationSpread or None
     effective_rows : mapping of output to float, or None
-        Of a record whose rows are correlated: how many independent ones a mean of it is worth.
+        Of a record whose rows are correlated: how many independent ones a mean of it is equivalent
+        to.
     """
 
     rest_to_rest: Mapping[str, RestToRest] | None = None
     reading_sd: Component | None = None
-    orientation_sd_deg: Placed | None = None
+    orientation_sd_deg: OrientationSpread | None = None
     effective_rows: Mapping[str, float] | None = None
 
 

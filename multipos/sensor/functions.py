@@ -32,7 +32,7 @@ def build_expression(
     """
     casadi = load_casadi()
     arguments = tuple(signature(expression).parameters.values())
-    columns, parameters = _told_apart(arguments, known)
+    columns, parameters = _separated(arguments, known)
     force = casadi.SX.sym("f", 3)
     surroundings = casadi.SX.sym("e", len(columns))
     unknown = casadi.SX.sym("p", len(parameters))
@@ -65,7 +65,7 @@ def build_expression(
     )
 
 
-def _told_apart(
+def _separated(
     arguments: Sequence[Parameter], known: tuple[str, ...]
 ) -> tuple[tuple[str, ...], list[Parameter]]:
     """Return the columns of the readings among the arguments, and the parameters to be found."""

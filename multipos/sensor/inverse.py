@@ -16,7 +16,8 @@ At rest |f| = g, which gives one unseen component w up to its sign,
 
     w = ±sqrt(max(0, g² - |f_seen|²)),                                                      (3)
 
-and (1), (3) are solved in turn: the error shrinks by about (cross term/scale factor) f/w a turn.
+and (1), (3) are solved by alternation: the error shrinks by about (cross term/scale factor) f/w a
+turn.
 
 The nominal conversion: what a data sheet makes of a reading, before any calibration.
 

@@ -17,11 +17,11 @@ from multipos.sensor.formulas import (
     EACH,
     SHARED,
     Formula,
-    Sketch,
+    ParsedModel,
     StatedParameter,
     instruct,
-    sketch_dict,
-    sketch_from_dict,
+    parsed_dict,
+    parsed_from_dict,
 )
 from multipos.sensor.model import Model
 from multipos.sensor.stating import check_axes
@@ -29,8 +29,8 @@ from multipos.sensor.stating import check_axes
 Fixed = Sequence[tuple[str, str, float]]  # output, name, value
 
 
-def build_sketch(
-    sketch: Sketch,
+def build_parsed(
+    parsed: ParsedModel,
     outputs: tuple[str, ...],
     axes: tuple[str, ...],
     inputs: tuple[str, ...],
@@ -38,11 +38,11 @@ def build_sketch(
     columns: tuple[str, ...],
     fixed: Fixed = (),
 ) -> ExpressionModel:
-    """Return the model that a sketch describes, for outputs.
+    """Return the model that a parsed model describes, for outputs.
 
     Parameters
     ----------
-    sketch : Sketch
+    parsed : ParsedModel
     outputs, axes, inputs, unit
         As in `Model`.
     columns : tuple of str
@@ -56,14 +56,14 @@ def build_sketch(
         An output without a line, a line without an output, or a component that is no input.
     """
     known = outputs, axes, inputs, unit, columns, tuple(fixed)
-    if known not in sketch.built:  # what a model knows of itself is found once
-        sketch.built[known] = _build(sketch, *known)
-    model: ExpressionModel = sketch.built[known]
+    if known not in parsed.built:  # what a model knows of itself is found once
+        parsed.built[known] = _build(parsed, *known)
+    model: ExpressionModel = parsed.built[known]
     return model
 
 
 def _build(
-    sketch: Sketch,
+    parsed: ParsedModel,
     outputs: tuple[str, ...],
     axes: tuple[str, ...],
     inputs: tuple[str, ...],
@@ -72,7 +72,7 @@ def _build(
     fixed: tuple[tuple[str, str, float], ...],
 ) -> ExpressionModel:
     check_axes(outputs, axes, inputs)
-    formulas = _formula_of_each(sketch, outputs)
+    formulas = _formula_of_each(parsed, outputs)
     for formula in formulas:
         _require_inputs(formula, inputs)
     held = {(output, name): value for output, name, value in fixed}
@@ -86,9 +86,9 @@ def _build(
         used.append(tuple(shared.index(n) for n in mine))
     names = [*(n for part in own for n in part), *shared]
     if not names:
-        raise sketch.fault(f"{sketch.where}: no parameter to fit beside x, y, z and own.")
+        raise parsed.fault(f"{parsed.where}: no parameter to fit beside x, y, z and own.")
     return ExpressionModel(
-        sketch.text,
+        parsed.text,
         outputs,
         axes,
         inputs,
@@ -99,8 +99,8 @@ def _build(
         columns,
         tuple(Symbol(name=n) for n in shared),
         tuple(used),
-        tuple(sketch.stated.get(n, StatedParameter(n)) for n in names),
-        sketch,
+        tuple(parsed.stated.get(n, StatedParameter(n)) for n in names),
+        parsed,
         fixed,
     )
 
@@ -138,19 +138,19 @@ def _places(
     return places
 
 
-def _formula_of_each(sketch: Sketch, outputs: tuple[str, ...]) -> list[Formula]:
+def _formula_of_each(parsed: ParsedModel, outputs: tuple[str, ...]) -> list[Formula]:
     """Return the formula of every output."""
-    formulas = sketch.formulas
+    formulas = parsed.formulas
     strange = [name for name in formulas if name not in (*outputs, EACH)]
     if strange:
-        raise sketch.fault(
-            f"{sketch.where}: '{strange[0]}' is no output{near(strange[0], (*outputs, EACH))} "
+        raise parsed.fault(
+            f"{parsed.where}: '{strange[0]}' is no output{near(strange[0], (*outputs, EACH))} "
             f"The outputs are {', '.join(outputs)}; '{EACH}' stands for all that have no line."
         )
     without = [name for name in outputs if name not in formulas and EACH not in formulas]
     if without:
-        raise sketch.fault(
-            f"{sketch.where}: output '{without[0]}' has no line; add '{without[0]} = …', or "
+        raise parsed.fault(
+            f"{parsed.where}: output '{without[0]}' has no line; add '{without[0]} = …', or "
             f"'{EACH} = …' for all that have none."
         )
     return [formulas.get(name) or formulas[EACH] for name in outputs]
@@ -170,14 +170,14 @@ def hold(model: ExpressionModel, fixed: Fixed) -> ExpressionModel:
     UsageError
         The model is a Python function, whose parameters stay what they are.
     """
-    if model.sketch is None:
+    if model.parsed is None:
         names = ", ".join(f"{name} of {output}" for output, name, _ in fixed)
         raise UsageError(
             "a rotation of the case leaves the readings of this function as they are, so some of "
             f"its parameters must be held: write it as a formula, or leave out {names}."
         )
-    built = build_sketch(
-        model.sketch,
+    built = build_parsed(
+        model.parsed,
         model.outputs,
         model.axes,
         model.inputs,
@@ -192,9 +192,9 @@ def expression_dict(model: Model) -> dict[str, Any]:
     """Return what a calibration's file needs to rebuild an expression; nothing for others."""
     if not isinstance(model, ExpressionModel):
         return {}
-    if model.sketch is not None:
+    if model.parsed is not None:
         fixed = [{"output": o, "name": n, "value": v} for o, n, v in model.fixed]
-        content = {**sketch_dict(model.sketch), "columns": model.columns_used, "fixed": fixed}
+        content = {**parsed_dict(model.parsed), "columns": model.columns_used, "fixed": fixed}
         return {"own_model": content}
     return {
         "expression": {
@@ -205,7 +205,7 @@ def expression_dict(model: Model) -> dict[str, Any]:
     }
 
 
-def load_sketch(content: Mapping[str, Any]) -> ExpressionModel:
+def load_parsed(content: Mapping[str, Any]) -> ExpressionModel:
     """Return the model whose formulas a calibration's file holds; they are parsed again.
 
     Raises
@@ -214,8 +214,8 @@ def load_sketch(content: Mapping[str, Any]) -> ExpressionModel:
         Formulas that cannot be parsed, or parameters that are none.
     """
     own = content["own_model"]
-    built = build_sketch(
-        sketch_from_dict({key: own[key] for key in ("parameters", "outputs")}),
+    built = build_parsed(
+        parsed_from_dict({key: own[key] for key in ("parameters", "outputs")}),
         tuple(content["outputs"]),
         tuple(content["axes"]),
         tuple(content["inputs"]),

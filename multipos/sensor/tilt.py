@@ -24,8 +24,9 @@ one new reading of noise s, C the covariance of the parameters,
     cov f = A [(df/dp) C (df/dp)' + J^+ diag(s²) J^+'] A',    A = (I − c f'/w)⁻¹.           (4)
 
 A carries what the unseen component w of size sqrt(g² − |f|²) adds, c = J^+ dh/dw (A = I without
-one). Near the vertical, where w falls below 2 |c f|, two solutions merge and none can be told from
-the other; they differ by no more than 2 c |c f|, which is then taken instead of A.
+one). Near the vertical, where w falls below 2 |c f|, two solutions merge and neither can be
+distinguished from the other; they differ by no more than 2 c |c f|, which is then taken instead of
+A.
 """
 
 import math

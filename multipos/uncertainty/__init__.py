@@ -1,4 +1,4 @@
-"""What a calibration is worth: the budget, its sensitivities, Monte Carlo, the sphere.
+"""How well a calibration is determined: the budget, its sensitivities, Monte Carlo, the sphere.
 
 Open `propagation` first.
 """

@@ -6,7 +6,7 @@ A budget is a small TOML file, one table for each input quantity, all optional:
 ``gravity``      ``value`` [m/s²], or ``latitude_deg`` and ``height_m`` (WGS 84)
 ``level``        tilt of the table or base, common to all positions, about each of two
                  horizontal axes [degrees]
-``orientation``  placement of each position, independent, about each axis [degrees]
+``orientation``  error of each position, independent, about each axis [degrees]
 ``index``        periodic error of an index or dividing head [degrees]: the standard deviation
                  at an angle taken at random; ``harmonics`` = [1, 2], ``axis`` where the
                  positions do not tell which case axis lies along the shaft

@@ -1,8 +1,8 @@
 """Monte Carlo: the budget propagated as distributions, to check what was propagated to first order.
 
-Each trial draws every input quantity from its law (noise, gravity, level, placement, voltmeter),
-lets it act on the readings in full, not to first order, and estimates the parameters again; their
-spread is the answer of JCGM 101, and U of JCGM 100 is valid where it agrees with it.
+Each trial draws every input quantity from its law (noise, gravity, level, orientation error,
+voltmeter), lets it act on the readings in full, not to first order, and estimates the parameters
+again; their spread is the answer of JCGM 101, and U of JCGM 100 is valid where it agrees with it.
 
 - The number of trials is adaptive (JCGM 101, 7.9): blocks of trials are added until twice the
   standard deviation, over the blocks, of mean, u and both ends of the interval is below δ/5, with δ
@@ -20,7 +20,7 @@ as its weights. The readings of a trial are drawn by `multipos.uncertainty.monte
 Draws: the readings of a calibration as they might have been, by the laws of its budget.
 
 Every input quantity is drawn from its law and acts in full, not to first order: gravity scales the
-force, level, placement and index turn it, voltmeter and temperature move the readings.
+force, level, orientation error and index turn it, voltmeter and temperature move the readings.
 
 Noise estimated from residuals on ν degrees of freedom is drawn from Student's t (JCGM 101, 6.4.9),
 as one scale for all readings of an output. Where orientations were uncertain or unknown, positions,
@@ -219,9 +219,9 @@ def _noise_root(c: Calibration, covariance: Any) -> Array:
     else:
         root = np.sqrt(noise)
         unscaled = gain * root
-    claimed = np.sqrt(np.diag(covariance))
+    stated_dof = np.sqrt(np.diag(covariance))
     plain = np.linalg.norm(unscaled, axis=1)
-    factor = [float(median(claimed[part] / plain[part])) for part in c.model.slices]
+    factor = [float(median(stated_dof[part] / plain[part])) for part in c.model.slices]
     scale = np.tile(factor, n)
     return np.asarray(root * (scale[:, None] if root.ndim == 2 else scale))
 

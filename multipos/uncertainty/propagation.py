@@ -6,13 +6,14 @@ With the sensitivities c_x = dp/dx of `multipos.uncertainty.sensitivities`, for 
 
 The first rows of the budget are the covariance that the residuals, or the readings' own
 uncertainties, gave. Quantities common to all positions are systematic: repeats do not average them.
-Independent ones (placement, resolution) scatter the residuals, so where the noise was estimated
-from residuals they are in the first rows already: listed, not added again (JCGM 100, 4.3.10).
+Independent ones (orientation error, resolution) scatter the residuals, so where the noise was
+estimated from residuals they are in the first rows already: listed, not added again (JCGM 100,
+4.3.10).
 
 A common quantity scatters the residuals too, as far as the model cannot follow it: a table that is
-not level does so at positions of several headings. What occurred of it is told from its pattern
-and taken out of the first rows (`multipos.uncertainty.sensitivities`), so that (1) is added in
-full. The degrees of freedom of the sum are Welch's and Satterthwaite's,
+not level does so at positions of several headings. What occurred of it is estimated from its
+pattern and taken out of the first rows (`multipos.uncertainty.sensitivities`), so that (1) is added
+in full. The degrees of freedom of the sum are Welch's and Satterthwaite's,
 
     ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
 
@@ -352,8 +353,8 @@ def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
     """Return a row of the readings without what common causes left in their residuals."""
     if (cleared.ratio == 1.0).all():
         return row
-    told = np.isfinite(c.dof) & (c.dof > 0.0)
-    kept = np.divide(cleared.dof, c.dof, out=np.ones(len(c.dof)), where=told)
+    finite = np.isfinite(c.dof) & (c.dof > 0.0)
+    kept = np.divide(cleared.dof, c.dof, out=np.ones(len(c.dof)), where=finite)
     by_output = np.array([np.sqrt(cleared.ratio), kept])
     shared = by_output.mean(axis=1, keepdims=True)  # by all outputs
     factor, kept = np.hstack([by_output, shared])[:, c.model.output_of]

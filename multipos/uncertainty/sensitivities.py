@@ -35,9 +35,9 @@ restricted likelihood has it [1]_, from W = diag(s_m²):
     P = (A'W⁻¹A + I)⁻¹,    t = P A'W⁻¹e,                                                     (4)
     s_m² = [|e_m − A_m t|² + tr A_m P A_m'] / ν_m,    ν'_m = ν_m − tr P A_m'W⁻¹A_m           (5)
 
-in turn until nothing changes. Of a cause far below the noise nothing is taken, of one far above it
-the pattern A is projected out, and ν' is less by the number of its components, shared by the
-outputs that show it. So that two residuals of an output are not explained whole by two tilts, W
+by alternation until nothing changes. Of a cause far below the noise nothing is taken, of one far
+above it the pattern A is projected out, and ν' is less by the number of its components, shared by
+the outputs that show it. So that two residuals of an output are not explained whole by two tilts, W
 has each s_m² drawn towards that of all outputs, by two degrees of freedom; an output that keeps
 less than one keeps its residuals as they are, and the cause is in U twice.
 
@@ -235,7 +235,7 @@ def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:
     return np.asarray(bias + scale * (force - at_rest))
 
 
-_TOLD = 1e-3  # of the residual variance, below which a cause is not looked for
+_LEAST_SHARE = 1e-3  # of the residual variance, below which a cause is not looked for
 _COMMON = 2.0  # degrees of freedom by which outputs share their scatter in W
 _ALL = 1e20  # of it, beyond which what is left of residuals is their rounding
 _LEAST = 1.0  # of degrees of freedom, below which an output keeps its residuals
@@ -243,7 +243,7 @@ _NOTHING = 1e-12  # of the residual variance, below which all of it is the cause
 _SETTLED, _ROUNDS = 1e-7, 500  # of the residual variance
 _SETTLED_BESIDE, _ROUNDS_BESIDE = 1e-2, 20  # each is a search
 
-Find = Callable[[Array], Array]  # residuals (n, M) -> their variance beyond the floor (M,)
+Find = Callable[[Array], Array]  # residuals (n, M) -> their variance beyond the stated one (M,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +292,7 @@ class _Found(NamedTuple):
 class _Settled(NamedTuple):
     """Where eqs. (4) and (5) came to rest."""
 
-    variance: Array  # beyond the floor (m,)
+    variance: Array  # beyond the stated variance (m,)
     left: Array  # degrees of freedom ν' (m,)
     residuals: Array  # e − A t, as long as (3) has it (n, m)
 
@@ -339,21 +339,28 @@ def _shown(c: Calibration, gain: Array, causes: Sequence[Quantity]) -> _Shown | 
     X = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
     nu = n - np.einsum("nmp,pnm->m", X, gain.reshape(-1, n, m))
     variance = np.mean(c.sd_of_readings**2, axis=0)
-    told = np.isfinite(c.dof) & (c.dof > 0.0) & (variance > 0.0)  # NaN is not told
-    if not told.any():
+    estimated_here = (
+        np.isfinite(c.dof) & (c.dof > 0.0) & (variance > 0.0)
+    )  # NaN is not identifiable
+    if not estimated_here.any():
         return None
     patterns = []
     for quantity in causes:
         moves = reading_moves(c, quantity).reshape(n * m, -1)
-        left = (moves - X.reshape(n * m, -1) @ (gain @ moves)).reshape(n, m, -1)[:, told]
-        left *= quantity.u / np.sqrt(variance[told, None])
-        part = np.einsum("nmq,nmq->m", left, left) / nu[told]
-        if part.max() > _TOLD and part.max() < _ALL:
-            patterns.append(left * np.sqrt(variance[told, None]))
+        left = (moves - X.reshape(n * m, -1) @ (gain @ moves)).reshape(n, m, -1)[:, estimated_here]
+        left *= quantity.u / np.sqrt(variance[estimated_here, None])
+        part = np.einsum("nmq,nmq->m", left, left) / nu[estimated_here]
+        if part.max() > _LEAST_SHARE and part.max() < _ALL:
+            patterns.append(left * np.sqrt(variance[estimated_here, None]))
     if not patterns:
         return None
-    outputs = np.flatnonzero(told)
-    return _Shown(outputs, c.residuals[:, told], np.concatenate(patterns, axis=2), nu[told])
+    outputs = np.flatnonzero(estimated_here)
+    return _Shown(
+        outputs,
+        c.residuals[:, estimated_here],
+        np.concatenate(patterns, axis=2),
+        nu[estimated_here],
+    )
 
 
 def _from_residuals(c: Calibration, shown: _Shown) -> _Found:
@@ -378,8 +385,8 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
     n, m = c.residuals.shape
     X = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
     designs = [X[:, i, X[:, i].any(axis=0)] for i in shown.outputs]
-    floor = diagonal(noise).reshape(n, m)[:, shown.outputs]
-    stated = floor[None] if noise.ndim == 1 else noise
+    stated_variance = diagonal(noise).reshape(n, m)[:, shown.outputs]
+    stated = stated_variance[None] if noise.ndim == 1 else noise
 
     def scatter(residuals: Array) -> ExcessVariance:
         return estimate_excess(designs, residuals[None], stated)
@@ -388,7 +395,7 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
         found = _settle(
             shown.residuals,
             shown.pattern,
-            floor,
+            stated_variance,
             shown.nu,
             lambda e: scatter(e).variance[0],
             (_SETTLED_BESIDE, _ROUNDS_BESIDE),
@@ -398,10 +405,10 @@ def _beside_stated(c: Calibration, shown: _Shown) -> _Found:
         after, left = _correlated(shown, noise, scatter)
     dof = after.dof * (left / shown.nu)
     if c.readings.dof is not None:
-        claimed = c.readings.dof[None, :, shown.outputs]
-        dof = combined_dof(dof, floor[None], claimed, after.variance)
+        stated_dof = c.readings.dof[None, :, shown.outputs]
+        dof = combined_dof(dof, stated_variance[None], stated_dof, after.variance)
     before = (c.sd_of_readings**2)[:, shown.outputs]  # by which the readings were weighed
-    now = np.sum((floor + after.variance[0]) / before**2, axis=0)
+    now = np.sum((stated_variance + after.variance[0]) / before**2, axis=0)
     return _Found(now / np.sum(1.0 / before, axis=0), dof[0], left)
 
 
@@ -410,11 +417,11 @@ def _correlated(
 ) -> tuple[ExcessVariance, Array]:
     """Return scatter and degrees of freedom left, in the axes in which readings are independent."""
     n, m = shown.residuals.shape
-    floor, axes = np.linalg.eigh(noise)
+    stated_variance, axes = np.linalg.eigh(noise)
     found = _settle(
         axes.T @ shown.residuals.reshape(-1, 1),
         (axes.T @ shown.pattern.reshape(n * m, -1))[:, None],
-        np.maximum(floor, 0.0)[:, None],
+        np.maximum(stated_variance, 0.0)[:, None],
         shown.nu.sum(keepdims=True),
         lambda e: scatter((axes @ e).reshape(n, m)).variance[0, :1],
         (_SETTLED_BESIDE, _ROUNDS_BESIDE),
@@ -424,27 +431,32 @@ def _correlated(
 
 
 def _settle(
-    e: Array, pattern: Array, floor: Array, nu: Array, find: Find, until: tuple[float, int]
+    e: Array,
+    pattern: Array,
+    stated_variance: Array,
+    nu: Array,
+    find: Find,
+    until: tuple[float, int],
 ) -> _Settled:
-    """Solve eqs. (4) and (5) in turn, from the variance that holds the causes downward.
+    """Solve eqs. (4) and (5) by alternation, from the variance that holds the causes downward.
 
     Parameters
     ----------
-    e, floor : (n, m) arrays
+    e, stated_variance : (n, m) arrays
     pattern : (n, m, q) array
     nu : (m,) array
     find : callable
-        Takes residuals, returns their variance beyond the floor.
+        Takes residuals, returns their variance beyond the stated one.
     until : (float, int)
         The relative change of a variance below which it has settled, and the most rounds.
     """
     tolerance, rounds = until
     variance = find(e)
-    typical = floor.mean(axis=0)
+    typical = stated_variance.mean(axis=0)
     least = _NOTHING * (variance + typical)
     for _ in range(rounds):
         common = float(nu @ variance) / float(nu.sum())
-        W = floor + np.maximum((nu * variance + _COMMON * common) / (nu + _COMMON), least)
+        W = stated_variance + np.maximum((nu * variance + _COMMON * common) / (nu + _COMMON), least)
         weighted = pattern / W[:, :, None]
         information = np.einsum("nmq,nmk->mqk", weighted, pattern)
         P = np.linalg.inv(information.sum(axis=0) + np.eye(pattern.shape[2]))

@@ -7,7 +7,7 @@ input axis along cos t, eq. (2) there is
     e_0: −sin t             a misalignment,
     c_1: −sin 2t / 2        the product of the two components,
     s_1: −sin²t             bias and second order,
-    c_2: (sin t − sin 3t)/2 nothing else but the misalignment, so it can be told,
+    c_2: (sin t − sin 3t)/2 nothing else but the misalignment, so it can be identified,
     s_2: (cos 3t − cos t)/2 scale factor and third order:
 
 eqs. (10) to (12) of docs/theory/tumble.md. Whatever a model leaves out can be estimated and stands
@@ -19,7 +19,7 @@ misalignments.
 
 Beside all of this the parameters of the sensor that no error does the same as are what none moves.
 
-One dividing head for all rolls: its circle told from the sensor by how the case is mounted.
+One dividing head for all rolls: its circle identified from the sensor by how the case is mounted.
 
 The circle of a head is off by the same at the same angle h of the head, in whatever mounting,
 
@@ -69,7 +69,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import RankError
-from multipos.estimation.known import FLOOR
+from multipos.estimation.known import ZERO_NORM
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.least_squares import solve
@@ -130,7 +130,7 @@ _FOUND = 1e-3  # chance of a table's errors where there are none
 
 @dataclass(frozen=True, eq=False)
 class TableError(Result):
-    """One quantity of the table on one roll; value, u, U are None where it cannot be told.
+    """One quantity of the table on one roll; value, u, U are None where it cannot be identified.
 
     `confounded_with` names the terms of the sensor that do the same to the readings, whether the
     model has them or leaves them out.
@@ -165,7 +165,7 @@ class BesideTable(Result):
     ----------
     keys : tuple of (output, term)
     parameters, covariance : (p,), (p, p) arrays
-    told : tuple of bool
+    identifiable : tuple of bool
         Which of them no error of the table does the same as.
     dof : float
     p : float
@@ -175,7 +175,7 @@ class BesideTable(Result):
     keys: tuple[tuple[str, str], ...]
     parameters: Array
     covariance: Array
-    told: tuple[bool, ...]
+    identifiable: tuple[bool, ...]
     dof: float
     p: float
 
@@ -200,7 +200,7 @@ class TableErrors(Result, Tabular):
     beside: BesideTable | None = None
 
     def columns(self) -> dict[str, Any]:
-        """Return the errors of the angle and of the shaft; None where one cannot be told."""
+        """Return the errors of the angle and of the shaft; None where one cannot be identified."""
         found = (*self.errors, *self.shaft)
         of = ["angle"] * len(self.errors) + ["shaft"] * len(self.shaft)
         names = ("plane", "quantity", "value_deg", "u_deg", "U_deg", "confounded_with")
@@ -241,7 +241,8 @@ class Bench:
         self.linear, self.own = np.concatenate(slopes), own
         self.sensor = self.design(self.models)
         self.shifts = _shifts(self.outputs, len(self.first.readings), self.rolls)
-        # What can be told is a matter of structure: small cross terms must not seem to tell it.
+        # What can be identified is a matter of structure: small cross terms must not seem to tell
+        # it.
         self.effect, self.nominal = (
             table_effects(self.first, self.rolls, m) for m in (self.linear, own)
         )
@@ -304,8 +305,8 @@ def separable(design: Array, effects: Array) -> list[int]:
     kept: list[int] = []
     for column in range(effects.shape[1]):
         trial = np.column_stack([design, effects[:, [*kept, column]]])
-        if np.abs(effects[:, column]).max() > FLOOR and (
-            separability(trial, floor=FLOOR).rank == trial.shape[1]
+        if np.abs(effects[:, column]).max() > ZERO_NORM and (
+            separability(trial, least_norm=ZERO_NORM).rank == trial.shape[1]
         ):
             kept.append(column)
     return kept
@@ -314,7 +315,9 @@ def separable(design: Array, effects: Array) -> list[int]:
 Sizes = dict[int, tuple[float, float, float]]  # value, u and U of columns by their place
 
 
-def solve_beside(bench: Bench, design: Array, told: NDArray[np.bool_]) -> tuple[BesideTable, Sizes]:
+def solve_beside(
+    bench: Bench, design: Array, identifiable: NDArray[np.bool_]
+) -> tuple[BesideTable, Sizes]:
     """Return the sensor beside errors of the table, and every column of the design with its U.
 
     Parameters
@@ -322,7 +325,7 @@ def solve_beside(bench: Bench, design: Array, told: NDArray[np.bool_]) -> tuple[
     bench : Bench
     design : (n M, q) array
         The p columns of the sensor first, then those of the errors, fewer than there are rows.
-    told : (p,) array of bool
+    identifiable : (p,) array of bool
         Which parameters no error does the same as.
     """
     p, more = len(bench.keys), design.shape[1] - len(bench.keys)
@@ -333,12 +336,14 @@ def solve_beside(bench: Bench, design: Array, told: NDArray[np.bool_]) -> tuple[
     variance = float(found.rss) / dof
     covariance = found.cofactor * variance
     gain = max(float(alone.rss) - float(found.rss), 0.0) / more
-    floor = (_ROUNDING * float(np.abs(values).max())) ** 2  # of residuals that are rounding alone
-    chance = f_tail(gain / variance, more, dof) if variance > floor else 1.0
+    least_variance = (
+        _ROUNDING * float(np.abs(values).max())
+    ) ** 2  # of residuals that are rounding alone
+    chance = f_tail(gain / variance, more, dof) if variance > least_variance else 1.0
     u = np.sqrt(np.diag(covariance))
     k = coverage_factor(bench.first.confidence, dof)
     sizes = {i: (float(found.coefficients[i]), float(u[i]), k * float(u[i])) for i in range(len(u))}
-    flags = tuple(map(bool, told.tolist()))
+    flags = tuple(map(bool, identifiable.tolist()))
     coefficients = found.coefficients[:p]
     return BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance), sizes
 
@@ -450,15 +455,15 @@ def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
     free = separable(bench.sensor, nominal)
     free = [free[i] for i in separable(bench.sensor, columns[:, free])]
     design = np.column_stack([bench.sensor, columns[:, free]])
-    null = separability(np.column_stack([bench.sensor, nominal]), floor=FLOOR).null
-    told = (null == 0.0).all(axis=1)
+    null = separability(np.column_stack([bench.sensor, nominal]), least_norm=ZERO_NORM).null
+    identifiable = (null == 0.0).all(axis=1)
     p = len(bench.keys)
     values: Sizes = {}
     beside = None
     if free and len(design) > design.shape[1]:
-        beside, sizes = solve_beside(bench, design, told[:p])
+        beside, sizes = solve_beside(bench, design, identifiable[:p])
         places = enumerate(free, start=p)
-        values = {column: sizes[place] for place, column in places if told[p + column]}
+        values = {column: sizes[place] for place, column in places if identifiable[p + column]}
     every = [*bench.names, *(f"{quantity} in {plane}" for plane, quantity in names)]
     errors = []
     for column, (plane, quantity) in enumerate(names):
@@ -470,7 +475,7 @@ def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
             every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != p + column
         ]
         errors.append(TableError(plane, quantity, value, u_deg, U, tuple(others)))
-    felt = np.abs(nominal).max(axis=0, initial=0.0) > FLOOR
+    felt = np.abs(nominal).max(axis=0, initial=0.0) > ZERO_NORM
     angle = tuple(error for error in errors if error.quantity in QUANTITIES)
     shaft = tuple(e for e, seen in zip(errors, felt, strict=True) if seen and e.quantity in SHAFT)
     return TableErrors(angle, (), 0.0 if beside is None else beside.dof, shaft, beside)
@@ -555,7 +560,7 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
 
 
 def _estimate(bench: Bench) -> TableErrors:
-    shifts, kept, design = _told_apart(bench.sensor, bench.shifts, bench.nominal, bench.effect)
+    shifts, kept, design = _separated(bench.sensor, bench.shifts, bench.nominal, bench.effect)
     if not (kept or shifts) or len(design) <= design.shape[1]:
         return TableErrors(_described(bench, {}), (), 0.0, _shaft_described(bench, {}))
     c, weight = bench.first, bench.weight
@@ -579,7 +584,7 @@ def _estimate(bench: Bench) -> TableErrors:
 
 
 def _beside(bench: Bench, design: Array) -> tuple[BesideTable | None, Sizes]:
-    """Return the sensor beside every error, and the errors of the shaft that can be told."""
+    """Return the sensor beside every error, and the errors of the shaft that can be identified."""
     free = separable(design, bench.shaft_nominal)
     free = [free[i] for i in separable(design, bench.shaft[:, free])]
     whole = np.column_stack([design, bench.shaft[:, free]])
@@ -588,21 +593,21 @@ def _beside(bench: Bench, design: Array) -> tuple[BesideTable | None, Sizes]:
     everything = np.column_stack(
         [bench.sensor, *bench.shifts.values(), bench.nominal, bench.shaft_nominal]
     )
-    null = separability(everything, floor=FLOOR).null
+    null = separability(everything, least_norm=ZERO_NORM).null
     kept, sizes = solve_beside(bench, whole, (null[: len(bench.keys)] == 0.0).all(axis=1))
     return kept, {column: sizes[i] for i, column in enumerate(free, start=design.shape[1])}
 
 
-def _told_apart(
+def _separated(
     sensor: Array, shifts: Mapping[tuple[str, str], Array], nominal: Array, effect: Array
 ) -> tuple[dict[tuple[str, str], Array], list[int], Array]:
-    """Return the zero shifts and columns of `effect` that can be told, and the design of all."""
+    """Return the zero shifts and identifiable columns of `effect`, and the design of all."""
     free = separable(sensor, np.column_stack([*shifts.values(), nominal]))
-    told = {key: shifts[key] for i, key in enumerate(shifts) if i in free}
-    design = np.column_stack([sensor, *told.values()])
+    kept_shifts = {key: shifts[key] for i, key in enumerate(shifts) if i in free}
+    design = np.column_stack([sensor, *kept_shifts.values()])
     kept = [i - len(shifts) for i in free if i >= len(shifts)]
     kept = [kept[i] for i in separable(design, effect[:, kept])]  # nor may small terms hide it
-    return told, kept, np.column_stack([design, effect[:, kept]])
+    return kept_shifts, kept, np.column_stack([design, effect[:, kept]])
 
 
 def find_in_rolls(calibration: Calibration) -> list[Finding]:
@@ -642,8 +647,8 @@ def _described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
     hidden = _confounded(bench, bench.models, bench.nominal, names)
     fullest = [_fullest(model) for model in bench.models]
     same = _confounded(bench, fullest, bench.nominal, names)
-    told = {column: value for column, value in values.items() if not hidden[names[column]]}
-    return _named(bench, QUANTITIES, told, same, names)
+    identifiable = {column: value for column, value in values.items() if not hidden[names[column]]}
+    return _named(bench, QUANTITIES, identifiable, same, names)
 
 
 def _shaft_described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
@@ -652,23 +657,27 @@ def _shaft_described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
     names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in SHAFT]
     both = np.column_stack([bench.nominal, bench.shaft_nominal])
     same = _confounded(bench, bench.models, both, [*table, *names])
-    told = {column: value for column, value in values.items() if not same[names[column]]}
-    found = _named(bench, SHAFT, told, same, names)
-    felt = np.abs(bench.shaft_nominal).max(axis=0, initial=0.0) > FLOOR
+    identifiable = {column: value for column, value in values.items() if not same[names[column]]}
+    found = _named(bench, SHAFT, identifiable, same, names)
+    felt = np.abs(bench.shaft_nominal).max(axis=0, initial=0.0) > ZERO_NORM
     return tuple(error for error, seen in zip(found, felt.tolist(), strict=True) if seen)
 
 
 def _named(
     bench: Bench,
     quantities: Sequence[str],
-    told: Sizes,
+    identifiable: Sizes,
     same: Mapping[str, tuple[str, ...]],
     names: Sequence[str],
 ) -> tuple[TableError, ...]:
     errors = []
     for column, name in enumerate(names):
         place, number_ = divmod(column, len(quantities))
-        value, u, U = np.degrees(told[column]).tolist() if column in told else (None, None, None)
+        value, u, U = (
+            np.degrees(identifiable[column]).tolist()
+            if column in identifiable
+            else (None, None, None)
+        )
         plane = bench.rolls[place].plane
         errors.append(TableError(plane, quantities[number_], value, u, U, same[name]))
     return tuple(errors)
@@ -691,13 +700,13 @@ def _confounded(
         *(f"zero shift of {output} in {plane}" for plane, output in bench.shifts),
         *names,
     ]
-    null = separability(np.column_stack([*base, nominal]), floor=FLOOR).null
+    null = separability(np.column_stack([*base, nominal]), least_norm=ZERO_NORM).null
     result: dict[str, tuple[str, ...]] = {}
     for row, name in enumerate(every):
         if name not in names:
             continue
         together = null[:, null[row] != 0.0]
         others = [every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != row]
-        # One that no output feels at all has no company, but cannot be told either.
+        # One that no output feels at all has no company, but cannot be identified either.
         result[name] = tuple(others) or (("nothing that the outputs feel",) * bool(together.size))
     return result

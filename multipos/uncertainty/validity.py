@@ -5,8 +5,8 @@ The tilt of a sensed axis i is the angle above the horizon of that axis of the c
 
     β_i = atan2(f_i, sqrt(sum_{j≠i} f_j²)),   or   asin(f_i / |f|)  with fewer than three;   (1)
 
-a calibration is worth what it gives at its worst direction and, as root mean square, over all of
-them. The reading that is compensated adds its own noise, which is not in these numbers.
+a calibration is judged by what it gives at its worst direction and, as root mean square, over all
+of them. The reading that is compensated adds its own noise, which is not in these numbers.
 
 What was applied is a sphere of |f| = g, and known forces, which along an axis go from the smallest
 component to the largest and in size to the largest of them. Terms that the positions could not
@@ -122,7 +122,8 @@ def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
     return np.stack(moves, axis=2)
 
 
-# Noise and placement make |f| of a sensor at rest differ from 1 g; only more than this is outside.
+# Noise and orientation error make |f| of a sensor at rest differ from 1 g; only more than this is
+# outside.
 _MARGIN = 0.01
 _MARGIN_RMS = 4.0
 POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
@@ -132,7 +133,7 @@ class ForcesSeen(NamedTuple):
     """The forces that a calibration has seen [g].
 
     Inside is what is no larger than `sphere`, and what is no larger than `largest` with components
-    between `low` and `high`, all with a margin for noise and placement.
+    between `low` and `high`, all with a margin for noise and orientation error.
     """
 
     sphere: float
@@ -190,7 +191,7 @@ class Sphere(Keyed, Tabular):
     force, tilt_deg : mapping of str to mapping
         By sensed axis: `worst`, the largest u; `U`, `k` and `dof` there; `at`, the force along
         the sensed axes where it is [g]; `rms` of u. Force is in g; tilt is
-        told of a triad only.
+        known of a triad only.
     """
 
     force: Mapping[str, Mapping[str, Any]]
@@ -198,12 +199,12 @@ class Sphere(Keyed, Tabular):
 
     def columns(self) -> dict[str, Any]:
         """Return a row for each quantity and axis."""
-        rows = [(what, axis, told) for what in self for axis, told in self[what].items()]
+        rows = [(what, axis, entry) for what in self for axis, entry in self[what].items()]
         names = ("worst", "U", "k", "dof", "rms")
         return {
             "quantity": [what for what, _, _ in rows],
             "axis": [axis for _, axis, _ in rows],
-            **{name: [told[name] for _, _, told in rows] for name in names},
+            **{name: [entry[name] for _, _, entry in rows] for name in names},
         }
 
 

@@ -6,9 +6,10 @@ J = dh/df and C the covariance of the parameters, r = y − h has the covariance
     V = D + L L',    L = (X C^(1/2), unseen terms),    D = diag(s²) + J T J' row by row,      (1)
 
 where s is the noise of the run's readings and T what is not known of where they were taken: the
-placement σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` … squared. As long as as
-many outputs as components are sensed, r and the errors e of `multipos.verification.checks` are
-one and the same to first order, e = J⁻¹ r, and so is the statistic
+orientation error σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` … squared. As
+long as as many outputs as components are sensed, r and the errors e of
+`multipos.verification.checks` are one and the same to first order, e = J⁻¹ r, and so is the
+statistic
 
     Q = r' V⁻¹ r    on N = n M degrees of freedom,                                           (2)
 
@@ -53,7 +54,7 @@ from multipos.verification.consistency import Words, is_apart, judge_together
 
 RATE = 0.01  # of runs that agree, the share that is said to disagree: half by each test
 _MOST_NAMED = 3
-_TOLD = 1e-9  # of its own information, which a parameter keeps beside others
+_IDENTIFIABLE = 1e-9  # of its own information, which a parameter keeps beside others
 _TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
 
 
@@ -175,34 +176,34 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     J = c.model.force_jacobian(c.parameters, known, environment)
     unseen = unseen_moves(c, known, environment)
     L = np.concatenate([X @ root_of(c.covariance), unseen], axis=2)
-    placed = _placement(data, known)
+    of_orientation = _orientation_error(data, known)
     D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(
-        "nmi,nij,nkj->nmk", J, placed, J
+        "nmi,nij,nkj->nmk", J, of_orientation, J
     )
     W = np.linalg.inv(np.linalg.cholesky(D))
-    told = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
+    predicted = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
     whole = np.einsum("nmm->nm", D) + np.sum(L**2, axis=2)
     free = np.zeros((*r.shape, 0)) if c.model.gauge is None else _turns(c, data, known)
-    tied = placed.any() or unseen.size or free.size
+    tied = of_orientation.any() or unseen.size or free.size
     return _Run(
         r=(W @ r[:, :, None])[:, :, 0],
         L=W @ L,
         X=W @ X,
         free=W @ free,
-        share=np.mean(told / whole, axis=0),
+        share=np.mean(predicted / whole, axis=0),
         apart=not tied and is_apart(c, c.covariance, c.model.output_of),
     )
 
 
-def _placement(data: Readings, known: Array) -> Array:
+def _orientation_error(data: Readings, known: Array) -> Array:
     """Return T of eq. (1), (n, 3, 3) [g²]."""
     sd = np.zeros(len(known)) if data.orientation_sd is None else data.orientation_sd
     square = np.where(np.isfinite(sd), sd, 0.0) ** 2
     across = np.einsum("ni,ni->n", known, known)[:, None, None] * np.eye(3)
-    placed = square[:, None, None] * (across - known[:, :, None] * known[:, None, :])
+    of_orientation = square[:, None, None] * (across - known[:, :, None] * known[:, None, :])
     if data.reference_u is not None:
-        placed = placed + data.reference_u[:, :, None] ** 2 * np.eye(3)
-    return np.asarray(placed)
+        of_orientation = of_orientation + data.reference_u[:, :, None] ** 2 * np.eye(3)
+    return np.asarray(of_orientation)
 
 
 def root_of(covariance: Array) -> Array:
@@ -282,8 +283,8 @@ def _taken(gram: Array, right: Array, chosen: list[int], steps: Array) -> Array:
         left -= gram[:, chosen] @ steps
         mine = np.linalg.solve(gram[np.ix_(chosen, chosen)], gram[chosen])
         own -= np.einsum("jp,jp->p", gram[chosen], mine)
-    told = own > _TOLD * np.diag(gram)
-    return np.where(told, left**2 / np.where(told, own, 1.0), 0.0)
+    predicted = own > _IDENTIFIABLE * np.diag(gram)
+    return np.where(predicted, left**2 / np.where(predicted, own, 1.0), 0.0)
 
 
 _WAY_OUT = "Calibrate again, or find what differs: warm-up, temperature, mounting or level."

@@ -115,7 +115,7 @@ def force_errors(
     square = np.einsum("ni,ni->n", known, known)[:, None]
     across = np.sqrt(np.maximum(square - reference**2, 0.0))
     own = np.sqrt(np.einsum("nkk->nk", covariance))
-    u = np.hypot(own, across * _placement(data))
+    u = np.hypot(own, across * _orientation_error(data))
     if data.reference_u is not None:
         u = np.hypot(u, data.reference_u[:, axes])
     before = nominal_force(calibration.model, data.values, nominal) - reference
@@ -155,21 +155,21 @@ def tilt_errors(calibration: Calibration, data: Readings, nominal: Nominal, nois
     rest = at_rest(calibration, data.values, data.environment, data.up)
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
     found = tilt_at_rest(calibration, rest, data.environment, noise, unseen)
-    placed = _placement(data)
+    of_orientation = _orientation_error(data)
     force = nominal_force(calibration.model, data.values, nominal)
     if len(axes) == 3:
         before = triad_tilt(force, calibration.sign)
     else:
         before = np.arcsin(np.clip(calibration.sign * force / magnitude_of(calibration), -1.0, 1.0))
     k = coverage_by_tenths(calibration.confidence, np.full(found.u.shape, np.inf))
-    U = np.hypot(found.U, k * placed)
-    u = np.hypot(found.u, placed)
+    U = np.hypot(found.U, k * of_orientation)
+    u = np.hypot(found.u, of_orientation)
     arrays = (reference, before - reference, found.tilt - reference, u, U)
     degrees = [np.degrees(array) for array in arrays]
     return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
 
 
-def _placement(data: Readings) -> Array:
+def _orientation_error(data: Readings) -> Array:
     """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
     if data.orientation_sd is None:
         return np.zeros((len(data), 1))

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError, RankError, UsageError
-from multipos.estimation.known import FLOOR
+from multipos.estimation.known import ZERO_NORM
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.separability import name_combinations, separability
@@ -118,7 +118,7 @@ def kept_coefficients(
     faint: list[str] = []
     for column, name in enumerate(DEFAULT):
         trial = [*kept, column]
-        if separability(design[:, trial], floor=FLOOR).rank < len(trial):
+        if separability(design[:, trial], least_norm=ZERO_NORM).rank < len(trial):
             continue
         loss = _loss(design[:, kept], design[:, column]) if limited and column > 1 else 1.0
         if loss <= _FAINT:
@@ -128,7 +128,7 @@ def kept_coefficients(
                 f"`{name}` hides behind the others on this part of a turn, which would make its u "
                 f"{loss:.2g} times as large; it is taken as zero"
             )
-    found = separability(design, floor=FLOOR)
+    found = separability(design, least_norm=ZERO_NORM)
     if kept[:2] != [0, 1]:
         raise RankError(
             f"{data.source or 'the readings'}: these points cannot tell K0 from K1 of "
@@ -186,7 +186,9 @@ def coefficients_beside(
         np.full(len(rows), found.dof),
         axis,
     )
-    free = {name for name in every if found.told[rows[model.index(output, _term(name, axis))]]}
+    free = {
+        name for name in every if found.identifiable[rows[model.index(output, _term(name, axis))]]
+    }
     return {
         name: entry
         for name, entry in every.items()
@@ -203,8 +205,9 @@ def those_that_hold(
 ) -> dict[str, TumbleCoefficient]:
     """Return the coefficients with no U that the table's errors would make too small.
 
-    Where these are beyond chance, and the bench was not stated, a coefficient that can be told
-    beside them is the one estimated so; of the others, which lean on them, u and U are NaN.
+    Where these are beyond chance, and the bench was not stated, a coefficient that can be
+    identified beside them is the one estimated so; of the others, which lean on them, u and U are
+    NaN.
     """
     if found is None or stated or not found.off:
         return plain
@@ -267,8 +270,8 @@ def ratios_to_k1(
     return result
 
 
-def weakly_told(calibration: Calibration, axis: str) -> tuple[str, ...]:
-    """Say which pairs are told apart so weakly that each costs the other most of its u."""
+def poorly_separated(calibration: Calibration, axis: str) -> tuple[str, ...]:
+    """Say which pairs are separated so weakly that each costs the other most of its u."""
     model = calibration.model
     places = {
         model.index(model.outputs[0], _term(name, axis)): name

@@ -98,9 +98,9 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
 
     def solved(readings: Readings) -> Calibration:
         size = signed_size(first.gravity, first.convention)
-        placement = place(readings, size, level_sd=options.level_sd)
+        stated_up = place(readings, size, level_sd=options.level_sd)
         # rows of one session are alike by what S holds
-        return calibrate_at(first.model, readings, placement, options, None, ordered=False)
+        return calibrate_at(first.model, readings, stated_up, options, None, ordered=False)
 
     pooled = solved(readings)
     each = found if alike else [solved(_plain(c.readings)) for c in found]
@@ -213,9 +213,9 @@ def _within(found: Sequence[Calibration], sd_of: Callable[[Calibration], Array])
     """Return standard deviations within sessions (M,), pooled over those that tell them."""
     squares = np.array([sd_of(c) ** 2 for c in found])
     dof = np.array([np.where(np.isinf(c.dof), len(c.readings), c.dof) for c in found])
-    told = np.where(np.isfinite(squares), dof, 0.0)
+    weights = np.where(np.isfinite(squares), dof, 0.0)
     with np.errstate(invalid="ignore"):
-        mean = np.sum(np.nan_to_num(squares) * told, axis=0) / told.sum(axis=0)
+        mean = np.sum(np.nan_to_num(squares) * weights, axis=0) / weights.sum(axis=0)
         return np.asarray(np.sqrt(mean))
 
 

@@ -1,4 +1,4 @@
-"""Repeated calibrations of one unit: spread, drift, and whether they agree with what they claim.
+"""Repeated calibrations of one unit: spread, drift, and agreement within U.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
 stability of the biases, and the drift (`multipos.verification.comparison`): the slope of the
@@ -299,8 +299,8 @@ def compare(
     --------
     >>> import multipos as mp
     >>> found = mp.demo()
-    >>> told = mp.compare(found.calibration, found.closed_form)
-    >>> told.consistent, bool(abs(told.values[0] - told.values[1]).max() < 1e-12)
+    >>> both = mp.compare(found.calibration, found.closed_form)
+    >>> both.consistent, bool(abs(both.values[0] - both.values[1]).max() < 1e-12)
     (True, True)
     """
     runs: tuple[Run, ...] = spread(calibrations)

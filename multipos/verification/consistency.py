@@ -1,4 +1,4 @@
-"""Do repeated calibrations agree with what they claim? Exact tests for few degrees of freedom.
+"""Agreement of repeated calibrations within their uncertainties: exact tests for few degrees.
 
 R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
 independent between the repeats (gravity, the level of the table and other quantities common to
@@ -228,7 +228,7 @@ def _quadratic(values: Array, covariances: Array) -> float:
     try:
         weights = np.linalg.inv(covariances / np.outer(scale, scale))
         mean = np.linalg.solve(weights.sum(axis=0), np.einsum("rij,rj->i", weights, scaled))
-    except np.linalg.LinAlgError:  # a file may claim a combination to be known exactly
+    except np.linalg.LinAlgError:  # in a file a combination may be known exactly
         return math.nan
     left = scaled - mean
     return float(np.einsum("ri,rij,rj->", left, weights, left))

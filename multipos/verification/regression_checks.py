@@ -19,9 +19,9 @@ orthonormal basis of theirs, and the zeros â = Z̃⁺ẽ have
 
 s² of the rest of ẽ, C of the coefficients segment by segment, Ψ between runs. Each gives an F, on q
 and the fewest ν of both, and on the columns of a run and m − 1, combined by Fisher's method; the
-largest p of all laws is taken. Where no runs were told apart there is no Ψ and no Z̃: the constant
-stands among the terms, and another switch-on, whose zero moves by more than one run can know, is
-denied.
+largest p of all laws is taken. Where no runs were distinguished there is no Ψ and no Z̃: the
+constant stands among the terms, and another switch-on, whose zero moves by more than one run can
+know, is rejected.
 """
 
 from collections.abc import Mapping
@@ -179,7 +179,7 @@ class _Rows(NamedTuple):
     e: Array
     X: Array
     root: Array  # C^(1/2), block by block
-    Z: Array  # (n, k runs), run after run; no column where runs were not told apart
+    Z: Array  # (n, k runs), run after run; no column where runs were not distinguished
 
 
 def _judge_run(

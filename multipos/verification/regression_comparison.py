@@ -1,4 +1,4 @@
-"""Repeated regressions of one response: whether their terms agree within what they claim.
+"""Repeated regressions of one response: whether their terms agree within their uncertainties.
 
 R coefficients b_i of one term in one segment, with standard uncertainties u_i on ν_i degrees of
 freedom and weights w_i = 1/u_i², are compared by Welch's test, which needs no equal variances:
@@ -213,8 +213,8 @@ def _compared(repeats: Sequence[Regression], place: int) -> list[ComparedTerm]:
         where = format_span(first.range_variable, s.range, s.branch)
     found: list[ComparedTerm] = []
     for name in names:
-        told = zip(*(_of_term(s, name) for s in segments), strict=True)
-        values, u, dof = (np.array(column, dtype=np.float64) for column in told)
+        estimates = zip(*(_of_term(s, name) for s in segments), strict=True)
+        values, u, dof = (np.array(column, dtype=np.float64) for column in estimates)
         F, p = welch(values, u, dof)
         here = values[~np.isnan(values)]
         sd = float(here.std(ddof=1)) if len(here) > 1 else math.nan

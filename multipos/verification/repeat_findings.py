@@ -37,7 +37,7 @@ def find_repeats(found: Sequence[Calibration]) -> Findings:
     Parameters
     ----------
     found : sequence of R Calibration
-        Of one model, outputs and unit; told by their numbers, for files may be renamed.
+        Of one model, outputs and unit; recognised by their numbers, for files may be renamed.
     """
     carried = _carried([errors_of(c.diagnostics.findings) for c in found])
     own = (

@@ -55,8 +55,8 @@ from multipos.verification.coefficients import (
     fitted_coefficients,
     formula_of,
     kept_coefficients,
+    poorly_separated,
     those_that_hold,
-    weakly_told,
 )
 
 _STILL = 1e-9  # [rad], a turn that is none
@@ -121,7 +121,7 @@ def passes(angle: Array) -> NDArray[np.intp]:
 
 
 SCHEMA = "multipos/tumble/1"
-_LEANING = 0.1  # rad, by which an input axis that is placed by hand lies from where it should
+_LEANING = 0.1  # rad, by which an input axis that is mounted by hand lies from where it should
 _ROUNDING = 1e-12  # residuals below this part of the largest reading are rounding
 
 
@@ -190,8 +190,8 @@ class Tumble(Result, Drawn, Tabular):
     def columns(self) -> dict[str, Any]:
         """Return the coefficients: name, value, u, k, U, unit."""
         names = ("value", "u", "k", "U", "unit")
-        told = {key: [getattr(c, key) for c in self.coefficients.values()] for key in names}
-        return {"name": list(self.coefficients), **told}
+        fields = {key: [getattr(c, key) for c in self.coefficients.values()] for key in names}
+        return {"name": list(self.coefficients), **fields}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
@@ -272,7 +272,7 @@ def tumble_output(
         fourier_max_difference=_fourier_difference(calibration, rolls),
         table_errors=table,
         unidentifiable=unidentifiable,
-        weak=weakly_told(calibration, axis),
+        weak=poorly_separated(calibration, axis),
         findings=in_order(findings),
         hysteresis=find_hysteresis(
             _mounted_once(calibration.readings, rolls),
@@ -307,7 +307,7 @@ def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> Finding
 
 
 def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]:
-    """Say that no roll spans a turn, and what can be told then; nothing where one does."""
+    """Say that no roll spans a turn, and what can be identified then; nothing where one does."""
     if not rolls or data.forced.any() or any(roll.spans_a_turn for roll in rolls):
         return []
     return [

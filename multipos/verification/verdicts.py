@@ -16,7 +16,7 @@ limit fails with at most the chance 1 − c, however the errors hang together; a
 while any true error is beyond the limit has passed that error by itself (Berger's
 intersection-union test), which needs no correction.
 
-En = |e|/U, where U² = U²(run) + U²(calibration), compares an error with what both claim.
+En = |e|/U, where U² = U²(run) + U²(calibration), compares an error with the U of both.
 
 The errors of a run beside its own columns: what `regress` describes by temperature and rates.
 

@@ -9,7 +9,7 @@ import pytest
 import multipos as mp
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.formulas import read_model
-from multipos.sensor.own_models import build_sketch
+from multipos.sensor.own_models import build_parsed
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "model-gallery.md"
 LINES = re.findall(r"^\| [^|]+ \| `(.+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
@@ -20,7 +20,7 @@ TRUTH |= {"c": 0.02, "f": 35.0}
 
 def built(line, columns):
     known = tuple(columns)
-    return build_sketch(
+    return build_parsed(
         read_model(line), ("ax", "ay", "az"), tuple("xyz"), tuple("xyz"), "g", known
     )
 

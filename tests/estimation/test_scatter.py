@@ -123,11 +123,11 @@ def test_without_a_floor_it_is_student_s_t():
         values = sphere(n) + SD * rng.standard_normal((n, 3))
         readings = mp.Readings(values, up=sphere(n))
         plain = mp.fit(readings, pool=True)
-        floored = mp.fit(readings, pool=True, reading_sd=1e-6 * SD)
-        assert_allclose(floored.parameters, plain.parameters, atol=1e-12)
+        bounded_below = mp.fit(readings, pool=True, reading_sd=1e-6 * SD)
+        assert_allclose(bounded_below.parameters, plain.parameters, atol=1e-12)
         # the trapezoidal rule over a range whose tail of 1e-6 is cut off
-        assert_allclose(floored.U, plain.U, rtol=1e-3)
-        assert_allclose(floored.dof, plain.dof, rtol=1e-3)
+        assert_allclose(bounded_below.U, plain.U, rtol=1e-3)
+        assert_allclose(bounded_below.dof, plain.dof, rtol=1e-3)
 
 
 def test_a_claim_far_above_the_residuals_is_the_noise():

@@ -93,10 +93,10 @@ def test_noise_unit_and_scheme_do_not_matter(seed, noise, size, scheme, model):
 def test_units_whose_rows_are_correlated_have_the_u_of_fit(options):
     table = line(6, scheme="fibonacci-24+fibonacci-24")
     rng = np.random.default_rng(5)
-    wander = np.cumsum(1e-3 * rng.standard_normal((48, 3, 6)), axis=0)
-    wander[:, :, ::2] = 0.0
+    drift_factor = np.cumsum(1e-3 * rng.standard_normal((48, 3, 6)), axis=0)
+    drift_factor[:, :, ::2] = 0.0
     for i, name in enumerate(("ax", "ay", "az")):
-        table[name] = table[name] + wander[:, i].T.ravel()
+        table[name] = table[name] + drift_factor[:, i].T.ravel()
     found = mp.fit_many(table, unit_column="unit", station_column="station", **options)
     assert worst_difference(found, table, **options) < 1e-10
     codes = [

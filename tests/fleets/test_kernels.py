@@ -74,7 +74,7 @@ def stated(table, low=5e-4, high=1.5e-3, dof=None, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("claims", "options"),
+    ("stated_noise", "options"),
     [
         (None, {"reading_sd": 1e-3}),
         (None, {"reading_sd": [1e-3, 2e-3, 5e-4], "pool": True}),
@@ -86,15 +86,15 @@ def stated(table, low=5e-4, high=1.5e-3, dof=None, seed=0):
         ({"dof": (30.0, 5000.0)}, {"confidence": 0.9}),
     ],
 )
-def test_stated_noise(claims, options, fitted):
-    table = line(5) if claims is None else stated(line(5), **claims)
+def test_stated_noise(stated_noise, options, fitted):
+    table = line(5) if stated_noise is None else stated(line(5), **stated_noise)
     found = mp.fit_many(table, **APART, **options)
     assert len(fitted) == 1
     assert worst_difference(found, table, **options) < 1e-9  # no search, but eq. (1) in two turns
 
 
 @pytest.mark.parametrize(
-    ("claims", "options"),
+    ("stated_noise", "options"),
     [
         (None, {"reading_sd": 1e-4}),  # which the residuals deny
         (None, {"reading_sd": [1e-3, 2e-3, 5e-4], "confidence": 0.99}),
@@ -105,9 +105,11 @@ def test_stated_noise(claims, options, fitted):
         ({"low": 1e-5, "high": 5e-3, "dof": (2.0, 5000.0)}, {"model": "1 + x + y + z + own^3"}),
     ],
 )
-def test_unknown_orientation_with_stated_noise(claims, options, fitted):
+def test_unknown_orientation_with_stated_noise(stated_noise, options, fitted):
     table = (
-        line(4, scheme="all-26") if claims is None else stated(line(4, scheme="all-26"), **claims)
+        line(4, scheme="all-26")
+        if stated_noise is None
+        else stated(line(4, scheme="all-26"), **stated_noise)
     )
     found = mp.fit_many(table, unknown_orientation=True, **APART, **options)
     assert len(fitted) == 1
@@ -200,7 +202,7 @@ def test_uncertain_orientation(scheme, options, fitted):
 
 
 @pytest.mark.parametrize(
-    ("claims", "sd"),
+    ("stated_noise", "sd"),
     [
         ({}, 0.1),
         ({"low": 1e-5, "high": 1e-3}, 0.1),
@@ -208,8 +210,8 @@ def test_uncertain_orientation(scheme, options, fitted):
         ({"low": 3e-4, "high": 3e-4, "dof": (3.0, 9.0)}, "auto"),
     ],
 )
-def test_uncertain_orientation_with_u_of_every_reading(claims, sd, fitted):
-    table = stated(placed(3, noise=3e-4), **({"low": 2e-4, "high": 4e-4} | claims))
+def test_uncertain_orientation_with_u_of_every_reading(stated_noise, sd, fitted):
+    table = stated(placed(3, noise=3e-4), **({"low": 2e-4, "high": 4e-4} | stated_noise))
     found = mp.fit_many(table, orientation_sd=sd, **APART)
     # outputs drawn together each by itself are unlike, which leaves "auto" to the fit of one
     assert len(fitted) <= (3 if sd == 0.1 else 5)
@@ -297,12 +299,12 @@ def test_claims_that_are_none_are_left_to_fit(options):
 )
 @example(3874861665, 1e-4, 16384.0, 1e-3, None)
 @example(129428, 1e-4, 1e-7, 1e-3, None)
-def test_noise_unit_lot_and_claims_do_not_matter(seed, noise, size, lot, claims):
+def test_noise_unit_lot_and_claims_do_not_matter(seed, noise, size, lot, stated_noise):
     table = line(3, noise=noise, seed=seed, lot=lot)
     for axis in "xyz":
         table[f"a{axis}"] = size * table[f"a{axis}"]
-    if claims is not None:
-        table = stated(table, 0.5 * noise * size, 1.5 * noise * size, seed=seed, **claims)
+    if stated_noise is not None:
+        table = stated(table, 0.5 * noise * size, 1.5 * noise * size, seed=seed, **stated_noise)
     found = mp.fit_many(table, unknown_orientation=True, **APART)
     assert worst_difference(found, table, unknown_orientation=True) < 1e-6
 

@@ -317,7 +317,7 @@ def a_rest(**changes):
         at_high=count,
         longest=count,
         dof=99.0 * one,
-        wander=one,
+        drift_factor=one,
         cosines=np.ones((1, 8)),
         common=one,
     )

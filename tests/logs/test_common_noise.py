@@ -87,7 +87,7 @@ def test_slow_noise_is_known_by_all_and_u_holds_the_session(noise, corner):
     for _ in range(8):
         rests, truth = session(rng, noise, corner)
         alone, together = settled(rests)
-        said = np.maximum(stacked(together, "common"), stacked(together, "wander")) > 1.0
+        said = np.maximum(stacked(together, "common"), stacked(together, "drift_factor")) > 1.0
         assert said.mean() > 0.9
         for found, kept in ((alone, before), (together, held)):
             error = np.abs(stacked(found, "mean") - truth)
@@ -130,7 +130,7 @@ def test_outputs_that_differ_are_each_for_itself():
         samples[2] = 0.25  # stuck
     _, together = settled(rests)
     common = stacked(together, "common")
-    own = stacked(together, "wander")  # where that of a rest alone is larger still
+    own = stacked(together, "drift_factor")  # where that of a rest alone is larger still
     assert (np.maximum(common, own)[:, 0] > 1.5).all()
     assert (common[:, 0] > 1.0).any()
     assert (common[:, 1:] == 1.0).all()

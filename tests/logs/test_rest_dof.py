@@ -100,7 +100,7 @@ def test_t_covers_the_mean_of_few_effective_samples(effective):
     sd = math.sqrt(0.95 * 0.05 / runs)
     assert 0.95 - 3.3 * sd < inside  # 1 in 1000
     assert inside < 0.985  # a few are taken for flicker noise
-    known = float(np.mean(size[found.wander == 1.0] < 1.96))
+    known = float(np.mean(size[found.drift_factor == 1.0] < 1.96))
     assert known < 0.95 if effective == 10 else True
 
 
@@ -108,10 +108,10 @@ def test_noise_that_does_not_settle_is_known_and_u_raised():
     rng = np.random.default_rng(3)
     runs = 200
     named = {
-        "white": rest(rng.standard_normal((runs, N))).wander > 1.0,
-        "memory": rest(remembering(rng, runs, 100.0)).wander > 1.0,
-        "flicker": rest(flicker(rng, runs)).wander > 1.0,
-        "walk": rest(np.cumsum(rng.standard_normal((runs, N)), axis=1)).wander > 1.0,
+        "white": rest(rng.standard_normal((runs, N))).drift_factor > 1.0,
+        "memory": rest(remembering(rng, runs, 100.0)).drift_factor > 1.0,
+        "flicker": rest(flicker(rng, runs)).drift_factor > 1.0,
+        "walk": rest(np.cumsum(rng.standard_normal((runs, N)), axis=1)).drift_factor > 1.0,
     }
     share = {name: float(np.mean(each)) for name, each in named.items()}
     assert share["white"] <= 0.02
@@ -126,7 +126,7 @@ def test_u_of_flicker_noise_holds_the_zero_of_a_long_session():
     found = rest(flicker(np.random.default_rng(5), 300))
     size = np.abs(found.mean)  # the long record has zero mean
     assert np.mean(size < stdtrit(found.dof, 0.975) * found.u) > 0.85
-    assert np.mean(size < 1.96 * found.u / found.wander) < 0.65  # what it was
+    assert np.mean(size < 1.96 * found.u / found.drift_factor) < 0.65  # what it was
 
 
 def test_the_file_carries_degrees_of_freedom_and_the_rest_says_few(tmp_path):

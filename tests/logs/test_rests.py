@@ -300,7 +300,7 @@ def test_rests_beside_each_other_are_as_each_alone():
         sums[-1].feed(samples)
     for together, taken in zip(rest_means(sums), sums, strict=True):
         (alone,) = rest_means([taken])
-        for name in ("mean", "sd", "u", "drift_u", "edge", "dof", "wander"):
+        for name in ("mean", "sd", "u", "drift_u", "edge", "dof", "drift_factor"):
             np.testing.assert_allclose(
                 getattr(together, name), getattr(alone, name), rtol=1e-9, atol=0, err_msg=name
             )

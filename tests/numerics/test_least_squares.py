@@ -361,7 +361,7 @@ def sphere(n=20):
 
 def test_bias_and_squares_on_the_sphere():
     with pytest.raises(RankError) as caught:
-        solve(sphere(), np.zeros(20), names=SPHERE, floor=1e-9)
+        solve(sphere(), np.zeros(20), names=SPHERE, least_norm=1e-9)
     sentence = "`bias_ax` cannot be told from `square_ax_x + square_ax_y + square_ax_z`"
     assert caught.value.combinations == (sentence,)
     assert (caught.value.rank, caught.value.parameters) == (4, 5)
@@ -390,17 +390,17 @@ def test_column_of_rounding_is_zero_below_the_floor():
     X[::2, 2] *= -1.0
     assert separability(X).rank == 3
     with pytest.raises(RankError, match="`cross_ax_z` has no effect at these positions") as caught:
-        solve(X, np.zeros(12), floor=1e-9, names=("bias_ax", "scale_ax", "cross_ax_z"))
+        solve(X, np.zeros(12), least_norm=1e-9, names=("bias_ax", "scale_ax", "cross_ax_z"))
     assert caught.value.rank == 2
     # the floor is for the column as given: the weights have no say
     with pytest.raises(RankError, match="no effect"):
-        solve(X, np.zeros(12), floor=1e-9, covariance=np.full(12, 1e-30))
+        solve(X, np.zeros(12), least_norm=1e-9, covariance=np.full(12, 1e-30))
 
 
 def test_floor_spares_what_is_above_it():
     X, y = problem(10, 2)
     X[:, 1] *= 2e-9 / np.linalg.norm(X[:, 1])
-    assert solve(X, y, floor=1e-9).dof == 8
+    assert solve(X, y, least_norm=1e-9).dof == 8
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-12, 1e12])

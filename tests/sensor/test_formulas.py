@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.sensor.formulas import Sketch, read_model, sketch_dict, sketch_from_dict
-from multipos.sensor.own_models import build_sketch
+from multipos.sensor.formulas import ParsedModel, parsed_dict, parsed_from_dict, read_model
+from multipos.sensor.own_models import build_parsed
 
 
 def build(text, outputs=("ax",), axes=("x",), columns=()):
-    sketch = read_model(text)
-    assert isinstance(sketch, Sketch)
-    return build_sketch(sketch, outputs, axes, ("x", "y", "z"), "V", columns)
+    parsed = read_model(text)
+    assert isinstance(parsed, ParsedModel)
+    return build_parsed(parsed, outputs, axes, ("x", "y", "z"), "V", columns)
 
 
 def value(formula, force=(0.3, -0.2, 0.9), **parameters):
@@ -93,9 +93,9 @@ def test_an_error_names_the_place_in_the_line(text, said):
 @given(st.text(alphabet="abxyown012.+-*/^(),|= \n;e", max_size=30))
 def test_any_text_is_a_model_or_a_plain_error(text):
     try:
-        sketch = read_model(f"each = {text}")
-        assert isinstance(sketch, Sketch)
-        build_sketch(sketch, ("ax",), ("x",), ("x", "y", "z"), "V", ())
+        parsed = read_model(f"each = {text}")
+        assert isinstance(parsed, ParsedModel)
+        build_parsed(parsed, ("ax",), ("x",), ("x", "y", "z"), "V", ())
     except mp.UsageError:
         pass
 
@@ -156,7 +156,7 @@ def test_a_file_says_what_is_known_of_parameters(tmp_path):
     assert_allclose(model.starts, [np.nan, np.nan, 0.01, np.nan, 20.0])
     assert_allclose(model.beliefs, [0, 0, 0, 0, 0.04])
     assert model.bounded
-    again = sketch_from_dict(sketch_dict(read_model(path)))
+    again = parsed_from_dict(parsed_dict(read_model(path)))
     assert again == read_model(path)
 
 

@@ -80,7 +80,7 @@ def test_p_values_by_another_route():
 
     ds = [*np.geomspace(1.0, 60.0, 8), 1e6]
     logs, best = [], []
-    for d, believed in zip(ds, [0.3 / 8] * 8 + [0.7], strict=True):
+    for d, with_prior in zip(ds, [0.3 / 8] * 8 + [0.7], strict=True):
         search = minimize_scalar(
             lambda x, d=d: -law(np.exp(x), d),
             bounds=(-4.0, 2.0),
@@ -88,7 +88,7 @@ def test_p_values_by_another_route():
             options={"xatol": 1e-8},
         )
         best.append(np.exp(search.x))
-        logs.append(-search.fun + 0.5 * np.log1p(5.0 / d) + np.log(believed))
+        logs.append(-search.fun + 0.5 * np.log1p(5.0 / d) + np.log(with_prior))
     chance = np.exp(np.array(logs) - max(logs))
     chance /= chance.sum()
     for p, (k, m) in zip(found, ((4, 1), (9, 2)), strict=True):

@@ -16,7 +16,7 @@ from multipos.diagnostics.criticism import aicc, find_influence, fourier_residua
 from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.found import Placed, VarianceComponents
+from multipos.sensor.found import OrientationSpread, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.monte_carlo import Draws, numerical_tolerance, simulate_budget
@@ -182,7 +182,7 @@ def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
 def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
     """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
     c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
-    told = VarianceComponents(orientation_sd_deg=Placed(0.4, 0.1, determined=True))
+    told = VarianceComponents(orientation_sd_deg=OrientationSpread(0.4, 0.1, determined=True))
     draws = Draws(replace(c, variance_components=told), np.random.default_rng(1))
     assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
 

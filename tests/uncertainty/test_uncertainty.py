@@ -159,9 +159,9 @@ def test_independent_placement_adds_up_over_positions():
     forces = c.reference + np.cross(turns, c.reference)
     gain = estimator_gain(c)
     drawn = np.array([gain @ sense(force).ravel() for force in forces])
-    claimed = np.linalg.norm(effects, axis=1) * 0.01
+    stated_dof = np.linalg.norm(effects, axis=1) * 0.01
     # variance of a variance, 2/runs, at four standard deviations, and second order of 0.01°
-    assert_allclose(drawn.std(axis=0), claimed, rtol=4 * math.sqrt(0.5 / runs) + 1e-3)
+    assert_allclose(drawn.std(axis=0), stated_dof, rtol=4 * math.sqrt(0.5 / runs) + 1e-3)
 
 
 def test_each_contribution_by_hand():
@@ -232,9 +232,11 @@ def test_what_the_residuals_show_is_not_added_again():
     plain = calibrate(noise=1e-3)
     assert_allclose(estimated.covariance, plain.covariance, rtol=1e-12)
     # so does the scatter beside a stated noise, but not a noise that is known beforehand
-    claimed = calibrate(noise=1e-3, reading_sd=1e-3)
-    assert_allclose(mp.state_budget(claimed, tables).covariance, claimed.covariance, rtol=1e-12)
-    known = with_known_noise(claimed)
+    stated_dof = calibrate(noise=1e-3, reading_sd=1e-3)
+    assert_allclose(
+        mp.state_budget(stated_dof, tables).covariance, stated_dof.covariance, rtol=1e-12
+    )
+    known = with_known_noise(stated_dof)
     stated = mp.state_budget(known, tables)
     rows = {row.quantity: row for row in evaluate_budget(stated).rows}
     assert not rows["resolution"].contained.any()

@@ -16,7 +16,7 @@ from multipos.positions.harmonics import Harmonic, find_rolls, residual_series, 
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumble_text
 from multipos.sensor.stating import build_model
-from multipos.verification.coefficients import weakly_told
+from multipos.verification.coefficients import poorly_separated
 
 
 def roll_file(path, angles, values, axis="z"):
@@ -136,7 +136,7 @@ def test_weakly_told_by_hand(rho, said):
     correlation = np.eye(4)
     pair = [model.index("E", "x^3"), model.index("E", "x*|x|")]
     correlation[pair, pair[::-1]] = rho
-    assert len(weakly_told(SimpleNamespace(model=model, correlation=correlation), "x")) == said
+    assert len(poorly_separated(SimpleNamespace(model=model, correlation=correlation), "x")) == said
 
 
 def test_fourier_view_is_not_claimed_for_uneven_points():

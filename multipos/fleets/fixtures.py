@@ -1,14 +1,15 @@
-"""The true angle of every position of a station's nest, from residuals within units.
+"""The true angle of every position of a station's fixture, from residuals within units.
 
-A nest holds unit after unit at position k in the same wrong attitude, off by a small rotation δ_k:
-the reference is f_k + δ_k × f_k for all of them. A unit's fit takes up what a change of its own
-parameters explains and leaves the rest in the residuals. With A_u the unit's sensitivities and H_i
-the hat matrix of output i, whose axis is i,
+A fixture holds unit after unit at position k in the same wrong attitude, off by a small rotation
+δ_k: the reference is f_k + δ_k × f_k for all of them. A unit's fit takes up what a change of its
+own parameters explains and leaves the rest in the residuals. With A_u the unit's sensitivities and
+H_i the hat matrix of output i, whose axis is i,
 
     e_uki = (A_u⁻¹ r_uk)_i = Σ_l (I − H_i)_kl (δ_l × f_l)_i + noise = (G δ)_ki,              (1)
 
 and δ̂_u = G⁺ e_u is the shortest δ that explains a unit. Its mean over the units of a station is
-the nest's, its scatter over √N the standard uncertainty, with what units differ in being laid in.
+the fixture's, its scatter over √N the standard uncertainty, with what units differ in being laid
+in.
 
 What G does not see is not there: a turn about f_k, which changes nothing, a rotation that all
 positions share, which every unit's cross terms take up, and on few positions more than that (the
@@ -29,12 +30,12 @@ from multipos.numerics.terms import COMPONENTS
 
 _MOST = 120  # positions: G has (3 n)² numbers
 _UNSEEN = 1e-9  # singular values of G below this are zero
-_TOLD = 1e-6  # part of an angle that may be unseen
-_WILD = 5.0  # times the median of the residuals, beyond which a unit tells nothing of its nest
+_UNSEEN_PART = 1e-6  # part of an angle that may be unseen
+_WILD = 5.0  # times the median of the residuals, beyond which a unit tells nothing of its fixture
 
 
 @dataclass(frozen=True, eq=False)
-class Nest:
+class Fixture:
     """Positions and G⁺ of eq. (1).
 
     Attributes
@@ -44,18 +45,18 @@ class Nest:
         As listed.
     inverse : (3 n, 3 n) array
         From e, position by position, to δ [rad].
-    told : (n,) array of bool
+    identifiable : (n,) array of bool
         Positions whose angle is seen but for the common rotation.
     """
 
     labels: tuple[str, ...]
     up: Array
     inverse: Array
-    told: NDArray[np.bool_]
+    identifiable: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, shared: SharedDesign, labels: tuple[str, ...], up: Array) -> "Nest | None":
-        """Return the nest of a design; None where it tells no angle, or has too many positions."""
+    def of(cls, shared: SharedDesign, labels: tuple[str, ...], up: Array) -> "Fixture | None":
+        """Return the fixture of a design; None without an angle, or with too many positions."""
         axes, n = shared.model.axes, len(shared.reference)
         if sorted(axes) != sorted(COMPONENTS) or n > _MOST:
             return None
@@ -70,10 +71,10 @@ class Nest:
         if not seen.any():
             return None
         pinv = (Vt[seen].T / s[seen]) @ U[:, seen].T
-        return cls(labels, up, pinv, _told(Vt[~seen], shared.reference))
+        return cls(labels, up, pinv, _identifiable(Vt[~seen], shared.reference))
 
 
-def _told(unseen: Array, reference: Array) -> NDArray[np.bool_]:
+def _identifiable(unseen: Array, reference: Array) -> NDArray[np.bool_]:
     """Tell at which positions nothing is unseen but turns about f and the common rotation."""
     n = len(reference)
     along = np.zeros((n, n, 3))
@@ -81,27 +82,29 @@ def _told(unseen: Array, reference: Array) -> NDArray[np.bool_]:
     known = np.concatenate((along.reshape(n, 3 * n), np.tile(np.eye(3), n)))
     basis = np.linalg.qr(known.T)[0]
     rest = unseen - (unseen @ basis) @ basis.T
-    return np.asarray(np.abs(rest.reshape(-1, n, 3)).max(axis=(0, 2), initial=0.0) < _TOLD)
+    return np.asarray(np.abs(rest.reshape(-1, n, 3)).max(axis=(0, 2), initial=0.0) < _UNSEEN_PART)
 
 
-class NestSums(NamedTuple):
-    """Sums over units of one station in one nest: of δ̂_u and of its squares, (n, 3) [rad]."""
+class FixtureSums(NamedTuple):
+    """Sums over units of one station in one fixture: of δ̂_u and of its squares, (n, 3) [rad]."""
 
     station: int
     labels: tuple[str, ...]
     up: Array
-    told: NDArray[np.bool_]
+    identifiable: NDArray[np.bool_]
     units: int
     total: Array
     square: Array
 
 
-def sum_nests(nest: Nest, found: Estimates, stations: NDArray[np.intp]) -> tuple[NestSums, ...]:
+def sum_fixtures(
+    fixture: Fixture, found: Estimates, stations: NDArray[np.intp]
+) -> tuple[FixtureSums, ...]:
     """Return the sums of units, station by station.
 
     Parameters
     ----------
-    nest : Nest
+    fixture : Fixture
     found : Estimates
         Of B units.
     stations : (B,) array of int
@@ -111,19 +114,19 @@ def sum_nests(nest: Nest, found: Estimates, stations: NDArray[np.intp]) -> tuple
     if not usable.any():
         return ()
     usable &= rms <= _WILD * median(rms[usable])
-    angles = _angles(nest, found)
-    n = len(nest.labels)
+    angles = _angles(fixture, found)
+    n = len(fixture.labels)
     sums = []
     for station in np.unique(stations[usable]).tolist():
         mine = angles[usable & (stations == station)]
         total, square = mine.sum(axis=0), (mine**2).sum(axis=0)
         shape = (n, 3)
         sums.append(
-            NestSums(
+            FixtureSums(
                 station,
-                nest.labels,
-                nest.up,
-                nest.told,
+                fixture.labels,
+                fixture.up,
+                fixture.identifiable,
                 len(mine),
                 total.reshape(shape),
                 square.reshape(shape),
@@ -132,7 +135,7 @@ def sum_nests(nest: Nest, found: Estimates, stations: NDArray[np.intp]) -> tuple
     return tuple(sums)
 
 
-def _angles(nest: Nest, found: Estimates) -> Array:
+def _angles(fixture: Fixture, found: Estimates) -> Array:
     """Return δ̂_u (B, 3 n) of every unit."""
     left = np.stack(found.residuals, axis=2) @ found.inverse.transpose(0, 2, 1)
-    return np.asarray(left.reshape(len(left), -1) @ nest.inverse.T)
+    return np.asarray(left.reshape(len(left), -1) @ fixture.inverse.T)
