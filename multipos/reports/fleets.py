@@ -27,7 +27,7 @@ from multipos.reports.page import Figure, Language, PageTable, Section, Translat
 
 _ROUNDING = 1e-9  # [deg]
 _SHOWN = 50  # units of a table; fleet.json has all
-_TOLD = (
+_EXPLAINED = (
     "Numbers of the line are those of units that were fitted and are fit for use.",
     (
         "sd holds what the measurement adds, 'sd of units' does not. Cpk is taken with the spread "
@@ -54,7 +54,7 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     outliers, named = outlier_rows(found)
     sections = [
         _section("Why units do not pass", cause_rows(found), tr, (), _causes(found, tr)),
-        _section("Parameters", parameter_rows(found), tr, _TOLD, _histograms(found, tr)),
+        _section("Parameters", parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)),
         _risks(found, tr),
         _section("Stations", station_rows(found), tr, (_STATIONS,)),
         _fixtures(found, tr),
