@@ -152,8 +152,8 @@ def drift_absorbed(c: Calibration) -> Finding | None:
     if c.model.drift_per is not None:  # it is estimated
         return None
     course = time - time.mean()
-    phi = c.model.basis(c.reference, c.readings.environment)
-    share = max(share_absorbed(phi[:, columns], course) for columns in c.model.columns)
+    _, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
+    share = max(share_absorbed(slopes, course) for _, slopes in blocks)
     if share <= _ABSORBED:
         return None
     return Finding(

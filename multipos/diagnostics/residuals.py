@@ -374,4 +374,4 @@ def _separable(c: Calibration) -> bool:
 
 def _linear_part(c: Calibration) -> Array:
     """Return the scale factors and cross terms (M, 3)."""
-    return np.asarray((c.model.linear_map(c.mean_environment) @ c.parameters)[:, 1:])
+    return c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]

@@ -295,7 +295,7 @@ def solve_units(
     )
     variances = stated + excess.variance.T[:, :, None]
     parameters, residuals = _weigh(shared, values, *plain, variances)
-    u = excess.standard_uncertainty(parameters - start, per_parameter(shared.model, excess.dof))
+    u = excess.standard_uncertainty(parameters - start, shared.model.per_parameter(excess.dof))
     return Fits(parameters, u, excess.dof, residuals, plain[1], variances, excess, chi2)
 
 
@@ -508,7 +508,7 @@ def _estimates(
     return Estimates(
         parameters=found.parameters,
         u=found.u,
-        dof=per_parameter(model, dof),
+        dof=model.per_parameter(dof),
         rms=rms,
         residuals=tuple(found.plain),
         inverse=inverse,
@@ -562,7 +562,7 @@ def solve_known(
         reference=reference,
         parameters=found.parameters,
         covariance=covariance,
-        parameter_dof=per_parameter(model, found.dof),
+        parameter_dof=model.per_parameter(found.dof),
         inflation=found.inflation,
         dof=found.dof,
         residuals=found.residuals,
@@ -646,7 +646,7 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
         total = add_variances(noise, np.tile(excess.variance[0], n))
         found = solve(design, values.ravel(), covariance=total, names=model.names)
         moves, (dof,) = (found.coefficients - first.coefficients)[None], excess.dof
-        u = excess.standard_uncertainty(moves, per_parameter(model, excess.dof))[0]
+        u = excess.standard_uncertainty(moves, model.per_parameter(excess.dof))[0]
         inflation = u / np.sqrt(np.diag(found.cofactor))
         chi2 = float(chi_squares(first.residuals.reshape(n, m), noise).sum())
     return _One(
@@ -735,11 +735,6 @@ def overstated(claim: NoiseTest) -> Findings:
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
     text = f"residuals are smaller than the stated noise implies {seen}; U is probably too large"
     return (Finding("overstated-noise", "warning", text, "State a smaller --reading-sd."),)
-
-
-def per_parameter(model: Model, values: Array) -> Array:
-    """Return one value an output (…, M) as one a parameter (…, p)."""
-    return np.asarray(values[..., model.rows[0]])
 
 
 def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> RankError:

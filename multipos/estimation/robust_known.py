@@ -36,7 +36,6 @@ from multipos.estimation.known import (
     Design,
     SharedDesign,
     fit_output,
-    per_parameter,
     share_design,
 )
 from multipos.estimation.problem import RELATIVE_NOISE, Solution
@@ -503,8 +502,8 @@ def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits])
         reference=shared.reference,
         parameters=np.concatenate([each.parameters[0] for each in found]),
         covariance=covariance,
-        parameter_dof=per_parameter(model, dof),
-        inflation=np.sqrt(per_parameter(model, factor)),
+        parameter_dof=model.per_parameter(dof),
+        inflation=np.sqrt(model.per_parameter(factor)),
         dof=dof,
         residuals=np.concatenate([each.residuals for each in units]).T,
         residual_sd=np.sqrt(np.mean(variance, axis=1, where=kept)),

@@ -180,7 +180,7 @@ def with_stated_dof(solution: Solution, readings: Readings, *, joint: bool) -> S
     spread = _spread(readings.u[None] ** 2, readings.dof[None], excess)[0]
     if joint:
         spread = np.full(len(spread), spread.max())
-    each = np.repeat(spread, [len(terms) for terms in solution.model.terms])
+    each = solution.model.per_parameter(spread, spread.max())
     with np.errstate(divide="ignore"):
         # infinite: nothing was estimated from residuals, and it stays
         dof = np.where(np.isinf(solution.dof), np.inf, 1.0 / (1.0 / solution.dof + spread))

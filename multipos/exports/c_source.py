@@ -358,7 +358,7 @@ def _negligible(calibration: Calibration) -> Array:
     middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
     slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
     sizes = _NEGLIGIBLE * np.abs(slope).max(axis=1)
-    return np.append(sizes, sizes.min())[model.output_of]
+    return model.per_parameter(sizes, sizes.min())
 
 
 def _header(

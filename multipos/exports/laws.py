@@ -144,7 +144,7 @@ def reduce_to(
         parameters = solve_known(reduced, calibration.reference, calibration.readings).parameters
         model = reduced
     middle = calibration.mean_environment
-    linear = model.linear_map(middle) @ parameters
+    linear = model.linear_part(parameters, middle)
     sign = calibration.sign
     order = [model.axes.index(axis) for axis in COMPONENTS]
     K = sign * linear[:, 1:] / STANDARD_GRAVITY
@@ -253,7 +253,7 @@ def raw_zero(calibration: Calibration) -> float:
 
 def scale_per_g(calibration: Calibration) -> float:
     """Return the size of a g in the unit of the readings, a mean over outputs."""
-    slopes = calibration.model.linear_map(calibration.mean_environment) @ calibration.parameters
+    slopes = calibration.model.linear_part(calibration.parameters, calibration.mean_environment)
     return float(np.abs(slopes[:, 1:]).max(axis=1).mean())
 
 

@@ -198,7 +198,7 @@ class Calibration(Result, Drawn):
     @property
     def dof_of_outputs(self) -> Array:
         """Degrees of freedom (p,) of the output of each parameter; of all, for what they share."""
-        return np.asarray(np.append(self.dof, self.dof.sum())[self.model.output_of])
+        return self.model.per_parameter(self.dof, self.dof.sum())
 
     @property
     def findings(self) -> Findings:

@@ -265,7 +265,7 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
 
 def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | None) -> Array:
     sensed = [1 + axis for axis in sensed_axes(model)]
-    linear = model.linear_map({}) @ parameters
+    linear = model.linear_part(parameters, {})
     matrix = linear[:, sensed]
     scale = np.abs(matrix).max()
     if not scale or np.linalg.matrix_rank(matrix / scale) < matrix.shape[1]:

@@ -166,6 +166,11 @@ class Model(Result):
         last = len(self.outputs)
         return np.array([places.get(output, last) for output, _ in self.keys], dtype=np.intp)
 
+    def per_parameter(self, values: Array, shared: ArrayLike = np.nan) -> Array:
+        """Return one value an output (…, M) as one a parameter (…, p), `shared` where shared."""
+        last = np.broadcast_to(shared, (*values.shape[:-1], 1))
+        return np.concatenate([values, last], axis=-1).take(self.output_of, axis=-1)
+
     @cached_property
     def own_scales(self) -> tuple[int, ...]:
         """Where the own-axis scale factors stand in the parameter vector."""

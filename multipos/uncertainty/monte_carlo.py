@@ -74,7 +74,7 @@ class Draws:
     @property
     def dof_of_parameters(self) -> Array:
         """Degrees of freedom (p,) of the noise that is drawn, of the output of each parameter."""
-        return np.asarray(np.append(self.dof, self.dof.sum())[self.c.model.output_of])
+        return self.c.model.per_parameter(self.dof, self.dof.sum())
 
     def _take_from_likelihood(self) -> None:
         """Take noise and sds of positions from the likelihood of the fit."""

@@ -356,8 +356,7 @@ def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
     finite = np.isfinite(c.dof) & (c.dof > 0.0)
     kept = np.divide(cleared.dof, c.dof, out=np.ones(len(c.dof)), where=finite)
     by_output = np.array([np.sqrt(cleared.ratio), kept])
-    shared = by_output.mean(axis=1, keepdims=True)  # by all outputs
-    factor, kept = np.hstack([by_output, shared])[:, c.model.output_of]
+    factor, kept = c.model.per_parameter(by_output, by_output.mean(axis=1, keepdims=True))
     return replace(
         row,
         text="scatter of the residuals but for common causes",
@@ -370,8 +369,7 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     """Return the row of a quantity."""
     c, kind = calibration, quantity.kind
     effects = parameter_effects(c, gain, quantity)
-    estimated = np.isfinite(c.dof)
-    contained = np.repeat(estimated, [len(terms) for terms in c.model.terms])
+    contained = np.isfinite(c.dof_of_outputs)
     if quantity.name == "orientation" and not c.estimator.exact:
         contained[:] = True  # it is part of that likelihood
     contained &= not (kind.common or kind.shared)

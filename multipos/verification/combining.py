@@ -291,7 +291,7 @@ def _shrunk(found: Sequence[Calibration]) -> Array:
         own, nu = one.residual_sd**2, one.dof
         if np.isfinite(own).all() and (own > 0.0).all():
             drawn = (nu * own + _PRIOR * pooled) / (nu + _PRIOR) / own
-            factor *= np.append(drawn, drawn.mean())[one.model.output_of]
+            factor *= one.model.per_parameter(drawn, drawn.mean())
     return factors
 
 

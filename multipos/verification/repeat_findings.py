@@ -153,10 +153,11 @@ def _unsure(c: Calibration) -> Array:
     result = np.zeros((len(c.outputs), 3))
     size = np.linalg.norm(c.sensitivity, axis=1)
     for (output, term), U in zip(c.model.keys, np.nan_to_num(c.U).tolist(), strict=True):
+        if term != CONSTANT and (term.along is None or term.force_degree != 1):
+            continue
         i = c.outputs.index(output)
         place = 2 if term == CONSTANT else 0 if term.along == c.model.axes[i] else 1
-        if term == CONSTANT or (term.along is not None and term.force_degree == 1):
-            result[i, place] = max(result[i, place], U / float(size[i]))
+        result[i, place] = max(result[i, place], U / float(size[i]))
     return result
 
 

@@ -140,6 +140,8 @@ simulate lin.json --scheme roll-pitch.csv --reading-sd 0.001 --seed 4 -o up-roll
 simulate lin.json --scheme quaternions.csv --reading-sd 0.001 --seed 5 -o up-posed.csv
 simulate lin.json --scheme faces-6 --log --rate 50 --rest 3 --turn 1 --sample-sd 0.002 --seed 1 -o log.csv
 average log.csv --scheme faces-6 -o averaged.csv
+simulate lin.json --scheme faces-6+corners-8 --log --rate 50 --rest 2 --turn .5 --sample-sd 0.002 --seed 6 -o log14.csv
+average log14.csv --scheme faces-6+corners-8 -o averaged14.csv
 design --positions 8 -o scheme.csv
 """  # noqa: E501
 THEN = """
@@ -205,10 +207,11 @@ FLEETS = ("fleet.csv",)
 LIMITS = ("limits.csv", "limits.toml")
 RECORDS = ("noise.json",)
 DATA = ("data.csv",)
+CROSSED = ("log14.csv", "averaged14.csv")
 NAMES = (
     *(READINGS + SCHEMES + LOGS + CALIBRATIONS + REGRESSIONS + CHECKS),
     *(BUDGETS + LABORATORIES + SECTIONS + EXPORTS + DATA),
-    *(MODELS + FLEETS + LIMITS + RECORDS),
+    *(MODELS + FLEETS + LIMITS + RECORDS + CROSSED),
 )
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 from . import (
     arrays,
     bases,
+    crossing,
     formulas,
     hostile,
     json_files,
@@ -179,6 +180,12 @@ def _options(rng: random.Random, valid: Files) -> Case:
     return _case(words, valid)
 
 
+def _crossed(rng: random.Random, valid: Files) -> Case:
+    """Valid files, a kind of calibration, and options that take no value."""
+    words, made = crossing.draw(rng, valid)
+    return _case(words, valid, made)
+
+
 def _scheme_names(rng: random.Random, valid: Files) -> Case:
     """Schemes as files or, one in three times, as names."""
     if rng.random() < 0.67:
@@ -309,6 +316,7 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "records": _damaged(bases.RECORDS, json_files.mutate),
     "captures": _captures,
     "options": _options,
+    "crossing": _crossed,
     "formulas": _formulas,
     "streams": _streams,
     "paths": _paths,

@@ -1,0 +1,111 @@
+"""Every kind of calibration goes through every command with every option that takes no value."""
+
+import contextlib
+import io
+import json
+import warnings
+from itertools import cycle
+from pathlib import Path
+
+import pytest
+from fuzzing import bases, crossing
+
+from multipos import cli
+
+STRIDE = 197  # prime to the lengths of the lists
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    valid = bases.make(tmp_path_factory.mktemp("bases"))
+    crossing.VALID.update(valid)
+    return valid
+
+
+def ended(words):
+    """Exit status, stdout and stderr of a command; a warning of a library is an error."""
+    out, err = io.StringIO(), io.StringIO()
+    streams = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
+    with streams[0], streams[1], warnings.catch_warnings(action="error", category=RuntimeWarning):
+        status = cli.main(words)
+    return status, out.getvalue(), err.getvalue()
+
+
+def broken(words):
+    """What a command did that is not promised; an empty list where all is."""
+    before = set(Path().iterdir())
+    status, out, err = ended(words)
+    made = set(Path().iterdir()) - before
+    said = err.strip().splitlines()[-1:] or [""]
+    faults = []
+    if status not in (0, 1, 2, 3):
+        faults.append(f"status {status}")
+    if status in (1, 2) and (not said[0].startswith("multipos: error: ") or out or made):
+        faults.append(f"status {status}, {said[0]!r}, {len(out)} characters, {made}")
+    if "a fault of multipos" in err:
+        faults.append(said[0])
+    if status in (0, 3) and "--json" in words and not isinstance(json.loads(out), dict):
+        faults.append("no JSON")
+    if status in (0, 3) and "-o" in words and not Path(words[words.index("-o") + 1]).exists():
+        faults.append("nothing written")
+    for path in made:
+        path.unlink()
+    return faults
+
+
+@pytest.fixture
+def place(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MULTIPOS_DEBUG", raising=False)
+    for name, content in files.items():
+        Path(name).write_bytes(content)
+
+
+SHARED = [
+    ("averaged14.csv", "--unit", "g", *crossing.chosen(model, ".", budget))
+    for model, budget in [(crossing.OWN, ""), (crossing.OWN, "bench.toml"), (crossing.FUNCTION, "")]
+]
+
+
+def test_a_crossing_ends_as_promised(place):
+    lines = [line for line in crossing.COMMANDS if not any(word in line for word in crossing.SLOW)]
+    flags = {line: cycle(("", *crossing.flags(line.split()[0]))) for line in lines}
+    seen, faults = 0, []
+    for words in (*SHARED, *crossing.KINDS[::STRIDE]):
+        made = crossing.make(words)
+        if crossing.FUNCTION not in words:
+            faults += [(words, fault) for fault in broken(["fit", *words, "-o", "o.json"])]
+        if made is None:
+            assert words not in SHARED
+            continue
+        Path(crossing.CALIBRATION).write_bytes(made)
+        for line in lines:
+            asked = [*crossing.filled(line, words), *next(flags[line]).split()]
+            faults += [(words, asked, fault) for fault in broken(asked)]
+            seen += 1
+    assert not faults
+    assert seen > 100
+
+
+@pytest.mark.parametrize("making", crossing.MAKING[:3])
+@pytest.mark.parametrize("budget", ["", "--budget=bench.toml"])
+def test_what_outputs_share_goes_with_rests(place, making, budget):
+    status, _, err = ended([*making.split(), "--model", crossing.OWN, *budget.split()])
+    assert status == 0, err
+    assert Path(making.split()[-1]).exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(4))
+def test_a_large_crossing_ends_as_promised(place, first):
+    faults = []
+    for words in crossing.KINDS[first * 11 :: 44]:
+        made = crossing.make(words)
+        if made is None:
+            continue
+        Path(crossing.CALIBRATION).write_bytes(made)
+        for line in crossing.COMMANDS[first::4]:
+            for flag in ("", *crossing.flags(line.split()[0])):
+                asked = [*crossing.filled(line, words), *flag.split()]
+                faults += [(words, asked, fault) for fault in broken(asked)]
+    assert not faults
