@@ -264,7 +264,7 @@ def stability(
     raw = []
     for i, each in enumerate(given):
         report = None if progress is None else _share(progress, i, len(given))
-        raw.append(read_record(open_log(each, columns=columns), wanted, report))
+        raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
     _check_alike(raw)
     return _complete(raw, model, unit or ("reading" if model is None else "g"), confidence)
 

@@ -36,7 +36,6 @@ the readings, and p'(cov p)⁻¹p is χ² on M − K degrees of freedom where no
 that an output has failed, not which one.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -48,6 +47,7 @@ from numpy.typing import ArrayLike, NDArray
 from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
 from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
+from multipos.files.handed import take_in
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
@@ -447,7 +447,7 @@ def apply(
     Parameters
     ----------
     calibration : Calibration
-    data : path, mapping of columns, or data frame
+    data : path, open file, mapping of columns, data frame, or (n, M) array of the outputs
         Of a table, or of a log of any kind that `average` reads. Must have the calibration's
         outputs, and the columns its model uses.
     tilt : bool
@@ -492,7 +492,8 @@ def apply(
             "`multipos.correct`, and `multipos.load` reads a calibration from its file."
         )
     check_outside(outside)
-    if isinstance(data, str | os.PathLike):  # a log of any kind that the command reads
+    data = take_in(data, "data", calibration.outputs)
+    if not isinstance(data, Mapping):  # a log of any kind that the command reads
         whole = apply_log(
             calibration,
             open_log(data),

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from operator import itemgetter, methodcaller
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.whole import reading
 from multipos.numerics.arrays import Array, places_of_kinds
+
+Column = Sequence[Any] | NDArray[Any]  # of a table
 
 _PIECE = 1 << 22  # bytes
 _LINE = 1 << 16  # bytes in which the end of a line is looked for at a time

@@ -19,13 +19,11 @@ import stat
 import sys
 import tempfile
 import weakref
-import zlib
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from multipos.errors import MultiposError
-
 STDIN = "-"
+GZIP = b"\x1f\x8b"
 
 
 class Pipe(os.PathLike[str]):
@@ -91,7 +89,7 @@ def _mode(path: str | os.PathLike[str]) -> int | None:
 
 def rereadable(path: str | os.PathLike[str]) -> os.PathLike[str]:
     """Return a path that can be read more than once: the path itself, of a pipe a `Pipe`."""
-    if isinstance(path, Pipe):
+    if isinstance(path, Pipe | Unpacked):
         return path
     return Pipe(os.fspath(path)) if is_pipe(path) else Path(path)
 
@@ -106,9 +104,6 @@ def _opened(source: str) -> contextlib.AbstractContextManager[BinaryIO]:
 
 def _remove(path: str) -> None:
     Path(path).unlink(missing_ok=True)
-
-
-GZIP = b"\x1f\x8b"
 
 
 class Unpacked(os.PathLike[str]):
@@ -127,23 +122,3 @@ class Unpacked(os.PathLike[str]):
 
     def __fspath__(self) -> str:
         return self._path
-
-
-def unpack_gzip(path: os.PathLike[str]) -> Unpacked:
-    """Return a file that gzip has compressed, unpacked.
-
-    Raises
-    ------
-    MultiposError
-        The file is damaged or cut off.
-    """
-    import gzip
-
-    suffix = Path(Path(str(path)).stem).suffix
-    try:
-        with gzip.open(os.fspath(path)) as stream:
-            return Unpacked(str(path), stream, suffix)  # type: ignore[arg-type]
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise MultiposError(
-            f"{path}: cannot unpack: {error}; the file is damaged or cut off, write it again."
-        ) from None

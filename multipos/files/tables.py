@@ -2,9 +2,9 @@
 
 A table is one row a line, comma separated, or semicolon separated with decimal commas, or tab
 separated; ``#`` starts a comment line; UTF-8 with or without byte-order mark. Wherever a file
-is taken, a mapping of columns or a data frame (anything with ``columns`` and ``[name]``) is
-taken too. Cells stay text until a column is asked for, so that a column nobody uses can hold
-anything and a bad cell is reported by file, row and column.
+is taken, what `multipos.files.handed` lists is taken too. Cells stay text until a column is asked
+for, so that a column nobody uses can hold anything and a bad cell is reported by file, row and
+column.
 """
 
 import csv
@@ -13,8 +13,9 @@ import io
 import itertools
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,15 +23,25 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
+from multipos.files.csv_columns import Column as Column
 from multipos.files.encodings import UTF_16, decoded
+from multipos.files.handed import (
+    ARROW,
+    is_json,
+    is_packed,
+    read_arrow,
+    read_json_columns,
+    take_in,
+    unpack,
+)
+from multipos.files.pipes import Pipe, is_pipe, rereadable
 from multipos.files.spelling import control_characters, visible
-from multipos.files.whole import read_bytes, write_text
+from multipos.files.whole import read_bytes, reading, write_text
 from multipos.files.workbooks import ZIP, workbook_text
 
-Column = Sequence[Any] | NDArray[Any]
 _LONGEST = 100  # characters of a number, in an array of cells
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
-Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # a file, columns, or a data frame
+Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
 
 @dataclass(frozen=True)
@@ -130,14 +141,21 @@ class Table:
             return np.array([_float(cell) for cell in cells], dtype=np.float64)
 
 
-def read_table(source: Source, *, what: str = "table") -> Table:
-    """Read a table from a CSV file, a mapping of columns, or a data frame.
+def read_table(
+    source: Source, *, what: str = "table", outputs: Sequence[str] | None = None
+) -> Table:
+    """Read a table from a file, columns in memory, a data frame, or an array.
 
     Parameters
     ----------
-    source : path, mapping of name to (n,) array, or data frame
+    source : path, open file, mapping of name to (n,) array, data frame, or (n, columns) array
+        A file is CSV, a workbook, JSON or Parquet, packed by gzip, xz or Zstandard or not; a frame
+        is one of pandas, polars or Arrow, or anything with the Arrow C stream or the dataframe
+        interchange protocol.
     what : str
         What the table is for, in messages.
+    outputs : names, optional
+        Of the columns of an array, which are 1, 2, 3, … without.
 
     Returns
     -------
@@ -147,6 +165,10 @@ def read_table(source: Source, *, what: str = "table") -> Table:
     ------
     MultiposError
         Missing, empty, unreadable, ragged, or with duplicate or unnamed columns.
+    UsageError
+        `outputs` does not name each column of an array.
+    TypeError
+        It is nothing of this.
 
     Examples
     --------
@@ -158,23 +180,13 @@ def read_table(source: Source, *, what: str = "table") -> Table:
     """
     if isinstance(source, Table):
         return source
-    if isinstance(source, str | os.PathLike):
-        return _read_csv(source, what)
-    own = getattr(source, "columns", None)
-    if callable(own):  # a result that is written as a table
-        return read_table(own(), what=what)
-    if isinstance(source, Mapping):
-        return _of_columns(source, source.keys(), what)
-    if own is not None and hasattr(source, "__getitem__"):
-        return _of_columns(source, own, what)
-    raise TypeError(
-        f"{what} must be a path, a mapping of columns or a data frame, got {type(source).__name__}."
-    )
+    given = take_in(source, what, outputs)
+    return _of_columns(given, what) if isinstance(given, Mapping) else _read_file(given, what)
 
 
-def _of_columns(source: Any, names: Iterable[Any], what: str) -> Table:
+def _of_columns(given: Mapping[str, Any], what: str) -> Table:
     """Return the table of columns in memory."""
-    columns: dict[str, Column] = {str(name): _array(source[name], name, what) for name in names}
+    columns: dict[str, Column] = {str(n): _array(column, n, what) for n, column in given.items()}
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise MultiposError(f"the columns of the {what} differ in length: {lengths}.")
@@ -198,6 +210,21 @@ def open_table(path: str | os.PathLike[str], *, what: str = "table") -> Table:
     raw = FileBytes(path, what)
     plain = read_plain(raw)
     return _read_csv(path, what) if plain is None else _plain_table(path, plain, raw.sha256())
+
+
+def _read_file(path: str | os.PathLike[str], what: str) -> Table:
+    if not isinstance(path, Pipe) and is_pipe(path):
+        path = rereadable(path)
+    with reading(path, what), Path(path).open("rb") as stream:
+        head = stream.read(1 << 10)
+    if is_packed(head):  # what people compare is the file that they have
+        sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
+        return replace(_read_file(unpack(path), what), sha256=sha256)
+    if not head.startswith(ARROW) and not is_json(head):
+        return _read_csv(path, what)
+    columns = read_json_columns(path, what) if is_json(head) else read_arrow(path)
+    sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
+    return replace(_of_columns(columns, what), source=str(path), sha256=sha256)
 
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.tables import Column
+from multipos.files.csv_columns import Column
 from multipos.files.whole import read_bytes
 from multipos.results import plain
 

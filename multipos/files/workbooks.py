@@ -22,7 +22,11 @@ def require_extra(path: str | os.PathLike[str], kind: str, library: str, extra: 
     MultiposError
         Names the kind of the file and the extra.
     """
-    if find_spec(library) is None:
+    try:
+        there = find_spec(library) is not None
+    except ModuleNotFoundError:  # of the package above it
+        there = False
+    if not there:
         raise MultiposError(
             f"{path}: {kind}, which {library} reads; install it with "
             f"pip install 'multipos[{extra}]'."

@@ -1,6 +1,6 @@
 """The rows of a fleet: tables in files, folders and patterns, one row per unit and position.
 
-A file is CSV, packed by gzip or not, or Parquet by the extra ``parquet``; a folder stands for all
+A file is CSV or JSON, packed or not, or Parquet by the extra ``parquet``; a folder stands for all
 such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
 the columns of unit and station are read at once, the others piece by piece. Where no column names
 the unit, several files are one unit each, by their names; one that cannot be read is a failed unit.
@@ -18,7 +18,8 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.csv_columns import Cells, FileBytes
-from multipos.files.pipes import GZIP, Pipe, is_folder, is_pipe, is_there, rereadable, unpack_gzip
+from multipos.files.handed import is_json, is_packed, take_in, unpack
+from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
@@ -28,6 +29,7 @@ from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 
 _ENDINGS = (".csv", ".parquet")
+_PACKED = (".gz", ".xz", ".zst")
 _UNIT = "unit"  # the column of units where none is named
 _SHOWN = 5  # equal files that a message lists
 
@@ -334,7 +336,8 @@ def _expanded(sources: Sequence[Source]) -> list[Source]:
         if isinstance(source, list | tuple):
             found += _expanded(source)
         else:
-            found += _files(source) if _is_path(source) else [source]
+            given = take_in(source, "table")
+            found += _files(given) if _is_path(given) else [given]
     if not found:
         raise MultiposError("no table; give at least one.")
     return found
@@ -357,7 +360,7 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
 
 
 def _is_table(path: Path) -> bool:
-    name = Path(path.stem) if path.suffix == ".gz" else path
+    name = Path(path.stem) if path.suffix in _PACKED else path
     return name.suffix in _ENDINGS
 
 
@@ -366,10 +369,11 @@ def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) 
         return read_table(source, what="table")
     if is_pipe(source) and not isinstance(source, Pipe):
         raise MultiposError(f"{source}: a pipe or a device; only files of a folder are read.")
-    path = source
-    if first_bytes(source, len(GZIP)) == GZIP:
-        path = unpack_gzip(Path(source) if isinstance(source, str) else source)
-    table = read_parquet(path, apart, kept) if is_parquet(path) else open_table(path)
+    path = unpack(source) if is_packed(first_bytes(source, 8)) else source
+    if is_parquet(path):
+        table = read_parquet(path, apart, kept)
+    else:
+        table = read_table(path) if is_json(first_bytes(path, 1 << 10)) else open_table(path)
     if path is not source:  # what people compare is the file that they have
         table = replace(table, sha256=FileBytes(source, "table").sha256())
     return table

@@ -4,18 +4,22 @@ Workbooks: the sheet that was open when it was saved, as the text it would be.
 
 HDF5, which MATLAB's version 7.3 is too: the data sets of a file, under their names.
 
-Tables of Arrow: Parquet and Feather.
-
 Archives that phones export: one table a sensor; the accelerometer's, with gravity, is taken.
 
-phyphox puts one experiment into ``Raw Data.csv``. Sensor Logger has ``TotalAcceleration.csv`` with
-gravity, while its ``Accelerometer.csv`` has had gravity taken away, which no calibration can use.
+phyphox puts one experiment into ``Raw Data.csv``; its ``Linear Acceleration`` is without gravity.
+Sensor Logger [1]_ has ``TotalAcceleration.csv`` with gravity (Android) or the uncalibrated
+accelerometer (iOS, in g), columns z, y, x, while its ``Accelerometer.csv`` has had gravity taken
+away, which no calibration can use. Its JSON has the records of all sensors, numbers as texts.
+
+References
+----------
+.. [1] Sensor Logger, "One-Page Unit Reference" and "Coordinates Reference".
 """
 
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -24,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.handed import read_json_columns
 from multipos.files.pipes import Unpacked
 from multipos.files.tables import Column, Table
 from multipos.logs.extras import first_line, read_apart
@@ -226,23 +231,6 @@ def load_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
     return samples
 
 
-def load_arrow(path: os.PathLike[str]) -> Mapping[str, Any]:
-    """Return the columns that are numbers, times or texts."""
-    from pyarrow import feather, parquet
-
-    with Path(path).open("rb") as stream:
-        whole = parquet if stream.read(4) == b"PAR1" else feather
-        stream.seek(0)
-        table = whole.read_table(stream)
-    columns = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        array = column.to_numpy()
-        if array.dtype.kind == "O" and all(isinstance(cell, str | None) for cell in array):
-            array = np.array([cell or "" for cell in array], dtype=np.str_)
-        columns[name] = array
-    return columns
-
-
 # In the order in which they are looked for.
 _WITH_GRAVITY = [
     re.compile(pattern, re.IGNORECASE)
@@ -255,6 +243,7 @@ _WITH_GRAVITY = [
     )
 ]
 _TABLES = (".csv", ".tsv", ".txt")
+_LINEAR, _ELAPSED = "Accelerometer", "seconds_elapsed"  # of Sensor Logger: without gravity
 
 
 def tables_in(path: os.PathLike[str]) -> list[str]:
@@ -276,19 +265,50 @@ def unpack_phone(path: os.PathLike[str]) -> Unpacked:
     """
     names: list[str] = loaded(path, lambda: tables_in(path))
     stems = {PurePosixPath(name).stem: name for name in names}
-    found = next((s for p in _WITH_GRAVITY for s in stems if p.fullmatch(s)), None)
-    if found is None and len(stems) == 1:
-        found = next(iter(stems))
+    found = _with_gravity(stems)
     if found is None:
         raise MultiposError(
             f"{path}: none of {', '.join(names)} looks like an accelerometer's; unpack the one."
         )
-    if found == "Accelerometer" and "Gravity" in stems:
-        raise MultiposError(
-            f"{path}: Accelerometer.csv has gravity taken away, as Gravity.csv beside it says; "
-            "record total acceleration, or the uncalibrated accelerometer."
-        )
+    if found == _LINEAR and "Gravity" in stems:
+        raise _without_gravity(path, f"{found}.csv")
     return loaded(path, lambda: _unpacked(path, stems[found]))  # type: ignore[no-any-return]
+
+
+def _with_gravity(names: Collection[str]) -> str | None:
+    """Return which of a phone's sensors is the accelerometer, with gravity where there is one."""
+    found = next((s for p in _WITH_GRAVITY for s in names if p.fullmatch(s)), None)
+    return next(iter(names)) if found is None and len(names) == 1 else found
+
+
+def _without_gravity(path: object, name: str) -> MultiposError:
+    return MultiposError(
+        f"{path}: {name} has gravity taken away, which a calibration needs; record total "
+        "acceleration, or the uncalibrated accelerometer."
+    )
+
+
+def refuse_without_gravity(log: Log) -> Log:
+    """Return a log unless it is the table of Sensor Logger's accelerometer without gravity."""
+    name = PurePosixPath(log.source).name
+    if PurePosixPath(log.source).stem == _LINEAR and {*"xyz", _ELAPSED} <= set(log.columns):
+        raise _without_gravity(log.source, name)
+    return log
+
+
+def read_records(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the columns of JSON; of Sensor Logger's, those of the accelerometer with gravity."""
+    columns = read_json_columns(path, "log")
+    if "sensor" not in columns or _ELAPSED not in columns:
+        return columns
+    sensors = columns["sensor"]
+    found = _with_gravity(dict.fromkeys(sensors.tolist()))
+    if found is None:
+        raise MultiposError(f"{path}: no accelerometer among its sensors; record one.")
+    if found == _LINEAR:
+        raise _without_gravity(path, f"sensor '{found}'")
+    rows = sensors == found
+    return {name: columns[name][rows] for name in ("time", _ELAPSED, *"xyz") if name in columns}
 
 
 def _unpacked(path: os.PathLike[str], name: str) -> Unpacked:

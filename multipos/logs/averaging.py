@@ -133,7 +133,7 @@ def average(
     )
     found: list[StillLog] = []
     for i, source in enumerate(sources):
-        log = open_log(source, columns=columns)
+        log = open_log(source, columns=columns, outputs=outputs)
         log = log if sensor is None else rows_of_sensor(log, *sensor)
         found.append(find_still(log, wish, _share(progress, i, len(sources))))
     require_alike(found)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.pipes import is_folder
 from multipos.files.workbooks import require_extra
 
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
@@ -71,7 +72,8 @@ def read_apart(
         "reader": reader.__qualname__,
         "file": os.fspath(path),
     }
-    limit = patience + Path(path).stat().st_size / _SLOWEST
+    parts = Path(path).iterdir() if is_folder(path) else [Path(path)]
+    limit = patience + sum(part.stat().st_size for part in parts) / _SLOWEST
     with tempfile.TemporaryFile() as answers:
         try:
             done = subprocess.run(

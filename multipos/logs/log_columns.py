@@ -21,7 +21,14 @@ from multipos.finding import Finding, Findings
 from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
-from multipos.positions.headers import NameParts, component, is_environment, split_unit, triads_of
+from multipos.positions.headers import (
+    NameParts,
+    component,
+    is_environment,
+    is_without_gravity,
+    split_unit,
+    triads_of,
+)
 
 _BLOCK = 32  # rows
 _FEWEST = 12  # blocks
@@ -153,6 +160,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     if len(chosen) > 3 and not any(kinds[name].acceleration for name in chosen):
         chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
     _refuse_text(log, chosen, kinds)
+    _refuse_without_gravity(log.source, chosen, kinds)
     if not chosen:
         raise MultiposError(f"{log.source}: no numeric column can be an output; see --columns.")
     if len(chosen) > 3:
@@ -183,6 +191,18 @@ def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -
             raise MultiposError(
                 f"{log.source}: column '{name}' is an output by its name, but holds no number in "
                 "its first rows; correct it, or name the outputs with --outputs."
+            )
+
+
+def _refuse_without_gravity(
+    source: str, chosen: Sequence[str], kinds: dict[str, NameParts]
+) -> None:
+    """Refuse outputs from which gravity has been taken, by their names."""
+    for name in chosen:
+        if kinds[name].axis >= 0 and is_without_gravity(kinds[name].stem):
+            raise MultiposError(
+                f"{source}: column '{name}' has gravity taken away, by its name; record "
+                "acceleration with gravity, or name the outputs with --outputs."
             )
 
 

@@ -8,6 +8,7 @@ turned into numbers, in pieces of some megabytes, so that its length does not ma
 """
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -17,25 +18,30 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.encodings import unpack_text
-from multipos.files.pipes import rereadable
+from multipos.files.handed import take_in
+from multipos.files.pipes import is_folder, rereadable
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
 from multipos.finding import Finding
-from multipos.logs.array_logs import log_of_columns
+from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
 from multipos.logs.extras import Noted
-from multipos.logs.readers import reader_of
+from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, open_text
 
 
-def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
-    """Return a log from a file, a mapping of columns, or a data frame.
+def open_log(
+    source: "Source | Log", *, columns: Names | None = None, outputs: Names | None = None
+) -> Log:
+    """Return a log from a file, the folder of a ROS 2 bag, columns in memory, or a data frame.
 
     Parameters
     ----------
-    source : path, mapping of name to (n,) array, data frame, or Log
+    source : path, open file, mapping of name to (n,) array, data frame, (n, columns) array, or Log
     columns : names, optional
         Names of the columns, instead of those the file gives.
+    outputs : names, optional
+        Names of the columns of an array, where `columns` gives none.
 
     Returns
     -------
@@ -51,10 +57,14 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
     if isinstance(source, Log):
         return source
     names = None if columns is None else split_names(columns, "--columns")
-    if not isinstance(source, str | os.PathLike):
-        table = read_table(source, what="log")
+    apart = None if outputs is None else split_names(outputs, "--outputs")
+    given = take_in(source, "log", names or apart)
+    if isinstance(given, Mapping):
+        table = read_table(given, what="log")
         return log_of_columns(table.source, table.columns, names)
-    path = rereadable(source)
+    if is_folder(given):
+        return _with_notes(given, read_bag(Path(given)), names)
+    path = rereadable(given)
     head = _read_head(path)
     reader = reader_of(path, head)
     while reader is not None and reader.unpack is not None:
@@ -65,8 +75,14 @@ def open_log(source: "Source | Log", *, columns: Names | None = None) -> Log:
         if not _is_utf8(head):
             path = unpack_text(path)
             head = _read_head(path)
-        return open_text(path, head, names)
-    found = reader.columns(path)
+        return refuse_without_gravity(open_text(path, head, names))
+    return _with_notes(path, reader.columns(path), names)
+
+
+def _with_notes(
+    path: str | os.PathLike[str], found: Mapping[str, Any], names: Sequence[str] | None
+) -> Log:
+    """Return the log of columns of a file, with what its reader says of them."""
     log = log_of_columns(str(path), found, names)
     if not isinstance(found, Noted):
         return log

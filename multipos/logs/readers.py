@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from multipos.files.encodings import UTF_16, unpack_text
-from multipos.files.pipes import GZIP, unpack_gzip
+from multipos.files.handed import XZ, ZSTD, is_json, read_arrow, unpack
+from multipos.files.pipes import GZIP
 from multipos.files.workbooks import ZIP, unpack_workbook
 from multipos.logs.array_logs import (
-    load_arrow,
     load_hdf,
     read_mat,
     read_npy,
     read_npz,
+    read_records,
     unpack_phone,
 )
 from multipos.logs.extras import reader_with_extra
@@ -33,10 +34,11 @@ class Reader(NamedTuple):
     columns: Callable[[os.PathLike[str]], Mapping[str, Any]] | None
     unpack: Callable[[os.PathLike[str]], os.PathLike[str]] | None = None  # to a file of a kind
     member: str = ""  # the ending of a name in a zip archive that tells this kind
+    holds: Callable[[bytes], bool] = bool  # of the first bytes
 
     def takes(self, path: os.PathLike[str], head: bytes) -> bool:
         """Tell by its first bytes whether a file is of this kind."""
-        if not head.startswith(self.magic):
+        if not head.startswith(self.magic) or not self.holds(head):
             return False
         return not self.member or any(name.endswith(self.member) for name in _members(path))
 
@@ -52,9 +54,9 @@ def _members(path: os.PathLike[str]) -> list[str]:
 
 _read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", load_hdf)
 _read_mat73 = reader_with_extra("a MATLAB 7.3 file", "h5py", "hdf5", load_hdf)
-_read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", load_arrow)
-_read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", load_arrow)
-_read_bag = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
+_read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", read_arrow)
+_read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", read_arrow)
+read_bag = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
 _read_ulog = reader_with_extra("a ULog of PX4", "pyulog", "px4", load_ulog)
 _read_dataflash = reader_with_extra(
     "a DataFlash log of ArduPilot", "pymavlink", "ardupilot", load_dataflash
@@ -62,7 +64,10 @@ _read_dataflash = reader_with_extra(
 
 # The first that takes a file reads it.
 READERS = (
-    Reader(".gz", (".gz",), GZIP, None, unpack_gzip),
+    Reader(".gz", (".gz",), GZIP, None, unpack),
+    Reader(".xz", (".xz",), XZ, None, unpack),
+    Reader(".zst", (".zst",), ZSTD, None, unpack),
+    Reader(".json", (".json", ".jsonl", ".ndjson"), b"", read_records, holds=is_json),
     Reader("text in UTF-16", (), UTF_16[0], None, unpack_text),
     Reader("text in UTF-16, big-endian", (), UTF_16[1], None, unpack_text),
     Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
@@ -76,9 +81,9 @@ READERS = (
     Reader(".feather", (".feather", ".arrow"), b"ARROW1", _read_feather),
     Reader(".ulg", (".ulg",), b"ULog\x01\x12\x35", _read_ulog),
     Reader(".bin of ArduPilot", (".bin",), b"\xa3\x95\x80", _read_dataflash),
-    Reader(".bag", (".bag",), b"#ROSBAG V2.0", _read_bag),
-    Reader(".db3", (".db3",), b"SQLite format 3\0", _read_bag),
-    Reader(".mcap", (".mcap",), b"\x89MCAP0\r\n", _read_bag),
+    Reader(".bag", (".bag",), b"#ROSBAG V2.0", read_bag),
+    Reader(".db3", (".db3",), b"SQLite format 3\0", read_bag),
+    Reader(".mcap", (".mcap",), b"\x89MCAP0\r\n", read_bag),
 )
 
 

@@ -51,6 +51,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.handed import take_in
 from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
@@ -723,14 +724,15 @@ def read_sections(source: Source) -> Sections:
     MultiposError
         Missing, empty, of another form, or a section with fewer than two rows.
     """
-    if isinstance(source, str | os.PathLike):
-        source = rereadable(source)
-    if isinstance(source, os.PathLike) and _is_json(source):
-        where, found = str(source), _from_json(source)
-    elif isinstance(source, Mapping) and "position" not in source:
-        where, found = "sections", source
+    given = take_in(source, "sections", ("position", "start", "end"))
+    if not isinstance(given, Mapping):
+        given = rereadable(given)
+    if isinstance(given, os.PathLike) and _is_json(given):
+        where, found = str(given), _from_json(given)
+    elif isinstance(given, Mapping) and "position" not in given:
+        where, found = "sections", given
     else:
-        where, found = _from_table(read_table(source, what="sections"))
+        where, found = _from_table(read_table(given, what="sections"))
     if not found:
         raise MultiposError(f"{where}: no sections; give a start and an end for each position.")
     return Sections(

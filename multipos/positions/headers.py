@@ -81,6 +81,7 @@ _BESIDE = re.compile(
     re.IGNORECASE,
 )
 _WITHOUT_GRAVITY = re.compile(r".*(free|user) ?acc.*")
+_LINEAR = re.compile(r"linear acceleration", re.IGNORECASE)  # of phyphox; ROS writes linear_acc…
 
 
 def unit_of(written: str) -> str | None:
@@ -116,9 +117,15 @@ def component(name: str) -> NameParts:
     return NameParts(
         stem if found is None else f"{stem}{found[4]}",
         axis,
-        acceleration and axis >= 0 and not _WITHOUT_GRAVITY.fullmatch(plain),
+        acceleration and axis >= 0 and not is_without_gravity(stem),
         not acceleration and _ELSEWHERE.fullmatch(plain) is not None,
     )
+
+
+def is_without_gravity(stem: str) -> bool:
+    """Tell whether a column is of acceleration from which gravity has been taken, by its name."""
+    plain = re.sub(r"[^a-z]+", " ", stem.casefold()).strip()
+    return bool(_LINEAR.fullmatch(stem) or _WITHOUT_GRAVITY.fullmatch(plain))
 
 
 def is_beside(name: str) -> bool:

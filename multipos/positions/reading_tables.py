@@ -50,13 +50,14 @@ def read_readings(
     unit: str | None = None,
     environment: Sequence[str] = (),
 ) -> Readings:
-    """Return readings from a CSV file, a mapping of columns or a data frame.
+    """Return readings from whatever `multipos.read_table` takes.
 
     Parameters
     ----------
-    source : path, mapping of name to (n,) array, data frame, or Readings
+    source : path, open file, mapping of name to (n,) array, data frame, array, or Readings
     outputs : names, optional
-        The columns that are outputs; otherwise every numeric column without another meaning.
+        The columns that are outputs, of an array all; otherwise every numeric column without
+        another meaning.
     unit : str, optional
         Unit of the readings, for names and reports.
     environment : names, optional
@@ -86,7 +87,7 @@ def read_readings(
     names = None if outputs is None else split_names(outputs, "--outputs")
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
-    table, units = plain_names(read_table(source, what="readings"))
+    table, units = plain_names(read_table(source, what="readings", outputs=names))
     findings: list[Finding] = []
     names = None if names is None else tuple(find_column(table, name) for name in names)
     beside = [*environment, *_of_surroundings(units, names or (), environment, findings)]

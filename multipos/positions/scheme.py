@@ -26,6 +26,7 @@ from multipos.files.spelling import numbered, visible
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import (
+    FORMS,
     UP,
     Attitudes,
     from_rotation,
@@ -108,7 +109,7 @@ def read_scheme(source: "Source | Scheme", *, order: Order = "paper") -> Scheme:
 
     Parameters
     ----------
-    source : name, path, mapping of columns, data frame, or Scheme
+    source : name, path, mapping of columns, data frame, (n, 3) array of up vectors, or Scheme
     order : str
         'paper': as published or written; 'spread': so that a drift is absorbed as little as can
         be; 'travel': short ways (`multipos.positions.order`). Labels stay with their directions,
@@ -222,7 +223,7 @@ def _named_or_file(text: str) -> Scheme:
 
 
 def _from_table(source: Source) -> Scheme:
-    table = read_table(source, what="scheme")
+    table = read_table(source, what="scheme", outputs=FORMS["up vector"])
     rows = rows_with_orientation(table)
     force = read_forces(table, rows) if states_forces(table, rows) else None
     known = None if force is None else known_rows(force)

@@ -213,6 +213,11 @@ def test_ros(form, log, expected, tmp_path, capsys):
     assert found.rests[0].time[0] == pytest.approx(5.0)
     assert texts(found)[0] == "taken from topic /imu, of 2"
     assert calibrates(path, tmp_path)
+    if form != "bag":  # what `ros2 bag record` makes is a folder
+        np.testing.assert_array_equal(
+            mp.average(path.parent).readings.values, found.readings.values
+        )
+        assert calibrates(path.parent, tmp_path)
 
 
 # --- phones, as they are downloaded
@@ -247,6 +252,31 @@ def test_sensor_logger(log, expected, tmp_path, capsys):
         mp.average(archive(tmp_path / "without.zip", files))
     with pytest.raises(mp.MultiposError, match="none of a\\.csv, b\\.csv looks like"):
         mp.average(archive(tmp_path / "strange.zip", {"a.csv": text, "b.csv": text}))
+    (tmp_path / "Accelerometer.csv").write_text(linear)
+    with pytest.raises(mp.MultiposError, match=r"Accelerometer\.csv has gravity taken away"):
+        mp.average(tmp_path / "Accelerometer.csv")
+    # JSON: one record a sample of every sensor, all numbers as texts
+    stamped = zip(stamps, log["time"], log["az"], log["ay"], log["ax"], strict=True)
+    records = [
+        {"sensor": sensor, "time": str(stamp), "seconds_elapsed": repr(float(t))}
+        | {axis: repr(float(k * each)) for axis, each in zip("zyx", row, strict=True)}
+        for stamp, t, *row in stamped
+        for sensor, k in (("Accelerometer", 0.0), ("TotalAcceleration", 1.0))
+    ]
+    path = tmp_path / "session.json"
+    path.write_text(json.dumps(records))
+    np.testing.assert_allclose(mp.average(path).readings.values, expected, rtol=1e-12)
+    path.write_text(json.dumps(records[::2]))
+    with pytest.raises(mp.MultiposError, match="sensor 'Accelerometer' has gravity taken away"):
+        mp.average(path)
+
+
+def test_phyphox_without_gravity(log, tmp_path):
+    header = ",".join(["Time (s)", *(f"Linear Acceleration {a} (m/s^2)" for a in "xyz")])
+    path = tmp_path / "Raw Data.csv"
+    path.write_text(csv_of(log, ("time", *OUTPUTS), header))
+    with pytest.raises(mp.MultiposError, match="'Linear Acceleration x' has gravity taken away"):
+        mp.average(path)
 
 
 def test_xsens(log, expected, tmp_path, capsys):

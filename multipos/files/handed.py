@@ -1,0 +1,251 @@
+"""What users hand in as a table, made a path that can be opened or columns by name.
+
+A table is a path (text, a workbook, JSON, Parquet or Feather, packed or not), an open file or
+``io.StringIO``, a mapping of columns, a data frame, a lazy frame, anything with the Arrow C stream
+[1]_ or the dataframe interchange protocol [2]_, or an array of NumPy, one row a line.
+
+JSON is a table in three forms: records ``[{"ax": 1.0, "ay": 0.1}, …]``, columns
+``{"ax": [1.0, …], …}``, as pandas and this package write them, and one record a line.
+
+References
+----------
+.. [1] Apache Arrow, "The Arrow PyCapsule Interface": ``__arrow_c_stream__``.
+.. [2] Consortium for Python Data API Standards, "Python dataframe interchange protocol".
+"""
+
+import io
+import json
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multipos.errors import MultiposError, UsageError
+from multipos.files.pipes import GZIP, Unpacked
+from multipos.files.trees import read_json_value
+from multipos.files.whole import first_bytes, read_bytes
+from multipos.files.workbooks import require_extra
+
+XZ = b"\xfd7zXZ\0"
+ZSTD = b"\x28\xb5\x2f\xfd"
+ARROW = (b"PAR1", b"ARROW1")  # Parquet, Feather
+_JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{\s*"|\[\s*\{)')
+
+
+def is_json(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is JSON of objects."""
+    return _JSON.match(head) is not None
+
+
+def take_in(
+    source: Any, what: str, names: Sequence[str] | None = None
+) -> str | os.PathLike[str] | Mapping[str, Any]:
+    """Return a path that can be opened, or columns by name.
+
+    Parameters
+    ----------
+    source : path, open file, mapping of columns, data frame, or array
+    what : str
+        What the table is for, in messages.
+    names : names, optional
+        Of the columns of an array, which are 1, 2, 3, … without.
+
+    Raises
+    ------
+    UsageError
+        `names` does not name each column of an array once.
+    TypeError
+        It is none of these.
+    """
+    if isinstance(source, str | os.PathLike | Mapping):
+        return source
+    if callable(getattr(source, "read", None)):
+        return _kept(source, what)
+    if isinstance(source, np.ndarray):
+        return _of_array(source, what, names)
+    if hasattr(source, "collect_schema") and hasattr(source, "collect"):
+        return take_in(source.collect(), what)  # a lazy frame
+    own: Any = getattr(source, "columns", None)
+    if callable(own):  # a result that is written as a table
+        return take_in(own(), what)
+    if hasattr(source, "column_names"):  # a table of Arrow, or a batch
+        return arrow_columns(source)
+    frame = own is not None and hasattr(source, "__getitem__")
+    if frame and (hasattr(source, "__array__") or not hasattr(source, "__arrow_c_stream__")):
+        return {str(name): source[name] for name in own}
+    return _by_protocol(source, what)
+
+
+def _kept(stream: Any, what: str) -> Unpacked:
+    """Return what is left of an open file as a path that can be read more than once."""
+    name = getattr(stream, "name", None)
+    found = stream.read()
+    raw = found.encode("utf-8", "surrogatepass") if isinstance(found, str) else bytes(found)
+    shown = name if isinstance(name, str) else what
+    return Unpacked(shown, io.BytesIO(raw), Path(shown).suffix)
+
+
+def _of_array(array: NDArray[Any], what: str, names: Sequence[str] | None) -> dict[str, Any]:
+    if array.dtype.names:
+        return {name: array[name] for name in array.dtype.names}
+    if array.ndim not in (1, 2):
+        raise MultiposError(
+            f"the {what} is an array of shape {array.shape}; give one row a line, (n, columns)."
+        )
+    columns = array[:, None] if array.ndim == 1 else array
+    width = columns.shape[1]
+    if names is not None and len(names) != width:
+        raise UsageError(f"{len(names)} names, but the array has {width} columns; name each.")
+    named = names or [str(i + 1) for i in range(width)]
+    return {name: columns[:, i] for i, name in enumerate(named)}
+
+
+def _by_protocol(source: Any, what: str) -> dict[str, Any]:
+    """Return the columns of what says itself how to read it."""
+    kind = type(source).__name__
+    stream, frame = hasattr(source, "__arrow_c_stream__"), hasattr(source, "__dataframe__")
+    if not stream and not frame:
+        raise TypeError(
+            f"{what} must be a path, an open file, a mapping of columns, a data frame or an array, "
+            f"got {kind}."
+        )
+    require_extra(f"the {what}", f"a {kind}", "pyarrow", "parquet")
+    if stream:
+        from pyarrow import table
+
+        return arrow_columns(table(source))
+    from pyarrow.interchange import from_dataframe
+
+    return arrow_columns(from_dataframe(source))
+
+
+def arrow_columns(table: Any) -> dict[str, Any]:
+    """Return the columns of a table of Arrow: numbers, times, or texts."""
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        array = column.to_numpy(zero_copy_only=False)
+        if array.dtype.kind == "O" and all(isinstance(cell, str | None) for cell in array):
+            array = np.array([cell or "" for cell in array], dtype=np.str_)
+        columns[str(name)] = array
+    return columns
+
+
+def read_arrow(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the columns of a Parquet or Feather file.
+
+    Raises
+    ------
+    MultiposError
+        It is damaged, or `pyarrow` is not installed.
+    """
+    require_extra(path, "a Parquet or Feather file", "pyarrow", "parquet")
+    from pyarrow import ArrowException, feather, parquet
+
+    reader = parquet if first_bytes(path, 4) == ARROW[0] else feather
+    try:
+        with Path(path).open("rb") as stream:
+            return arrow_columns(reader.read_table(stream))
+    except (ArrowException, OSError) as error:
+        said = " ".join(str(error).split())[:200]
+        raise MultiposError(f"{path}: cannot be read ({said}); write it again.") from None
+
+
+def is_packed(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is packed by gzip, xz or Zstandard."""
+    return head.startswith((GZIP, XZ, ZSTD))
+
+
+def unpack(path: str | os.PathLike[str]) -> Unpacked:
+    """Return a file that gzip, xz or Zstandard has packed as it was before.
+
+    Raises
+    ------
+    MultiposError
+        It is damaged or cut off, or of Zstandard, whose reader is not installed.
+    """
+    head = first_bytes(path, len(XZ))
+    if head.startswith(GZIP):
+        library: Any = import_module("gzip")
+    elif head.startswith(XZ):
+        library = import_module("lzma")
+    else:
+        library = _zstd(path)
+    try:
+        with library.open(os.fspath(path)) as stream:
+            return Unpacked(str(path), stream, Path(Path(str(path)).stem).suffix)
+    except Exception as error:  # each library has exceptions of its own for a damaged file
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: str | os.PathLike[str], error: Exception) -> MultiposError:
+    return MultiposError(
+        f"{path}: cannot unpack: {error}; the file is damaged or cut off, write it again."
+    )
+
+
+def _zstd(path: str | os.PathLike[str]) -> Any:
+    if sys.version_info >= (3, 14):
+        return import_module("compression.zstd")
+    require_extra(path, "a Zstandard file", "backports.zstd", "zst")
+    return import_module("backports.zstd")
+
+
+def read_json_columns(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+    """Return the columns of JSON: records, columns, or one record a line.
+
+    Raises
+    ------
+    MultiposError
+        It is no JSON, or none of these.
+    """
+    try:
+        found = read_json_value(path, what)
+    except MultiposError:
+        found = _lines(path, what)
+        if found is None:
+            raise
+    if isinstance(found, dict) and isinstance(found.get("columns"), dict):
+        found = found["columns"]  # as `--json` of a table writes it
+    if isinstance(found, list) and found and all(isinstance(each, dict) for each in found):
+        names = dict.fromkeys(name for each in found for name in each)
+        return {name: _column([each.get(name) for each in found]) for name in names}
+    if isinstance(found, dict) and "schema" not in found:
+        lists = {n: [*c.values()] if isinstance(c, dict) else c for n, c in found.items()}
+        columns = {n: _column(c) for n, c in lists.items() if isinstance(c, list) and c}
+        if columns:
+            return columns
+    raise MultiposError(
+        f"{path}: the JSON is no table; give records, columns by name, or one record a line."
+    )
+
+
+def _lines(path: str | os.PathLike[str], what: str) -> list[Any] | None:
+    """Return the values of JSON that has one on every line; None where a line is none."""
+    lines = read_bytes(path, what).decode("utf-8-sig").splitlines()
+    try:
+        found = [json.loads(line) for line in lines if line.strip()]
+    except (ValueError, RecursionError):
+        return None
+    return found if len(found) > 1 else None
+
+
+def _column(cells: Iterable[Any]) -> Any:
+    """Return cells of JSON as an array: whole numbers, numbers, or texts; None is empty."""
+    cells = list(cells)
+    if all(isinstance(cell, str | None) for cell in cells):
+        texts = np.array([cell or "" for cell in cells], dtype=np.str_)
+        for kind in (np.int64, np.float64):  # times in nanoseconds have more digits than a float
+            try:
+                return texts.astype(kind)
+            except ValueError:
+                continue
+        return texts
+    if all(isinstance(cell, int | float | None) for cell in cells):
+        return np.array([np.nan if cell is None else cell for cell in cells])
+    return np.array(["" if cell is None else str(cell) for cell in cells], dtype=np.str_)
