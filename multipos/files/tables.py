@@ -250,7 +250,7 @@ def _read_cells(path: str | os.PathLike[str], raw: bytes, sha256: str, what: str
     """Read a table cell by cell, quotes included."""
     numbered = _numbered(_decode(path, raw, what))
     if not numbered:
-        raise MultiposError(f"{path}: the file is empty; the {what} needs a header and rows.")
+        raise MultiposError(f"{path}: the file is empty; give a header and rows of {what}.")
     delimiter = next((mark for mark in ";\t" if mark in numbered[0][1]), ",")
     records = _records(path, numbered, delimiter)
     header = [cell.strip() for cell in next(records).cells]
@@ -371,7 +371,8 @@ def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
             )
     if all(math.isfinite(_float(name)) for name in header):
         raise MultiposError(
-            f"{path}: the first row holds only numbers; the first row must name the columns."
+            f"{path}: the first row holds only numbers; put a row of names above, such as "
+            "position,ax,ay,az."
         )
 
 
@@ -393,7 +394,7 @@ def _label(cell: Any) -> str:
 
 def _fault(cell: str, decimal_comma: bool) -> str:
     if cell == "":
-        return "the cell is empty; a number is needed there."
+        return "the cell is empty; a number is needed there, or leave the row out."
     try:
         number = float(cell.replace(",", ".") if decimal_comma else cell)
     except ValueError:
@@ -405,7 +406,7 @@ def _fault(cell: str, decimal_comma: bool) -> str:
         return f"'{cell}' is not a number{comma}; a number is needed there."
     if math.isfinite(number):
         return f"'{cell}' is not a number; write it without underscores."
-    return f"'{cell}' is not finite; a finite number is needed there."
+    return f"'{cell}' is not finite; a finite number is needed there, or leave the row out."
 
 
 def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:

@@ -30,17 +30,23 @@ _TWIN_DEG = 2.0
 _EDGE = 0.1  # of the windows of a section may be its edges
 
 
+def fault_and_way(wrong: Finding) -> str:
+    """Return what is wrong with means and the ways out, as an error says it."""
+    action = wrong.action or "Correct the log."
+    way = f"{action[0].lower()}{action[1:].removesuffix('.')}"
+    return f"{wrong.text}; {way}, or go on with --accept-faults."
+
+
 def compare_scales(outputs: Sequence[str], means: Array) -> Finding | None:
     """Find outputs of different units, by the ellipsoid of their means (n, 3)."""
     scale = _semi_axes(means)
     if scale is None or scale.max() <= _UNITS * scale.min():
         return None
     large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
-    text = (
-        f"1 g moves '{large}' {scale.max() / scale.min():.3g} times as far as '{small}': mixed "
-        "units? Convert the outputs to one unit, average them one at a time with --outputs"
-    )
-    return Finding("output-unit", "warning", text, outputs=(large, small))
+    ratio = scale.max() / scale.min()
+    text = f"1 g moves '{large}' {ratio:.3g} times as far as '{small}': mixed units?"
+    action = "Convert the outputs to one unit, or average them one at a time with --outputs."
+    return Finding("output-unit", "warning", text, action, outputs=(large, small))
 
 
 def _semi_axes(means: Array) -> Array | None:

@@ -208,6 +208,7 @@ class Samples:
                 survey = Survey(len(self.outputs), choose_grid(self.rate, min_duration))
                 windows = Windows(survey.grid.block)
                 refuse_interleaved(piece.table, self.outputs, self.others)
+                self._refuse_named_sensors()
             taken = self._take(piece.table)
             whole = taken if self._as_they_are else self.spikes.feed(taken)
             self._look_at(whole, survey, windows)
@@ -218,6 +219,15 @@ class Samples:
         if not self._as_they_are:
             self._look_at(self.spikes.finish(), survey, windows)
         return survey
+
+    def _refuse_named_sensors(self) -> None:
+        """Refuse a log in which several sensors take turns that a column of texts names."""
+        numbers = {*self.log.numeric, *self.log.nameless}
+        texts = [name for name in self.log.columns if name not in numbers] if self.log.text else []
+        if texts and self.labels is None:
+            head = next(self.log.read((), self.outputs, texts, lenient=True), None)
+            if head is not None:
+                refuse_interleaved(head.table, self.outputs, texts)
 
     def _look_at(self, data: Array, survey: Survey, windows: Windows) -> None:
         """Keep numbers (columns, rows), and add the outputs to the survey."""
@@ -314,7 +324,8 @@ class Samples:
         column = next(iter(self._named_clock()), None) or next(rising, None)
         time = None if column is None else self._column(table, column, _LATEST)
         if time is not None and self._timing.column is None and self._timing.unit is None:
-            self.counter = column if counts_rows(self.log, str(column), time) else None
+            data = np.array([self._column(table, name, LARGEST_SAMPLE) for name in self.outputs])
+            self.counter = column if counts_rows(self.log, str(column), time, data) else None
         if column is None or time is None or self.counter is not None:
             self.rate = self._timing.rate or self.log.rate
             return

@@ -85,7 +85,7 @@ def _lines(given: Callable[[], list[str]], rows: list[int]) -> list[str]:
 
 
 def refuse_interleaved(table: Table, outputs: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse a log in which several sensors take turns, by its first rows.
+    """Refuse a log in which several sensors take turns, by numbers or texts in its first rows.
 
     Raises
     ------
@@ -93,13 +93,18 @@ def refuse_interleaved(table: Table, outputs: Sequence[str], others: Sequence[st
     """
     data = np.array([table.columns[name] for name in outputs], dtype=np.float64)[:, :_HEAD]
     for name in others:
-        cells = np.asarray(table.columns[name], dtype=np.float64)[:_HEAD]
-        count = _turns(cells)
+        column = table.columns[name][:_HEAD]
+        if isinstance(column, np.ndarray):
+            numbers = np.asarray(column, dtype=np.float64)
+            names = [f"{cell:g}" for cell in numbers[:_SENSORS].tolist()]
+        else:
+            names = list(map(str, column))
+            numbers = np.unique(names, return_inverse=True)[1].astype(np.float64)
+        count = _turns(numbers)
         if count and _differ(data, count):
-            values = ", ".join(f"{cell:g}" for cell in cells[:count])
             raise MultiposError(
-                f"{table.source}: {count} sensors take turns, which column '{name}' tells apart "
-                f"({values}); take the rows of one with --only {name}={cells[0]:g}."
+                f"{table.source}: {count} sensors take turns, which column '{name}' separates "
+                f"({', '.join(names[:count])}); take the rows of one with --only {name}={names[0]}."
             )
 
 

@@ -11,7 +11,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import Clock, time_columns
-from multipos.logs.faults import find_saturated, find_second_unit, find_wrapped
+from multipos.logs.faults import fault_and_way, find_saturated, find_second_unit, find_wrapped
 from multipos.logs.log_columns import choose_outputs
 from multipos.logs.rest_means import RestMean, RestSum, rest_means
 from multipos.logs.rests import (
@@ -136,11 +136,7 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         grid = survey.grid
         wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
         if wrong and not wish.accept_faults:
-            action = wrong[0].action or "Correct the log."
-            way = f"{action[0].lower()}{action[1:].removesuffix('.')}"
-            raise MultiposError(
-                f"{log.source}: {wrong[0].text}; {way}, or go on with --accept-faults."
-            )
+            raise MultiposError(f"{log.source}: {fault_and_way(wrong[0])}")
         known = _known(samples, wish)
         notes = [*log.notes, *_find_clock(samples), *outputs.findings]
         source = log.source if known is None else None

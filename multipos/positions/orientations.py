@@ -20,6 +20,7 @@ the case the sensor's axes lie, which positions of wholly unknown orientation do
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,12 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Source, Table
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import rows_without_angle
 from multipos.positions.order import Order, check_order
 from multipos.positions.readings import Readings
-from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.scheme import Scheme, of_size, read_scheme
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +154,7 @@ def _grouped(axis: NDArray[np.intp], group: Sequence[str]) -> list[str]:
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
 _ONE_G = 0.01  # within which a known force may pass for gravity
 _ANY = (1.0, 0.0, 0.0)  # a direction, where none is known
+_LOG_ROWS, _LOG_STEP = 100, 0.1  # rows, and their usual step over the spread of all
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
@@ -366,6 +368,7 @@ def orient(
     if scheme is None:
         if oriented:
             return _with_up(readings)
+        _refuse_log(readings)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
             "file) or orientation columns such as direction or up_x, up_y, up_z, or known forces "
@@ -412,6 +415,8 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
     findings = readings.findings
     _require_one_size(readings)
+    if readings.up is None and readings.rotation is None:
+        _refuse_log(readings)
     given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
     if any(columns is not None for columns in given):
         text = "the orientation columns are ignored, the orientation is taken as unknown"
@@ -429,6 +434,21 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
         open_roll=None,
         findings=findings,
     )
+
+
+def _refuse_log(readings: Readings) -> None:
+    """Refuse samples of a raw log: no labels, and rows that go on where the one before stood."""
+    if readings.positions is not None or len(readings) < _LOG_ROWS:
+        return
+    values = readings.values
+    step = median(np.linalg.norm(np.diff(values, axis=0), axis=1))
+    if step < _LOG_STEP * np.linalg.norm(values.std(axis=0)):
+        name = Path(readings.source or "LOG").name
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: {len(readings)} rows of samples, not of "
+            f"means; calibrate the log with multipos calibrate {name}, or average its rests "
+            f"first with multipos average {name} -o readings.csv."
+        )
 
 
 def _require_one_size(readings: Readings) -> None:
@@ -471,6 +491,7 @@ def _match(readings: Readings, scheme: Scheme) -> list[int]:
         return _match_labels(readings, labels, scheme, known)
     if len(readings) == len(scheme):
         return list(range(len(scheme)))
+    _refuse_log(readings)
     unlabelled = "neither" if labels is None and known is None else "only one"
     count = Counter(labels or known or ())
     seen = f"; the labels are {quoted(count)}" if count else ""
@@ -489,6 +510,7 @@ def _match_labels(
     if strange:
         raise MultiposError(
             f"{readings.source or 'the readings'}: position {quoted(strange)} is not in "
-            f"scheme '{scheme.name}', whose labels are {quoted(known)}; use its labels."
+            f"scheme '{scheme.name}', whose labels are {quoted(known)}; use its labels, "
+            f"or a scheme of {len(set(labels))} positions: {of_size(len(set(labels)))}."
         )
     return [index[label] for label in labels]

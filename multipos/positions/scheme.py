@@ -201,6 +201,13 @@ def named_schemes() -> tuple[str, ...]:
     )
 
 
+def of_size(count: int) -> str:
+    """Return the names of the schemes of so many positions, for messages."""
+    fixed = [name for name, each in SCHEMES.items() if each.shown is None]
+    same = [name for name in fixed if len(SCHEMES[name].positions().up) == count]
+    return ", ".join([*same, f"fibonacci-{count}"])
+
+
 def _named_or_file(text: str) -> Scheme:
     name = text.strip()
     if name in SCHEMES and SCHEMES[name].shown is None:

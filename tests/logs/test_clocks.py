@@ -62,24 +62,34 @@ def test_a_column_that_counts_rows_is_no_time(log, tmp_path):
     assert any("it counts rows" in each.text for each in found.findings)
 
 
+@pytest.mark.parametrize("turn", [2.0, 5.0])
+def test_a_sample_a_second_is_a_time_where_the_sensor_turns_within_few_rows(turn, tmp_path):
+    log = columns_of(scheme="fibonacci-24", rate=1.0, rest=60.0, turn=turn)
+    found = mp.average(stamped(tmp_path / "log.csv", log, lambda i: i))
+    assert found.sample_rate == 1.0
+    assert len(found.rests) == 24
+
+
 def test_interchanged_rows_are_refused(log, tmp_path):
     path = stamped(tmp_path / "log.csv", log, lambda i: (i ^ 1 if i in (700, 701) else i) / RATE)
     with pytest.raises(mp.MultiposError, match=r"row 702 .* runs backwards.*interchanged"):
         mp.average(path)
 
 
-def test_sensors_that_take_turns_are_told_apart(log, tmp_path):
+@pytest.mark.parametrize("names", [(7, 9), ("left", "right")])
+def test_sensors_that_take_turns_are_told_apart(names, log, tmp_path):
     rows = []
     for i, row in enumerate(np.column_stack([log[output] for output in OUTPUTS])):
-        rows += [[i / RATE, 7, *row], [i / RATE, 9, *(1.02 * row + 0.1)]]
+        rows += [[i / RATE, names[0], *row], [i / RATE, names[1], *(1.02 * row + 0.1)]]
     path = written(tmp_path / "log.csv", "time,id,ax,ay,az", rows)
-    with pytest.raises(mp.MultiposError, match=r"2 sensors take turns.*'id'.*--only id=7"):
+    refused = rf"2 sensors take turns.*'id'.*--only id={names[0]}"
+    with pytest.raises(mp.MultiposError, match=refused):
         mp.average(path)
-    one, other = (mp.average(path, only=f"id={value}") for value in (7, 9))
+    one, other = (mp.average(path, only=f"id={value}") for value in names)
     alone = mp.average(log)
     np.testing.assert_allclose(one.readings.values, alone.readings.values, rtol=1e-9)
     np.testing.assert_allclose(other.readings.values, 1.02 * alone.readings.values + 0.1, rtol=1e-3)
-    assert len(mp.average(path, only=["id=9", "1", "2"]).rests) == 2
+    assert len(mp.average(path, only=[f"id={names[1]}", "1", "2"]).rests) == 2
     with pytest.raises(mp.MultiposError, match="no row has 'id' = 8"):
         mp.average(path, only="id=8")
 
