@@ -57,6 +57,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="column that names the unit (default unit; without one, each file is a unit)",
     )
     add("--station-column", metavar="C", help="column that names the station")
+    add("--raw", action="store_true", help="the files are raw logs, one a unit; average them first")
     add(
         "--limits",
         metavar="FILE",

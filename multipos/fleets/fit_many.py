@@ -36,7 +36,7 @@ from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_st
 from multipos.fleets.labels import Codes, Labels, joined_labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
 from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one, gather
-from multipos.fleets.sources import Rows, read_rows
+from multipos.fleets.sources import Averaging, Rows, read_rows
 from multipos.fleets.unit_results import Units, UnitsFound
 from multipos.fleets.workers import open_engine, solve_all
 from multipos.numerics.arrays import Array, Places, places_of_kinds
@@ -501,18 +501,22 @@ def fit_units(
     folder: Path | None = None,
     report: Callable[[int], object] = lambda done: None,
     study: bool = False,
+    raw: bool = False,
 ) -> Units:
     """Return every unit's numbers; parameters are those of `fit_many`.
 
     Parameters
     ----------
+    raw : bool
+        The tables are raw logs, one a unit, which the executor averages first.
     folder : path, optional
         Where finished tasks are kept, and found again.
     study : bool
         Whether repeats of units at several stations are fitted one by one as well.
     """
-    given = _read_options(options)
-    rows = read_rows(tables, unit_column, station_column)
+    given = _read_options(with_rests(options) if raw else options)
+    how = Averaging(averaging_options(options), executor) if raw else None
+    rows = read_rows(tables, unit_column, station_column, raw=how)
     grouped = group_rows(rows)
     rows = rows.without_labels()
     with _quiet():
@@ -524,6 +528,19 @@ def fit_units(
     usable = ~each.failed & ~each.unfit & (each.names == units.names)
     study_found = gather_study(trials, each.parameters, usable)
     return _with_failed(replace(units, study=study_found), rows)
+
+
+def averaging_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what averaging takes of the options of `fit`."""
+    names = ("scheme", "order", "convention", "outputs")
+    return {name: options[name] for name in names if options.get(name) is not None}
+
+
+def with_rests(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of `fit` for means of rests: of unknown orientation, as in `calibrate`."""
+    stated = ("scheme", "closed_form", "orientation_sd", "level_sd")
+    assumed = not any(options.get(name) for name in stated)
+    return {**options, **({"unknown_orientation": True} if assumed else {})}
 
 
 def _solve(

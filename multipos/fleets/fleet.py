@@ -11,7 +11,7 @@ the tables. Of Parquet only the rows of the unit are read.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -28,7 +28,7 @@ from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
-from multipos.fleets.fit_many import FitOptions, fit_units
+from multipos.fleets.fit_many import FitOptions, averaging_options, fit_units, with_rests
 from multipos.fleets.gauge import describe_gauge
 from multipos.fleets.grouping import group_rows
 from multipos.fleets.line import find_drift, find_outliers
@@ -42,7 +42,7 @@ from multipos.fleets.quality import (
     judge_units,
     proportion,
 )
-from multipos.fleets.sources import read_rows
+from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations, find_off
 from multipos.fleets.unit_results import Units
 from multipos.fleets.workers import Engine, open_engine
@@ -96,7 +96,14 @@ def fit_unit(
             "this fleet was fitted from Python with options that no file holds; fit the rows of "
             "the unit there."
         )
-    rows = read_rows(data or _named(found, beside), how["unit_column"], how["station_column"], unit)
+    given, tables = how["options"], data or _named(found, beside)
+    if how.get("raw", False):
+        given = with_rests(given)
+        with ThreadPoolExecutor() as executor:
+            raw = Averaging(averaging_options(given), executor)
+            rows = read_rows(tables, None, None, unit, raw=raw)
+    else:
+        rows = read_rows(tables, how["unit_column"], how["station_column"], unit)
     known = {each["sha256"] for each in found["input"]}
     for table in rows.tables:
         if table.sha256 not in known:
@@ -109,7 +116,7 @@ def fit_unit(
     if not here:
         raise MultiposError(f"no unit '{unit}'{near(unit, rows.unit.names)} Look at units.csv.")
     place = here[_station_of(unit, list(here), station)]
-    return fit(rows.select(units.rows(place).tolist()), **how["options"])
+    return fit(rows.select(units.rows(place).tolist()), **given)
 
 
 def _station_of(unit: str, stations: list[str], wanted: str | None) -> str:
@@ -199,6 +206,7 @@ def fleet(
     *tables: Source,
     unit_column: str | None = None,
     station_column: str | None = None,
+    raw: bool = False,
     limits: LimitsSource | None = None,
     engine: Engine = "threads",
     scheduler: str | None = None,
@@ -213,6 +221,9 @@ def fleet(
     ----------
     tables, unit_column, station_column, options
         As in `fit_many`.
+    raw : bool
+        The tables are raw logs, one a unit: each is averaged first, and of unknown orientation
+        unless a scheme is given.
     limits : path or mapping of name to (lsl, usl), optional
         Of the numbers of a unit (`multipos.fleets.quality`).
     engine, scheduler : str
@@ -264,8 +275,9 @@ def fleet(
             folder=progress_folder,
             report=progress or (lambda done: None),
             study=True,
+            raw=raw,
         )
-    return assemble(units, given, asked(units.key, station_column, options))
+    return assemble(units, given, asked(units.key, station_column, options) | {"raw": raw})
 
 
 def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:

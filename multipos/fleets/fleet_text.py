@@ -13,6 +13,7 @@ from multipos.files.numbers import (
     uncertain,
 )
 
+_REASONS = 3  # that the first line names
 _SHOWN = 10  # outliers, causes and moves that are listed
 
 
@@ -204,11 +205,17 @@ def drift_rows(found: Mapping[str, Any]) -> Rows:
 
 
 def fleet_sentence(found: Mapping[str, Any]) -> str:
-    """Return the yield, and the units by verdict."""
+    """Return the yield, the units by verdict, the largest reasons and the stations that are off."""
     good = found["yield"]
     low, high = (f"{100.0 * good[side]:.2f}" for side in ("low", "high"))
     counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    reasons = [f"{cause} {count}" for cause, count in found["causes"].items()]
+    off = [each["station"] for each in found["stations"] if each.get("findings")]
+    why = [f"why: {', '.join(reasons[:_REASONS])}"] if reasons else []
+    where = [f"stations off: {', '.join(off[:_REASONS])}"] if off else []
+    more = [f"{len(off) - _REASONS} more"] if len(off) > _REASONS else []
+    said = "; ".join([counts, *why, ", ".join(where + more)]).removesuffix("; ")
     return (
         f"Yield {100.0 * good['value']:.2f} % ({low} to {high} % with 95 % confidence) of "
-        f"{found['units']} units: {counts}."
+        f"{found['units']} units: {said}."
     )

@@ -4,12 +4,15 @@ A file is CSV or JSON, packed or not, or Parquet by the extra ``parquet``; a fol
 such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
 the columns of unit and station are read at once, the others piece by piece. Where no column names
 the unit, several files are one unit each, by their names; one that cannot be read is a failed unit.
+Raw logs are averaged first, each one unit: `average_logs`.
 """
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from glob import glob, has_magic
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -26,10 +29,16 @@ from multipos.files.whole import first_bytes
 from multipos.finding import Finding, Findings
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
+from multipos.logs.averaging import average
 from multipos.numerics.arrays import Array
+from multipos.positions.headers import is_environment
 
 _ENDINGS = (".csv", ".parquet")
 _PACKED = (".gz", ".xz", ".zst")
+_LOGS = (
+    *(".csv", ".txt", ".tsv", ".log", ".dat", ".parquet", ".feather", ".h5", ".mat", ".xlsx"),
+    *(".ulg", ".bin", ".bag", ".db3", ".mcap"),
+)
 _UNIT = "unit"  # the column of units where none is named
 _SHOWN = 5  # equal files that a message lists
 
@@ -158,6 +167,7 @@ def read_rows(
     unit_column: str | None,
     station_column: str | None = None,
     only: str | None = None,
+    raw: "Averaging | None" = None,
 ) -> Rows:
     """Return the rows of tables.
 
@@ -168,6 +178,8 @@ def read_rows(
         Which columns name the unit and the station; without the first `unit`, or the files.
     only : str, optional
         A unit, of which at least all rows are returned; of Parquet no others.
+    raw : Averaging, optional
+        The tables are raw logs, of one unit each, which are averaged so.
 
     Raises
     ------
@@ -179,16 +191,20 @@ def read_rows(
     """
     kept = None if only is None or unit_column is None else (unit_column, only)
     apart = {unit_column or _UNIT, station_column}
-    files = _expanded(sources)
-    read = [_tried(source, apart, kept, alone=len(files) == 1) for source in files]
+    files = _expanded(sources, _ENDINGS if raw is None else _LOGS)
     named = _file_units(files)
+    if raw is not None:
+        files, named = _of_unit_alone(files, named, only)
+        read = average_logs(files, raw)
+    else:
+        read = [_tried(source, apart, kept, alone=len(files) == 1) for source in files]
     findings = _drop_repeated(read, named)
+    foreign = _drop_foreign(read) if all(map(_is_path, files)) else {}
     if unit_column is None:
-        _drop_foreign(read)
         read_tables = [table for table in read if isinstance(table, Table)]
-        if all(_UNIT in table for table in read_tables):
+        if read_tables and all(_UNIT in table for table in read_tables):
             unit_column = _UNIT
-        elif (len(files) == 1 and only is None) or not all(map(_is_path, files)):
+        elif raw is None and ((len(files) == 1 and only is None) or not all(map(_is_path, files))):
             raise UsageError(
                 f"{read_tables[0].source} has no column '{_UNIT}'; name the column of units with "
                 "--unit-column, or give several files, one per unit."
@@ -196,7 +212,10 @@ def read_rows(
     names = [name for name, table in zip(named, read, strict=True) if isinstance(table, Table)]
     tables = [table for table in read if isinstance(table, Table)]
     failed = tuple(
-        (n, str(e)) for n, e in zip(named, read, strict=True) if isinstance(e, Exception)
+        (unit, str(error))
+        for place, (name, error) in enumerate(zip(named, read, strict=True))
+        if isinstance(error, Exception)
+        for unit in _units_in(foreign.get(place), unit_column, name)
     )
     if not tables:
         raise MultiposError(failed[0][1])
@@ -266,18 +285,34 @@ def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str
     return (Finding("repeated-file", "warning", text, "Take the copies out of the folder."),)
 
 
-def _drop_foreign(read: list[Table | MultiposError | None]) -> None:
-    """Put in place of every table with other columns than most have why it is none of them."""
+def _drop_foreign(read: list[Table | MultiposError | None]) -> dict[int, Table]:
+    """Put in place of every table with other columns than most have why it is none of them.
+
+    Returns
+    -------
+    dict of int to Table
+        The tables taken out, by their place.
+    """
     kinds = [frozenset(table.columns) for table in read if isinstance(table, Table)]
+    foreign: dict[int, Table] = {}
     if not kinds:
-        return
+        return foreign
     usual, _ = Counter(kinds).most_common(1)[0]
     for place, table in enumerate(read):
         if isinstance(table, Table) and (odd := set(table.columns) ^ usual):
+            foreign[place] = table
             read[place] = MultiposError(
                 f"{table.source}: column {quoted(sorted(odd))} is not in both it and the other "
                 "files; give tables with the same columns."
             )
+    return foreign
+
+
+def _units_in(table: Table | None, unit_column: str | None, name: str) -> tuple[str, ...]:
+    """Return the units of a table that is not used: those of its column, else its file's name."""
+    if table is None or unit_column is None or unit_column not in table:
+        return (name,)
+    return tuple(filter(None, labels_of(table, unit_column).names)) or (name,)
 
 
 def _of_unit(table: Table, name: str) -> Table:
@@ -329,27 +364,69 @@ def _without(table: Table, names: set[str | None]) -> Table:
     return replace(table, columns=columns)
 
 
-def _expanded(sources: Sequence[Source]) -> list[Source]:
+@dataclass(frozen=True)
+class Averaging:
+    """How raw logs are averaged: options of `average`, and what runs them."""
+
+    options: Mapping[str, Any]
+    executor: Executor
+
+
+def average_logs(files: Sequence[Source], how: Averaging) -> list[Table | MultiposError | None]:
+    """Return the means of raw logs as tables; where there are none, why not."""
+    called = partial(_averaged, options=dict(how.options))
+    return list(how.executor.map(called, files))
+
+
+def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposError:
+    """Return the means of a log: positions, outputs with their unit, u, time and temperature."""
+    try:
+        found = average(source, **options)
+    except MultiposError as error:
+        return MultiposError(str(error))  # as it goes to another process and back
+    unit = "" if found.unit is None else f" [{found.unit}]"
+    beside = {f"{p}_{output}" for p in ("sd", "u", "dof") for output in found.outputs}
+    columns = {
+        f"{name}{unit}" if name in found.outputs else name: column
+        for name, column in found.columns().items()
+        if name in ("position", "n", *found.outputs, *beside) or is_environment(name)
+    }
+    sha256 = FileBytes(source, "log").sha256() if _is_path(source) else None
+    table = read_table(columns, what="log")
+    return replace(table, source=str(source) if _is_path(source) else table.source, sha256=sha256)
+
+
+def _of_unit_alone(
+    files: Sequence[Source], named: list[str], only: str | None
+) -> tuple[list[Source], list[str]]:
+    """Return the logs with their units, of one unit where it is the only one wanted."""
+    wanted = [place for place, name in enumerate(named) if only in (None, name)]
+    if not wanted:
+        raise MultiposError(f"no unit '{only}' among the logs; look at units.csv.")
+    return [files[place] for place in wanted], [named[place] for place in wanted]
+
+
+def _expanded(sources: Sequence[Source], endings: Sequence[str]) -> list[Source]:
     """Return sources with folders and patterns replaced by the files they stand for."""
     found: list[Source] = []
     for source in sources:
         if isinstance(source, list | tuple):
-            found += _expanded(source)
+            found += _expanded(source, endings)
         else:
             given = take_in(source, "table")
-            found += _files(given) if _is_path(given) else [given]
+            found += _files(given, endings) if _is_path(given) else [given]
     if not found:
         raise MultiposError("no table; give at least one.")
     return found
 
 
-def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
+def _files(source: str | os.PathLike[str], endings: Sequence[str]) -> Sequence[Source]:
     """Return the files that a path, a folder or a pattern stands for."""
     name = os.fspath(source)
     if is_folder(name):
-        files = [path for path in sorted(Path(name).iterdir()) if _is_table(path)]
+        files = [path for path in sorted(Path(name).iterdir()) if _ends(path, endings)]
         if not files:
-            raise MultiposError(f"{name}: the folder has no .csv or .parquet files.")
+            raise MultiposError(f"{name}: the folder has no {' or '.join(endings)} files.")
         return files
     if has_magic(name) and not is_there(name):
         fitting = sorted(glob(name, recursive=True))  # noqa: PTH207 – any path, not one below
@@ -359,9 +436,9 @@ def _files(source: str | os.PathLike[str]) -> Sequence[Source]:
     return [rereadable(source)]
 
 
-def _is_table(path: Path) -> bool:
+def _ends(path: Path, endings: Sequence[str]) -> bool:
     name = Path(path.stem) if path.suffix in _PACKED else path
-    return name.suffix in _ENDINGS
+    return name.suffix.casefold() in endings
 
 
 def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:

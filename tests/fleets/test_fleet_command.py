@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 from fleet_bench import line, rows_of
+from log_bench import columns_of
 from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
@@ -372,3 +373,48 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
     assert [each["code"] for each in off["B"]] == ["station"]
     assert "position 3 is off by 0." in off["B"][0]["text"]
     assert off["B"][0] in found.to_dict()["findings"]
+
+
+def test_a_file_with_other_columns_fails_its_units_and_not_the_run(tmp_path):
+    lots = [line(4, scheme="faces-corners-14", seed=seed) for seed in (1, 2, 3)]
+    for k, lot in enumerate(lots):
+        lot["unit"] = np.array([f"{k}-{unit}" for unit in lot["unit"]])
+        lot.pop("station")
+    lots[1]["az2"] = lots[1].pop("az")
+    for k, lot in enumerate(lots):
+        write(tmp_path / f"lot{k}.csv", lot)
+    found = mp.fleet(tmp_path / "lot*.csv", unit_column="unit")
+    verdicts = dict(zip(found.verdicts["unit"], found.verdicts["verdict"], strict=True))
+    failed = {unit for unit, verdict in verdicts.items() if verdict == "failed"}
+    assert failed == {f"1-U{k:04}" for k in range(4)}
+    assert len(verdicts) == 12
+
+
+def test_raw_logs_give_what_calibrate_gives_of_each(tmp_path, capsys):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for k in range(3):
+        log = columns_of(scheme="fibonacci-24", seed=k)
+        kept = ("time", "ax", "ay", "az")
+        write(logs / f"S{k}.csv", {name: log[name] for name in kept})
+    (logs / "words.txt").write_text("hello\nworld\n")
+    out = tmp_path / "out"
+    assert main(["fleet", str(logs), "--raw", "-o", str(out)]) == 0
+    found = mp.fleet(logs, raw=True)
+    assert found.summary["verdicts"] == {"pass": 3, "failed": 1}
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("Yield 75.00 %")
+    assert first.endswith("of 4 units: 3 pass, 1 failed; why: no calibration 1.")
+    one = mp.calibrate(logs / "S1.csv", exclude="none")
+    row = found.calibrations["unit"].tolist().index("S1")
+    assert_allclose(
+        [found.calibrations[name][row] for name in one.names], one.parameters, rtol=1e-9
+    )
+    assert_allclose(
+        [found.calibrations[f"u_{name}"][row] for name in one.names],
+        np.sqrt(np.diag(one.covariance)),
+        rtol=1e-6,
+    )
+    capsys.readouterr()
+    report = ["report", str(out), "--unit", "S1", "--data", str(logs), "-o", str(tmp_path / "u.md")]
+    assert main(report) == 0
