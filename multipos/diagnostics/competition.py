@@ -2,10 +2,12 @@
 
 Terms that the model lacks, orientation error, outliers and repeats that agree too well are found by
 tests of their own, causes of time and table by `multipos.diagnostics.row_order`. Where one of these
-is beyond chance, all are held against each other by S of eq. (3) there, and the best is named.
+is beyond chance, all are held against each other by S of eq. (3) there, and the best is named, with
+its size and what to do.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,15 +16,17 @@ from multipos.diagnostics.noise_causes import explain_orientations, explain_uneq
 from multipos.diagnostics.residuals import residuals_of
 from multipos.diagnostics.row_order import (
     SLOW,
+    TIME,
+    UNEQUAL,
+    Cause,
     asked,
-    describe,
     estimate,
     search,
-    slow_gain,
-    time_order,
+    slow_score,
 )
 from multipos.diagnostics.score_tests import significant
 from multipos.finding import Finding
+from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 
@@ -44,16 +48,15 @@ def compete(c: Calibration, found: list[Finding]) -> list[Finding]:
     freedom = float(c.residuals.size - len(c.parameters))
     if c.estimator is Estimator.UNKNOWN:
         freedom = float(len(c.residuals) - len(c.parameters))
-    sized = [estimate(c, cause) if cause.code != SLOW else (cause, None) for cause in causes]
-    best, sizes = max(sized, key=lambda pair: pair[0].score(freedom))
+    best = max(causes, key=lambda cause: cause.score)
     rivals = [finding for finding in found if finding.code in RIVALS]
     kept = [finding for finding in found if finding.code not in RIVALS]
     strongest = max(rivals, key=lambda finding: _score(c, finding, freedom), default=None)
     if strongest is not None:
         said = {finding.code for finding in rivals}
-        if best.code in said or _score(c, strongest, freedom) >= best.score(freedom):
+        if best.code in said or _score(c, strongest, freedom) >= best.score:
             return [*kept, *(d for d in rivals if d.code == strongest.code)]
-    return [*kept, describe(c, best, sizes)]
+    return [*kept, _describe(c, best)]
 
 
 def _score(c: Calibration, finding: Finding, freedom: float) -> float:
@@ -69,7 +72,7 @@ def _score(c: Calibration, finding: Finding, freedom: float) -> float:
         gain = float((explain_unequal(of).deviance - explain_orientations(of).deviance)[0])
         return float(gain - (2.0 - m) * math.log(freedom))
     if finding.code == SLOW:
-        return slow_gain(c, time_order(c)) - math.log(freedom)
+        return slow_score(c)
     if finding.code == "lack-of-fit":
         found: Any = list(c.diagnostics.lack_of_fit.values())
         tests: list[tuple[float, float, float]] = [(each["F"], *each["dof"]) for each in found]
@@ -96,3 +99,101 @@ def _gain_without(c: Calibration, rows: list[int]) -> float:
         lost = e[rows] @ np.linalg.lstsq(np.eye(len(rows)) - Q @ Q.T, e[rows], rcond=None)[0]
         total -= (len(e) - X.shape[1]) * math.log(max(1.0 - float(lost / (e @ e)), 1e-15))
     return total
+
+
+def _describe(c: Calibration, cause: Cause) -> Finding:
+    """Return what is said of a cause, with its size and what to do."""
+    sizes = np.zeros(0) if cause.code == SLOW else estimate(c, cause)
+    text, action, rows = _SAID[cause.code](c, cause, sizes)
+    return Finding(cause.code, "warning", text, action, rows, p=cause.p)
+
+
+_Said = tuple[str, str, tuple[str, ...]]
+
+
+def _drift(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    time = c.readings.environment.get(TIME)
+    timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0
+    span = float(np.ptp(time)) if time is not None and timed else len(c.readings) - 1.0
+    whole = float(np.abs(sizes).max()) * span
+    text = f"readings drift by {whole:.2g} {c.model.unit} from the first row to the last"
+    return f"{text} (p = {cause.chance})", "Fit the drift with --drift.", ()
+
+
+def _slipped(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    row, degrees = _first_row(c, cause), math.degrees(float(np.linalg.norm(sizes)))
+    text = f"from row {row} on the case is turned by {degrees:.2g} degrees, as one that slipped"
+    action = f"Give the rows from {row} on a name in a column `group`, the others none."
+    return f"{text} (p = {cause.chance}), and U leaves that out", action, (row,)
+
+
+def _replaced(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    row, what = _first_row(c, cause), "parameters"
+    if not cause.wholly:
+        what = f"zeros, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
+    text = f"from row {row} on the readings follow other {what} (p = {cause.chance})"
+    action = f"Fit the rows before {row} and those from it on apart."
+    return f"{text}, as those of another unit or switch-on", action, (row,)
+
+
+def _settling(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    share = 100.0 * float(sizes.item())
+    text = f"readings hold {share:.2g} % of the row before (p = {cause.chance})"
+    action = "Wait longer at each position before it is read."
+    return f"{text}, as a filter does that has not settled", action, ()
+
+
+def _hysteresis(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    both = 2.0 * float(np.abs(sizes).max())
+    text = f"readings differ by {both:.2g} {c.model.unit} with the side from which a position is"
+    action = "Approach all positions from one side, or each from both."
+    return f"{text} approached (p = {cause.chance})", action, ()
+
+
+def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    sd = c.readings.sd
+    assert sd is not None
+    own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
+    loud = np.flatnonzero(own > UNEQUAL * np.median(own))
+    moved = float(np.abs(sizes).max() * own.max() ** 2)
+    text = f"readings move by up to {moved:.2g} {c.model.unit} with the variance of their rests"
+    action = "Measure these rests again with less of it, or set them aside with --exclude."
+    rows = tuple(c.readings.labels[i] for i in loud.tolist())
+    return f"{text} (p = {cause.chance}), as vibration is rectified", action, rows
+
+
+def _level(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    degrees = math.degrees(float(np.linalg.norm(sizes)))
+    text = f"the attitudes show a table that is tilted by {degrees:.2g} degrees"
+    return f"{text} (p = {cause.chance})", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
+
+
+def _table(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    off = f"{math.degrees(float(np.abs(sizes).max())):.1g}"
+    text = "the residuals follow the angles of the rolls, as a table does that is off by"
+    action = f"Correct its angles by `multipos tumble`, or fit with --orientation-sd {off}."
+    return f"{text} {off} degrees (p = {cause.chance})", action, ()
+
+
+def _slow(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+    text = "residuals are alike from one row to the next though the positions are not, and U is"
+    action = "Give the rows a column `time`, of which U follows, or take the positions in random"
+    return f"{text} too small", f"{action} order.", ()
+
+
+def _first_row(c: Calibration, cause: Cause) -> str:
+    assert cause.row is not None
+    return c.readings.labels[cause.row]
+
+
+_SAID: dict[str, Callable[[Calibration, Cause, Array], _Said]] = {
+    "drift": _drift,
+    "slipped": _slipped,
+    "replaced": _replaced,
+    "settling": _settling,
+    "hysteresis": _hysteresis,
+    "vibration": _vibration,
+    "level": _level,
+    "table": _table,
+    SLOW: _slow,
+}

@@ -14,55 +14,65 @@ slopes of the outputs and s_k = 1 from row j on, the columns are
     hysteresis  ±1 by approach, apart         vibration   the rests' own variance, apart
     level       K (R_k east, R_k north)       table       two harmonics of the angle of each roll.
 
-Each is judged alone, a search over j by the union bound: together by F of (1), apart by Fisher's
-sum over F of each output, which are exact. Slow noise of correlation ρ = 1 − 5/n from row to row
-is judged by its score,
+As V'e = Z'e and V'V = Z'Z − (Q'Z)'(Q'Z), sums over the rows from j on give Δ for every j at once.
+The j of the largest Λ is judged: together by F of (1), apart by Fisher's sum over F of each output,
+times the number of j (union bound). Slow noise of correlation ρ = 1 − 5/n from row to row is judged
+by its score,
 
     T = Σ e_i'Ω e_i / e_i'e_i,    Ω_jk = ρ^|j − k|,                                         (2)
 
-whose law is nearly that of a Beta variable with the mean and variance of (2) between its least
-and largest value.
+whose law is nearly that of a χ² variable, moved and scaled, of its mean, variance and skewness. All
+causes share one level: p of each is multiplied by the number of causes.
 
 Several causes explain the same residuals, more or less. In one likelihood, the terms that the model
 lacks, orientation error and outliers among them, the best has the largest
 
     S = Λ − q ln N − 2 ln (number tried),                                                   (3)
 
-and it alone is named.
+and it alone is named. Arrays of B units at positions that they share have these on their last axis.
 
 Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Statist. 6, 1978 (3).
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.finding import Finding
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import f_quantile, f_tail
+from multipos.numerics.quantiles import (
+    chi2_quantile,
+    chi2_tail,
+    f_log_tails,
+    f_quantile,
+    f_tail,
+)
+from multipos.numerics.series import recur
 from multipos.positions.harmonics import find_rolls
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.turntable import table_effects
 
-LEVEL = 0.0025  # of every cause by itself
+LEVEL = 0.01  # of all causes together
 _LEAST = 2  # rows before and after a change
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
 _TURN = 12  # positions of a roll on a table
-_UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
+UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
 _MOST = 400  # rows, beyond which steps are tried at so many of them
-_ROUNDS = 5  # of alternation of weights
+_ROUNDS = 5  # of weights, alternating with sizes
 _ROUNDING = 1e-12
-_TIME, APPROACH, SLOW = "time", "approach", "time-correlated"
+_FEW = 8  # units whose probabilities are worked out one by one
+_CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # ρ at which the likelihood is evaluated
+TIME, APPROACH, SLOW = "time", "approach", "time-correlated"
+_CHANGES = ("slipped", "replaced")
 _OF_ATTITUDE = ("slipped", "level", "table")  # where a turn of the case is free, nothing
 
 Rows = NDArray[np.intp]
@@ -76,11 +86,10 @@ class Cause:
     ----------
     code : str
         Of its finding.
-    gain : float
-        Λ of eq. (1).
-    columns, tried : int
+    score : float
+        S of eq. (3).
     p : float
-        Chance of it where there is nothing, searches included.
+        Chance of any cause where there is none.
     row : int or None
         The first row after a change.
     wholly : bool
@@ -88,9 +97,7 @@ class Cause:
     """
 
     code: str
-    gain: float
-    columns: int
-    tried: int
+    score: float
     p: float
     row: int | None = None
     wholly: bool = False
@@ -100,66 +107,106 @@ class Cause:
         """p as a text."""
         return f"{max(self.p, 1e-99):.0e}"
 
-    def score(self, freedom: float) -> float:
-        """Return S of eq. (3) with N degrees of freedom."""
-        return self.gain - self.columns * math.log(freedom) - 2.0 * math.log(self.tried)
-
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Columns of one cause, times a step at each of some rows where it has any.
+    """Columns of one cause, from each of K rows on, in the order of time.
 
-    `base` is (n, q) where outputs are apart, else (n, M, q).
+    `base` is (n, q) where outputs are apart, (n, 3, q) by component of force where they move
+    together, or (n, 1, q) of one misfit a row.
     """
 
     code: str
     base: Array
-    steps: Rows | None = None
+    steps: Rows
+    wholly: bool = False
 
     @property
-    def wholly(self) -> bool:
-        """Whether it is every term of the outputs."""
-        return self.code == "replaced" and self.base.shape[-1] > 1
+    def apart(self) -> bool:
+        """Whether each output has sizes of its own."""
+        return self.base.ndim == 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Test:
+    """A family whitened, with what makes Δ of eq. (1) of it.
+
+    Attributes
+    ----------
+    parts : tuple of (outputs, columns (n, q) or (n, M, q), roots (K, q, q))
+        Δ is the square of a root times Z'e.
+    ranks, limits : (K,) arrays
+        Columns that the fit leaves, and Λ below which nothing is said.
+    tried : int
+    """
+
+    family: _Family
+    parts: tuple[tuple[Rows, Array, Array], ...]
+    ranks: Array
+    limits: Array
+    tried: int
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What eq. (1) needs of the positions, kept from one fit to the next.
+    """What eqs. (1) and (2) need of the positions, kept from one fit to the next.
 
     Attributes
     ----------
-    apart : tuple of (outputs, rows (B q, n))
-        Orthonormal rows, of the outputs that share a design.
-    together : (B' q', n M) array
-    widths, joint_widths : (q, q')
-    ranks : (B + B',) array
-    limits : (B + B',) array
-        Of Λ, below which nothing is said.
-    places : tuple of (code, row or None, number tried, whether every term changes)
-        Of each block.
+    order : (n,) array of int
+    groups : tuple of (outputs, Q (n, p))
+        Outputs that share a design, rows in the order of time.
+    across : (n, C) array or None
+        Directions in which the noise of rows is compared, of unknown orientations.
+    bases : tuple of (n, p) arrays
+        Q of each output.
+    weight : (n, M) array
+        What whitens readings.
     nu, freedom : float
         ν of an output, and N.
-    slow : tuple of (outputs, Ω (n, n))
-    slow_limit : float
-        Of T, below which nothing is said.
+    tests : tuple of _Test
+    codes : int
+        Number of causes.
+    slow : (mean, sd, skewness) of T, or None
     """
 
     order: Rows
-    apart: tuple[tuple[Rows, Array], ...]
-    together: Array
-    widths: tuple[int, int]
-    ranks: Array
-    limits: Array
-    places: tuple[tuple[str, int | None, int, bool], ...]
+    groups: tuple[tuple[Rows, Array], ...]
+    across: Array | None
+    bases: tuple[Array, ...]
+    weight: Array
     nu: float
     freedom: float
-    slow: tuple[tuple[Rows, Array], ...]
-    slow_limit: float
+    tests: tuple[_Test, ...]
+    codes: int
+    slow: tuple[float, float, float] | None
+
+
+class Shown(NamedTuple):
+    """What causes explain in B units, one row each of C causes.
+
+    Attributes
+    ----------
+    codes : tuple of str
+    score : (C, B) array
+        S of eq. (3), −inf of what chance may do as well.
+    p : (C, B) array
+        Chance of any cause, searches included.
+    step : (C, B) array of int
+        The first row after a change, in the order of time.
+    wholly : (C,) array of bool
+    """
+
+    codes: tuple[str, ...]
+    score: Array
+    p: Array
+    step: Rows
+    wholly: NDArray[np.bool_]
 
 
 def time_order(c: Calibration) -> Rows:
     """Return the rows (n,) in the order of time, by their column or as they stand."""
-    time = c.readings.environment.get(_TIME)
+    time = c.readings.environment.get(TIME)
     if time is None or not np.isfinite(time).all():
         return np.arange(len(c.readings))
     return np.argsort(time, kind="stable")
@@ -175,8 +222,8 @@ def asked(c: Calibration) -> bool:
     if not np.isfinite(c.residual_sd).all():
         return False
     nothing = _ROUNDING * np.abs(c.readings.values).max(axis=0)
-    identifiable = bool((c.residual_sd > nothing).all())
-    return plain and known and identifiable and (noise is None or noise.ndim == 1)
+    scattered = bool((c.residual_sd > nothing).all())
+    return plain and known and scattered and (noise is None or noise.ndim == 1)
 
 
 def search(c: Calibration) -> tuple[Cause, ...]:
@@ -187,23 +234,18 @@ def search(c: Calibration) -> tuple[Cause, ...]:
     c : Calibration
         With `asked(c)`.
     """
-    if c.estimator is Estimator.UNKNOWN:
-        plan, e = _at_unknown(c)
-    else:
-        plan = _plan_of(_Setting(c))
-        e = c.residuals / c.sd_of_readings
+    plan, e, slopes = residuals_in_order(c)
     if plan is None:
         return ()
-    square = np.einsum("nm,nm->m", e, e)
-    if not (square > 0.0).all():
-        return ()
-    gains, lost, slow = _gains(plan, (e / np.sqrt(square)).T[:, None])
-    found = []
-    if (gains > plan.limits[:, None]).any():
-        found = _best(plan, gains[:, 0], lost[:, :, 0])
-    if slow[0] > plan.slow_limit:
-        found.append(Cause(SLOW, slow_gain(c, plan.order), 1, 1, LEVEL))
-    return tuple(found)
+    found = search_units(plan, e.T[:, None], slopes[None])
+    causes: dict[str, Cause] = {}
+    for place, code in enumerate(found.codes):
+        score, p, step = (float(part[place, 0]) for part in found[1:4])
+        before = causes.get(code)
+        if score > (-math.inf if before is None else before.score):
+            row = int(plan.order[int(step)]) if code in _CHANGES else None
+            causes[code] = Cause(code, score, p, row, bool(found.wholly[place]))
+    return tuple(causes.values())
 
 
 def plan_of(c: Calibration) -> Plan | None:
@@ -211,64 +253,149 @@ def plan_of(c: Calibration) -> Plan | None:
     return _plan_of(_Setting(c)) if asked(c) and c.estimator is Estimator.LINEAR else None
 
 
-def shown_in_units(plan: Plan, residuals: Array) -> NDArray[np.bool_]:
-    """Return of which units (B,) residuals (M, B, n) show a cause, at a first sight."""
-    size = np.sqrt(np.einsum("mbn,mbn->mb", residuals, residuals))
+def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
+    """Return what the causes explain in B units.
+
+    Parameters
+    ----------
+    plan : Plan
+    residuals : (M, B, n) array
+        Whitened.
+    slopes : (B, M, 3) array
+        Of the outputs per g, by the same standard deviations.
+    """
+    e = np.ascontiguousarray(residuals.transpose(2, 0, 1)[plan.order])
+    size = np.sqrt(np.einsum("nmb,nmb->mb", e, e))
     whole = (size > 0.0).all(axis=0)
-    gains, _, slow = _gains(plan, residuals / np.where(size > 0.0, size, 1.0)[:, :, None])
-    return np.asarray(
-        whole & ((gains > plan.limits[:, None]).any(axis=0) | (slow > plan.slow_limit))
-    )
+    size = np.where(size > 0.0, size, 1.0)
+    e, slopes = e / size, slopes / size.T[:, :, None]
+    shape = len(plan.tests) + 1, e.shape[2]
+    score, p, step = np.full(shape, -np.inf), np.ones(shape), np.zeros(shape, dtype=np.intp)
+    for row, test in enumerate(plan.tests):
+        place, gain, explained = _best_steps(test, e, plan.nu)
+        step[row] = test.family.steps[place]
+        units = np.flatnonzero((gain > test.limits[place]) & whole)
+        if len(units):
+            given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
+            p[row, units], score[row, units] = _judge(plan, test, *given)
+    if whole.all():
+        _judge_slow(plan, e, score[-1], p[-1])
+    codes = (*(test.family.code for test in plan.tests), SLOW)
+    wholly = np.array([*(test.family.wholly for test in plan.tests), False])
+    return Shown(codes, score, p, step, wholly)
 
 
-def _gains(plan: Plan, e: Array) -> tuple[Array, Array, Array]:
-    """Return Λ of every block (K, B), Δ_i/e_i'e_i (K, M, B) and T (B,), of unit e_i (M, B, n)."""
-    m, count, _ = e.shape
-    q, joint = plan.widths
-    blocks = len(plan.apart[0][1]) // q if q else 0
-    explained = np.empty((len(plan.places), m, count))
-    for outputs, rows in plan.apart if q else ():
+def _best_steps(test: _Test, e: Array, nu: float) -> tuple[Rows, Array, Array]:
+    """Return the likeliest step (B,), Λ there (B,) and Δ_i/e_i'e_i (M, B), of unit e (n, M, B)."""
+    _, m, count = e.shape
+    steps = test.family.steps
+    explained = np.empty((len(steps), m, count))
+    for outputs, columns, roots in test.parts:
+        if columns.ndim == 3:
+            along = roots @ _from_each(columns.transpose(0, 2, 1) @ e, steps)
+            explained[:] = np.einsum("kqb,kqb->kb", along, along)[:, None] / m
+            continue
         for output in outputs.tolist():
-            along = (rows @ e[output].T).reshape(blocks, q, count)
-            explained[:blocks, output] = np.einsum("kqb,kqb->kb", along, along)
-    if joint:
-        flat = e.transpose(2, 0, 1).reshape(-1, count)
-        along = (plan.together @ flat).reshape(-1, joint, count)
-        explained[blocks:] = np.einsum("kqb,kqb->kb", along, along)[:, None] / m
-    lost = np.minimum(explained, 1.0 - 1e-15)
-    slow = np.zeros(count)
-    for outputs, omega in plan.slow:
-        for output in outputs.tolist():
-            slow += np.einsum("bn,bn->b", e[output], e[output] @ omega)
-    return -plan.nu * np.log1p(-lost).sum(axis=1), lost, slow
+            along = roots @ _from_each(columns[:, :, None] * e[:, [output]], steps)
+            explained[:, output] = np.einsum("kqb,kqb->kb", along, along)
+    np.minimum(explained, 1.0 - _ROUNDING, out=explained)
+    gain = -nu * np.log(np.prod(1.0 - explained, axis=1))
+    place = np.argmax(gain - test.limits[:, None], axis=0)
+    units = np.arange(count)
+    return place, gain[place, units], explained[place, :, units].T
 
 
-def _best(plan: Plan, gains: Array, lost: Array) -> list[Cause]:
-    """Return the most likely place of every cause that is beyond chance."""
-    found: dict[str, Cause] = {}
-    blocks = len(plan.apart[0][1]) // plan.widths[0] if plan.widths[0] else 0
-    for place in np.flatnonzero(gains > plan.limits).tolist():
-        code, row, tried, wholly = plan.places[place]
-        rank = float(plan.ranks[place])
-        if place < blocks:
-            q, nu = rank / lost.shape[1], plan.nu
-            ratios = tuple(x / q / ((1.0 - x) / (nu - q)) for x in lost[place].tolist())
-            outputs = tuple(map(str, range(len(ratios))))
-            p = ModelTest(code, outputs, ratios, ((q, nu - q),) * len(ratios)).p
-        else:
-            p = _joint_p(float(gains[place]), rank, plan.freedom)
-        cause = Cause(code, float(gains[place]), int(rank), tried, min(p * tried, 1.0), row, wholly)
-        before = found.get(code)
-        if cause.p < LEVEL and (
-            before is None or cause.score(plan.freedom) > before.score(plan.freedom)
-        ):
-            found[code] = cause
-    return list(found.values())
+def _from_each(columns: Array, steps: Rows) -> Array:
+    """Return the sums (K, …) of columns (n, …) over the rows from each of K steps on."""
+    between = np.add.reduceat(columns, steps, axis=0)
+    return np.asarray(np.cumsum(between[::-1], axis=0)[::-1])
 
 
-def _joint_p(gain: float, q: float, freedom: float) -> float:
-    left = freedom - q
-    return f_tail(math.expm1(min(gain / freedom, 600.0)) * left / q, q, left)
+def _log_tails(ratios: Array, q: Array, left: Array) -> Array:
+    """Return ln P of ratios (R, U) of variances on q and left (U,) degrees of freedom."""
+    logs = np.empty(ratios.shape)
+    if ratios.shape[1] <= _FEW:
+        for place in np.ndindex(ratios.shape):
+            tail = f_tail(float(ratios[place]), float(q[place[1]]), float(left[place[1]]))
+            logs[place] = math.log(max(tail, 1e-300))
+        return logs
+    for rank in np.unique(q).tolist():
+        mine = q == rank
+        logs[:, mine] = f_log_tails(ratios[:, mine], rank, float(left[mine][0]))
+    return logs
+
+
+def _together(logs: Array) -> Array:
+    """Return p (U,) of Fisher's sum over ln P (R, U): an even χ², which has a closed form."""
+    half, term, total = -logs.sum(axis=0), 1.0, 0.0
+    for j in range(len(logs)):
+        total, term = total + term, term * half / (j + 1.0)
+    return np.asarray(np.exp(-half) * total)
+
+
+def _judge(
+    plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows, explained: Array, gain: Array
+) -> tuple[Array, Array]:
+    """Return p (U,) and S (U,) of units whose Λ is beyond the limit."""
+    q, m = test.ranks[place], e.shape[1]
+    if test.family.apart:
+        left, columns = plan.nu - q, q * m
+        ratios = explained / (1.0 - explained) * (left / q)
+    else:
+        left, columns = plan.freedom - q, q
+        ratios = (np.expm1(gain / plan.freedom) * left / q)[None]
+        after = np.arange(len(e)) >= test.family.steps[place][:, None]
+        Z = _moved(test.family.base, slopes) * plan.weight[..., None] * after[:, :, None, None]
+        gain = fit_sizes(plan.bases, Z, np.moveaxis(e, 2, 0))[1]
+    p = np.minimum(_together(_log_tails(ratios, q, left)) * test.tried * plan.codes, 1.0)
+    score = gain - columns * math.log(plan.freedom) - 2.0 * math.log(test.tried)
+    return p, np.where(p < LEVEL, score, -np.inf)
+
+
+def _moved(base: Array, slopes: Array) -> Array:
+    """Return columns (…, n, M, q) of outputs of some slopes (…, M, 3) that move together."""
+    if base.shape[1] == 1:
+        return base
+    return np.asarray(np.einsum("naq,...ma->...nmq", base, slopes))
+
+
+def fit_sizes(bases: Sequence[Array], Z: Array, e: Array) -> tuple[Array, Array]:
+    """Return the sizes (U, q) of columns Z (U, n, M, q) common to outputs, and Λ (U,).
+
+    Outputs of e (U, n, M) are weighted by what they scatter beside the cause, which alternates
+    with the sizes.
+    """
+    V = np.empty(Z.shape)
+    for i, Q in enumerate(bases):
+        V[:, :, i] = Z[:, :, i] - Q @ (Q.T @ Z[:, :, i])
+    nu = np.array([len(Q) - Q.shape[1] for Q in bases], dtype=np.float64)
+    gram = np.einsum("unmq,unmr->umqr", V, V)
+    along = np.einsum("unmq,unm->umq", V, e)
+    square = np.einsum("unmq,unmq->umq", Z, Z)
+    before = now = np.einsum("unm,unm->um", e, e)
+    for _ in range(_ROUNDS):
+        weight = (nu / now)[:, :, None]
+        roots, _ = _roots(np.sum(weight[..., None] * gram, axis=1), np.sum(weight * square, axis=1))
+        half = roots @ np.sum(weight * along, axis=1)[:, :, None]
+        sizes = (roots.transpose(0, 2, 1) @ half)[:, None, :, 0]
+        left = np.sum(sizes * ((gram @ sizes[..., None])[..., 0] - 2.0 * along), axis=2)
+        now = np.maximum(before + left, _ROUNDING * before)
+    return sizes[:, 0], np.log(before / now) @ nu
+
+
+def _roots(gram: Array, size: Array) -> tuple[Array, Array]:
+    """Return R (K, q, q), R'R the inverse of V'V (K, q, q), and its rank (K,).
+
+    Directions of which a fit leaves no more than rounding of their size Z'Z (K, q) count as zero.
+    """
+    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    unit = gram / (scale[:, :, None] * scale[:, None, :])
+    unit = np.where(np.isfinite(unit), unit, 0.0)  # of readings beyond all numbers
+    values, vectors = np.linalg.eigh(unit)
+    kept = values > _IDENTIFIABLE
+    root = np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    rows = (vectors * root[:, None, :]).transpose(0, 2, 1) / scale[:, None, :]
+    return rows, kept.sum(axis=1).astype(np.float64)
 
 
 class _Setting:
@@ -305,93 +432,73 @@ class _Setting:
 def _plan_of(setting: _Setting) -> Plan | None:
     """Return the plan at known orientations."""
     c = setting.calibration
-    n, m = c.residuals.shape
-    phi = c.model.basis(c.reference, c.readings.environment)
-    weight = np.ones((n, m)) if setting.weight is None else setting.weight
-    alike: dict[tuple[bytes, bytes], list[int]] = {}
+    weight = np.ones(c.residuals.shape) if setting.weight is None else setting.weight
+    groups = _designs(c, weight)
+    families = _families(c, max(Q.shape[1] for _, Q in groups))
+    return _planned(time_order(c), families, groups, weight, setting.slopes)
+
+
+def _designs(c: Calibration, weight: Array) -> tuple[tuple[Rows, Array], ...]:
+    """Return outputs that share a design, and its Q (n, p) weighted, rows in the order of time."""
+    order, phi = time_order(c), c.model.basis(c.reference, c.readings.environment)
+    shared: dict[tuple[bytes, bytes], list[int]] = {}
     for i, columns in enumerate(c.model.columns):
-        alike.setdefault((columns.tobytes(), weight[:, i].tobytes()), []).append(i)
-    groups = [np.array(outputs, dtype=np.intp) for outputs in alike.values()]
-    bases = []
-    for outputs in groups:
-        i = int(outputs[0])
-        bases.append(np.linalg.qr(phi[:, c.model.columns[i]] * weight[:, [i]])[0])
-    p = max(Q.shape[1] for Q in bases)
-    families = _families(c, setting.slopes, p)
-    return _planned(c, families, groups, bases, weight)
+        shared.setdefault((columns.tobytes(), weight[:, i].tobytes()), []).append(i)
+    groups = []
+    for outputs in shared.values():
+        design = phi[:, c.model.columns[outputs[0]]] * weight[:, [outputs[0]]]
+        groups.append((np.array(outputs, dtype=np.intp), np.linalg.qr(design[order])[0]))
+    return tuple(groups)
 
 
 def _planned(
-    c: Calibration,
+    order: Rows,
     families: list[_Family],
-    groups: list[Rows],
-    bases: list[Array],
+    groups: tuple[tuple[Rows, Array], ...],
     weight: Array,
-    alike: Array | float = 1.0,
+    slopes: Array,
+    across: Array | None = None,
 ) -> Plan | None:
-    """Return the plan of families, Q of each group of outputs, and what whitens readings (n, M).
-
-    `alike` (n, n) is by how much rows have the same noise in them.
-    """
+    """Return the plan of families, with what whitens readings (n, M), or None of no residuals."""
     n, m = weight.shape
-    order = time_order(c)
-    rank = np.empty(n, dtype=np.intp)
-    rank[order] = np.arange(n)
-    nu = float(n - max(Q.shape[1] for Q in bases))
-    freedom = nu * m
+    nu = float(n - max(Q.shape[1] for _, Q in groups))
     if nu < 1.0:
         return None
-    apart = [family for family in families if family.base.ndim == 2]
-    joint = [family for family in families if family.base.ndim == 3]
-    shared: list[tuple[Rows, Array]] = []
-    ranks: Array = np.zeros(0)
-    q = max((family.base.shape[1] for family in apart), default=0)
-    for outputs, Q in zip(groups, bases, strict=True):
-        scale = weight[:, [int(outputs[0])]]
-        parts = []
-        for family in apart:
-            base = family.base @ np.eye(family.base.shape[1], q)
-            Z = _stepped(base * scale, family.steps, rank)
-            parts.append(_orthonormal(Z - Q @ (Q.T @ Z), Z))
-        rows = np.concatenate(parts) if parts else np.zeros((0, q, n))
-        ranks = np.count_nonzero(rows.any(axis=2), axis=1).astype(np.float64)
-        shared.append((outputs, rows.reshape(-1, n)))
-    wide = max((family.base.shape[2] for family in joint), default=0)
-    together = []
-    for family in joint:
-        base = (family.base * weight[:, :, None]) @ np.eye(family.base.shape[2], wide)
-        Z = _stepped(base, family.steps, rank)
-        V = Z.copy()
-        for outputs, Q in zip(groups, bases, strict=True):
-            for i in outputs.tolist():
-                V[:, :, i] -= Q @ (Q.T @ Z[:, :, i])
-        size = len(Z), n * m, wide
-        together.append(_orthonormal(V.reshape(size), Z.reshape(size)))
-    rows = np.concatenate(together) if together else np.zeros((0, wide, n * m))
-    joint_ranks = np.count_nonzero(rows.any(axis=2), axis=1)
-    all_ranks = np.concatenate([ranks * m, joint_ranks])
-    places: list[tuple[str, int | None, int, bool]] = []
-    for family in (*apart, *joint):
-        steps = [None] if family.steps is None else order[family.steps].tolist()
-        tried = len(steps) * sum(f.code == family.code for f in families)
-        places += [(family.code, row, tried, family.wholly) for row in steps]
-    limits = [
-        _limit(q_, freedom, tried) for q_, (_, _, tried, _) in zip(all_ranks, places, strict=True)
-    ]
-    slow, slow_limit = _slow(groups, bases, rank, alike)
-    return Plan(
-        order=order,
-        apart=tuple(shared),
-        together=rows.reshape(-1, n * m),
-        widths=(q, wide),
-        ranks=all_ranks,
-        limits=np.array(limits),
-        places=tuple(places),
-        nu=nu,
-        freedom=freedom,
-        slow=slow,
-        slow_limit=slow_limit,
-    )
+    codes = len({family.code for family in families}) + 1
+    tests, weight = [], weight[order]
+    for family in families:
+        tried = sum(len(other.steps) for other in families if other.code == family.code)
+        parts, ranks = _whitened(family, groups, weight, slopes)
+        columns = ranks * (m if family.apart else 1)
+        limits = np.array([_limit(q, nu * m, tried * codes) for q in columns.tolist()])
+        tests.append(_Test(family, parts, ranks, limits, tried))
+    by_output = {output: Q for outputs, Q in groups for output in outputs.tolist()}
+    bases = tuple(by_output[i] for i in range(m))
+    slow = None if across is not None and n > _MOST else _law_of_slow(groups, across)
+    return Plan(order, groups, across, bases, weight, nu, nu * m, tuple(tests), codes, slow)
+
+
+def _whitened(
+    family: _Family, groups: tuple[tuple[Rows, Array], ...], weight: Array, slopes: Array
+) -> tuple[tuple[tuple[Rows, Array, Array], ...], Array]:
+    """Return the parts of a test, one of each group or one of all outputs, and its ranks."""
+    apart = family.apart
+    moved = np.zeros(0) if apart else _moved(family.base, slopes) * weight[:, :, None]
+    parts, grams, sizes = [], [], []
+    for outputs, Q in groups:
+        for output in outputs[:1].tolist() if apart else outputs.tolist():
+            Z = family.base * weight[:, [output]] if apart else moved[:, output]
+            square = _from_each(Z[:, :, None] * Z[:, None, :], family.steps)
+            lost = _from_each(Q[:, :, None] * Z[:, None, :], family.steps)
+            grams.append(square - lost.transpose(0, 2, 1) @ lost)
+            sizes.append(np.einsum("kqq->kq", square))
+            parts.append((outputs, Z))
+    if not apart:
+        parts = [(np.arange(len(slopes)), moved)]
+        grams, sizes = [np.sum(grams, axis=0)], [np.sum(sizes, axis=0)]
+    found = [_roots(gram, size) for gram, size in zip(grams, sizes, strict=True)]
+    ranks = np.max([rank for _, rank in found], axis=0)
+    return tuple((*part, root) for part, (root, _) in zip(parts, found, strict=True)), ranks
 
 
 def _limit(q: float, freedom: float, tried: int) -> float:
@@ -403,70 +510,162 @@ def _limit(q: float, freedom: float, tried: int) -> float:
     return freedom * math.log1p(q * f / left) if math.isfinite(f) else math.inf
 
 
-def _stepped(base: Array, steps: Rows | None, rank: Rows) -> Array:
-    """Return columns (K, n, …) times a step at each of K rows."""
-    if steps is None:
-        return base[None]
-    after = (rank >= steps[:, None]).astype(np.float64)
-    return np.asarray(after.reshape(*after.shape, *(1,) * (base.ndim - 1)) * base)
+def _correlation(n: int) -> float:
+    """Return ρ of eq. (2)."""
+    return min(max(1.0 - 5.0 / n, 0.5), 0.95)
 
 
-def _orthonormal(V: Array, Z: Array) -> Array:
-    """Return orthonormal rows (K, q, r) of V (K, r, q); of what is no more than rounding, zeros."""
-    scale = np.sqrt(np.einsum("krq,krq->kq", Z, Z))[:, None]
-    U = V / np.where(scale > 0.0, scale, 1.0)
-    U = np.where(np.isfinite(U), U, 0.0)  # of readings beyond all numbers
-    values, vectors = np.linalg.eigh(U.transpose(0, 2, 1) @ U)
-    identifiable = values > _IDENTIFIABLE
-    roots = np.where(identifiable, 1.0 / np.sqrt(np.where(identifiable, values, 1.0)), 0.0)
-    return np.asarray((U @ vectors * roots[:, None]).transpose(0, 2, 1))
+def _judge_slow(plan: Plan, e: Array, score: Array, p: Array) -> None:
+    """Fill in S and p (B,) of slow noise, of unit e (n, M, B)."""
+    if plan.slow is None:
+        return
+    n = len(e)
+    w = e if plan.across is None else plan.across[:, :, None] * e
+    before = recur(w.reshape(n, -1), _correlation(n)).reshape(w.shape)
+    T = np.einsum("ncb,ncb->b", w, 2.0 * before - w)
+    mean, sd, skewness = plan.slow
+    k = 8.0 / skewness**2
+    level = LEVEL / plan.codes
+    limit = mean + sd * (chi2_quantile(1.0 - level, k) - k) / math.sqrt(2.0 * k)
+    units = np.flatnonzero(limit < T)
+    if not len(units):
+        return
+    score[units] = _slow_gains(plan, e[:, :, units]) - math.log(plan.freedom)
+    for unit in units.tolist():
+        chance = chi2_tail(k + math.sqrt(2.0 * k) * (float(T[unit]) - mean) / sd, k)
+        p[unit] = min(chance * plan.codes, LEVEL)
 
 
-def _families(c: Calibration, slopes: Array, p: int) -> list[_Family]:
+def _law_of_slow(
+    groups: tuple[tuple[Rows, Array], ...], across: Array | None
+) -> tuple[float, float, float] | None:
+    """Return the mean, the standard deviation and the skewness of T of eq. (2)."""
+    mean = variance = third = 0.0
+    for outputs, Q in groups:
+        nu, k = float(len(Q) - Q.shape[1]), len(outputs)
+        once, twice, thrice = _traces(Q, across)
+        center = once / nu
+        second = twice - center * once
+        mean += k * center
+        variance += k * 2.0 * second / (nu * (nu + 2.0))
+        rest = thrice - 3.0 * center * twice + 2.0 * nu * center**3
+        third += k * 8.0 * rest / (nu * (nu + 2.0) * (nu + 4.0))
+    if not variance > _ROUNDING:
+        return None
+    return mean, math.sqrt(variance), max(third / variance**1.5, 0.01)
+
+
+def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
+    """Return the traces of PΩ, (PΩ)² and (PΩ)³, P = 1 − QQ'."""
+    n, rho = len(Q), _correlation(len(Q))
+    A = np.ones((n, 1)) if across is None else across
+
+    def correlated(X: Array) -> Array:
+        """Return ΩX."""
+        w = (A[:, :, None] * X[:, None]).reshape(n, -1)
+        z = (recur(w, rho) + recur(w[::-1], rho)[::-1] - w).reshape(n, A.shape[1], -1)
+        return np.asarray(np.einsum("nc,ncp->np", A, z))
+
+    if across is None:  # of triples of rows 6 d (n − d) lie d apart
+        d = np.arange(1.0, n)
+        square = rho ** (2.0 * d) * (n - d)
+        powers = n, n + 2.0 * square.sum(), n + 6.0 * (square @ d)
+    else:
+        W = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * (A @ A.T)
+        powers = W.trace(), np.sum(W * W), np.sum((W @ W) * W)
+    once = correlated(Q)
+    a, b, c = Q.T @ once, once.T @ once, once.T @ correlated(once)
+    return (
+        float(powers[0] - a.trace()),
+        float(powers[1] - 2.0 * b.trace() + np.sum(a * a)),
+        float(powers[2] - 3.0 * c.trace() + 3.0 * np.sum(a * b) - np.sum((a @ a) * a)),
+    )
+
+
+def slow_score(c: Calibration) -> float:
+    """Return S of rows correlated as ρ^|j − k|."""
+    plan, e, _ = residuals_in_order(c)
+    if plan is None:
+        return -math.inf
+    gains = _slow_gains(plan, e[plan.order][:, :, None])
+    return float(gains[0]) - math.log(plan.freedom)
+
+
+def _slow_gains(plan: Plan, e: Array) -> Array:
+    """Return twice the gain (B,) in restricted likelihood of correlated rows, of e (n, M, B)."""
+    best = np.zeros(e.shape[2])
+    for rho in _CORRELATIONS:
+        gain = np.zeros(e.shape[2])
+        for outputs, Q in plan.groups:
+            whiten, logs = _whitening(len(e), rho, plan.across)
+            each = e[:, outputs]
+            design, R = np.linalg.qr(whiten(Q))
+            white = whiten(each.reshape(len(e), -1))
+            white -= design @ (design.T @ white)
+            left = np.einsum("nb,nb->b", white, white).reshape(each.shape[1:])
+            ratio = left / np.einsum("nmb,nmb->mb", each, each)
+            gain -= plan.nu * np.log(ratio).sum(axis=0)
+            gain -= len(outputs) * 2.0 * (logs + float(np.log(np.abs(np.diag(R))).sum()))
+        best = np.maximum(best, gain)
+    return best
+
+
+def _whitening(n: int, rho: float, across: Array | None) -> tuple[Callable[[Array], Array], float]:
+    """Return what whitens rows (n, q) of a correlation, and half of its ln det."""
+    if across is not None:
+        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        L = np.linalg.cholesky(rho**gap * (across @ across.T))
+        return partial(np.linalg.solve, L), float(np.log(np.diag(L)).sum())
+    root = math.sqrt(1.0 - rho**2)
+
+    def whiten(rows: Array) -> Array:
+        return np.concatenate([rows[:1], (rows[1:] - rho * rows[:-1]) / root])
+
+    return whiten, (n - 1.0) * math.log(root)
+
+
+def _families(c: Calibration, p: int) -> list[_Family]:
     """Return the columns of every cause that these rows can have, p terms an output."""
-    n = len(c.readings)
-    f, order = c.reference, time_order(c)
-    time = c.readings.environment.get(_TIME, np.zeros(0))
-    t = np.empty(n)
-    t[order] = np.arange(n)
-    if len(time) and np.isfinite(time).all() and np.ptp(time) > 0.0:
-        t = np.asarray(time, dtype=np.float64)
-    t = t - t.mean()
+    n, order = len(c.readings), time_order(c)
+    f, start = c.reference[order], np.zeros(1, dtype=np.intp)
+    t = np.arange(n, dtype=np.float64)
+    time = c.readings.environment.get(TIME)
+    if time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0:
+        t = np.asarray(time, dtype=np.float64)[order]
+    families = [_Family("drift", (t - t.mean())[:, None], start)]
     after = _some(_LEAST, n - _LEAST)
-    families = [_Family("drift", t[:, None])]
     if len(after):
-        turn = np.cross(f[:, None, :], slopes[None])  # K_i (ω × f) = ω (f × K_i)
+        turn = np.cross(f[:, None, :], np.eye(3))  # K_i (ω × f) = ω (f × K_i)
         families += [_Family("replaced", np.ones((n, 1)), after), _Family("slipped", turn, after)]
     wholly = _some(p + 1, n - p - 1)
     if len(wholly):
-        phi = c.model.basis(f, c.readings.environment)
-        families.append(_Family("replaced", phi, wholly))
-    before = f[order[np.maximum(np.arange(n) - 1, 0)]]
-    held = np.empty_like(f)
-    held[order] = before
-    families.append(_Family("settling", ((held - f) @ slopes.T)[:, :, None]))
-    return families + list(_stated(c, slopes))
+        phi = c.model.basis(c.reference, c.readings.environment)[order]
+        families.append(_Family("replaced", phi, wholly, wholly=True))
+    held = np.concatenate([f[:1], f[:-1]])
+    families.append(_Family("settling", (held - f)[:, :, None], start))
+    for code, base in _stated(c):
+        families.append(_Family(code, base[order], start))
+    return families
 
 
-def _stated(c: Calibration, slopes: Array) -> Iterable[_Family]:
+def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
     """Yield the columns of causes that need more than the order: approach, sd, attitudes, rolls."""
     n = len(c.readings)
     approach = c.readings.environment.get(APPROACH)
     if approach is not None and np.isfinite(approach).all() and np.ptp(approach) > 0.0:
-        yield _Family("hysteresis", approach[:, None])
+        yield "hysteresis", approach[:, None]
     sd = c.readings.sd
     if sd is not None:
         own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
-        if own.max() > _UNEQUAL * np.median(own) > 0.0:
-            yield _Family("vibration", own[:, None] ** 2)
+        if own.max() > UNEQUAL * np.median(own) > 0.0:
+            yield "vibration", own[:, None] ** 2
     rotation = c.readings.rotation
     if rotation is not None and np.isfinite(rotation).all():
-        level = np.einsum("mi,nij->nmj", slopes, rotation[:, :, :2])
-        yield _Family("level", level)
+        yield "level", rotation[:, :, :2]
     rolls = () if c.readings.up is None else find_rolls(c.readings)
     rolls = tuple(roll for roll in rolls if len(roll.rows) >= _TURN)
     if rolls:
-        yield _Family("table", table_effects(c, rolls, slopes).reshape(n, len(slopes), -1))
+        yield "table", table_effects(c, rolls, np.eye(3)).reshape(n, 3, -1)
 
 
 def _some(first: int, end: int) -> Rows:
@@ -476,75 +675,12 @@ def _some(first: int, end: int) -> Rows:
     return np.unique(np.linspace(first, end - 1, _MOST).astype(np.intp))
 
 
-def _slow(
-    groups: list[Rows], bases: list[Array], rank: Rows, alike: Array | float
-) -> tuple[tuple[tuple[Rows, Array], ...], float]:
-    """Return Ω of eq. (2), and the T that chance alone seldom passes."""
-    n = len(rank)
-    rho = min(max(1.0 - 5.0 / n, 0.5), 0.95)
-    omega = rho ** np.abs(rank[:, None] - rank) * alike
-    mean = variance = low = high = 0.0
-    for outputs, Q in zip(groups, bases, strict=True):
-        nu = n - Q.shape[1]
-        P = np.eye(n) - Q @ Q.T
-        values = np.linalg.eigvalsh(P @ omega @ P)[n - nu :]
-        k = len(outputs)
-        mean += k * float(values.mean())
-        variance += k * 2.0 * float(values.var()) / (nu + 2.0)
-        low, high = low + k * float(values[0]), high + k * float(values[-1])
-    span = high - low
-    x = (mean - low) / span if span > 0.0 else 0.5
-    spread = variance / span**2 if span > 0.0 else 0.0
-    if not spread > 0.0:
-        return (), math.inf
-    size = x * (1.0 - x) / spread - 1.0
-    f = f_quantile(1.0 - LEVEL, 2.0 * x * size, 2.0 * (1.0 - x) * size)
-    share = x * f / ((1.0 - x) + x * f)
-    return tuple((outputs, omega) for outputs in groups), low + span * share
-
-
-def slow_gain(c: Calibration, order: Rows) -> float:
-    """Return twice the gain in restricted likelihood of rows correlated as ρ^|j − k|."""
-    n = len(order)
-    rank = np.empty(n, dtype=np.intp)
-    rank[order] = np.arange(n)
-    gap = np.abs(rank[:, None] - rank)
-    if c.estimator is Estimator.UNKNOWN:
-        X, e, across = _along_normals(c)
-        problems = [(X, e, across @ across.T)]
-    else:
-        phi = c.model.basis(c.reference, c.readings.environment)
-        sd = c.sd_of_readings
-        error = c.residuals / sd
-        problems = [
-            (phi[:, columns] / sd[:, [i]], error[:, i], np.ones((n, n)))
-            for i, columns in enumerate(c.model.columns)
-        ]
-    best = 0.0
-    for rho in (0.5, 0.7, 0.8, 0.9, 0.95, 0.98):
-        R = rho**gap
-        best = max(best, sum(_restricted(X, e, R * alike) for X, e, alike in problems))
-    return best
-
-
-def _restricted(X: Array, e: Array, R: Array) -> float:
-    """Return twice the logarithm of the restricted likelihood of R over that of white noise."""
-    n, p = X.shape
-    both = np.column_stack([X, e])
-    plain = np.abs(np.diag(np.linalg.qr(both, mode="r")))
-    L = np.linalg.cholesky(R)
-    size = np.abs(np.diag(np.linalg.qr(np.linalg.solve(L, both), mode="r")))
-    logs = float(np.log(np.diag(L)).sum() + np.log(size[:p] / plain[:p]).sum())
-    return float(-2.0 * (logs + (n - p) * math.log(float(size[p] / plain[p]))))
-
-
 def _along_normals(c: Calibration) -> tuple[Array, Array, Array]:
     """Return design (n, p), misfit (n,) and whitening vectors (n, M) of unknown orientations."""
     f = c.reference
     H = c.model.force_jacobian(c.parameters, f, c.readings.environment)
     normal = np.linalg.solve(H.transpose(0, 2, 1), f[:, :, None])[:, :, 0]
-    sd = c.sd_of_readings
-    across = normal * sd
+    across = normal * c.sd_of_readings
     size = np.sqrt(np.einsum("nm,nm->n", across, across))[:, None]
     jacobian = parameter_jacobian(c.model, c.parameters, f, c.readings.environment)
     weight = normal / size
@@ -555,220 +691,61 @@ def _along_normals(c: Calibration) -> tuple[Array, Array, Array]:
     )
 
 
-def _at_unknown(c: Calibration) -> tuple[Plan | None, Array]:
-    """Return the plan of misfits along the force, as of one output, and these (n, 1)."""
+def residuals_in_order(c: Calibration) -> tuple[Plan | None, Array, Array]:
+    """Return the plan, whitened residuals (n, M) and slopes (M, 3) of a calibration.
+
+    At unknown orientations the residuals are misfits along the force, as of one output.
+    """
+    if c.estimator is not Estimator.UNKNOWN:
+        setting = _Setting(c)
+        sd = c.sd_of_readings
+        slopes = c.sensitivity if setting.weight is not None else c.sensitivity / sd[0][:, None]
+        return _plan_of(setting), c.residuals / sd, slopes
     X, e, across = _along_normals(c)
     n, p = X.shape
     if n - p < 1:
-        return None, e[:, None]
-    Q = np.linalg.qr(X)[0]
-    weight = across / c.sd_of_readings
-    families = [
-        replace(family, base=_on_normals(family, X, weight))
-        for family in _families(c, c.sensitivity, p)
-        if family.code not in _OF_ATTITUDE
-    ]
-    one = [np.zeros(1, dtype=np.intp)]
-    plan = _planned(c, families, one, [Q], np.ones((n, 1)), across @ across.T)
-    return plan, (e - Q @ (Q.T @ e))[:, None]
+        return None, e[:, None], c.sensitivity
+    Q, order = np.linalg.qr(X)[0], time_order(c)
+    groups = ((np.zeros(1, dtype=np.intp), Q[order]),)
+    families = _on_normals(c, X[order], across[order])
+    plan = _planned(order, families, groups, np.ones((n, 1)), c.sensitivity[:1], across[order])
+    return plan, (e - Q @ (Q.T @ e))[:, None], c.sensitivity[:1]
 
 
-def _on_normals(family: _Family, X: Array, weight: Array) -> Array:
-    """Return what columns do to misfits along the force (n, 1, q), by the design X (n, p) there."""
-    if family.wholly:  # but for a turn
-        return X[:, None]
-    base = family.base
-    if base.ndim == 2:
-        return np.asarray(base[:, :, None] * weight[:, None])
-    return np.asarray(np.einsum("nmq,nm->nq", base, weight)[:, None])
+def _on_normals(c: Calibration, X: Array, across: Array) -> list[_Family]:
+    """Return what causes do to misfits along the force, (n, 1, q), by the design X (n, p) there."""
+    weight = across / c.sd_of_readings[time_order(c)]
+    families = []
+    for family in _families(c, X.shape[1]):
+        if family.code in _OF_ATTITUDE:
+            continue
+        if family.wholly:  # but for a turn
+            base = X[:, None]
+        elif family.apart:
+            base = (family.base[:, :, None] * weight[:, None]).reshape(len(X), 1, -1)
+        else:
+            moved = _moved(family.base, c.sensitivity)
+            base = np.einsum("nmq,nm->nq", moved, weight)[:, None]
+        families.append(replace(family, base=base))
+    return families
 
 
-def estimate(c: Calibration, cause: Cause) -> tuple[Cause, Array]:
-    """Return a cause with Λ by outputs of a scatter each, and its sizes (q,) or (q, M).
+def estimate(c: Calibration, cause: Cause) -> Array:
+    """Return the sizes (M, q) of a cause, in reading units per unit of its column.
 
-    Sizes are in reading units per unit of the column; outputs that move together are weighted in
-    turn by what they scatter beside the cause.
+    Outputs that move together have one, (1, q).
     """
-    families = _families(c, c.sensitivity, max(map(len, c.model.terms)))
-    family = next(f for f in families if (f.code, f.wholly) == (cause.code, cause.wholly))
-    order, sd = time_order(c), c.sd_of_readings
-    after = np.ones(len(order))
+    plan, e, slopes = residuals_in_order(c)
+    assert plan is not None
+    kind = (cause.code, cause.wholly)
+    family = next(t.family for t in plan.tests if (t.family.code, t.family.wholly) == kind)
+    after = np.ones(len(e))
     if cause.row is not None:
-        after[order] = np.arange(len(order)) >= int(np.flatnonzero(order == cause.row)[0])
-    if c.estimator is Estimator.UNKNOWN:
-        X, error, across = _along_normals(c)
-        Z = _on_normals(family, X, across / sd) * after[:, None, None]
-        return cause, _joint_sizes([np.linalg.qr(X)[0]], Z, error[:, None])[0]
-    base = family.base if family.base.ndim == 3 else family.base[:, None]
-    base = base * after[:, None, None]
-    phi = c.model.basis(c.reference, c.readings.environment)
-    bases = [
-        np.linalg.qr(phi[:, columns] / sd[:, [i]])[0] for i, columns in enumerate(c.model.columns)
-    ]
-    if base.shape[1] == 1:
-        apart = [
-            _joint_sizes([Q], base / sd[:, [i], None], c.residuals[:, [i]] / sd[:, [i]])[0]
-            for i, Q in enumerate(bases)
-        ]
-        return cause, np.column_stack(apart)
-    sizes, gain = _joint_sizes(bases, base / sd[:, :, None], c.residuals / sd)
-    return replace(cause, gain=gain), sizes
-
-
-def _joint_sizes(bases: list[Array], Z: Array, e: Array) -> tuple[Array, float]:
-    """Return the sizes (q,) of columns Z (n, M, q) common to outputs, and Λ."""
-    V = Z.copy()
-    for i, Q in enumerate(bases):
-        V[:, i] -= Q @ (Q.T @ Z[:, i])
-    nu = len(e) - np.array([Q.shape[1] for Q in bases])
-    before = now = np.einsum("nm,nm->m", e, e)
-    sizes = np.zeros(Z.shape[2])
-    for _ in range(_ROUNDS):
-        weight = np.sqrt(nu / now)
-        rows = (V * weight[:, None]).reshape(-1, V.shape[2])
-        sizes = np.linalg.lstsq(rows, (e * weight).ravel(), rcond=_ROUNDING)[0]
-        left = e - V @ sizes
-        now = np.maximum(np.einsum("nm,nm->m", left, left), _ROUNDING**2 * before)
-    return sizes, float(nu @ np.log(before / now))
-
-
-def describe(c: Calibration, cause: Cause, sizes: Array | None) -> Finding:
-    """Return what is said of a cause, with its size and what to do."""
-    return _SAID[cause.code](c, cause, np.zeros(0) if sizes is None else sizes)
-
-
-def _label(c: Calibration, cause: Cause) -> str:
-    assert cause.row is not None
-    return c.readings.labels[cause.row]
-
-
-def _say_drift(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    time = c.readings.environment.get(_TIME)
-    timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0
-    span = float(np.ptp(time)) if time is not None and timed else len(c.readings) - 1.0
-    whole = float(np.abs(sizes).max()) * span
-    return Finding(
-        "drift",
-        "warning",
-        f"readings drift by {whole:.2g} {c.model.unit} from the first row to the last "
-        f"(p = {cause.chance})",
-        "Fit the drift with --drift.",
-        p=cause.p,
-    )
-
-
-def _say_slipped(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    row = _label(c, cause)
-    degrees = math.degrees(float(np.linalg.norm(sizes)))
-    return Finding(
-        "slipped",
-        "warning",
-        f"from row {row} on the case is turned by {degrees:.2g} degrees, as one that slipped "
-        f"(p = {cause.chance}), and U leaves that out",
-        f"Give the rows from {row} on a name in a column `group`, the others none.",
-        (row,),
-        p=cause.p,
-    )
-
-
-def _say_replaced(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    row = _label(c, cause)
-    what = f"zeros, by up to {float(np.abs(sizes[0]).max()):.2g} {c.model.unit}"
-    what = "parameters" if cause.wholly else what
-    return Finding(
-        "replaced",
-        "warning",
-        f"from row {row} on the readings follow other {what} (p = {cause.chance}), as those of "
-        "another unit or switch-on",
-        f"Fit the rows before {row} and those from it on apart.",
-        (row,),
-        p=cause.p,
-    )
-
-
-def _say_settling(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    share = 100.0 * float(sizes.item())
-    return Finding(
-        "settling",
-        "warning",
-        f"readings hold {share:.2g} % of the row before (p = {cause.chance}), as a filter does "
-        "that has not settled",
-        "Wait longer at each position before it is read.",
-        p=cause.p,
-    )
-
-
-def _say_hysteresis(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    both = 2.0 * float(np.abs(sizes).max())
-    return Finding(
-        "hysteresis",
-        "warning",
-        f"readings differ by {both:.2g} {c.model.unit} with the side from which a position is "
-        f"approached (p = {cause.chance})",
-        "Approach all positions from one side, or each from both.",
-        p=cause.p,
-    )
-
-
-def _say_vibration(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    sd = c.readings.sd
-    assert sd is not None
-    own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
-    loud = np.flatnonzero(own > _UNEQUAL * np.median(own))
-    moved = float(np.abs(sizes).max() * own.max() ** 2)
-    return Finding(
-        "vibration",
-        "warning",
-        f"readings move by up to {moved:.2g} {c.model.unit} with the variance of their rests "
-        f"(p = {cause.chance}), as vibration is rectified",
-        "Measure these rests again with less of it, or set them aside with --exclude.",
-        tuple(c.readings.labels[i] for i in loud.tolist()),
-        p=cause.p,
-    )
-
-
-def _say_level(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    degrees = math.degrees(float(np.linalg.norm(sizes)))
-    return Finding(
-        "level",
-        "warning",
-        f"the attitudes show a table that is tilted by {degrees:.2g} degrees (p = {cause.chance})",
-        f"Level it, or fit with --level-sd {degrees:.1g}.",
-        p=cause.p,
-    )
-
-
-def _say_table(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    degrees = math.degrees(float(np.abs(sizes).max()))
-    return Finding(
-        "table",
-        "warning",
-        f"the residuals follow the angles of the rolls, as a table does that is off by "
-        f"{degrees:.1g} degrees (p = {cause.chance})",
-        f"Correct its angles by `multipos tumble`, or fit with --orientation-sd {degrees:.1g}.",
-        p=cause.p,
-    )
-
-
-def _say_slow(c: Calibration, cause: Cause, sizes: Array) -> Finding:
-    return Finding(
-        "time-correlated",
-        "warning",
-        "residuals are alike from one row to the next though the positions are not, and U is too "
-        "small",
-        "Give the rows a column `time`, of which U follows, or take the positions in random order.",
-        p=cause.p,
-    )
-
-
-_SAID: dict[str, Callable[[Calibration, Cause, Array], Finding]] = {
-    "drift": _say_drift,
-    "slipped": _say_slipped,
-    "replaced": _say_replaced,
-    "settling": _say_settling,
-    "hysteresis": _say_hysteresis,
-    "vibration": _say_vibration,
-    "level": _say_level,
-    "table": _say_table,
-    SLOW: _say_slow,
-}
+        after[: int(np.flatnonzero(plan.order == cause.row)[0])] = 0.0
+    e = e[None, plan.order]
+    if not family.apart:
+        Z = _moved(family.base, slopes) * (plan.weight * after[:, None])[:, :, None]
+        return fit_sizes(plan.bases, Z[None], e)[0]
+    Z = (family.base * after[:, None])[None, :, None] / c.sd_of_readings[plan.order][..., None]
+    pairs = enumerate(plan.bases)
+    return np.concatenate([fit_sizes([Q], Z[:, :, [i]], e[:, :, [i]])[0] for i, Q in pairs])

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics import noise_causes
 from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
-from multipos.diagnostics.row_order import Plan, plan_of, shown_in_units
+from multipos.diagnostics.row_order import Plan, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
@@ -173,7 +173,11 @@ def _find(
     if tests.soaks:
         singly |= missing
     if tests.order is not None:
-        singly |= shown_in_units(tests.order, error)
+        slopes = (
+            sensitivity if variance is None else sensitivity / np.sqrt(variance).transpose(1, 0, 2)
+        )
+        shown = search_units(tests.order, error, slopes)
+        singly |= np.isfinite(shown.score).any(axis=0)
     codes = {
         "missing-term": missing,
         "outlier": outlying,
