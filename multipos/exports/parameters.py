@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def parameter_target(
     name: str,
     formula: str,
     *,
-    raw_in_metres: bool,
+    raw: Literal["readings", "counts", "m/s^2"],
     write: Callable[[Calibration, Law, Wish], tuple[str, list[Finding]]],
     recognises: Callable[[str], bool],
     read: Callable[[str, str], Correction],
@@ -69,8 +69,8 @@ def parameter_target(
     name : str
     formula : str
         Terms of its law: LINEAR or DIAGONAL of `multipos.exports.laws`.
-    raw_in_metres : bool
-        Whether the consumer holds raw values in m/s², not in the unit of the readings.
+    raw : str
+        What the consumer holds: the readings, counts from the zero of its driver, or m/s².
     write : function
         Return the text of a file and findings from a calibration, its law in the consumer's unit,
         and what the user asks for.
@@ -90,8 +90,8 @@ def parameter_target(
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
         check_inputs(calibration, name, thermal=thermal)
-        metres = in_metres(calibration, name) if raw_in_metres else 1.0
-        zero = raw_zero(calibration) if raw_in_metres else 0.0
+        metres = in_metres(calibration, name) if raw == "m/s^2" else 1.0
+        zero = 0.0 if raw == "readings" else raw_zero(calibration)
         law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
@@ -112,8 +112,8 @@ def parameter_target(
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
         check_inputs(calibration, name, thermal=thermal)
         expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
-        metres = in_metres(calibration, name) if raw_in_metres else 1.0
-        zero = raw_zero(calibration) if raw_in_metres else 0.0
+        metres = in_metres(calibration, name) if raw == "m/s^2" else 1.0
+        zero = 0.0 if raw == "readings" else raw_zero(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
             residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres, -zero * metres))
             should = law_residuals(calibration, expected.correction)

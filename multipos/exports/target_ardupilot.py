@@ -116,7 +116,7 @@ def _read(path: str, text: str) -> Correction:
 ARDUPILOT = parameter_target(
     "ardupilot",
     DIAGONAL,
-    raw_in_metres=True,
+    raw="m/s^2",
     write=_write,
     recognises=lambda text: _GIVEN.search(text) is not None,
     read=_read,

@@ -96,7 +96,7 @@ def _numbers(path: str, held: dict[str, object], key: str) -> Array:
 IMUCAL = parameter_target(
     "imucal",
     LINEAR,
-    raw_in_metres=False,
+    raw="readings",
     write=_write,
     recognises=_recognises,
     read=_read,

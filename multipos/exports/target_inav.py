@@ -4,7 +4,7 @@ INAV finds g = (raw − acczero) accgain/(4096 · 1G) axis by axis, raw in count
 numbers all of them, with 1G the counts that its driver takes for a g; so that acczero = o and
 accgain = 4096 · 1G · T_ii, T_ii in g per count. 1G is that of the known drivers which is nearest
 to the calibrated scale factor, and is said; where a nominal conversion is stated, its
-scale. Rounding leaves up to half a count and 1/8192 g.
+scale, and raw counts from its bias. Rounding leaves up to half a count and 1/8192 g.
 
 Betaflight has an offset alone: ``acc_calibration`` is o, in the axes of the board.
 
@@ -99,7 +99,7 @@ def _rounding(calibration: Calibration) -> float:
 INAV = parameter_target(
     "inav",
     DIAGONAL,
-    raw_in_metres=False,
+    raw="counts",
     write=_write,
     recognises=lambda text: re.search(r"^\s*set acczero_x", text, re.MULTILINE) is not None,
     read=_read,

@@ -136,7 +136,7 @@ def _cells(path: str, key: str, text: str, count: int) -> Array:
 KALIBR = parameter_target(
     "kalibr",
     LINEAR,
-    raw_in_metres=True,
+    raw="m/s^2",
     write=_write,
     recognises=lambda text: re.search(r"^ +accelerometers:", text, re.MULTILINE) is not None,
     read=_read,

@@ -102,7 +102,7 @@ def _read(path: str, text: str) -> Correction:
 PX4 = parameter_target(
     "px4",
     DIAGONAL,
-    raw_in_metres=True,
+    raw="m/s^2",
     write=_write,
     recognises=lambda text: _GIVEN.search(text) is not None,
     read=_read,

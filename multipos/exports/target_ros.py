@@ -62,7 +62,7 @@ def _read(path: str, text: str) -> Correction:
 ROS = parameter_target(
     "ros-imu-calib",
     LINEAR,
-    raw_in_metres=False,
+    raw="readings",
     write=_write,
     recognises=_recognises,
     read=_read,

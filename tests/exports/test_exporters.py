@@ -13,7 +13,9 @@ from log_bench import sensor, shared
 import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_source import SIGNATURE, signature
+from multipos.exports.laws import reduce_to
 from multipos.exports.targets import export, verify_export
+from multipos.numerics.rotations import rotation_matrix
 from multipos.sensor.stating import build_model
 
 READINGS = 100_000
@@ -496,5 +498,32 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
     # the same in the words of a data sheet; inav keeps counts
     words = ["--full-scale", "2", "--bits", "16", "-o", str(tmp_path / "o.txt")]
     assert main(["export", cal, "--to", "inav", *words]) == 0
-    assert "# 1G = 16384 counts" in (tmp_path / "o.txt").read_text()
+    text = (tmp_path / "o.txt").read_text()
+    assert "# 1G = 16384 counts" in text
+    if not of_export:  # the driver takes the nominal bias away: its raw values begin at 100
+        assert main(["export", cal, "--to", "inav", "-o", str(tmp_path / "p.txt")]) == 0
+        text = (tmp_path / "p.txt").read_text()
+        zeros = [int(value) for value in re.findall(r"^set acczero_. = (\S+)", text, re.MULTILINE)]
+        np.testing.assert_allclose(zeros, bias, atol=2)
+        assert main(["verify-export", str(tmp_path / "p.txt"), cal]) == 0
     assert main(["export", cal, "--to", "inav", *words, "--nominal", "0,1"]) == 2
+
+
+@pytest.mark.parametrize("sd", [0.0, 3.0])
+def test_the_error_of_a_target_has_no_hand_placement_in_it(sd):
+    # of 2 mg/g misalignment and non-orthogonality inav leaves both where positions are known;
+    # where they are not, the turn of all of them with the hand's mean error is not its own
+    rng = np.random.default_rng(5)
+    up = mp.read_scheme("fibonacci-24").up
+    said, true = [], []
+    for _ in range(8):
+        cross = 2e-3 * rng.standard_normal((3, 3)) * (1.0 - np.eye(3))
+        turn = np.radians(sd) * rng.standard_normal(up.shape)
+        stood = np.array([rotation_matrix(t) @ each for t, each in zip(turn, up, strict=True)])
+        y = stood @ (np.eye(3) + cross).T + 1e-4 * rng.standard_normal(up.shape)
+        options = {"orientation_sd": sd} if sd else {}
+        cal = mp.fit(mp.Readings(y, up=up, unit="g"), **options)
+        said.append(1e3 * reduce_to(cal, "1 + own", "inav", allow_lossy=True).rms)
+        left = cross if not sd else (cross + cross.T) / 2.0  # without its rotation
+        true.append(1e3 * np.sqrt(np.mean(np.sum((up @ left.T) ** 2, axis=1))))
+    assert np.median(np.array(said) / true) == pytest.approx(1.0, abs=0.15)
