@@ -221,12 +221,12 @@ def average_poses(plan: SessionPlan, log: StillLog, poses: list[Pose]) -> Averag
 def _fit(plan: SessionPlan, averages: Averages) -> tuple[Calibration | None, str | None]:
     """Return the fit of the model asked for, or of the linear one, and what is in the way."""
     problem = None
+    options = {name: value for name, value in plan.fitting.items() if name != "model"}
     for model in dict.fromkeys([plan.fitting.get("model", "linear"), "linear"]):
         try:
-            options = {**plan.fitting, "model": model}
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", CalibrationWarning)  # shown as findings
-                return fit_rests(averages, **options), problem
+                return fit_rests(averages, model, **options), problem
         except UsageError:
             raise
         except MultiposError as error:

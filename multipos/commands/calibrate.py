@@ -85,7 +85,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         chosen = {name: options[name] for name in _AVERAGE}
         found = average(*arguments.logs, progress=progress, **chosen)
     apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN, "keep_going"} - {"convention"}
-    calibration = fit_rests(found, **{k: v for k, v in options.items() if k not in apart})
+    fitting = {name: value for name, value in options.items() if name not in {*apart, "model"}}
+    calibration = fit_rests(found, arguments.model, **fitting)
     exports, refused = _exports(calibration, arguments)
     listing = [
         {"target": each.target, "files": [*map(str, each.files(path))]}

@@ -7,7 +7,7 @@ stood, nothing is known of the orientations but that gravity has the same size i
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from multipos.errors import RankError
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.finding import Finding
-from multipos.fitting.fit_readings import fit
+from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
@@ -149,7 +149,7 @@ def calibrate(
     )
     return fit_rests(
         found,
-        model=model,
+        model,
         convention=convention,
         axes=axes,
         inputs=inputs,
@@ -177,73 +177,22 @@ def calibrate(
 
 
 def fit_rests(
-    found: Averages,
-    *,
-    model: str | Expression | None = None,
-    convention: Convention = "specific-force",
-    axes: Names | None = None,
-    inputs: Names = COMPONENTS,
-    closed_form: bool = False,
-    unknown_orientation: bool = False,
-    orientation_sd: float | Literal["auto"] | None = None,
-    gauge: Gauge = "lower",
-    robust: Loss | None = None,
-    pool: bool = False,
-    stepwise: bool = False,
-    exclude: Names = "none",
-    drift: bool = False,
-    reading_sd: ArrayLike | None = None,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    latitude: float | None = None,
-    height: float | None = None,
-    level_sd: float = 0.0,
-    budget: "BudgetSource | Budget | None" = None,
-    unit: str | None = None,
-    range: Sequence[float] | None = None,
-    nominal: Sequence[float] | None = None,
-    confidence: float = 0.95,
+    found: Averages, model: str | Expression | None = None, /, **options: Unpack[FitOptions]
 ) -> Calibration:
     """Fit the means of rests: of unknown orientation, unless a scheme was matched to them.
 
-    Parameters and errors are those of `calibrate`.
+    Options and errors are those of `calibrate`.
     """
-    by_user = closed_form or orientation_sd is not None or level_sd != 0.0
+    budget = options.get("budget")
+    free = options.pop("unknown_orientation", False)
+    by_user = any(options.get(name) for name in ("closed_form", "level_sd"))
+    by_user = by_user or options.get("orientation_sd") is not None
     assumed = found.scheme_up is None and not by_user
-
-    def fitted(
-        readings: Readings, model: str | Expression, budget: "BudgetSource | Budget | None"
-    ) -> Calibration:
-        return fit(
-            readings,
-            model=model,
-            convention=convention,
-            axes=axes,
-            inputs=inputs,
-            closed_form=closed_form,
-            unknown_orientation=unknown_orientation or assumed,
-            orientation_sd=orientation_sd,
-            gauge=gauge,
-            robust=robust,
-            pool=pool,
-            stepwise=stepwise,
-            exclude=exclude,
-            drift=drift,
-            reading_sd=reading_sd,
-            gravity=gravity,
-            gravity_u=gravity_u,
-            latitude=latitude,
-            height=height,
-            level_sd=level_sd,
-            budget=budget,
-            range=range,
-            nominal=nominal,
-            confidence=confidence,
-        )
-
-    readings = readings_of(found, unit)
+    options["unknown_orientation"] = free or assumed
+    options["model"] = "linear" if model is None else model
+    readings = readings_of(found, options.pop("unit", None))
     try:
-        return fitted(readings, "linear" if model is None else model, budget)
+        return fit(readings, **options)
     except RankError as error:
         if model is None and assumed and _both_sides(readings.values):
             stated = {} if budget is None else read_budget(budget).tables
@@ -254,8 +203,10 @@ def fit_rests(
             action = "Record nine rests or more, edges and corners among them, to fit cross terms."
             reduced = Finding("reduced-model", "warning", text, action)
             noted = replace(readings, findings=(*readings.findings, reduced))
-            return fitted(noted, "1 + own", {"cross": {"u": _CROSS}, **stated})
-        if unknown_orientation or not assumed:
+            options["model"] = "1 + own"
+            options["budget"] = {"cross": {"u": _CROSS}, **stated}
+            return fit(noted, **options)
+        if free or not assumed:
             raise
         raise RankError(
             f"{error} Where you know how the sensor stood, say so with --scheme.",

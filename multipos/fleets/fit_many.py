@@ -23,15 +23,15 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
-from multipos.files.spelling import Names
 from multipos.files.tables import Column, Source, Table
+from multipos.fitting.fit_readings import FitOptions
 from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
 from multipos.fleets.labels import Codes, Labels, joined_labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
@@ -40,17 +40,14 @@ from multipos.fleets.sources import Averaging, Rows, read_rows
 from multipos.fleets.unit_results import Units, UnitsFound
 from multipos.fleets.workers import open_engine, solve_all
 from multipos.numerics.arrays import Array, Places, places_of_kinds
-from multipos.numerics.losses import Loss
 from multipos.numerics.terms import formula_columns
-from multipos.positions.attitudes import Convention
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import spread_reading_sd
-from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.scheme import read_scheme
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import Expression
-from multipos.sensor.model import Gauge, Model
-from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
+from multipos.sensor.model import Model
+from multipos.uncertainty.budgets import read_budget
 
 _PIECE = 1_500_000  # rows of a piece, if nothing that is read together has more
 
@@ -393,36 +390,6 @@ class Piece:
             return self._grouped.arranged(self._rows.numbers("time"))
         except (KeyError, MultiposError):
             return np.full(self._grouped.starts[-1], np.nan)
-
-
-class FitOptions(TypedDict, total=False):
-    """Options of `multipos.fit`, which `fit_many` and `fleet` hand on for every unit."""
-
-    scheme: "Source | Scheme | None"
-    model: str | Expression
-    convention: Convention
-    outputs: Names | None
-    axes: Names | None
-    inputs: Names
-    closed_form: bool
-    unknown_orientation: bool
-    orientation_sd: float | Literal["auto"] | None
-    gauge: Gauge
-    robust: Loss | None
-    pool: bool
-    stepwise: bool
-    exclude: Names
-    drift: bool
-    reading_sd: ArrayLike | None
-    gravity: float | None
-    gravity_u: float | None
-    latitude: float | None
-    height: float | None
-    level_sd: float
-    budget: "BudgetSource | Budget | None"
-    unit: str | None
-    range: Sequence[float] | None
-    confidence: float
 
 
 def fit_many(

@@ -27,8 +27,8 @@ from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order
-from multipos.fitting.fit_readings import fit
-from multipos.fleets.fit_many import FitOptions, averaging_options, fit_units, with_rests
+from multipos.fitting.fit_readings import FitOptions, fit
+from multipos.fleets.fit_many import averaging_options, fit_units, with_rests
 from multipos.fleets.gauge import describe_gauge
 from multipos.fleets.grouping import group_rows
 from multipos.fleets.line import find_drift, find_outliers
