@@ -17,7 +17,7 @@ from typing import Any
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
 from multipos.files.numbers import number, table
-from multipos.reports.page import Language, Translator
+from multipos.reports.sections import Language, Translator
 
 _OFTEN = 0.25  # [s] from one picture to the next
 _SHOWN = 8  # poses

@@ -5,7 +5,7 @@ from typing import Any
 
 from multipos.capturing.session import Session
 from multipos.positions.attitudes import pose_words
-from multipos.reports.page import Translator
+from multipos.reports.sections import Translator
 from multipos.results import plain
 from multipos.sensor.calibration import force_residuals
 

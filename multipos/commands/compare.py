@@ -7,6 +7,7 @@ from typing import Any
 from multipos.commands.answers import Answer, Output
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
+from multipos.results import plain
 from multipos.verification.comparison import (
     Comparison,
     compare,
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         limits=arguments.limits,
     )
     return Answer(
-        sentence=lambda: comparison_sentence(found),
+        sentence=lambda: comparison_sentence(plain(found.to_dict())),
         text=lambda: _text(found),
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},

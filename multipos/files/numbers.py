@@ -138,15 +138,17 @@ def number(value: float | None, digits: int = 4) -> str:
     return "inf" if math.isinf(value) else f"{value:.{digits}g}"
 
 
-def largest_rows(sizes: Sequence[float]) -> list[int]:
+def largest_rows(
+    sizes: Sequence[float], most: int = _MOST_ROWS, shown: int = _LARGEST_ROWS
+) -> list[int]:
     """Return the rows of a long table to show, the largest first: twenty of more than a hundred.
 
     Of fewer all are shown, in order. NaN counts as the largest.
     """
-    if len(sizes) <= _MOST_ROWS:
+    if len(sizes) <= most:
         return list(range(len(sizes)))
     key = [math.inf if math.isnan(size) else size for size in sizes]
-    return heapq.nlargest(_LARGEST_ROWS, range(len(key)), key=key.__getitem__)
+    return heapq.nlargest(shown, range(len(key)), key=key.__getitem__)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:

@@ -22,7 +22,7 @@ from multipos.errors import MultiposError
 from multipos.files.whole import make_folder, written
 from multipos.page import runtime
 from multipos.page.wheel import NAME, make_wheel
-from multipos.reports.page import Translator
+from multipos.reports.sections import Translator
 
 MARK = "// Written by multipos page: "
 _FOLDER = Path(__file__).parent

@@ -35,7 +35,7 @@ from multipos.positions.attitudes import pose_words
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings
 from multipos.reports.documents import report
-from multipos.reports.page import Language, Translator
+from multipos.reports.sections import Language, Translator
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, force_residuals
 from multipos.sensor.calibration_file import load

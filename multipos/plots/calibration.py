@@ -18,7 +18,6 @@ from multipos.plots.style import (
     name_axis,
     name_series,
     scale_by_powers,
-    write,
 )
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -110,29 +109,6 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     forced = c.readings.forced
     for rows, marker in ((~forced, "o"), (forced, "s")):
         draw_directions(up[rows], axes, marker)
-
-
-def draw_leverage(calibration: Calibration, axes: "Axes") -> None:
-    """Draw how far every position fixes its own fit, 0 … 1, for each output."""
-    c = calibration
-    n, m = c.readings.values.shape
-    width = 0.8 / m
-    for i, output in enumerate(c.outputs):
-        at = np.arange(n) + (i - (m - 1) / 2.0) * width
-        axes.bar(
-            at,
-            c.diagnostics.leverage[:, i],
-            width,
-            color=COLOURS[i % 6],
-            label=output,
-            hatch=HATCHES[i % 8],
-            edgecolor="#ffffff",
-            linewidth=0.3,
-        )
-    axes.set_ylim(0.0, min(1.02, 1.2 * float(c.diagnostics.leverage.max())))
-    axes.set_ylabel("leverage")
-    _name_positions(axes, c.readings.labels)
-    name_series(axes, min(m, 4))
 
 
 def draw_errors(calibration: Calibration, axes: "Axes") -> None:
@@ -237,43 +213,6 @@ def variance_shares(evaluation: Evaluation) -> tuple[list[str], Array]:
         for name in names
     ]
     return names, 100.0 * np.array(parts) / total
-
-
-def draw_correlation(calibration: Calibration, axes: "Axes") -> None:
-    """Draw the correlation matrix of the parameters, with the size of each coefficient."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    c = calibration
-    p = len(c.names)
-    shades = LinearSegmentedColormap.from_list("signed", [COLOURS[1], "#ffffff", COLOURS[0]])
-    values = np.nan_to_num(c.correlation)
-    axes.pcolormesh(
-        np.arange(p + 1),
-        np.arange(p + 1),
-        values,
-        cmap=shades,
-        vmin=-1.0,
-        vmax=1.0,
-        edgecolors="#999999",
-        linewidth=0.2,
-    )
-    for i in range(p):
-        for j in range(p):
-            if i != j and abs(values[i, j]) >= 0.05 and p <= 20:
-                write(
-                    axes,
-                    j + 0.5,
-                    i + 0.5,
-                    f"{values[i, j]:.1f}".replace("0.", "."),
-                    ha="center",
-                    va="center",
-                    fontsize=6,
-                    color="#ffffff" if abs(values[i, j]) > 0.6 else "#222222",
-                )
-    axes.set_xticks(np.arange(p) + 0.5, list(c.names), rotation=90, fontsize=7)
-    axes.set_yticks(np.arange(p) + 0.5, list(c.names), fontsize=7)
-    axes.invert_yaxis()
-    axes.set_aspect("equal")
 
 
 def _name_positions(axes: "Axes", names: tuple[str, ...]) -> None:

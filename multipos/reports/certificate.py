@@ -18,11 +18,10 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
 from multipos.files.trees import read_toml
-from multipos.finding import NOT_FIT, Findings, errors_of, in_order, serious
+from multipos.finding import Findings, errors_of, in_order, serious
 from multipos.reports.evidence import (
     check_section,
     correlation_section,
-    errors_section,
     positions_section,
     residuals_section,
     rolls_section,
@@ -31,11 +30,10 @@ from multipos.reports.evidence import (
 from multipos.reports.findings import (
     budget_section,
     parameters_section,
-    sensor_section,
     sphere_section,
 )
 from multipos.reports.fit_checks import checks_section
-from multipos.reports.page import Language, PageTable, Section, Translator
+from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
 from multipos.reports.sensor_result import (
     EQUIPMENT,
     equipment_section,
@@ -43,6 +41,8 @@ from multipos.reports.sensor_result import (
     sessions_section,
     signature_section,
 )
+from multipos.reports.sentences import calibration_sentence
+from multipos.reports.sheets import check_sentence
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget
@@ -86,11 +86,7 @@ LAB_FIELDS = {
 _WORDS = (
     "Findings",
     "Administrative data",
-    "to be filled in by the laboratory",
-    "Not stated",
     "page",
-    "There is nothing to warn of.",
-    "Contents",
     "end of the report",
 )
 
@@ -102,25 +98,28 @@ class Content:
     Attributes
     ----------
     language, title, subtitle : str
-    verdict : str or None
-        That the calibration is not fit for use, where it is not.
+    sentence : str
+        The answer: what came out, and whether to trust it.
+    unfit : bool
+        Whether nobody should use the result.
     findings : tuple of str
         Errors and warnings.
-    fields : tuple of (label, text or None)
-        What only the laboratory knows; None where it has not said.
+    fields : tuple of (label, text)
+        What only the laboratory knows, as far as it has said.
     sections : tuple of Section
     lab : mapping of str to str
         What the laboratory has said, by ``section.key``; equipment as ``equipment.1.name``.
     result : Section or None
-        The first screen, before what the laboratory says.
+        The first screen below sentence and findings, before what the laboratory says.
     """
 
     language: Language
     title: str
     subtitle: str
-    verdict: str | None
+    sentence: str
+    unfit: bool
     findings: tuple[str, ...]
-    fields: tuple[tuple[str, str | None], ...]
+    fields: tuple[tuple[str, str], ...]
     sections: tuple[Section, ...]
     lab: Mapping[str, str] = field(default_factory=dict)
     result: Section | None = None
@@ -181,12 +180,13 @@ def _read_equipment(entries: Any, where: str) -> dict[str, str]:
     return said
 
 
-def lab_fields(said: Mapping[str, str], tr: Translator) -> tuple[tuple[str, str | None], ...]:
-    """Return every field of the laboratory with what it has said, or None."""
+def lab_fields(said: Mapping[str, str], tr: Translator) -> tuple[tuple[str, str], ...]:
+    """Return the fields of the laboratory that it has stated."""
     return tuple(
-        (tr(label), said.get(f"{section}.{key}"))
+        (tr(label), said[f"{section}.{key}"])
         for section, keys in LAB_FIELDS.items()
         for key, label in keys.items()
+        if f"{section}.{key}" in said
     )
 
 
@@ -232,32 +232,40 @@ def build_content(
             outputs=", ".join(c.outputs),
             model=c.model.text,
         ),
-        verdict=tr(NOT_FIT) if errors_of(findings) else None,
+        sentence=_answer(c, check, tr),
+        unfit=bool(errors_of(findings)) or (check is not None and check.verdict == "fail"),
         findings=tuple(tr.message(found.text) for found in serious(findings)),
         fields=lab_fields(said, tr),
         result=result_section(c, budget, check, tr, forces=forces),
-        sections=(
-            parameters_section(c, tr),
-            *(() if c.sessions is None else (sessions_section(c, c.sessions, tr),)),
-            sensor_section(c, budget, tr),
-            budget_section(c, budget, tr),
-            *((sphere_section(c, tr),) if forces else ()),
-            residuals_section(c, tr),
-            *((errors_section(c, tr),) if forces else ()),
-            *(() if check is None else (check_section(c, check, tr),)),
-            *temperature_sections(c, tr),
-            positions_section(c, tr),
-            *((rolls_section(c, tr),) if has_rolls(c) else ()),
-            correlation_section(c, tr),
-            checks_section(c, tr, simulated),
-            _method(c, tr),
-            *((equipment,) if equipment is not None else ()),
-            *_validity(findings, tr),
-            _statements(c, check, tr),
-            signature_section(said, tr),
+        sections=with_annex(
+            (
+                parameters_section(c, tr),
+                *(() if c.sessions is None else (sessions_section(c, c.sessions, tr),)),
+                budget_section(c, budget, tr),
+                *((sphere_section(c, tr),) if forces else ()),
+                *(() if check is None else (check_section(c, check, tr),)),
+                residuals_section(c, tr),
+                *temperature_sections(c, tr),
+                positions_section(c, tr),
+                *((rolls_section(c, tr),) if has_rolls(c) else ()),
+                correlation_section(c, tr),
+                checks_section(c, tr, simulated),
+                _method(c, tr),
+                *((equipment,) if equipment is not None else ()),
+                *_validity(findings, tr),
+                _statements(c, check, tr),
+                *((signature_section(said, tr),) if said else ()),
+            ),
+            tr,
         ),
         lab=said,
     )
+
+
+def _answer(c: Calibration, check: Check | None, tr: Translator) -> str:
+    """Return the answer: of an independent run first, which has a verdict against its limit."""
+    said = calibration_sentence(c, tr)
+    return said if check is None else f"{tr.message(check_sentence(check))} {said}"
 
 
 def _method(c: Calibration, tr: Translator) -> Section:

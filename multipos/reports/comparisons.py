@@ -34,13 +34,22 @@ from multipos.files.records import (
     require,
 )
 from multipos.files.trees import read_json_value
-from multipos.finding import FINDINGS, NOT_FIT, errors_of, read_findings, serious
+from multipos.finding import FINDINGS, errors_of, read_findings, serious
 from multipos.numerics.arrays import Array
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
-from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
+from multipos.reports.sections import (
+    Figure,
+    Language,
+    PageTable,
+    Section,
+    Translator,
+    draw_svg,
+    with_annex,
+)
 from multipos.reports.sensor_result import sessions_section
 from multipos.sensor.calibration_file import from_dict
+from multipos.verification.comparison import comparison_sentence
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)
@@ -93,7 +102,6 @@ _REGRESSIONS = Fields(
     },
     FINDINGS,
 )
-_REJECTED = "The runs are NOT consistent with what each claims."
 _KEYS = ("calibrations", "regressions")
 
 
@@ -153,25 +161,19 @@ def comparison_content(
         language=language,
         title=tr("Report of repeated calibrations"),
         subtitle=tr("{count} runs of one unit", count=str(len(runs))),
-        verdict=tr(NOT_FIT) if errors_of(findings) else None,
-        findings=(
-            *(() if found["consistent"] else (tr(_REJECTED),)),
-            *(tr.message(each.text) for each in serious(findings)),
-        ),
+        sentence=tr.message(comparison_sentence(found)),
+        unfit=bool(errors_of(findings)) or not found["consistent"],
+        findings=tuple(tr.message(each.text) for each in serious(findings)),
         fields=lab_fields(said, tr),
-        sections=(*sections, _origin(runs, tr)),
+        sections=with_annex((*sections, _origin(runs, tr)), tr),
         lab=said,
         result=_result(found, tr),
     )
 
 
 def _result(found: Mapping[str, Any], tr: Translator) -> Section:
-    """Return whether the runs agree, what has moved, and the biases by run."""
-    paragraphs = [
-        tr("The runs are consistent with what each claims.")
-        if found["consistent"]
-        else tr(_REJECTED)
-    ]
+    """Return by what test the runs agree, what has moved, and the biases by run."""
+    paragraphs: list[str] = []
     if "parameters" not in found:
         return Section(tr("Result"), tuple(paragraphs))
     if found["p"] is not None:

@@ -27,7 +27,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import one_line
 from multipos.files.trees import to_json
 from multipos.reports.certificate import Content
-from multipos.reports.page import Language, Translator
+from multipos.reports.sections import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -252,7 +252,7 @@ def _statements(writer: _Writer, part: ElementTree.Element, content: Content, la
     tr = Translator(content.language)
     said = [
         tr("This file is not signed; it holds as far as its source vouches for it."),
-        *([content.verdict] if content.verdict else []),
+        content.sentence,
         *content.findings,
         *(
             f"{tr(words)}: {lab[field]}"

@@ -36,8 +36,8 @@ from multipos.reports.certificate import Content, build_content
 from multipos.reports.comparisons import comparison_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.fleets import fleet_content
-from multipos.reports.page import Figure, Language, PageTable, Section
 from multipos.reports.regressions import regression_content
+from multipos.reports.sections import Figure, Language, PageTable, Section
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -156,13 +156,13 @@ def html_report(content: Content) -> str:
 def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
     parts = [f"# {content.title}", markdown_line(content.subtitle)]
-    parts += [f"**{content.verdict}**"] if content.verdict else []
+    parts.append(f"**{markdown_line(readable(content.sentence))}**")
     findings, administrative = (
-        f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}"
+        [f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}"] if entries else []
         for title, entries in _front(content)
     )
     first = [] if content.result is None else _markdown_section(content.result)
-    parts += [findings, *first, administrative]
+    parts += [*findings, *first, *administrative]
     for section in content.sections:
         parts += _markdown_section(section)
     return "\n\n".join(parts) + "\n"
@@ -171,13 +171,13 @@ def markdown_report(content: Content) -> str:
 def plain_report(content: Content) -> str:
     """Return a report as plain text."""
     parts = [_underlined(content.title, "="), visible(content.subtitle)]
-    parts += [content.verdict] if content.verdict else []
+    parts.append(textwrap.fill(visible(readable(content.sentence)), 96))
     findings, administrative = (
-        f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"
+        [f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"] if entries else []
         for title, entries in _front(content)
     )
     first = [] if content.result is None else _plain_section(content.result)
-    parts += [findings, *first, administrative]
+    parts += [*findings, *first, *administrative]
     for section in content.sections:
         parts += _plain_section(section)
     return "\n\n".join(parts) + "\n"
@@ -322,15 +322,11 @@ def _plain_section(section: Section) -> list[str]:
 
 
 def _front(content: Content) -> list[tuple[str, list[str]]]:
-    """Return findings and administrative data as lines; what is not stated in one."""
+    """Return findings and administrative data as lines."""
     words = content.words
-    said = list(map(readable, content.findings)) or [words["There is nothing to warn of."]]
-    fields = [f"{label}: {text}" for label, text in content.fields if text]
-    open_fields = [label for label, text in content.fields if not text]
-    if open_fields:
-        by_the_laboratory = words["to be filled in by the laboratory"]
-        fields.append(f"[{by_the_laboratory}] {', '.join(open_fields)}")
-    return [(words["Findings"], said), (words["Administrative data"], fields)]
+    fields = [f"{label}: {text}" for label, text in content.fields]
+    found = list(map(readable, content.findings))
+    return [(words["Findings"], found), (words["Administrative data"], fields)]
 
 
 def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:

@@ -3,35 +3,30 @@
 The section of a report on temperature: what changes with it, with its bands.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
 from multipos.errors import MultiposError
-from multipos.files.numbers import in_unit, number, plain_number
+from multipos.files.numbers import in_unit, largest_rows, number, plain_number
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import (
-    compensated_error,
-    draw_correlation,
-    draw_errors,
-    draw_leverage,
-    nominal_error,
-    residual_panels,
-    size_residuals,
-)
+from multipos.plots.calibration import compensated_error, nominal_error, size_residuals
 from multipos.plots.check import draw_check, errors_apart
+from multipos.plots.pictures import residual_picture
 from multipos.plots.temperature import draw_curve, temperature_curves
 from multipos.plots.tumble import draw_harmonics, draw_rolls
-from multipos.reports.page import (
+from multipos.reports.quantities import column
+from multipos.reports.sections import (
+    LONG_TABLE,
     Figure,
     PageTable,
     Section,
     Translator,
+    chosen_rows,
     draw_svg,
-    largest_positions,
 )
-from multipos.reports.quantities import column
 from multipos.reports.sensor_result import readings_table
 from multipos.reports.sheets import Sheet, check_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration
@@ -43,138 +38,90 @@ _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 
 def residuals_section(c: Calibration, tr: Translator) -> Section:
-    """Return the residuals of every position."""
-    panels = residual_panels(c)
-
-    def draw(axes: Any) -> None:
-        for panel, one in zip(panels, axes, strict=True):
-            panel(one)
-
-    shown, suffix = largest_positions(tr, c.relative_residuals)
-    names = c.readings.labels
-    columns = [
-        column([*left, sd], c.model.unit, float(sd), signed=True)
-        for left, sd in zip(c.residuals[shown].T, c.residual_sd, strict=True)
-    ]
-    rows = list(
-        zip([*(names[row] for row in shown), "s"], *(x.cells for x in columns), strict=True)
-    )
-    rows[-1] = ("s", *(cell.removeprefix("+") for cell in rows[-1][1:]))
-    header = [f"{o} [{x.unit}]" for o, x in zip(c.outputs, columns, strict=True)]
-    dof = [number(value) for value in c.dof.tolist()]
+    """Return the residuals of every position, and what is left of its error after compensation."""
+    shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
+    names = [*(c.readings.labels[row] for row in shown), "s", tr("dof")]
+    columns = []
+    for output, left, sd, dof in zip(
+        c.outputs, c.residuals.T, c.residual_sd.tolist(), c.dof.tolist(), strict=True
+    ):
+        printed = column([*left[shown], sd], c.model.unit, sd, signed=True)
+        s = printed.cells.pop().removeprefix("+")
+        columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, number(dof)]))
+    paragraphs = [_kind_of_residual(c, tr)]
     if c.estimator is Estimator.UNKNOWN:
         sizes, sd = size_residuals(c)
         printed = column(sizes[shown], "g", float(sd.max()), signed=True)
-        header.append(f"{tr('size of the force')} [{printed.unit}]")
-        rows = [(*row, cell) for row, cell in zip(rows, [*printed.cells, ""], strict=True)]
-        dof.append("")
-    paragraphs = [
-        tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
-    ]
+        columns.append((f"{tr('size of the force')} [{printed.unit}]", [*printed.cells, "", ""]))
+    if math.isfinite(c.rms):
+        for when, error in (("before", nominal_error(c)), ("after", compensated_error(c))):
+            printed = column([*error[shown]], "g")
+            columns.append((f"{tr('error')} {tr(when)} [{printed.unit}]", [*printed.cells, "", ""]))
+        paragraphs.append(_kind_of_error(c, tr))
+    table = PageTable(
+        tr("Residuals at every position") + suffix,
+        (tr("Position"), *(head for head, _ in columns)),
+        tuple(zip(names, *(cells for _, cells in columns), strict=True)),
+        kept=kept,
+        foot=2,
+    )
+    figure = Figure(
+        tr("Residuals at every position"),
+        tr("The numbers are in the table below."),
+        lambda: residual_picture(c, tr.label),
+    )
+    linear = _linearity(c, tr)
+    return Section(tr("Residuals"), tuple(paragraphs), (figure,), (table, *linear))
+
+
+def _kind_of_residual(c: Calibration, tr: Translator) -> str:
+    """Return what a residual is."""
     if c.sessions is not None:
-        paragraphs = [
-            tr(
-                "Residual = reading − model of all sessions, so that it holds how its session "
-                "differs. The bars are ±2 standard deviations within a session."
-            )
-        ]
+        return tr(
+            "Residual = reading − model of all sessions, so that it holds how its session "
+            "differs. The bars are ±2 standard deviations within a session."
+        )
+    said = tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
     if c.estimator is Estimator.UNKNOWN:
-        paragraphs.append(
-            tr(
-                "No orientation is known, so a position has one number: by how much the size of "
-                "its compensated force is off. It is what the figure shows."
-            )
+        more = (
+            "No orientation is known, so a position has one number: by how much the size of "
+            "its compensated force is off. It is what the figure shows."
         )
     elif not c.estimator.exact:
-        paragraphs.append(
-            tr(
-                "The orientations were estimated with the parameters, so a residual shows only "
-                "what no turn of its position explains."
-            )
+        more = (
+            "The orientations were estimated with the parameters, so a residual shows only "
+            "what no turn of its position explains."
         )
-    rows.append((tr("dof"), *dof))
-    return Section(
-        tr("Residuals"),
-        tuple(paragraphs),
-        (
-            Figure(
-                tr("Residuals at every position"),
-                tr("One panel for each output; the numbers are in the table below.")
-                if len(panels) > 1
-                else tr("The numbers are in the table below."),
-                lambda: draw_svg(tr, len(panels), 1.9, draw),
-            ),
-        ),
-        (
-            PageTable(
-                tr("Residuals at every position") + suffix,
-                (tr("Position"), *header),
-                tuple(rows),
-            ),
-        ),
+    else:
+        return said
+    return f"{said} {tr(more)}"
+
+
+def _kind_of_error(c: Calibration, tr: Translator) -> str:
+    """Return what an error before compensation is."""
+    if c.nominal is None:
+        return tr(
+            "Before: readings divided by one nominal scale factor (1 for readings in g, else "
+            "the mean of the outputs), without bias. After: compensated. At the same positions "
+            "that were fitted."
+        )
+    return tr(
+        "Before: (reading − {bias})/{scale}, the nominal conversion. After: compensated. "
+        "At the same positions that were fitted.",
+        bias=f"{c.nominal.bias:g}",
+        scale=f"{c.nominal.scale:g}",
     )
 
 
-def errors_section(c: Calibration, tr: Translator) -> Section:
-    """Return the errors before and after compensation, and linearity."""
-    before, after = nominal_error(c), compensated_error(c)
-    shown, suffix = largest_positions(tr, after)
-    names = c.readings.labels
-    ends = (np.max, lambda e: np.sqrt(np.mean(e**2)))
-    columns = [
-        column([*error[shown], *(float(size(error)) for size in ends)], "g")
-        for error in (before, after)
-    ]
-    said = [*(names[row] for row in shown), tr("largest"), tr("rms")]
-    rows = list(zip(said, *(x.cells for x in columns), strict=True))
-    heads = [f"{tr(w)} [{x.unit}]" for w, x in zip(("before", "after"), columns, strict=True)]
+def _linearity(c: Calibration, tr: Translator) -> tuple[PageTable, ...]:
+    """Return the largest distance from a straight line and from the model, in percent."""
     lines = [
         (output, *(plain_number(found[f"{w}_model_percent"], 2) for w in ("without", "with")))
         for output, found in c.linearity.items()
     ]
-    return Section(
-        tr("Error before and after"),
-        (
-            tr(
-                "Before: readings divided by one nominal scale factor (1 for readings in g, else "
-                "the mean of the outputs), without bias. After: compensated. At the same positions "
-                "that were fitted."
-            )
-            if c.nominal is None
-            else tr(
-                "Before: (reading − {bias})/{scale}, the nominal conversion. After: compensated. "
-                "At the same positions that were fitted.",
-                bias=f"{c.nominal.bias:g}",
-                scale=f"{c.nominal.scale:g}",
-            ),
-            tr(
-                "Linearity: the largest distance of a reading from the least-squares line in its "
-                "own reference (without the model), and the largest residual of the model (with "
-                "it), in percent of the span from −1 g to +1 g. The six-position paper's table 3 "
-                "does not follow from its table 2, and its definition is not known."
-            ),
-        ),
-        (
-            Figure(
-                tr("Size of the error at every position, before and after compensation"),
-                tr("Squares before, circles after; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 2.4, lambda axes: draw_errors(c, axes[0])),
-            ),
-        ),
-        (
-            PageTable(
-                tr("Size of the error") + suffix,
-                (tr("Position"), *heads),
-                tuple(rows),
-                on_paper=False,  # the figure tells it, and the first sheet the largest and the rms
-            ),
-            PageTable(
-                tr("Linearity [%]"),
-                tuple(map(tr, ("Output", "without the model", "with the model"))),
-                tuple(lines),
-            ),
-        ),
-    )
+    caption = tr("Linearity: largest distance from a line and from the model, % of −1 g to +1 g")
+    header = tuple(map(tr, ("Output", "without the model", "with the model")))
+    return (PageTable(caption, header, tuple(lines)),) if lines else ()
 
 
 def positions_section(c: Calibration, tr: Translator) -> Section:
@@ -182,7 +129,7 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
     stood = np.where(c.readings.forced[:, None], c.reference, directions(c.reference))
     up = c.sign * stood + 0.0
     leverage, names = c.diagnostics.leverage, c.readings.labels
-    shown, suffix = largest_positions(tr, leverage.max(axis=1))
+    shown, kept, suffix = chosen_rows(tr, leverage.max(axis=1))
     rows = [
         (
             names[row],
@@ -191,6 +138,12 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
         )
         for row in shown
     ]
+    table = PageTable(
+        tr("Up vector and leverage of every position") + suffix,
+        (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
+        tuple(rows),
+        kept=kept,
+    )
     return Section(
         tr("Positions and readings"),
         (
@@ -200,33 +153,25 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
                 "whatever it is."
             ),
         ),
-        (
-            Figure(
-                tr("Leverage of every position"),
-                tr("Bars, one for each output; the numbers are in the table below."),
-                lambda: draw_svg(tr, 1, 2.4, lambda axes: draw_leverage(c, axes[0])),
-                on_paper=False,
-            ),
-        ),
-        (
-            PageTable(
-                tr("Up vector and leverage of every position") + suffix,
-                (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
-                tuple(rows),
-            ),
-            readings_table(c, tr),
-        ),
+        tables=(table, readings_table(c, tr)),
     )
 
 
 def correlation_section(c: Calibration, tr: Translator) -> Section:
-    """Return the correlation of the parameters."""
-    names = c.names
-    rows = tuple(
+    """Return the correlation of the parameters: all of it, or of many the largest coefficients."""
+    names, size = c.names, c.correlation
+    header: tuple[str, ...] = ("", *names)
+    rows = [
         (name, *(f"{value:.2f}" if abs(value) >= 0.005 else "0" for value in row))
-        for name, row in zip(names, c.correlation.tolist(), strict=True)
-    )
-    small = len(names) <= _WIDE
+        for name, row in zip(names, size.tolist(), strict=True)
+    ]
+    caption, left = tr("Correlation coefficients"), 1
+    if len(names) > _WIDE:
+        pairs = np.transpose(np.triu_indices(len(names), 1))
+        largest = np.argsort(-np.abs(size[tuple(pairs.T)]), kind="stable")[:LONG_TABLE]
+        rows = [(names[i], names[j], f"{size[i, j]:.2f}") for i, j in pairs[largest].tolist()]
+        header, left = (tr("Parameter"), tr("Parameter"), "r"), 2
+        caption = tr("The largest correlation coefficients")
     return Section(
         tr("Correlation"),
         (
@@ -235,16 +180,7 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
                 "What is computed from several parameters needs it."
             ),
         ),
-        (
-            Figure(
-                tr("Correlation matrix of the parameters"),
-                tr("Blue is positive, orange negative; coefficients from 0.05 are written in."),
-                lambda: draw_svg(tr, 1, 5.4, lambda axes: draw_correlation(c, axes[0])),
-            ),
-        ),
-        (PageTable(tr("Correlation coefficients"), ("", *names), rows, on_paper=False),)
-        if small
-        else (),
+        tables=(PageTable(caption, header, tuple(rows), left),),
     )
 
 
@@ -284,7 +220,7 @@ def rolls_section(c: Calibration, tr: Translator) -> Section:
             tr(
                 "What the rolls tell of the turntable: the zero of its encoder and two harmonics "
                 "of its circle, estimated together with the sensor. Each names the terms of a "
-                "sensor that would look the same; where the model holds them it cannot be told."
+                "sensor that would look the same; where the model holds them it cannot be printed."
             ),
         ),
         tuple(figures),
@@ -349,13 +285,21 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
                 lambda: draw_svg(tr, len(found.axes), 1.9, draw),
             ),
         ),
-        tuple(_table_of(sheet, tr) for sheet in check_sheets(found)),
+        tuple(_table_of(sheet, tr, found) for sheet in check_sheets(found, whole=True)),
     )
 
 
-def _table_of(sheet: Sheet, tr: Translator, left: int = 1) -> PageTable:
+def _table_of(
+    sheet: Sheet, tr: Translator, found: Check | None = None, *, left: int = 1
+) -> PageTable:
+    """Return a sheet as a table, of a check's positions those kept that are farthest off."""
     rows = tuple(tuple(_translated(cell, tr) for cell in row) for row in sheet.rows)
-    return PageTable(tr.message(sheet.title), tuple(map(tr.label, sheet.header)), rows, left)
+    header = tuple(map(tr.label, sheet.header))
+    kept: list[int] = []
+    if found is not None and len(rows) == len(found.after):
+        sizes = np.abs(found.after).max(axis=1).tolist()
+        kept = largest_rows(sizes, LONG_TABLE, LONG_TABLE)
+    return PageTable(tr.message(sheet.title), header, rows, left, kept=tuple(kept))
 
 
 def _translated(cell: str, tr: Translator) -> str:

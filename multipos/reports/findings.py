@@ -8,20 +8,20 @@ from multipos.diagnostics.model_error import not_stated
 from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
     decimals_of,
+    in_unit,
+    largest_rows,
     number,
     plain_number,
     pretty_unit,
     readable_unit,
 )
 from multipos.numerics.terms import COMPONENTS
-from multipos.plots.calibration import draw_budget, draw_coverage
-from multipos.reports.page import Figure, PageTable, Section, Translator, draw_svg
 from multipos.reports.quantities import (
-    derived_quantities,
     leaning_quantities,
     quantity_rows,
     with_u,
 )
+from multipos.reports.sections import LONG_TABLE, PageTable, Section, Translator
 from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
@@ -31,9 +31,12 @@ from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
 
 
 def parameters_section(c: Calibration, tr: Translator) -> Section:
-    """Return the parameters with their uncertainty."""
+    """Return the parameters with their uncertainty, and how the outputs lean."""
+    leaning = quantity_rows(leaning_quantities(c, tr)) if c.intrinsic is not None else []
+    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
+    installed = (PageTable(tr("Installation"), header, tuple(leaning)),) if leaning else ()
     return Section(
-        tr("Results"),
+        tr("Parameters"),
         (
             _equation(c, tr),
             tr(
@@ -44,7 +47,7 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
                 percent=f"{100.0 * c.confidence:g}",
             ),
         ),
-        tables=(_parameter_table(c, tr),),
+        tables=(_parameter_table(c, tr), *installed),
     )
 
 
@@ -72,7 +75,15 @@ def _parameter_table(c: Calibration, tr: Translator) -> PageTable:
         tuple(tr(header[i]) for i in keep),
         tuple(tuple(row[i] for i in keep) for row in rows),
         left=3 if symbols else 2,
+        kept=_surest(c),
     )
+
+
+def _surest(c: Calibration) -> tuple[int, ...]:
+    """Return which parameters of many the body shows: those that most exceed their u."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.abs(c.parameters) / c.u
+    return tuple(sorted(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE)))
 
 
 def _parameter_row(p: Parameter, tr: Translator) -> tuple[str, ...]:
@@ -83,20 +94,6 @@ def _parameter_row(p: Parameter, tr: Translator) -> tuple[str, ...]:
         *with_u(p.value, p.u, p.U, p.unit),
         plain_number(p.k, 3),
         number(p.dof),
-    )
-
-
-def sensor_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
-    """Return what the sensor is: sensitivities, offsets, angles, with U."""
-    rows = quantity_rows([*derived_quantities(c, budget, tr), *leaning_quantities(c, tr)])
-    if not rows:
-        return Section(tr("The sensor"), (tr("The model has too few linear terms for it."),))
-    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
-    return Section(
-        tr("The sensor"),
-        (tr("Quantities derived from the parameters, with their full covariance."),),
-        tables=(PageTable(tr("Sensitivity, offset and axes"), header, tuple(rows)),),
-        on_paper=False,
     )
 
 
@@ -117,20 +114,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
     return Section(
         tr("Uncertainty budget"),
         tuple(paragraphs),
-        (
-            Figure(
-                tr("Share of every input quantity in the variance of each parameter"),
-                tr("Stacked bars, one for each parameter; the numbers are in the table below."),
-                lambda: draw_svg(
-                    tr,
-                    1,
-                    0.9 + 0.2 * len(budget.names),
-                    lambda axes: draw_budget(budget, axes[0]),
-                ),
-                on_paper=len({row.quantity for row in budget.rows}) > 1,
-            ),
-        ),
-        (_quantity_table(budget, tr), _contribution_table(c, budget, tr)),
+        tables=(_quantity_table(budget, tr), _contribution_table(c, budget, tr)),
     )
 
 
@@ -180,6 +164,7 @@ def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> P
         tr("Contributions to the standard uncertainty of each parameter"),
         (tr("Parameter"), *quantity_names, tr("combined u"), tr("Unit")),
         tuple(rows),
+        kept=_surest(c),
     )
 
 
@@ -238,7 +223,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             terms=", ".join(hidden),
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
-        paragraphs += _suggested(c, hidden, tr)
+        paragraphs += _seen_terms(c, tr)
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
             tr(
@@ -253,8 +238,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     return Section(
         tr("Compensated force and tilt"),
         tuple(paragraphs),
-        (_map_of_force(c, tr),),
-        (
+        tables=(
             PageTable(
                 tr("Worst case and rms over the sphere"),
                 tuple(map(tr, header)),
@@ -265,33 +249,11 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def _map_of_force(c: Calibration, tr: Translator) -> Figure:
-    return Figure(
-        tr("Positions, and how well they determine force over the sphere"),
-        tr(
-            "Both hemispheres in equal areas, seen from above; circles are positions, a "
-            "number counts repeats, squares are known forces. The colour is the standard "
-            "uncertainty of compensated force as a vector, from the parameters."
-        ),
-        lambda: draw_svg(tr, 1, 2.6, lambda axes: draw_coverage(c, axes[0])),
-        on_paper=False,
-    )
-
-
-def _suggested(c: Calibration, hidden: Sequence[str], tr: Translator) -> list[str]:
-    """Return what sizes hidden terms could be stated with, from those that the positions show."""
-    shown = shown_sizes(c)
-    if not shown:
-        return []
-    largest = max(shown.values())
-    return [
-        tr(
-            "Of higher order these positions do show {terms}, with what noise leaves open. If the "
-            "hidden ones are no larger, a budget states them so: [unseen] {lines}.",
-            terms=", ".join(f"{name} ({number(size, 2)} g)" for name, size in shown.items()),
-            lines=", ".join(f'"{name}" = {number(largest, 2)}' for name in hidden),
-        )
-    ]
+def _seen_terms(c: Calibration, tr: Translator) -> list[str]:
+    """Return the sizes of terms that the positions show, beside which hidden ones are judged."""
+    listed = [f"{name} ({in_unit(size, 'g')})" for name, size in shown_sizes(c).items()]
+    said = "Of higher order these positions do show {terms}, with what noise leaves open."
+    return [tr(said, terms=", ".join(listed))] if listed else []
 
 
 def _sphere_rows(

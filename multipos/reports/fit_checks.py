@@ -18,8 +18,8 @@ from multipos.files.numbers import (
     plain_number,
     readable_unit,
 )
-from multipos.reports.page import PageTable, Section, Translator, largest_positions
 from multipos.reports.quantities import column
+from multipos.reports.sections import PageTable, Section, Translator, chosen_rows
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 
@@ -151,7 +151,7 @@ def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
 def _influence(c: Calibration, tr: Translator) -> PageTable:
     found = find_influence(c)
     names = c.readings.labels
-    shown, suffix = largest_positions(tr, np.abs(found.studentised).max(axis=1))
+    shown, kept, suffix = chosen_rows(tr, np.abs(found.studentised).max(axis=1))
     columns: list[str] = []
     cells: list[list[str]] = []
     for i, output in enumerate(c.outputs):
@@ -169,6 +169,7 @@ def _influence(c: Calibration, tr: Translator) -> PageTable:
         (tr("Position"), *columns),
         tuple(rows),
         on_paper=False,  # residuals, s and leverage stand there, and it follows from them
+        kept=kept,
     )
 
 

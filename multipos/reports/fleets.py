@@ -23,10 +23,18 @@ from multipos.fleets.fleet_text import (
 )
 from multipos.plots.fleets import draw_causes, draw_chart, draw_histogram
 from multipos.reports.certificate import Content
-from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
+from multipos.reports.sections import (
+    Figure,
+    Language,
+    PageTable,
+    Section,
+    Translator,
+    draw_svg,
+    with_annex,
+)
 
 _ROUNDING = 1e-9  # [deg]
-_SHOWN = 50  # units of a table; fleet.json has all
+_SHOWN = 24  # units of a table; fleet.json has all
 _EXPLAINED = (
     "Numbers of the line are those of units that were fitted and are fit for use.",
     (
@@ -48,9 +56,6 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
         As of `multipos.report`.
     """
     tr = Translator(language)
-    good = found["yield"]
-    counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
-    units = f"{found['units']}: {tr.listed(counts)}"
     outliers, named = outlier_rows(found)
     sections = [
         _section("Why units do not pass", cause_rows(found), tr, (), _causes(found, tr)),
@@ -66,14 +71,23 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     return Content(
         language=language,
         title=tr("Report of a fleet"),
-        subtitle=tr(
-            "Yield {value} ({low} to {high} with 95 % confidence)",
-            **{key: percent(good[key]) for key in ("value", "low", "high")},
-        ),
-        verdict=None,
+        subtitle=tr("Computed {date}", date=str(found["created"])),
+        sentence=_answer(found, tr),
+        unfit=False,
         findings=tuple(tr.message(each.text) for each in serious(read_findings(found))),
-        fields=((tr("Units"), units), (tr("Computed"), found["created"])),
-        sections=tuple(section for section in sections if section is not None),
+        fields=(),
+        sections=with_annex((section for section in sections if section is not None), tr),
+    )
+
+
+def _answer(found: Mapping[str, Any], tr: Translator) -> str:
+    """Return the yield, and the units by verdict."""
+    counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
+    return tr(
+        "Yield {value} ({low} to {high} with 95 % confidence) of {units} units: {counts}.",
+        **{key: percent(found["yield"][key]) for key in ("value", "low", "high")},
+        units=str(found["units"]),
+        counts=tr.listed(counts),
     )
 
 

@@ -19,7 +19,7 @@ from multipos.files.numbers import (
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
-from multipos.reports.page import Translator
+from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.uncertainty.propagation import Evaluation

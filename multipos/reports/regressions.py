@@ -23,10 +23,24 @@ from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS
 from multipos.plots.temperature import draw_path
 from multipos.regression.junctions import Junction
-from multipos.regression.regression import Regression, Regressions, all_of, format_span
+from multipos.regression.regression import (
+    Regression,
+    Regressions,
+    all_of,
+    format_span,
+    regression_sentence,
+)
 from multipos.regression.segment import Segment
 from multipos.reports.certificate import Content, lab_fields, read_lab
-from multipos.reports.page import Figure, Language, PageTable, Section, Translator, draw_svg
+from multipos.reports.sections import (
+    Figure,
+    Language,
+    PageTable,
+    Section,
+    Translator,
+    draw_svg,
+    with_annex,
+)
 
 Titled = Callable[[str], str]  # the title of a section in a language, of a response
 
@@ -80,10 +94,11 @@ def regression_content(
             responses=tr.listed([r.response for r in several]),
             variables=tr.listed(several[0].variables),
         ),
-        verdict=None,
+        sentence=" ".join(tr.message(regression_sentence(r)) for r in several),
+        unfit=False,
         findings=tuple(tr.message(each.text) for each in serious(regression.findings)),
         fields=lab_fields(said, tr),
-        sections=(*sections, _method(several, tr)),
+        sections=with_annex((*sections, _method(several, tr)), tr),
         lab=said,
     )
 

@@ -10,17 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multipos.files.numbers import decimals_of, in_unit, plain_number, readable_unit
-from multipos.plots.calibration import compensated_error, nominal_error
-from multipos.plots.errors import draw_error_sphere
-from multipos.reports.page import (
-    Figure,
-    PageTable,
-    Section,
-    Translator,
-    draw_svg,
-    largest_positions,
-)
+from multipos.files.numbers import decimals_of, plain_number, readable_unit
+from multipos.plots.pictures import error_picture
 from multipos.reports.quantities import (
     Quantity,
     column,
@@ -28,6 +19,13 @@ from multipos.reports.quantities import (
     leaning_quantities,
     quantity_rows,
     with_u,
+)
+from multipos.reports.sections import (
+    Figure,
+    PageTable,
+    Section,
+    Translator,
+    chosen_rows,
 )
 from multipos.reports.sheets import run_conclusions
 from multipos.sensor.calibration import Calibration
@@ -51,7 +49,7 @@ _LINE = "________________"  # to be written on by hand
 def result_section(
     c: Calibration, budget: Evaluation, check: Check | None, tr: Translator, *, forces: bool
 ) -> Section:
-    """Return the first screen: verdict, errors before and after, validity, and the sensor.
+    """Return the first screen below the answer: errors before and after, validity, the sensor.
 
     Parameters
     ----------
@@ -63,17 +61,6 @@ def result_section(
         Whether readings give forces, so that there are errors to speak of.
     """
     paragraphs = [] if check is None else list(map(tr.message, run_conclusions(check)))
-    if forces:
-        before, after = (
-            float(np.sqrt(np.mean(e**2))) for e in (nominal_error(c), compensated_error(c))
-        )
-        paragraphs.append(
-            tr(
-                "Error at the positions, rms: {before} before, {after} after compensation.",
-                before=in_unit(before, "g"),
-                after=in_unit(after, "g"),
-            )
-        )
     paragraphs.append(_validity(c, tr))
     rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
     header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
@@ -93,7 +80,7 @@ def _picture(c: Calibration, tr: Translator) -> Figure:
             "The two halves of the sphere of up vectors. Arrows are errors across, rings errors "
             "along the up vector, filled where they point out; each picture has a scale of its own."
         ),
-        lambda: draw_svg(tr, 1, 1.75, lambda axes: draw_error_sphere(c, axes[0])),
+        lambda: error_picture(c, tr.label),
     )
 
 
@@ -127,7 +114,7 @@ def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:
 
 def readings_table(c: Calibration, tr: Translator) -> PageTable:
     """Return the readings as they were measured, with what was stated of each."""
-    shown, suffix = largest_positions(tr, c.relative_residuals)
+    shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
     r = c.readings
     columns: list[tuple[str, Sequence[str]]] = [(tr("Position"), r.labels)]
     for i, output in enumerate(c.outputs):
@@ -145,7 +132,7 @@ def readings_table(c: Calibration, tr: Translator) -> PageTable:
     ]
     rows = tuple(tuple(column[row] for _, column in columns) for row in shown)
     header = tuple(name for name, _ in columns)
-    return PageTable(tr("Readings as measured") + suffix, header, rows)
+    return PageTable(tr("Readings as measured") + suffix, header, rows, kept=kept)
 
 
 def equipment_section(said: Mapping[str, str], tr: Translator) -> Section | None:

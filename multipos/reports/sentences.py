@@ -12,6 +12,7 @@ from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
 from multipos.plots.calibration import nominal_error
+from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import Nominal
@@ -19,32 +20,41 @@ from multipos.sensor.inverse import Nominal
 _PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
 
 
-def counted_findings(findings: Iterable[Finding]) -> str:
+_ENGLISH = Translator("en")
+
+
+def counted_findings(findings: Iterable[Finding], tr: Translator = _ENGLISH) -> str:
     """Return how many errors and warnings there are."""
     levels = [found.level for found in findings]
     counts = {level: levels.count(level) for level in LEVELS[:2]}
-    said = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in counts.items() if n]
-    return ", ".join(said) or "no warnings"
+    said = [
+        tr(f"{{count}} {level}{'s' if n > 1 else ''}", count=str(n))
+        for level, n in counts.items()
+        if n
+    ]
+    return tr.listed(said) or tr("no warnings")
 
 
-def calibration_sentence(c: Calibration) -> str:
+def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
     count = len(c.readings)
     kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
-    parts = [f"{', '.join(c.outputs)} calibrated from {count} {kind}{'s' if count != 1 else ''}"]
+    said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
+    parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
     if math.isfinite(c.rms):
-        before = _rms_before(c)
-        after = in_unit(c.rms, "g")
-        parts[0] += (
-            f": rms error {before} before, {after} after" if before else f": rms error {after}"
-        )
+        before, after = _rms_before(c), in_unit(c.rms, "g")
+        said = ": rms error {before} before, {after} after" if before else ": rms error {after}"
+        parts[0] += tr(said, before=before, after=after)
     bias, scale = _largest_expanded(c)
-    said = [f"{in_unit(bias, 'g')} of bias"] if math.isfinite(bias) else []
-    said += [f"{share(scale)} of scale"] if math.isfinite(scale) else []
-    if said:
-        parts.append(f"U ({100.0 * c.confidence:g} %) up to {' and '.join(said)}")
-    head = "Not fit for use: " if errors_of(c.findings) else ""
-    return f"{head}{'; '.join([*parts, counted_findings(c.findings)])}."
+    sizes = [tr("{size} of bias", size=in_unit(bias, "g"))] if math.isfinite(bias) else []
+    sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
+    if sizes:
+        percent = f"{100.0 * c.confidence:g}"
+        parts.append(
+            tr("U ({percent} %) up to {sizes}", percent=percent, sizes=tr(" and ").join(sizes))
+        )
+    head = tr("Not fit for use: ") if errors_of(c.findings) else ""
+    return f"{head}{tr('; ').join([*parts, counted_findings(c.findings, tr)])}{tr('.')}"
 
 
 def _rms_before(c: Calibration) -> str:

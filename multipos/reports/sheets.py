@@ -117,11 +117,11 @@ def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:
     return known, plain_number(factor * shift.U, 2), unit
 
 
-def check_sheets(found: Check) -> list[Sheet]:
-    """Return the summary and the errors of every position; of a regression by segment."""
+def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
+    """Return the summary and the errors of positions, all or the largest; or by segment."""
     if found.segments:
         return [_by_segment(found)]
-    return [_by_axis(found), _by_position(found)]
+    return [_by_axis(found), _by_position(found, whole=whole)]
 
 
 def _by_axis(found: Check) -> Sheet:
@@ -184,7 +184,7 @@ def _longest(summary: dict[str, Any], scales: _Scales) -> str:
     return plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
 
 
-def _by_position(found: Check) -> Sheet:
+def _by_position(found: Check, *, whole: bool) -> Sheet:
     scales = _scales(found)
     (before, unit), (after, unit_after) = scales["before"], scales["after"]
     header = ["position"]
@@ -194,7 +194,8 @@ def _by_position(found: Check) -> Sheet:
     largest = after * np.max(np.where(np.isfinite(found.U), found.U, 0.0), axis=0)
     digits = [decimals_of(U) for U in largest.tolist()]
     rows = []
-    shown = largest_rows(np.abs(found.after).max(axis=1).tolist())
+    sizes = np.abs(found.after).max(axis=1).tolist()
+    shown = list(range(len(sizes))) if whole else largest_rows(sizes)
     for row in shown:
         cells = [found.positions[row]]
         for column in np.arange(len(found.axes)):

@@ -22,7 +22,7 @@ Song and Qin 2009, section 3.2 and figure 1: at least four runs.
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -439,7 +439,7 @@ def comparison_text(found: Comparison) -> str:
     model = found.calibrations[0].model
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
-        *_answer(found),
+        *_changes(found),
         "\n".join(lines),
         _parameter_table(found),
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
@@ -450,24 +450,10 @@ def comparison_text(found: Comparison) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _answer(found: Comparison) -> list[str]:
-    """Return whether the last agrees with the first, as a sentence, and the table of changes."""
-    largest = found.largest
-    if largest is None:
+def _changes(found: Comparison) -> list[str]:
+    """Return the table of changes between the first and the last."""
+    if found.largest is None:
         return []
-    agree = sum(each.En <= 1.0 for each in found.changes)
-    total = len(found.changes)
-    said = (
-        f"{agree} of {total} parameters agree with the first calibration's within U (largest E_n "
-        f"{largest.En:.2f}, {largest.name})."
-    )
-    limited = [each for each in found.changes if each.within is not None]
-    if limited:
-        beyond = [each.name for each in limited if not each.within]
-        said += f" {len(limited) - len(beyond)} of {len(limited)} are within their limits"
-        said += f"; beyond: {', '.join(beyond)}." if beyond else "."
-        due = min((each.due for each in limited if each.due), default=None)
-        said += f" Next calibration due {due}." if due else ""
     header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
     rows = []
     units = found.calibrations[0].model.units
@@ -486,7 +472,7 @@ def _answer(found: Comparison) -> list[str]:
         )
     kept = [i for i in range(len(header)) if i < 5 or any(row[i] for row in rows)]
     shown = [[row[i] for i in kept] for row in rows]
-    return [said, table([header[i] for i in kept], shown, left=2)]
+    return [table([header[i] for i in kept], shown, left=2)]
 
 
 def _limit_in_words(limit: float | tuple[float | None, float | None] | None) -> str:
@@ -535,14 +521,36 @@ def _verdict(found: Comparison) -> str:
     )
 
 
-def comparison_sentence(found: Comparison | RegressionComparison) -> str:
-    """Return whether runs agree, and what has moved."""
-    if isinstance(found, RegressionComparison):
-        least = min((t.p for t in found.terms if not math.isnan(t.p)), default=math.nan)
-        verdict = "agree" if found.consistent else "do not agree"
-        smallest = "" if math.isnan(least) else f"; smallest p of a term {number(least, 2)}"
-        return f"{len(found.files)} regressions {verdict}{smallest}."
-    verdict = "agree" if found.consistent else "do not agree"
-    moved = f"; moved: {', '.join(found.moved)}" if found.moved else ""
-    p = "" if math.isnan(found.p_total) else f" ({p_in_words(found.p_total)})"
-    return f"{len(found.files)} calibrations {verdict}{p}{moved}."
+def comparison_sentence(found: Mapping[str, Any]) -> str:
+    """Return whether runs agree and what has moved, from the JSON of `compare`."""
+    said = _agreement(found)
+    unfit = any(each["level"] == "error" for each in found.get("findings", ()))
+    return f"Not fit for use: {said}" if unfit else said
+
+
+def _agreement(found: Mapping[str, Any]) -> str:
+    """Return whether runs agree."""
+    verdict = "agree" if found["consistent"] else "do not agree"
+    if "terms" in found:
+        least = min((t["p"] for t in found["terms"] if t["p"] is not None), default=None)
+        smallest = "" if least is None else f"; smallest p of a term {number(least, 2)}"
+        return f"{len(found['regressions'])} regressions {verdict}{smallest}."
+    chance = "" if found["p"] is None else f" ({p_in_words(found['p'])})"
+    together = f"{len(found['calibrations'])} calibrations {verdict}{chance}"
+    changes, largest = found.get("changes") or (), found.get("largest")
+    if largest is None or largest["En"] is None:
+        moved = [each["name"] for each in found["parameters"] if each["moved"]]
+        return f"{together}; moved: {', '.join(moved)}." if moved else f"{together}."
+    agree = sum(each["En"] is not None and each["En"] <= 1.0 for each in changes)
+    said = (
+        f"{agree} of {len(changes)} parameters agree with the first calibration's within U "
+        f"(largest E_n {largest['En']:.2f}, {largest['name']})."
+    )
+    limited = [each for each in changes if each["within"] is not None]
+    if limited:
+        beyond = [each["name"] for each in limited if not each["within"]]
+        said += f" {len(limited) - len(beyond)} of {len(limited)} are within their limits"
+        said += f"; beyond: {', '.join(beyond)}." if beyond else "."
+        due = min((each["due"] for each in limited if each["due"]), default=None)
+        said += f" Next calibration due {due}." if due else ""
+    return said if found["consistent"] else f"{said} Together {together}."

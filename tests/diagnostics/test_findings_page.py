@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from multipos.reports.page import Translator
+from multipos.reports.sections import Translator
 
 ROOT = Path(__file__).resolve().parents[2]
 PUT_IN = "7"  # where a text has a number or a name

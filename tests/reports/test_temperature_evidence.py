@@ -7,7 +7,7 @@ import multipos as mp
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
 from multipos.reports.evidence import temperature_sections
-from multipos.reports.page import Translator
+from multipos.reports.sections import Translator
 
 
 @pytest.fixture(scope="module")

@@ -498,4 +498,4 @@ def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
     assert told.findings[0].text.startswith("run 2: 'ay' falls")
     page = tmp_path / "compared.md"
     mp.report(told, page)
-    assert "not fit for use" in page.read_text("utf-8")
+    assert "**Not fit for use: " in page.read_text("utf-8")

@@ -101,10 +101,10 @@ def test_the_command_answers_first_and_draws_a_chart(files, tmp_path, capsys):
     paths = files(*(calibration(f"{2023 + i}-05-01", 0.01 + 1e-5 * i, 7 + i) for i in range(3)))
     assert cli.main(["compare", *paths, "--limits", "bias=1mg", "-o", str(tmp_path / "c.svg")]) == 0
     first, _, changes, *_ = capsys.readouterr().out.splitlines()
-    assert first.startswith("3 calibrations agree (p = ")
     agree = sum(each.En <= 1.0 for each in mp.compare(*paths).changes)
-    assert changes.startswith(f"{agree} of 12 parameters agree")
-    assert "3 of 3 are within their limits" in changes
+    assert first.startswith(f"{agree} of 12 parameters agree")
+    assert "3 of 3 are within their limits" in first
+    assert changes.startswith("parameter")
     assert "cross_ay_z" in (tmp_path / "c.svg").read_text(encoding="utf-8")
 
 

@@ -11,8 +11,8 @@ fits say, where ``{name}`` matches whatever stands there. What a language lacks 
 """
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any, Literal, get_args
@@ -81,14 +81,17 @@ def _read(language: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-_SHOWN = " (the {shown} largest of {count}; the calibration file has all)"
+_WIDTH = 4.5  # inches of a figure, whose type can be read on a telephone
+LONG_TABLE = 24  # rows of a table in the body of a report; a longer one stands in its annex
+_WHOLE = 400  # rows of a table in the annex
 
 
 @dataclass(frozen=True)
 class PageTable:
     """A table: its caption, header and rows of text; the first `left` columns hold words.
 
-    What says again what stands elsewhere is not `on_paper`.
+    Of a long one the body of the report shows the rows `kept`, else the first, and the last `foot`.
+    What follows from what stands elsewhere is not `on_paper`.
     """
 
     caption: str
@@ -96,19 +99,17 @@ class PageTable:
     rows: tuple[tuple[str, ...], ...]
     left: int = 1
     on_paper: bool = True
+    kept: tuple[int, ...] = ()
+    foot: int = 0
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure: caption, what it shows in words, and the function that draws it as SVG.
-
-    What shows again what a table holds is not `on_paper`.
-    """
+    """A figure: caption, what it shows in words, and the function that draws it as SVG."""
 
     caption: str
     description: str
     draw: Callable[[], str]
-    on_paper: bool = True
 
 
 @dataclass(frozen=True)
@@ -119,19 +120,41 @@ class Section:
     paragraphs: tuple[str, ...] = ()
     figures: tuple[Figure, ...] = ()
     tables: tuple[PageTable, ...] = ()
-    on_paper: bool = True
 
 
 def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
     """Return a figure of so many axes as SVG with its words translated."""
-    figure, axes = new_figure(rows, height=height)
+    figure, axes = new_figure(rows, width=_WIDTH, height=height)
     draw(axes)
     return to_svg(figure, tr.label)
 
 
-def largest_positions(tr: Translator, sizes: NDArray[np.float64]) -> tuple[list[int], str]:
-    """Return the positions that a table shows, and what its title says where it leaves some out."""
-    shown = largest_rows(sizes.tolist())
-    if len(shown) == len(sizes):
-        return shown, ""
-    return shown, tr(_SHOWN, shown=str(len(shown)), count=str(len(sizes)))
+def chosen_rows(
+    tr: Translator, sizes: NDArray[np.float64]
+) -> tuple[list[int], tuple[int, ...], str]:
+    """Return the rows that a table takes, those that its body keeps, and what its caption adds."""
+    largest = tuple(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE))
+    if len(sizes) <= _WHOLE:
+        return list(range(len(sizes))), largest if len(sizes) > LONG_TABLE else (), ""
+    more = " (the {shown} largest of {count}; the calibration file has all)"
+    return list(largest), (), tr(more, shown=str(LONG_TABLE), count=str(len(sizes)))
+
+
+def with_annex(sections: Iterable[Section], tr: Translator) -> tuple[Section, ...]:
+    """Return the sections with the largest rows of long tables, which an annex has in full."""
+    whole: list[PageTable] = []
+
+    def short(grid: PageTable) -> PageTable:
+        count = len(grid.rows) - grid.foot
+        if count <= LONG_TABLE:
+            return grid
+        whole.append(grid)
+        kept = [*(grid.kept or range(LONG_TABLE)), *range(count, len(grid.rows))]
+        more = " (the {shown} largest of {count}; all in the annex)"
+        if not grid.kept:
+            more = " (the first {shown} of {count}; all in the annex)"
+        caption = grid.caption + tr(more, shown=str(LONG_TABLE), count=str(count))
+        return replace(grid, caption=caption, rows=tuple(grid.rows[row] for row in kept))
+
+    body = tuple(replace(part, tables=tuple(map(short, part.tables))) for part in sections)
+    return (*body, Section(tr("Annex"), tables=tuple(whole))) if whole else body
