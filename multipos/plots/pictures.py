@@ -6,9 +6,9 @@ Matplotlib and laying out with it takes longer than all else that a report does.
 Lengths are units of the view box, which is as wide as a telephone, so that type keeps its size.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from html import escape
-from math import floor, log10
 from typing import Literal
 
 import numpy as np
@@ -231,7 +231,7 @@ def _mark(largest: float) -> float:
     """Return the largest of 1, 2 or 5 times a power of ten that is not beyond."""
     if not largest > 0.0:
         return 0.0
-    power = 10.0 ** floor(log10(largest))
+    power = 10.0 ** math.floor(math.log10(largest))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= largest)
 
 

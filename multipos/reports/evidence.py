@@ -220,7 +220,7 @@ def rolls_section(c: Calibration, tr: Translator) -> Section:
             tr(
                 "What the rolls tell of the turntable: the zero of its encoder and two harmonics "
                 "of its circle, estimated together with the sensor. Each names the terms of a "
-                "sensor that would look the same; where the model holds them it cannot be printed."
+                "sensor that would look the same; where the model holds them it cannot be told."
             ),
         ),
         tuple(figures),
