@@ -31,6 +31,7 @@ References
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +228,7 @@ def _is_explained(
     """
     out = int(np.sum(~kept))
     dof = np.array([part.dof for part in view for _ in range(part.values.shape[1])])
-    left = _squares(view, kept[None])[0] / (dof - out)
+    left = _squares(_left_of(view, kept[None]))[0] / (dof - out)
     for designs in others:
         parts = [view_of([X], values[:, [m]])[0] for m, X in enumerate(designs)]
         if min(part.dof for part in parts) > 1 and all(
@@ -260,7 +261,7 @@ def _outlying(
         return None
     dof = min(part.dof for part in view)
     left = dof - int(np.sum(~kept))
-    before, after = _squares(view, np.vstack([np.ones_like(kept), kept]))
+    before, after = _squares(_left_of(view, np.vstack([np.ones_like(kept), kept])))
     return Outlying(rows, off, errors, math.sqrt(float(np.max(before / after)) * left / dof), left)
 
 
@@ -312,6 +313,13 @@ class Part:
         """Degrees of freedom of an output."""
         return int(self.basis.shape[0] - self.basis.shape[1])
 
+    @cached_property
+    def products(self) -> Array:
+        """Products (n, p (p + m)) of each row of the basis with itself and its values."""
+        Q, y = self.basis, self.values
+        parts = [Q[:, :, None] * each[:, None, :] for each in (Q, y)]
+        return np.concatenate([part.reshape(len(Q), -1) for part in parts], axis=1)
+
 
 View = tuple[Part, ...]
 
@@ -347,14 +355,14 @@ def find_outliers(views: Sequence[View]) -> Places:
     while (fewer := _fewer(counts[-1])) > 0:
         counts.append(fewer)
     for view in views:
-        far = _distances(view, _trimmed(view, most)[None])[0]
+        far = _trimmed(view, most)
         rank = np.argsort(np.argsort(-far, kind="stable"))
         sets = rank >= np.array(counts)[:, None]
-        for kept, beyond in zip(sets, _whole_is_beyond(view, sets, most), strict=True):
-            if beyond and all(
-                _parts_are_beyond(each, kept, most) and _stand_apart(each, kept) for each in views
-            ):
-                return np.flatnonzero(~kept)
+        sets = sets[_whole_is_beyond(view, sets, most)]
+        for each in views:
+            sets = sets[_parts_are_beyond(each, sets, most)]
+        if len(sets):
+            return np.flatnonzero(~sets[0])
     return np.zeros(0, dtype=np.intp)
 
 
@@ -363,95 +371,101 @@ def _fewer(out: int) -> int:
     return out - max(1, out // _BLOCK)
 
 
-def _trimmed(view: View, most: int) -> Mask:
-    """Return the rows (n,) of the least trimmed squares, without the most that may be left out."""
+_Left = list[tuple[Array, Array]]
+
+
+def _trimmed(view: View, most: int) -> Array:
+    """Return how far off rows are (n,) of the least trimmed squares, most of them left out."""
     n = len(view[0].values)
     p = max(part.basis.shape[1] for part in view)
     good = (1.0 - most / n) ** (p + 1)
     starts = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
     draws = np.random.default_rng(n).random((starts, n)).argsort(axis=1) <= p
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), draws])
-    kept = _concentrated(view, kept, most, _STEPS)
-    order = np.argsort(_objective(view, kept), kind="stable")[:_KEPT]
-    kept = _concentrated(view, kept[order], most, _LAST)
-    return np.asarray(kept[int(np.argmin(_objective(view, kept)))])
+    kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
+    best = np.argsort(_objective(left), kind="stable")[:_KEPT]
+    some = [(e[best], squares[best]) for e, squares in left]
+    _, left = _concentrated(view, kept[best], some, most, _LAST)
+    return np.asarray(_far(left)[int(np.argmin(_objective(left)))])
 
 
-def _left_of(view: View, kept: Mask) -> list[tuple[Array, Array]]:
+def _left_of(view: View, kept: Mask) -> _Left:
     """Return of every part residuals (B, n, m), and sums (B, m) of squares of the B sets kept."""
     weight = kept.astype(np.float64)
     found = []
     for part in view:
-        Q, y = part.basis, part.values
-        p = Q.shape[1]
-        products = (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
-        information = (weight @ products).reshape(-1, p, p) + _RIDGE * np.eye(p)
-        right = (weight @ (Q[:, :, None] * y[:, None, :]).reshape(len(Q), -1)).reshape(
-            -1, p, y.shape[1]
-        )
-        e = y - Q @ np.linalg.solve(information, right)
-        found.append((e, np.einsum("bn,bnm->bm", weight, e * e) + part.least))
+        (n, p), m = part.basis.shape, part.values.shape[1]
+        sums = weight @ part.products
+        information = sums[:, : p * p].reshape(-1, p, p) + _RIDGE * np.eye(p)
+        fitted = np.linalg.solve(information, sums[:, p * p :].reshape(-1, p, m))
+        e = part.values - part.basis @ fitted
+        squares = (weight[:, None] @ (e * e).reshape(-1, n, m))[:, 0]
+        found.append((e, squares + part.least))
     return found
 
 
-def _objective(view: View, kept: Mask) -> Array:
-    logs = [np.log(squares).sum(axis=1) for _, squares in _left_of(view, kept)]
-    return np.asarray(np.sum(logs, axis=0))
+def _objective(left: _Left) -> Array:
+    return np.asarray(np.log(_squares(left)).sum(axis=1))
 
 
-def _distances(view: View, kept: Mask) -> Array:
+def _far(left: _Left) -> Array:
     """Return how far off rows are, (B, n), in units of what the sets kept show."""
-    found = _left_of(view, kept)
-    each = [np.sum(e * e / squares[:, None], axis=2) for e, squares in found]
+    each = [np.einsum("bnm,bnm,bm->bn", e, e, 1.0 / squares) for e, squares in left]
     return np.asarray(np.sum(each, axis=0))
 
 
-def _squares(view: View, kept: Mask) -> Array:
+def _squares(left: _Left) -> Array:
     """Return the sums of squares of all outputs (B, M), of B sets."""
-    return np.concatenate([squares for _, squares in _left_of(view, kept)], axis=1)
+    return np.concatenate([squares for _, squares in left], axis=1)
 
 
-def _concentrated(view: View, kept: Mask, out: int, steps: int) -> Mask:
-    """Return sets (B, n) after steps of concentration that leave out so many rows."""
+def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> tuple[Mask, _Left]:
+    """Return sets (B, n) after steps of concentration that leave out so many, and what is left."""
     for _ in range(steps):
-        before = kept
-        order = np.argsort(_distances(view, before), axis=1, kind="stable")
-        kept = np.ones_like(before)
-        np.put_along_axis(kept, order[:, order.shape[1] - out :], np.False_, axis=1)
+        far = np.argpartition(_far(left), -out, axis=1)[:, -out:]
+        before, kept = kept, np.ones_like(kept)
+        kept[np.arange(len(kept))[:, None], far] = False
         if (kept == before).all():
             break
-    return kept
+        left = _left_of(view, kept)
+    return kept, left
 
 
-def _whole_is_beyond(view: View, sets: Mask, most: int) -> list[bool]:
+def _whole_is_beyond(view: View, sets: Mask, most: int) -> Mask:
     """Tell of which sets (B, n) the rows that are not kept are beyond chance, eq. (1) at j = 0."""
-    squares = _squares(view, np.vstack([np.ones_like(sets[:1]), sets]))
+    squares = _squares(_left_of(view, np.vstack([np.ones_like(sets[:1]), sets])))
     outs = np.sum(~sets, axis=1).tolist()
-    return [
-        _is_beyond(view, own / squares[0], out, 0, most)
-        for own, out in zip(squares[1:], outs, strict=True)
-    ]
+    pairs = zip(squares[1:] / squares[0], outs, strict=True)
+    return np.array([_is_beyond(view, x, out, 0, most) for x, out in pairs], dtype=np.bool_)
 
 
-def _parts_are_beyond(view: View, kept: Mask, most: int) -> bool:
-    """Tell whether every part of the rows that are not kept is beyond chance, eq. (1)."""
-    out = int(np.sum(~kept))
-    smallest, inner, j = _squares(view, kept[None])[0], kept, out
-    while j > 0:
-        j = _fewer(j)
-        inner = _added(view, inner, j)
-        if not _is_beyond(view, smallest / _squares(view, inner[None])[0], out, j, most):
-            return False
-    return True
+def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:
+    """Tell of which sets (B, n) the rows not kept stand apart, every part beyond chance, eq. (1).
 
-
-def _stand_apart(view: View, kept: Mask) -> bool:
-    """Tell whether rows that are not kept are apart from all others; one alone may be near.
-
-    A third of rows that are ten times noisier has its smaller errors among those of the others.
+    Rows stand apart from all others, but one alone, which may be near: a third of rows that are ten
+    times noisier has its smaller errors among those of the others.
     """
-    far = _distances(view, kept[None])[0]
-    return bool(np.sum(~kept) == 1 or far[~kept].min() > _GAP**2 * far[kept].max())
+    outs = np.sum(~sets, axis=1)
+    left = _left_of(view, sets)
+    far, smallest = _far(left), _squares(left)
+    nearest = np.where(sets, np.inf, far).min(axis=1, initial=np.inf)
+    beyond = (outs == 1) | (nearest > _GAP**2 * np.where(sets, far, 0.0).max(axis=1, initial=0.0))
+    alive, inner, back = np.flatnonzero(beyond), sets[beyond], outs[beyond]
+    far = far[beyond]
+    while len(alive):
+        back = np.array([_fewer(j) for j in back.tolist()])
+        order = np.argsort(np.where(inner, -1.0, far), axis=1, kind="stable")
+        rank = np.empty_like(order)
+        np.put_along_axis(rank, order, np.arange(sets.shape[1])[None], axis=1)
+        inner = rank < (sets.shape[1] - back)[:, None]
+        left = _left_of(view, inner)
+        x = smallest[alive] / _squares(left)
+        pairs = zip(x, outs[alive].tolist(), back.tolist(), strict=True)
+        passed = np.array([_is_beyond(view, each, i, j, most) for each, i, j in pairs])
+        beyond[alive[~passed]] = False
+        going = passed & (back > 0)
+        alive, inner, back, far = alive[going], inner[going], back[going], _far(left)[going]
+    return np.asarray(beyond)
 
 
 def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
@@ -463,14 +477,6 @@ def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
     ]
     chances = math.log(len(dof)) + _log_choices(len(view[0].values) - j, i - j)
     return min(logs) + chances <= math.log(_LEVEL / most)
-
-
-def _added(view: View, kept: Mask, out: int) -> Mask:
-    """Return the rows kept with the nearest of the others, so that so many are left out."""
-    far = np.where(kept, -1.0, _distances(view, kept[None])[0])
-    result = np.zeros_like(kept)
-    result[np.argsort(far, kind="stable")[: len(kept) - out]] = True
-    return result
 
 
 def _log_choices(n: int, k: int) -> float:
