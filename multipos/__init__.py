@@ -26,6 +26,7 @@ _PUBLIC = {
     "ConvergenceError": "errors",
     "Finding": "finding",
     "Fleet": "fleets.fleet",
+    "Formula": "numerics.terms",
     "Model": "sensor.model",
     "MultiposError": "errors",
     "RankError": "errors",
@@ -108,6 +109,7 @@ if TYPE_CHECKING:
     from multipos.fleets.fleet import fleet as fleet
     from multipos.logs.averages import Averages as Averages
     from multipos.logs.averaging import average as average
+    from multipos.numerics.terms import Formula as Formula
     from multipos.positions.reading_tables import read_readings as read_readings
     from multipos.positions.readings import Readings as Readings
     from multipos.positions.scheme import Scheme as Scheme

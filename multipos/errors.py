@@ -62,7 +62,7 @@ class RankError(MultiposError):
         super().__init__(message)
         self.rank = rank
         self.parameters = parameters
-        self.combinations = tuple(combinations)
+        self.combinations: tuple[str, ...] = tuple(combinations)
 
     def __reduce__(self) -> tuple[Any, ...]:  # so that a pool of processes hands it on
         return partial(type(self), **vars(self)), self.args

@@ -16,7 +16,7 @@ knows results and is found by its name when it is asked: nothing here knows a re
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import Field, fields
 from importlib import import_module
 from operator import is_not
@@ -44,7 +44,7 @@ class Frozen(dict[K, V]):
     def __ne__(self, other: object) -> bool:  # a dictionary has its own, which asks arrays
         return not self == other
 
-    __hash__ = None  # as of every dictionary
+    __hash__: ClassVar[None] = None  # as of every dictionary
 
     def __reduce__(self) -> tuple[type, tuple[dict[K, V]]]:
         return type(self), (dict(self),)  # not entry by entry, which it would refuse
@@ -52,8 +52,14 @@ class Frozen(dict[K, V]):
     def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise TypeError("what a result holds cannot be changed; make a copy of it with dict(…).")
 
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    clear = pop = popitem = setdefault = update = _refuse
+    __setitem__: ClassVar[Callable[..., NoReturn]] = _refuse
+    __delitem__: ClassVar[Callable[..., NoReturn]] = _refuse
+    __ior__: ClassVar[Callable[..., NoReturn]] = _refuse
+    clear: ClassVar[Callable[..., NoReturn]] = _refuse
+    pop: ClassVar[Callable[..., NoReturn]] = _refuse
+    popitem: ClassVar[Callable[..., NoReturn]] = _refuse
+    setdefault: ClassVar[Callable[..., NoReturn]] = _refuse
+    update: ClassVar[Callable[..., NoReturn]] = _refuse
 
 
 class Result:
@@ -75,7 +81,7 @@ class Result:
         names = [field.name for field in fields(self) if field.compare]
         return all(_same(getattr(self, name), getattr(other, name)) for name in names)
 
-    __hash__ = None  # type: ignore[assignment]  # arrays have no hash
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]  # arrays have no hash
 
     def __str__(self) -> str:
         return str(import_module(_SHOWING).show_text(self))

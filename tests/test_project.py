@@ -6,10 +6,14 @@ import shutil
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 import multipos
+from multipos.exports.noise_parameters import NOISE_TARGETS
+from multipos.exports.targets import TARGETS, TargetName
+from multipos.numerics.terms import NAMED, Formula, NamedModel
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
@@ -95,3 +99,11 @@ def test_a_page_for_a_reader_has_three_commands_and_the_same_parts():
         assert parts == ["Three commands", "Which number to read", "What can go wrong"]
         assert len(re.findall(r"^\$ multipos ", text, re.MULTILINE)) == 3
         assert f"for/{page.stem}.md)" in (ROOT / "README.md").read_text("utf-8")
+
+
+def test_literals_are_what_the_program_takes():
+    """Type checkers know the names of models and targets; any other text is a `Formula`."""
+    assert get_args(NamedModel) == tuple(NAMED)
+    known = {target.name for target in TARGETS} | {*NOISE_TARGETS}
+    assert {*get_args(TargetName)} == known
+    assert Formula("1 + own") == "1 + own"

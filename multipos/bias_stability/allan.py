@@ -83,7 +83,7 @@ class Phases:
         self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115
         self._last = 0.0
         self._origin: float | None = None
-        self.samples = 0
+        self.samples: int = 0
 
     def __enter__(self) -> Self:
         self._file.write(np.zeros(1).tobytes())

@@ -24,11 +24,13 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.finding import Finding
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
 from multipos.logs.rests import (
     BLOCKS,
     Finder,
+    Grid,
     Limits,
     Rest,
     Run,
@@ -82,20 +84,24 @@ class LiveRows:
         self, log: Log, head: Array, outputs: tuple[str, ...] | None, timing: Timing
     ) -> None:
         self.log = log
-        self.rows = self.whole = self.gaps = self.bad = 0
+        self.rows: int = 0
+        self.whole: int = 0
+        self.gaps: int = 0
+        self.bad: int = 0
         self._left_out: list[int] = []  # how many good rows came before each that was left out
         named = None if timing.column is None else log.find(timing.column)
         likely = time_columns(log) if timing.rate is None else []
         chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
-        self.outputs, self.findings = chosen.names, (*log.notes, *chosen.findings)
+        self.outputs: tuple[str, ...] = chosen.names
+        self.findings: tuple[Finding, ...] = (*log.notes, *chosen.findings)
         column = named or next((name for name in likely if _rises(self._of(head, name))), None)
         self.clock: Clock | None = None
         self.rate = timing.rate or log.rate
-        self.step = np.nan
+        self.step: float = np.nan
         if column is not None:
             self._read_clock(column, self._of(head, column), timing)
         apart = {*self.outputs, column, *log.nameless}
-        self.others = tuple(name for name in log.numeric if name not in apart)
+        self.others: tuple[str, ...] = tuple(name for name in log.numeric if name not in apart)
         names = [*self.outputs, *self.others, *([column] if column else [])]
         self._order = [log.numeric.index(name) for name in names]
         self._usual = usual_size(self._arranged(head))
@@ -280,8 +286,8 @@ class LiveRests:
 
     def __init__(self, rows: LiveRows, min_duration: float | None, threshold: float | None) -> None:
         self._rows = rows
-        self.grid = choose_grid(rows.rate, min_duration)
-        self.survey = Survey(len(rows.outputs), self.grid)
+        self.grid: Grid = choose_grid(rows.rate, min_duration)
+        self.survey: Survey = Survey(len(rows.outputs), self.grid)
         self.threshold = threshold
         self.settled: list[Still] = []
         self._windows = Windows(self.grid.block)

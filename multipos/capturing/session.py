@@ -72,14 +72,17 @@ class Session:
         reading: RowOptions,
         notify: "Callable[[Session], object] | None" = None,
     ) -> None:
-        self.plan, self._reading = plan, reading
+        self.plan: SessionPlan = plan
+        self._reading = reading
         self._notify = notify
-        self.changed = threading.Condition()
-        self.version = self.ticks = 0
+        self.changed: threading.Condition = threading.Condition()
+        self.version: int = 0
+        self.ticks: int = 0
         self.poses: list[Pose] = []
-        self.evaluation = NOTHING
-        self.finished = self.asked_to_finish = False
-        self.connected = True
+        self.evaluation: PosesGain = NOTHING
+        self.finished: bool = False
+        self.asked_to_finish: bool = False
+        self.connected: bool = True
         self.rows: LiveRows | None = None
         self.rests: LiveRests | None = None
         self.model: Model | None = None

@@ -54,7 +54,7 @@ from multipos.files.tables import Source
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.separability import name_combinations, separability
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.terms import COMPONENTS, ModelText, Term
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame
@@ -237,7 +237,7 @@ _SINGLE = (
 
 def schemes(
     *sources: "Source | Scheme | Sequence[Source | Scheme]",
-    model: str = "linear",
+    model: ModelText = "linear",
     axes: Names = COMPONENTS,
     inputs: Names = COMPONENTS,
     unknown_orientation: bool = False,
@@ -293,7 +293,7 @@ def schemes(
 
 
 def read_setting(
-    model: str,
+    model: ModelText,
     axes: Names,
     inputs: Names,
     unknown_orientation: bool,

@@ -40,7 +40,7 @@ from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, ModelText
 from multipos.positions.benches import bench_settings, read_bench
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, read_scheme
@@ -193,7 +193,7 @@ _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
 def design(
-    model: str = "linear",
+    model: ModelText = "linear",
     positions: int = 6,
     *,
     criterion: str = "D",

@@ -162,7 +162,9 @@ class Setting:
     """What a projection depends on: positions, terms and weights; equal where these are."""
 
     def __init__(self, c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> None:
-        self.calibration, self.kinds, self.added = c, kinds, added
+        self.calibration: Calibration = c
+        self.kinds: tuple[Kind, ...] = kinds
+        self.added: tuple[str, ...] = added
         columns = c.readings.environment
         self._key = (
             *(c.model.names, c.model.axes, c.model.inputs, tuple(kind.name for kind in kinds)),

@@ -30,12 +30,13 @@ from multipos.sensor.inverse import read_nominal
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+TargetName = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav", "ros"]
 Unit = Literal["g", "m/s^2"]
 
 
 def export(
     calibration: "Parts | Stability",
-    to: str,
+    to: TargetName,
     *,
     name: str = "multipos",
     float: bool = False,

@@ -107,8 +107,12 @@ class Cells(Sequence[str]):
         self, raw: Raw, pieces: Sequence[_Piece], rows: int, place: int, mark: str, skipped: int = 0
     ) -> None:
         """Name the rows of some pieces that come after those that are skipped."""
-        self.raw, self.pieces, self._rows = raw, pieces, rows
-        self.place, self.mark, self.skipped = place, mark, skipped
+        self.raw: Raw = raw
+        self.pieces: Sequence[_Piece] = pieces
+        self.place: int = place
+        self.mark: str = mark
+        self.skipped: int = skipped
+        self._rows = rows
         self._firsts = np.array([piece.first for piece in pieces])
         self._last: tuple[int, list[str]] = (-1, [])
 

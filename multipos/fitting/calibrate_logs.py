@@ -24,7 +24,7 @@ from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import Loss
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, Formula, ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.order import Order
 from multipos.positions.readings import Readings
@@ -59,7 +59,7 @@ def calibrate(
     accept_faults: bool = False,
     scheme: "Source | Scheme | None" = None,
     order: Order = "paper",
-    model: str | Expression | None = None,
+    model: ModelText | Expression | None = None,
     convention: Convention = "specific-force",
     axes: Names | None = None,
     inputs: Names = COMPONENTS,
@@ -177,7 +177,7 @@ def calibrate(
 
 
 def fit_rests(
-    found: Averages, model: str | Expression | None = None, /, **options: Unpack[FitOptions]
+    found: Averages, model: ModelText | Expression | None = None, /, **options: Unpack[FitOptions]
 ) -> Calibration:
     """Fit the means of rests: of unknown orientation, unless a scheme was matched to them.
 
@@ -203,7 +203,7 @@ def fit_rests(
             action = "Record nine rests or more, edges and corners among them, to fit cross terms."
             reduced = Finding("reduced-model", "warning", text, action)
             noted = replace(readings, findings=(*readings.findings, reduced))
-            options["model"] = "1 + own"
+            options["model"] = Formula("1 + own")
             options["budget"] = {"cross": {"u": _CROSS}, **stated}
             return fit(noted, **options)
         if free or not assumed:

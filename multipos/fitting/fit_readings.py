@@ -50,7 +50,7 @@ from multipos.fitting.options import (
 )
 from multipos.numerics.arrays import Array, coarse_steps
 from multipos.numerics.losses import Loss
-from multipos.numerics.terms import COMPONENTS, Term, formula_columns, largest_value
+from multipos.numerics.terms import COMPONENTS, ModelText, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.order import Order
 from multipos.positions.orientations import StatedOrientations, as_used, place, resolve
@@ -164,7 +164,7 @@ class FitOptions(TypedDict, total=False):
 
     scheme: "Source | Scheme | None"
     order: Order
-    model: str | Expression
+    model: ModelText | Expression
     convention: Convention
     outputs: Names | None
     axes: Names | None
@@ -196,7 +196,7 @@ def fit(
     *,
     scheme: "Source | Scheme | None" = None,
     order: Order = "paper",
-    model: str | Expression = "linear",
+    model: ModelText | Expression = "linear",
     convention: Convention = "specific-force",
     outputs: Names | None = None,
     axes: Names | None = None,
@@ -232,7 +232,7 @@ def fit(
     order : str
         'paper', 'spread' or 'travel': in which the rows of readings without labels follow the
         scheme (`multipos.positions.order`).
-    model : str or function
+    model : name, Formula, path, or function
         'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
         function of the components and the parameters (see `multipos.sensor.expressions`).
     convention : str

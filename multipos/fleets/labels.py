@@ -16,7 +16,7 @@ class Labels(Sequence[str]):
 
     def __init__(self, codes: Codes, names: Sequence[str]) -> None:
         self.codes = codes
-        self.names = tuple(names)
+        self.names: tuple[str, ...] = tuple(names)
 
     def __len__(self) -> int:
         return len(self.codes)

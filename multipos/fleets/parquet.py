@@ -37,9 +37,10 @@ class FileColumn(Sequence[Any]):
 
     def __init__(self, path: str | os.PathLike[str], name: str, groups: Mapping[int, int]) -> None:
         """Name a column in some groups of a file, each with its number of rows."""
-        self.path, self._name = path, name
+        self.path: str | os.PathLike[str] = path
+        self._name = name
         self._groups, self._ends = list(groups), np.cumsum(list(groups.values()))
-        self.largest = max(groups.values())
+        self.largest: int = max(groups.values())
 
     def __len__(self) -> int:
         return int(self._ends[-1])

@@ -21,6 +21,8 @@ from multipos.logs.array_logs import (
 from multipos.logs.extras import reader_with_extra
 from multipos.logs.flight_logs import load_bag, load_dataflash, load_ulog
 
+LoadColumns = Callable[[os.PathLike[str]], Mapping[str, Any]]
+
 
 class Reader(NamedTuple):
     """How one kind of file is distinguished from others, and opened.
@@ -31,7 +33,7 @@ class Reader(NamedTuple):
     listed: str  # named to users as read
     suffixes: tuple[str, ...]
     magic: bytes
-    columns: Callable[[os.PathLike[str]], Mapping[str, Any]] | None
+    columns: LoadColumns | None
     unpack: Callable[[os.PathLike[str]], os.PathLike[str]] | None = None  # to a file of a kind
     member: str = ""  # the ending of a name in a zip archive that tells this kind
     holds: Callable[[bytes], bool] = bool  # of the first bytes
@@ -56,7 +58,7 @@ _read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", load_hdf)
 _read_mat73 = reader_with_extra("a MATLAB 7.3 file", "h5py", "hdf5", load_hdf)
 _read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", read_arrow)
 _read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", read_arrow)
-read_bag = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
+read_bag: LoadColumns = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
 _read_ulog = reader_with_extra("a ULog of PX4", "pyulog", "px4", load_ulog)
 _read_dataflash = reader_with_extra(
     "a DataFlash log of ArduPilot", "pymavlink", "ardupilot", load_dataflash

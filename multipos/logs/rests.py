@@ -316,11 +316,11 @@ class Survey:
 
     def __init__(self, outputs: int, grid: Grid) -> None:
         self.grid = grid
-        self.rows = 0
-        self.windows = 0
-        self.lowest = np.full(outputs, np.inf)
-        self.highest = np.full(outputs, -np.inf)
-        self.resolution = np.full(outputs, np.nan)
+        self.rows: int = 0
+        self.windows: int = 0
+        self.lowest: Array = np.full(outputs, np.inf)
+        self.highest: Array = np.full(outputs, -np.inf)
+        self.resolution: Array = np.full(outputs, np.nan)
         self._counts = np.zeros((2, (_HIGHEST - _LOWEST) * _BINS_PER_DECADE), dtype=np.int64)
         self._constant = 0  # windows in which nothing changes
         self._mean_range = np.array([self.lowest, self.highest])

@@ -21,11 +21,12 @@ are odd.
 """
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -168,7 +169,36 @@ def _parts(match: re.Match[str]) -> tuple[str, str, str]:
 
 
 COMPONENTS = ("x", "y", "z")
-NAMED = {
+NamedModel = Literal[
+    "linear",
+    "own-quadratic",
+    "own-cubic",
+    "cross-quadratic",
+    "ieee",
+    "ieee-odd",
+    "full-quadratic",
+]
+
+
+class Formula(str):
+    """A model as a formula or a line of one's own: a text that type checkers let through.
+
+    Where a model is taken, a checker knows the names, paths and this, so that a misspelt name is
+    a type error; when the program runs any text is taken.
+
+    Examples
+    --------
+    >>> import multipos as mp
+    >>> readings = dict(mp.simulate(mp.demo().calibration, "faces-corners-14", seed=1))
+    >>> mp.fit(readings, model=mp.Formula("1 + own")).names
+    ('bias_ax', 'scale_ax', 'bias_ay', 'scale_ay', 'bias_az', 'scale_az')
+    """
+
+    __slots__ = ()
+
+
+ModelText = NamedModel | Formula | os.PathLike[str]
+NAMED: dict[str, str] = {
     "linear": "1 + x + y + z",
     "own-quadratic": "1 + x + y + z + own^2",
     "own-cubic": "1 + x + y + z + own^2 + own^3",

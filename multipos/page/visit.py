@@ -22,7 +22,7 @@ from multipos.compensation.applying import apply
 from multipos.designs.designing import design
 from multipos.designs.prospects import worth
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.targets import export
+from multipos.exports.targets import TargetName, export
 from multipos.files.numbers import number
 from multipos.files.tables import write_table
 from multipos.files.whole import first_bytes
@@ -41,7 +41,7 @@ from multipos.sensor.calibration import Calibration, force_residuals
 from multipos.sensor.calibration_file import load
 from multipos.units import STANDARD_GRAVITY
 
-TARGETS = ("px4", "ardupilot")
+TARGETS: tuple[TargetName, ...] = ("px4", "ardupilot")
 _SUFFIX = {"c": ".c", "px4": "_px4.params", "ardupilot": "_ardupilot.parm", "md": ".md"}
 _MOST_READINGS = 200  # rows: more are a log
 _NEXT = 3  # best positions shown

@@ -12,7 +12,7 @@ from multipos.designs.information import inform, log_det
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, ModelText
 from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, write_title
 from multipos.positions.scheme import Scheme, read_scheme
@@ -26,7 +26,7 @@ def draw_scheme(
     scheme: "Source | Scheme",
     axes: "Axes",
     *,
-    model: str = "linear",
+    model: ModelText = "linear",
     sensed: Names = COMPONENTS,
     inputs: Names = COMPONENTS,
     unknown_orientation: bool = False,

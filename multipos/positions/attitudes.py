@@ -36,7 +36,7 @@ _LETTERS = {"E": _E, "N": _N, "U": _U, "W": -_E, "S": -_N, "D": -_U}
 _CHINESE = {"东": "E", "東": "E", "北": "N", "天": "U", "西": "W", "南": "S", "地": "D"}
 
 UP = ("up_x", "up_y", "up_z")
-FORMS = {
+FORMS: dict[str, tuple[str, ...]] = {
     "direction": ("direction",),
     "up vector": UP,
     "roll and pitch": ("roll_deg", "pitch_deg"),

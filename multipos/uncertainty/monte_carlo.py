@@ -56,7 +56,8 @@ class Draws:
     """Readings as they might have been, all quantities of the budget drawn from their laws."""
 
     def __init__(self, calibration: Calibration, rng: np.random.Generator) -> None:
-        self.c, self.rng = calibration, rng
+        self.c: Calibration = calibration
+        self.rng: np.random.Generator = rng
         c = calibration
         self.n, self.m = c.readings.values.shape
         self.quantities = _quantities_to_draw(c)

@@ -31,6 +31,7 @@ from multipos.fitting.fit_readings import fit
 from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.harmonics import (
     Harmonic,
@@ -218,7 +219,7 @@ def tumble_output(
     data: Readings,
     facing: str,
     *,
-    model: str | None,
+    model: ModelText | None,
     convention: Convention,
     **conditions: Any,
 ) -> Tumble:
@@ -240,7 +241,7 @@ def tumble_output(
     names, unidentifiable = kept_coefficients(data, axis, sign, limited=bool(limited))
     calibration = fit(
         data,
-        model=model or formula_of(names, axis),
+        model=model or Formula(formula_of(names, axis)),
         axes=(facing,),
         convention=convention,
         **conditions,

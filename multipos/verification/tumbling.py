@@ -21,7 +21,7 @@ from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.finding import Findings, in_order
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.terms import COMPONENTS, ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.orientations import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
@@ -122,7 +122,7 @@ def tumble(
     outputs: Names | None = None,
     axes: Names | None = None,
     scheme: Source | Scheme | None = None,
-    model: str | None = None,
+    model: ModelText | None = None,
     convention: Convention = "specific-force",
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
