@@ -36,6 +36,7 @@ from multipos.files.records import (
     Maybe,
     Named,
     Numbers,
+    Record,
     Whole,
     require,
 )
@@ -227,14 +228,15 @@ class Stability(Result, Drawn, Tabular):
 
 SCHEMA = "multipos/stability/1"
 
-_ESTIMATE = Fields(
+_ESTIMATE = Record(
     {
         "value": ANY_NUMBER,
         "u": NOT_NEGATIVE,
         "U": NOT_NEGATIVE,
-        "dof": Maybe(POSITIVE),
+        "dof": Maybe(POSITIVE, math.inf),
         "unit": ANY_TEXT,
-    }
+    },
+    make=Estimate,
 )
 _POINT = Fields({"tau": POSITIVE, "adev": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": POSITIVE})
 _WARM_UP = Fields(
@@ -250,46 +252,45 @@ _WARM_UP = Fields(
         "settled_after": NOT_NEGATIVE,
     }
 )
-_TEMPERATURE = Fields(
-    {**_ESTIMATE.needed, "micro_g": Maybe(_ESTIMATE), "ppm": Maybe(_ESTIMATE)},
+_RELATIVE = Record({"micro_g": Maybe(_ESTIMATE), "ppm": Maybe(_ESTIMATE)})
+_TEMPERATURE = Fields({**_ESTIMATE.needed, **_RELATIVE.needed})
+_LAWS = Record(
+    dict.fromkeys(("white_noise", "bias_instability", "random_walk", "drift"), _ESTIMATE)
 )
-_LAWS = ("white_noise", "bias_instability", "random_walk", "drift")
-_SPREAD = Fields({"sd": NOT_NEGATIVE, "range": NOT_NEGATIVE, "dof": Whole(1)})
-
-STABILITY = Fields(
+_SPREAD = Record({"sd": NOT_NEGATIVE, "range": NOT_NEGATIVE, "dof": Whole(1)}, make=Spread)
+_RECORD = Record(
     {
-        "outputs": Named(
-            Fields(
-                {
-                    "allan": Listed(_POINT, 1),
-                    **dict.fromkeys(_LAWS, _ESTIMATE),
-                    "warm_up": Maybe(_WARM_UP),
-                    "temperature_coefficient": Maybe(_TEMPERATURE),
-                }
-            )
-        ),
+        "file": ANY_TEXT,
+        "samples": Whole(1),
+        "time": Numbers(),
+        "zero": Named(Numbers()),
+        "settled": Named(ANY_NUMBER),
+        "temperature": Maybe(Numbers()),
+    },
+    make=StaticRecord,
+    names={"file": "source"},
+)
+_OUTPUT = Fields(
+    {
+        "allan": Listed(_POINT, 1),
+        **_LAWS.needed,
+        "warm_up": Maybe(_WARM_UP),
+        "temperature_coefficient": Maybe(_TEMPERATURE),
+    }
+)
+# What a result has under its own name; the Allan deviations stand by output.
+_WHOLE = Record(
+    {
         "run_to_run": Named(_SPREAD),
         "turn_on": Named(_SPREAD),
-        "records": Listed(
-            Fields(
-                {
-                    "file": ANY_TEXT,
-                    "samples": Whole(1),
-                    "time": Numbers(),
-                    "zero": Named(Numbers()),
-                    "settled": Named(ANY_NUMBER),
-                    "temperature": Maybe(Numbers()),
-                }
-            ),
-            1,
-        ),
+        "records": Listed(_RECORD, 1),
         "sample_rate": POSITIVE,
         "unit": ANY_TEXT,
         "confidence": SHARE,
         "calibration": Maybe(ANY_TEXT),
-    },
-    FINDINGS,
+    }
 )
+STABILITY = Fields({"outputs": Named(_OUTPUT), **_WHOLE.needed}, FINDINGS)
 
 
 def stability_dict(found: Stability) -> dict[str, Any]:
@@ -298,16 +299,7 @@ def stability_dict(found: Stability) -> dict[str, Any]:
         {
             "schema": SCHEMA,
             "outputs": {name: _output(found, each) for name, each in found.outputs.items()},
-            "run_to_run": {name: vars(each) for name, each in found.run_to_run.items()},
-            "turn_on": {name: vars(each) for name, each in found.turn_on.items()},
-            "records": [
-                {"file": each.source, **{k: v for k, v in vars(each).items() if k != "source"}}
-                for each in found.records
-            ],
-            "sample_rate": found.sample_rate,
-            "unit": found.unit,
-            "confidence": found.confidence,
-            "calibration": found.calibration,
+            **_WHOLE.write(found),
             "findings": found.findings,
         }
     )
@@ -319,15 +311,11 @@ def _output(found: Stability, each: OutputStability) -> dict[str, Any]:
     coefficient, warm_up = each.temperature_coefficient, each.warm_up
     return {
         "allan": [dict(zip(("tau", "adev", "u", "dof"), row, strict=True)) for row in points],
-        **{law: vars(getattr(each, law)) for law in _LAWS},
+        **_LAWS.write(each),
         "warm_up": None if warm_up is None else _warm_up(warm_up),
         "temperature_coefficient": None
         if coefficient is None
-        else {
-            **vars(coefficient.change),
-            "micro_g": None if coefficient.micro_g is None else vars(coefficient.micro_g),
-            "ppm": None if coefficient.ppm is None else vars(coefficient.ppm),
-        },
+        else {**_ESTIMATE.write(coefficient.change), **_RELATIVE.write(coefficient)},
     }
 
 
@@ -366,7 +354,7 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
     """
     content = read_json(path, SCHEMA)
     require(content, STABILITY, str(path), "run stability again")
-    outputs, records = content["outputs"], content["records"]
+    outputs = content["outputs"]
     taus = [[point["tau"] for point in each["allan"]] for each in outputs.values()]
     if not _is_whole(content, taus):
         raise MultiposError(
@@ -376,14 +364,8 @@ def load_stability(path: str | os.PathLike[str]) -> Stability:
     return Stability(
         tau=np.array(taus[0], dtype=np.float64),
         outputs={name: _read_output(each) for name, each in outputs.items()},
-        run_to_run=_spreads(content["run_to_run"]),
-        turn_on=_spreads(content["turn_on"]),
-        records=tuple(map(_read_record, records)),
-        sample_rate=content["sample_rate"],
-        unit=content["unit"],
-        confidence=content["confidence"],
-        calibration=content["calibration"],
         findings=read_findings(content),
+        **_WHOLE.read(content),
     )
 
 
@@ -404,33 +386,21 @@ def _is_record_whole(content: Mapping[str, Any], names: set[str]) -> bool:
     return alike and set(content["zero"]) == set(content["settled"]) == names
 
 
-def _spreads(content: Mapping[str, Any]) -> dict[str, Spread]:
-    return {name: Spread(**_own(each, _SPREAD)) for name, each in content.items()}
-
-
-def _own(content: Mapping[str, Any], kind: Fields) -> dict[str, Any]:
-    return {name: content[name] for name in kind.needed}
-
-
-def _estimate(content: Mapping[str, Any]) -> Estimate:
-    dof = content["dof"]
-    return Estimate(**{**_own(content, _ESTIMATE), "dof": np.inf if dof is None else dof})
-
-
 def _read_output(content: Mapping[str, Any]) -> OutputStability:
     adev, u, dof = (
         np.array([point[name] for point in content["allan"]], dtype=np.float64)
         for name in ("adev", "u", "dof")
     )
-    laws = {law: _estimate(content[law]) for law in _LAWS}
     warm, temperature = content["warm_up"], content["temperature_coefficient"]
     return OutputStability(
         adev=adev,
         u=u,
         dof=dof,
-        **laws,
+        **_LAWS.read(content),
         warm_up=None if warm is None else _read_warm_up(warm),
-        temperature_coefficient=None if temperature is None else _read_temperature(temperature),
+        temperature_coefficient=None
+        if temperature is None
+        else TemperatureCoefficient(_ESTIMATE.read(temperature), **_RELATIVE.read(temperature)),
     )
 
 
@@ -438,28 +408,9 @@ def _read_warm_up(content: Mapping[str, Any]) -> WarmUp:
     size = {key: content[f"amplitude_{key}"] for key in ("u", "U", "dof")}
     spread = {key: content[f"time_constant_{key}"] for key in ("u", "U")}
     return WarmUp(
-        _estimate({"value": content["amplitude"], "unit": content["unit"], **size}),
-        _estimate({"value": content["time_constant"], "unit": "s", "dof": None, **spread}),
+        _ESTIMATE.read({"value": content["amplitude"], "unit": content["unit"], **size}),
+        _ESTIMATE.read({"value": content["time_constant"], "unit": "s", "dof": None, **spread}),
         content["settled_after"],
-    )
-
-
-def _read_temperature(content: Mapping[str, Any]) -> TemperatureCoefficient:
-    others = {
-        key: None if content[key] is None else _estimate(content[key]) for key in ("micro_g", "ppm")
-    }
-    return TemperatureCoefficient(_estimate(content), **others)
-
-
-def _read_record(content: Mapping[str, Any]) -> StaticRecord:
-    temperature = content["temperature"]
-    return StaticRecord(
-        source=content["file"],
-        samples=content["samples"],
-        time=np.array(content["time"], dtype=np.float64),
-        zero={name: np.array(zero, dtype=np.float64) for name, zero in content["zero"].items()},
-        settled=content["settled"],
-        temperature=None if temperature is None else np.array(temperature, dtype=np.float64),
     )
 
 

@@ -1,10 +1,11 @@
-"""What the JSON files of results hold: a kind for every key, and one walk that holds a file to it.
+"""What the JSON files of results hold: a kind for every key, which checks, reads and writes it.
 
 Calibrations, regressions and checks are files that may be old, damaged, edited by hand or from
 somebody else. Each kind of file is described by a `Fields` beside the type that it becomes, and
 `require` compares: types, sizes, known words, numbers that arithmetic can carry. What it lets
 through can be read without a further question; how values hang together is for the reader. Keys
-that the description does not name are left alone.
+that the description does not name are left alone. A `Record` is such a description of a type of
+ours: its fields are declared there once, and are read from a file and written to it by that.
 
 Text has no control characters: it goes to terminals, into reports, and as comments into files
 that other programs read line by line.
@@ -13,7 +14,7 @@ that other programs read line by line.
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +37,23 @@ class _KindError(Exception):
     """Something is not of its kind: where, what stands there, and what is needed."""
 
 
-class Kind(Protocol):
-    """What a value must be."""
+class Kind:
+    """What a value must be, and how it goes to a file and comes from there."""
 
     def check(self, value: Any, place: str) -> None:
         """Raise a fault where the value is something else."""
 
+    def read(self, value: Any) -> Any:
+        """Return what a result holds for a value of a file that has been checked."""
+        return value
+
+    def write(self, value: Any) -> Any:
+        """Return the value of a file, up to arrays and NaN, for what a result holds."""
+        return value
+
 
 @dataclass(frozen=True)
-class Text:
+class Text(Kind):
     """A text without control characters, one of `choices` where these are given."""
 
     choices: tuple[str, ...] = ()
@@ -67,7 +76,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Number:
+class Number(Kind):
     """A number from `low` to `high`; with `above` and `below` these are left out themselves."""
 
     low: float = -LARGEST
@@ -84,13 +93,17 @@ class Number:
         if not (low and high):
             raise _KindError(place, value, f"a number {self._range()}")
 
+    def read(self, value: float) -> float:
+        """Return it as a float."""
+        return float(value)
+
     def _range(self) -> str:
         low = f"above {self.low:g}" if self.above else f"of at least {self.low:g}"
         return f"{low} and {'below' if self.below else 'at most'} {self.high:g}"
 
 
 @dataclass(frozen=True)
-class Whole:
+class Whole(Kind):
     """A whole number."""
 
     low: int = 0
@@ -104,7 +117,7 @@ class Whole:
 
 
 @dataclass(frozen=True)
-class Flag:
+class Flag(Kind):
     """True or false."""
 
     def check(self, value: Any, place: str) -> None:
@@ -114,19 +127,28 @@ class Flag:
 
 
 @dataclass(frozen=True)
-class Maybe:
-    """A kind, or null."""
+class Maybe(Kind):
+    """A kind, or null, which is read as `missing`."""
 
     kind: Kind
+    missing: Any = None
 
     def check(self, value: Any, place: str) -> None:
         """Raise a fault where the value is something else."""
         if value is not None:
             self.kind.check(value, place)
 
+    def read(self, value: Any) -> Any:
+        """Return what a result holds."""
+        return self.missing if value is None else self.kind.read(value)
+
+    def write(self, value: Any) -> Any:
+        """Return the value of a file."""
+        return None if value is None else self.kind.write(value)
+
 
 @dataclass(frozen=True)
-class AnyOf:
+class AnyOf(Kind):
     """The first of some kinds that fits decides; a fault speaks of the last."""
 
     kinds: tuple[Kind, ...]
@@ -142,7 +164,7 @@ class AnyOf:
 
 
 @dataclass(frozen=True)
-class Listed:
+class Listed(Kind):
     """A list of entries of one kind, of a length from `least` to `most`."""
 
     kind: Kind
@@ -160,9 +182,17 @@ class Listed:
         for index, entry in enumerate(value):
             self.kind.check(entry, f"{place}[{index}]")
 
+    def read(self, value: Any) -> Any:
+        """Return a tuple."""
+        return tuple(map(self.kind.read, value))
+
+    def write(self, value: Any) -> Any:
+        """Return a list."""
+        return list(map(self.kind.write, value))
+
 
 @dataclass(frozen=True)
-class Entries:
+class Entries(Kind):
     """A list of so many entries, each of a kind of its own."""
 
     kinds: tuple[Kind, ...]
@@ -176,7 +206,7 @@ class Entries:
 
 
 @dataclass(frozen=True)
-class Named:
+class Named(Kind):
     """An object whose keys are names, with values of one kind."""
 
     kind: Kind
@@ -189,9 +219,17 @@ class Named:
             Text().check(name, f"a key of {place}")
             self.kind.check(entry, f"{place}.{name}")
 
+    def read(self, value: Any) -> Any:
+        """Return a dict."""
+        return {name: self.kind.read(entry) for name, entry in value.items()}
+
+    def write(self, value: Any) -> Any:
+        """Return a dict."""
+        return {name: self.kind.write(entry) for name, entry in value.items()}
+
 
 @dataclass(frozen=True)
-class Fields:
+class Fields(Kind):
     """An object with keys that it needs, and keys that it may have."""
 
     needed: Mapping[str, Kind]
@@ -212,7 +250,40 @@ class Fields:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class Record(Fields):
+    """An object whose keys are fields of a type: what `make` takes, and what it has.
+
+    Where a key is called otherwise than the field, `names` has both; `derived` are fields that are
+    written for who reads the file, and follow from the others. With `dict` for `make` it is a part
+    of a larger object.
+    """
+
+    make: Callable[..., Any] = dict
+    names: Mapping[str, str] = field(default_factory=dict)
+    derived: tuple[str, ...] = ()
+
+    def read(self, value: Mapping[str, Any]) -> Any:
+        """Return what a result holds: keys that a file need not have may be left out."""
+        known = {name: kind for name, kind in self._kinds() if name in value}
+        return self.make(
+            **{self.names.get(name, name): kind.read(value[name]) for name, kind in known.items()}
+        )
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Return an object; without what it need not have, is not there, and may not be null."""
+        found = {}
+        for name, kind in self._kinds():
+            part = getattr(value, self.names.get(name, name))
+            if part is not None or name in self.needed or isinstance(kind, Maybe):
+                found[name] = kind.write(part)
+        return found | {name: getattr(value, name) for name in self.derived}
+
+    def _kinds(self) -> list[tuple[str, Kind]]:
+        return [*self.needed.items(), *self.optional.items()]
+
+
+@dataclass(frozen=True)
+class Numbers(Kind):
     """Nested lists of numbers as an array of `depth` dimensions; with `gaps`, null is taken."""
 
     depth: int = 1
@@ -224,6 +295,10 @@ class Numbers:
         """Raise a fault where the value is something else."""
         if not self._is_sound(value):
             self._search(value, place, self.depth)
+
+    def read(self, value: Any) -> Any:
+        """Return an array, null as NaN."""
+        return np.array(value, dtype=np.float64)
 
     def _is_sound(self, value: Any) -> bool:
         """Tell in one go whether all is well, as it is in a long file that is."""
@@ -258,7 +333,7 @@ NOT_NEGATIVE = Number(0.0)
 SHARE = Number(SMALLEST, 1.0, below=True)  # a probability that is neither never nor always
 INPUT = Fields({"file": Maybe(ANY_TEXT), "sha256": Maybe(ANY_TEXT)})
 VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
-FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE))  # a statistic; null where there is none
+FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE), math.nan)  # null: there is none
 P_VALUE = Maybe(Number(0.0, 1.0))
 AXIS = Text(COMPONENTS)
 

@@ -94,6 +94,11 @@ class Between(Result):
     covariance: Array
 
     @property
+    def dof(self) -> int:
+        """Degrees of freedom of Ψ."""
+        return self.runs - 1
+
+    @property
     def sd(self) -> float:
         """Standard deviation of the constant from run to run."""
         return float(np.sqrt(self.covariance[0, 0]))
