@@ -177,9 +177,14 @@ def _answer(
         json=lambda: to_json({**listing, "findings": ()}),
         forms={
             "html": lambda: html_report(content),
-            "paper": lambda: pdf_report(content),
+            "paper": lambda: _on_paper(content),
             "markdown": lambda: markdown_report(content),
             "text": lambda: plain_report(content),
             "certificate": certificate,
         },
     )
+
+
+def _on_paper(content: Content) -> bytes:
+    with progress_bar("laying out the pages") as progress:
+        return pdf_report(content, progress)

@@ -29,7 +29,8 @@ _WIDTH, _TYPE, _INK = 360, 11, "#000000"
 _DRAWN = 500  # positions: of more than twice as many the largest of equal parts
 _RADIUS, _LONGEST = 58.0, 0.32  # of a disc, and of the largest error as a share of it
 _ROW = 182  # height of a sphere
-_PANEL, _LEFT, _FOOT = 92, 48, 30  # of residuals
+_PANEL, _MIDDLE, _HALF = 102, 59, 36  # height of residuals, their zero, and how far they reach
+_LEFT, _FOOT = 48, 30
 
 
 class _Picture:
@@ -205,7 +206,7 @@ def _draw_panel(
     )
     mark = _mark(largest)
     factor, shown = readable_unit(mark, unit)
-    middle, scale = top + 0.5 * _PANEL + 7.0, (0.5 * _PANEL - 9.0) / (largest or 1.0)
+    middle, scale = top + _MIDDLE, _HALF / (largest or 1.0)
     picture.write(0.0, top + 12.0, head.format(shown), "start")
     for at in (-mark, 0.0, mark):
         y = middle - scale * at
@@ -220,11 +221,8 @@ def _draw_panel(
             for x, b in zip(places.tolist(), band.tolist(), strict=True)
         )
         picture.path(bars, COLOURS[5], min(4.0, 0.5 * (_WIDTH - _LEFT) / len(places)))
-    dots = "".join(
-        f"M{x:.1f} {middle - scale * v:.1f}h0"
-        for x, v in zip(places.tolist(), values.tolist(), strict=True)
-    )
-    picture.path(dots, COLOURS[series % 5], 4.5)
+    for x, value in zip(places.tolist(), values.tolist(), strict=True):
+        picture.circle(x, middle - scale * value, 1.8, COLOURS[series % 5], filled=True)
 
 
 def _mark(largest: float) -> float:

@@ -135,7 +135,7 @@ def name_series(axes: "Axes", columns: int) -> None:
     axes.legend(
         loc="lower right",
         ncols=columns,
-        fontsize=8,
+        fontsize=8.5,
         bbox_to_anchor=(1.0, 1.0),
         frameon=False,
         borderaxespad=0.0,

@@ -236,7 +236,7 @@ def build_content(
         unfit=bool(errors_of(findings)) or (check is not None and check.verdict == "fail"),
         findings=tuple(tr.message(found.text) for found in serious(findings)),
         fields=lab_fields(said, tr),
-        result=result_section(c, budget, check, tr, forces=forces),
+        result=result_section(c, budget, tr, forces=forces),
         sections=with_annex(
             (
                 parameters_section(c, tr),

@@ -11,18 +11,23 @@ Whatever the form of the report; programs read JSON and XML.
 A report on paper: the page as PDF, with the number of the report and of the page on every one.
 
 WeasyPrint lays the page out by its own rules for print; it fetches nothing, as the page names
-nothing that is not in it. It is an extra, `multipos[pdf]`.
+nothing that is not in it. It is an extra, `multipos[pdf]`; without it an installed Chromium prints.
 """
 
 import os
 import re
+import subprocess
 import textwrap
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from html import escape
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from multipos.errors import MultiposError, UsageError
@@ -91,21 +96,47 @@ def _aligned(column: Sequence[str], figure: str, space: str) -> list[str]:
 
 
 _LIBRARY = "weasyprint"
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "msedge")
+_LONGEST = 300.0  # seconds that a browser may print
+_OFTEN = 0.2  # seconds between two words of progress
 
 
-def paper_report(page: str) -> bytes:
-    """Return an HTML report as PDF.
+def paper_report(page: str, progress: Callable[[int], object] = lambda _: None) -> bytes:
+    """Return an HTML report as PDF, by WeasyPrint or else by an installed Chromium.
+
+    Parameters
+    ----------
+    page : str
+    progress : callable
+        Called again and again while the pages are laid out.
 
     Raises
     ------
     MultiposError
-        The library is not installed or lacks what it needs of the system; names the way out.
+        Neither is installed, or what there is cannot print; names the way out.
     """
-    if find_spec(_LIBRARY) is None:
+    browser = next(filter(None, map(which, _BROWSERS)), None)
+    if find_spec(_LIBRARY) is None and browser is None:
         raise MultiposError(
-            f"a PDF is made by {_LIBRARY}, which is not installed; install it with pip install "
-            "'multipos[pdf]', or write a .html file and print that."
+            f"a PDF is made by {_LIBRARY} or Chromium, and neither is installed; install one with "
+            "pip install 'multipos[pdf]', or write a .html file and print that."
         )
+    with ThreadPoolExecutor(1) as executor:
+        if find_spec(_LIBRARY) is None:
+            making = executor.submit(_print_by_browser, str(browser), page)
+        else:
+            making = executor.submit(_print_by_library, page)
+        while not wait((making,), _OFTEN).done:
+            progress(0)
+        return making.result()
+
+
+def _print_by_library(page: str) -> bytes:
+    for i, colour in enumerate(COLOURS[:7], start=1):  # WeasyPrint has no variables in figures
+        page = page.replace(f"var(--c{i})", colour)
+    page = page.replace("stroke: var(--paper)", "stroke: #ffffff").replace(
+        "currentColor", "#000000"
+    )
     try:
         from weasyprint import HTML
     except OSError as error:  # Pango is a library of the system
@@ -115,6 +146,26 @@ def paper_report(page: str) -> bytes:
         ) from None
     made: bytes = HTML(string=page, url_fetcher=_fetch_nothing).write_pdf()
     return made
+
+
+def _print_by_browser(program: str, page: str) -> bytes:
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        source, printed = Path(folder, "report.html"), Path(folder, "report.pdf")
+        source.write_text(page, encoding="utf-8")
+        options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer"]
+        if getattr(os, "geteuid", lambda: 1)() == 0:  # for root Chromium has no sandbox
+            options.append("--no-sandbox")
+        where = [f"--user-data-dir={folder}/profile", f"--print-to-pdf={printed}", source.as_uri()]
+        with suppress(OSError, subprocess.TimeoutExpired):
+            command = [program, *options, *where]
+            subprocess.run(command, capture_output=True, timeout=_LONGEST, check=False)
+        try:
+            return printed.read_bytes()
+        except OSError:
+            raise MultiposError(
+                f"{program} printed no PDF; install the extra with pip install 'multipos[pdf]', or "
+                "write a .html file and print that."
+            ) from None
 
 
 def _fetch_nothing(url: str) -> dict[str, object]:
@@ -183,13 +234,9 @@ def plain_report(content: Content) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def pdf_report(content: Content) -> bytes:
-    """Return a report as PDF, by the extra `pdf`."""
-    page = html_report(content)
-    for i, colour in enumerate(COLOURS[:7], start=1):  # WeasyPrint has no variables in figures
-        page = page.replace(f"var(--c{i})", colour)
-    page = page.replace("stroke: var(--paper)", "stroke: #ffffff")
-    return paper_report(page.replace("currentColor", "#000000"))
+def pdf_report(content: Content, progress: Callable[[int], object] = lambda _: None) -> bytes:
+    """Return a report as PDF, by the extra `pdf` or an installed Chromium."""
+    return paper_report(html_report(content), progress)
 
 
 Reported = Calibration | Comparison | RegressionComparison | Regression | Regressions | Fleet
@@ -206,9 +253,9 @@ def report(
 ) -> None:
     """Write the report in the form that the file's ending asks for.
 
-    `.html` is one page, `.pdf` the same on paper (by the extra `pdf`), `.md` Markdown, `.txt` plain
-    text, and `.xml` a digital calibration certificate (`multipos.reports.dcc`), which holds the
-    page.
+    `.html` is one page, `.pdf` the same on paper (by the extra `pdf` or an installed Chromium),
+    `.md` Markdown, `.txt` plain text, and `.xml` a digital calibration certificate
+    (`multipos.reports.dcc`), which holds the page.
 
     Parameters
     ----------

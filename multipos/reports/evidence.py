@@ -28,7 +28,7 @@ from multipos.reports.sections import (
     draw_svg,
 )
 from multipos.reports.sensor_result import readings_table
-from multipos.reports.sheets import Sheet, check_sheets, table_error_sheets
+from multipos.reports.sheets import Sheet, check_sheets, run_conclusions, table_error_sheets
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.turntable import table_errors
@@ -269,6 +269,7 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
                 verdict=tr(found.verdict or "-"),
             )
         )
+    paragraphs += map(tr.message, run_conclusions(found))
     return Section(
         tr("Independent check"),
         tuple(paragraphs),

@@ -27,13 +27,11 @@ from multipos.reports.sections import (
     Translator,
     chosen_rows,
 )
-from multipos.reports.sheets import run_conclusions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Sessions
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied
-from multipos.verification.verdicts import Check
 
 EQUIPMENT = {
     "name": "Equipment",
@@ -46,28 +44,23 @@ EQUIPMENT = {
 _LINE = "________________"  # to be written on by hand
 
 
-def result_section(
-    c: Calibration, budget: Evaluation, check: Check | None, tr: Translator, *, forces: bool
-) -> Section:
+def result_section(c: Calibration, budget: Evaluation, tr: Translator, *, forces: bool) -> Section:
     """Return the first screen below the answer: errors before and after, validity, the sensor.
 
     Parameters
     ----------
     c : Calibration
     budget : Evaluation
-    check : Check or None
     tr : Translator
     forces : bool
         Whether readings give forces, so that there are errors to speak of.
     """
-    paragraphs = [] if check is None else list(map(tr.message, run_conclusions(check)))
-    paragraphs.append(_validity(c, tr))
     rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
     header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
     caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=_percent(c))
     return Section(
         tr("Result"),
-        tuple(paragraphs),
+        (_validity(c, tr),),
         (_picture(c, tr),) if forces else (),
         (PageTable(caption, header, tuple(rows)),) if rows else (),
     )
