@@ -12,13 +12,16 @@ from multipos.logs.clock import time_columns
 from multipos.logs.log_columns import Outputs, choose_outputs
 from multipos.logs.samples import Progress, Samples, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import require_units
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
+from multipos.units import STANDARD_GRAVITY
 
 _BLOCKS = 256  # at least so many of a long record, less than twice as many
+_OTHER = (STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY, 1e3)  # [g] of 1 g in a wrong unit,
+_NEAR = 2.0  # within such a factor, as the bias is in another unit too
 _FEWEST = 64  # samples of which anything can be said
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
@@ -94,6 +97,8 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
             blocks.feed(np.vstack([values, piece[warmth]]))
             gaps.feed(piece)
         lengths, means = octaves(samples.rows), blocks.means()
+        if wanted.calibration is not None:
+            _require_one_g(log.source, wanted.calibration, means[: len(names)])
         return RawRecord(
             source=log.source,
             names=names,
@@ -180,6 +185,18 @@ def _compensated(
             "the reading, or a column of the model is empty there; leave the row out."
         )
     return np.ascontiguousarray(force)
+
+
+def _require_one_g(source: str, calibration: Calibration, force: Array) -> None:
+    """Refuse a record at rest whose force (3, b) [g] is one g in another unit."""
+    size = float(median(np.linalg.norm(force, axis=0)))
+    other = any(each / _NEAR < size < each * _NEAR for each in _OTHER)
+    if len(force) == len(COMPONENTS) and other:
+        raise MultiposError(
+            f"{source}: the force of the record is {size:.3g} g at rest, where 1 g is meant; the "
+            f"calibration is in {calibration.model.unit}: convert the record, or take a "
+            "calibration in its unit."
+        )
 
 
 def _measured(source: str, means: Array) -> Array | None:

@@ -51,11 +51,11 @@ from multipos.files.handed import take_in
 from multipos.files.tables import Column, Source, Table, format_csv, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
-from multipos.logs.table import Log, Piece
+from multipos.logs.table import Log, Piece, called_as
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS, largest_value
-from multipos.positions.headers import plain_names, require_units
+from multipos.positions.headers import plain_names, require_units, under_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -380,11 +380,18 @@ def apply_log(
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
     check_outside(outside)
+    log = called_as(log, wanted_columns(calibration))
     wanted = asked_uncertainty(
         calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
     )
     check_columns(calibration, log.source, log.columns, tilt, wanted, log.units)
     return AppliedLog(calibration, log, tilt, wanted, outside, progress)
+
+
+def wanted_columns(calibration: Calibration) -> tuple[str, ...]:
+    """Return the columns that a calibration is applied to: what it needs, and the noise of rows."""
+    stated = (f"u_{output}" for output in calibration.outputs)
+    return (*calibration.outputs, *calibration.model.environment, *stated)
 
 
 class AppliedColumns(Columns):
@@ -507,6 +514,7 @@ def apply(
         return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
     given = read_table(data, what="data")
     table, units = plain_names(given)
+    table, _ = under_names(table, wanted_columns(calibration))
     wanted = asked_uncertainty(
         calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
     )

@@ -24,6 +24,7 @@ from multipos.files.tables import Column, Source, Table, read_table
 from multipos.finding import Finding, Findings, about, in_order
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import largest_value
+from multipos.positions.headers import in_celsius, under_names
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.regression.observations import Rows, form_rate, number_labels
@@ -101,6 +102,9 @@ def correct(
         return _correct_each(
             regression, table, column, outside, uncertainty, reading_sd, parameters_only
         )
+    given = table
+    asked = () if column is None else (column if isinstance(column, str) else ",".join(column),)
+    table, notes = as_fitted(regression, table, asked)
     target = _target(regression, table, column)
     run = read_runs(regression, table)
     columns = read_predictors(regression, table, run)
@@ -125,9 +129,30 @@ def correct(
     if target is None:
         text = f"no column '{regression.response}' to correct: predicted only"
         raised = (Finding("predicted-only", "note", text), *raised)
-    raised = (*raised, *find_outside(int(beyond.sum()), table.rows))
+    raised = (*raised, *notes, *find_outside(int(beyond.sum()), table.rows))
     added["outside"] = beyond.astype(np.int64)
-    return Corrected(_beside(table, added), noise, in_order(raised))
+    return Corrected(_beside(given, added), noise, in_order(raised))
+
+
+def as_fitted(
+    regression: Regression, table: Table, more: Sequence[str] = ()
+) -> tuple[Table, Findings]:
+    """Return a table whose columns have the names and units of the fit, and what was converted.
+
+    Parameters
+    ----------
+    regression : Regression
+    table : Table
+    more : sequence of str
+        Other columns that are asked for.
+    """
+    r = regression
+    sources = (name.removesuffix("_rate") for name in r.rates)
+    wanted = (r.response, *r.needed, *sources, f"u_{r.response}", *more)
+    named = tuple(name for name in (r.time, r.run) if name is not None)
+    table, units = under_names(table, dict.fromkeys((*wanted, *named)))
+    found: list[Finding] = []
+    return in_celsius(table, units, found), tuple(found)
 
 
 def _beside(table: Table, added: Mapping[str, Column]) -> dict[str, Column]:

@@ -200,7 +200,7 @@ def rms_left(calibration: Calibration, residuals: Array) -> float:
 
     Where positions are uncertain, the full model is turned with their mean orientation error: by
     1.5 σ²/n about each axis. A common rotation of the residuals that is no larger, at 99 %, is
-    hand placement and no misalignment of the law, and is taken out.
+    the mean error of the hand and no misalignment of the law, and is taken out.
     """
     if calibration.estimator is Estimator.UNKNOWN:
         reference = specific_force(calibration)

@@ -43,6 +43,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
 from multipos.numerics.terms import evaluate_terms, largest_value
+from multipos.positions.headers import in_celsius, under_names
 from multipos.regression.correlation import Noise, find_noise, whitening_of
 from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
 from multipos.regression.junctions import Junction, find_junctions
@@ -513,7 +514,12 @@ def regress(
     if run is not None and not plan.constant:
         raise UsageError("--run is about the constant; add 1 to --terms, or leave out --run.")
     wanted, given = _parse_segment(segment, free, continuous)
-    table = read_table(data, what="data")
+    sources = (name.removesuffix("_rate") for name in names)
+    options = (each for each in (wanted, branches, time, run, cluster) if each)
+    asked = dict.fromkeys((response, *names, *sources, *options))
+    table, units = under_names(read_table(data, what="data"), asked)
+    converted: list[Finding] = []
+    table = in_celsius(table, units, converted)
     read = read_observations(
         table,
         response,
@@ -540,7 +546,7 @@ def regress(
         source=visible(source) if sha256 else None,
         sha256=sha256,
         findings=in_order(
-            (*read.findings, *find_order(read, result), *said, *result.findings),
+            (*converted, *read.findings, *find_order(read, result), *said, *result.findings),
         ),
     )
 

@@ -6,8 +6,8 @@ A time is in the unit that its header or its name tells, ``Time (s)``, ``timesta
 in one of the units is a day of this century, with steps below two seconds, or a minute
 from 2015 to 2060, is since 1970; a counter since power was switched on is not, but for weeks of µs.
 ``--time-unit`` decides otherwise.
-A column that goes up by ones counts rows and tells no time, unless it is named as a time and the
-readings jump as they do where the sensor is turned between rows a second apart.
+A column that goes up by ones is in seconds, unless the readings turn in steps so small that many
+rows were taken in a second: then it counts rows and tells no time.
 
 Counters that wrap around, after 16, 24, 31 or 32 bits, and clocks that pass midnight go on.
 
@@ -56,6 +56,7 @@ _WRAPS = (2.0**16, 2.0**24, 2.0**31, 2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6)
 _AHEAD = 100.0  # usual steps that a counter may have gone on by when it wraps
 # The largest steps of each unit: of seconds a log may have one a row, of the others eight a second.
 _TURNING, _JUMP = 0.03, 0.12  # steps of a turn, and of one within few rows, over the whole range
+_MOVED, _ABOVE_NOISE = 0.3, 20.0  # the range of a sensor that moved, over its size and its steps
 _JUMPS, _MOST_JUMPS = 3, 3  # so many jumps, and one of so many rows of a turn
 _FEW = 50  # rows, of which some may go up by ones by chance
 _STEPS = {"s": 2.0, "ms": 125.0, "us": 125e3, "ns": np.inf}
@@ -123,24 +124,27 @@ def counts_rows(log: Log, column: str, time: Array, data: Array) -> bool:
     """Tell whether a column (n,) whose unit nothing tells counts rows of outputs (M, n)."""
     stated = column in log.dates or column in log.units or _named_unit(column) is not None
     by_ones = not stated and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
-    return by_ones and not _jumps(data)
+    return by_ones and _turns_slowly(data)
 
 
-def _jumps(data: Array) -> bool:
-    """Tell whether outputs (M, n) change between two rows by much of what they change in all.
+def _turns_slowly(data: Array) -> bool:
+    """Tell whether outputs (M, n) turn in steps too small for a sample a second.
 
-    At a sample a second a sensor is turned within a few rows; at ten or more the steps of a turn
-    are small, and only knocks and bad cells are large.
+    At that rate a sensor is turned within a few rows; at ten or more the steps of a turn are
+    small, and only knocks and bad cells are large. A sensor at rest tells nothing.
     """
     good = data[:, np.isfinite(data).all(axis=0)]
     if good.shape[1] <= _FEW:
         return False
     low, high = np.quantile(good, [0.02, 0.98], axis=1)
-    steps = np.linalg.norm(np.diff(good, axis=1), axis=0) / max(np.linalg.norm(high - low), 1e-300)
-    turning = steps > _TURNING
-    large = int(np.count_nonzero(steps > _JUMP))
-    rows = int(np.count_nonzero(turning))
-    return large >= _JUMPS and _MOST_JUMPS * large >= rows and rows < len(steps) // 2
+    span = float(np.linalg.norm(high - low))
+    steps = np.linalg.norm(np.diff(good, axis=1), axis=0)
+    size = float(median(np.linalg.norm(good, axis=0)))
+    if span <= _MOVED * size or span <= _ABOVE_NOISE * float(median(steps)):
+        return False
+    large, turning = (int(np.count_nonzero(steps > part * span)) for part in (_JUMP, _TURNING))
+    jumps = large >= _JUMPS and _MOST_JUMPS * large >= turning and turning < len(steps) // 2
+    return not jumps
 
 
 class Unwrapped(NamedTuple):

@@ -1,7 +1,7 @@
 """What every reader gives: a table of samples that comes in pieces."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 from multipos.errors import MultiposError
@@ -106,3 +106,43 @@ class Log:
             f"{self.source}: no column '{name}'{near(name, self.columns)} The columns are "
             f"{', '.join(self.columns)}."
         )
+
+
+def called_as(log: Log, wanted: Sequence[str]) -> Log:
+    """Return a log whose columns have the names that are wanted, in letters of whatever case.
+
+    The header, and rows of text, stay as they are.
+    """
+    own: dict[str, str] = {}  # a name that is wanted -> as the log has it
+    for name in wanted:
+        equal = [each for each in log.columns if each.casefold() == name.casefold()]
+        if name not in log.columns and len(equal) == 1:
+            own[name] = equal[0]
+    if not own:
+        return log
+    new = {old: name for name, old in own.items()}
+
+    def called(names: Sequence[str]) -> tuple[str, ...]:
+        return tuple(new.get(name, name) for name in names)
+
+    def read(
+        names: Sequence[str],
+        optional: Sequence[str] = (),
+        texts: Sequence[str] = (),
+        *,
+        lenient: bool = False,
+    ) -> Iterator[Piece]:
+        asked = ([own.get(name, name) for name in part] for part in (names, optional, texts))
+        for piece in log.read(*asked, lenient=lenient):
+            columns = {new.get(name, name): each for name, each in piece.table.columns.items()}
+            yield piece._replace(table=replace(piece.table, columns=columns))
+
+    return replace(
+        log,
+        columns=called(log.columns),
+        numeric=called(log.numeric),
+        units={new.get(name, name): unit for name, unit in log.units.items()},
+        nameless=frozenset(called(tuple(log.nameless))),
+        dates=frozenset(called(tuple(log.dates))),
+        read=read,
+    )

@@ -15,17 +15,20 @@ or in a number in brackets, is a component of what stands before it.
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+
 from multipos.errors import MultiposError
-from multipos.files.tables import Table
+from multipos.files.tables import Column, Table
 from multipos.finding import Finding
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions import attitudes
-from multipos.positions.forces import REFERENCE_U
+from multipos.positions.forces import FORCE, REFERENCE_U
+from multipos.units import STANDARD_GRAVITY
 
 # As a header may write a unit, without blanks and in small letters, and as it is called here.
 _WRITTEN = {
@@ -184,6 +187,7 @@ def named_axes(outputs: Sequence[str]) -> list[int]:
 # Columns of a readings file that have a meaning of their own and are no outputs.
 RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 OF_SURROUNDINGS = frozenset({"K", "°C", "s", "ms", "us", "ns", "hPa", "Pa", "Hz", "%"})
+_PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
 _KELVIN = "K"
 _ZERO = 273.15  # [K] at 0 °C
 
@@ -205,12 +209,60 @@ def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
         renamed[plain] = table.columns[name]
         if unit is not None:
             units[plain] = unit
-    return replace(table, columns=renamed), units
+    return _in_degrees(replace(table, columns=renamed), units)
+
+
+_ANGLES = {name.removesuffix("_deg"): name for name in attitudes.COLUMNS if name.endswith("_deg")}
+
+
+def _in_degrees(table: Table, units: dict[str, str]) -> tuple[Table, dict[str, str]]:
+    """Return a table whose angles, `Roll [deg]` or `pitch [rad]`, have their own names and unit."""
+    columns = dict[str, Column]()
+    for name, column in table.columns.items():
+        own = _ANGLES.get(name.casefold())
+        if own is None or own in table or units.get(name) not in ("deg", "rad"):
+            columns[name] = column
+        else:
+            columns[own] = column if units.pop(name) == "deg" else np.degrees(table.number(name))
+    return replace(table, columns=columns), units
+
+
+def in_standard_g(table: Table, units: Mapping[str, str]) -> Table:
+    """Return a table whose forces f_x, f_y, f_z are in standard g, by the units of their header."""
+    moved = {
+        name: table.number(name, empty=True) / _PER_G[units[name]]
+        for name in FORCE
+        if units.get(name, "g") in _PER_G and units.get(name, "g") != "g"
+    }
+    strange = [name for name in FORCE if units.get(name, "g") not in _PER_G]
+    if strange:
+        raise MultiposError(
+            f"{table.source}: column '{strange[0]}' is in {units[strange[0]]} by its header; known "
+            f"forces are in {', '.join(_PER_G)}."
+        )
+    return replace(table, columns={**table.columns, **moved}) if moved else table
+
+
+def under_names(table: Table, wanted: Iterable[str]) -> tuple[Table, dict[str, str]]:
+    """Return a table whose columns have the names that are wanted, and its units in brackets.
+
+    A column answers to a name whatever its case and the unit behind it, where it alone does.
+    """
+    columns, units = dict(table.columns), {}
+    for name in wanted:
+        found = find_column(table, name)
+        if found in table:
+            columns = {name if key == found else key: each for key, each in columns.items()}
+            unit = split_unit(found)[1]
+            if unit is not None:
+                units[name] = unit
+    return replace(table, columns=columns), units
 
 
 def _own_case(names: Sequence[str]) -> dict[str, str]:
     """Return names as they are known here; those that differ in case alone stay as written."""
     known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
+    known |= _forces(names)
     if "position" not in map(str.casefold, names):
         known |= {"lage": "position", "位置": "position"}
     beside = {f"{p}_{name}".casefold(): f"{p}_{name}" for p in ("u", "sd") for name in names}
@@ -224,6 +276,17 @@ def _own_case(names: Sequence[str]) -> dict[str, str]:
     return {name: own(name) for name in names}
 
 
+def _forces(names: Sequence[str]) -> dict[str, str]:
+    """Return what f_x, f_y, f_z are called here, where named acceleration stands beside them."""
+    folded = {name.casefold() for name in names}
+    for mark in ("_", ""):
+        called = {name.replace("_", mark): name for name in FORCE}
+        beside = [component(name) for name in names if name.casefold() not in called]
+        if called.keys() <= folded and any(each.acceleration for each in beside):
+            return called
+    return {}
+
+
 def _as_environment(name: str) -> str:
     """Return a name of the surroundings in small letters, where it is one in any."""
     folded = name.casefold()
@@ -235,8 +298,8 @@ def find_column(table: Table, name: str) -> str:
     if name in table:
         return name
     folded = split_unit(name)[0].casefold()
-    alike = [own for own in table.columns if own.casefold() == folded]
-    return alike[0] if len(alike) == 1 else name
+    equal = [own for own in table.columns if split_unit(own)[0].casefold() == folded]
+    return equal[0] if len(equal) == 1 else name
 
 
 def unit_as_known(unit: str) -> str:

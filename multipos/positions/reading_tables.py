@@ -32,6 +32,7 @@ from multipos.positions.headers import (
     component,
     find_column,
     in_celsius,
+    in_standard_g,
     is_beside,
     is_environment,
     plain_names,
@@ -98,7 +99,7 @@ def read_readings(
     others = {name: column for name, column in table.columns.items() if name not in names}
     free = with_angles(replace(table, columns=others))
     rolls = read_open_rolls(free, findings)
-    oriented, force, reference_u = _where_it_stood(free, spread, rolls, findings)
+    oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
     columns = _environment(table, names, environment, findings)
     return Readings(
         values=np.column_stack([table.number(name, largest=LARGEST) for name in names]),
@@ -124,7 +125,11 @@ def read_readings(
 
 
 def _where_it_stood(
-    free: Table, spread: Array | None, rolls: tuple[str, ...] | None, findings: list[Finding]
+    free: Table,
+    units: Mapping[str, str],
+    spread: Array | None,
+    rolls: tuple[str, ...] | None,
+    findings: list[Finding],
 ) -> tuple[attitudes.Attitudes | None, Array | None, Array | None]:
     """Return attitudes, known forces and the uncertainty of the reference, as far as given.
 
@@ -134,7 +139,8 @@ def _where_it_stood(
         Without the columns that are outputs.
     """
     rows = attitudes.rows_with_orientation(free)
-    force = read_forces(free, rows) if states_forces(free, rows) else None
+    stated = states_forces(free, rows)
+    force = read_forces(in_standard_g(free, units), rows) if stated else None
     if force is None and all(name in free for name in FORCE):
         why = "were added by apply" if left_by_apply(free) else "stand beside an orientation"
         text = f"columns {quoted(FORCE)} {why} and are no positions"

@@ -37,6 +37,7 @@ from multipos.positions.attitudes import (
     rows_with_orientation,
 )
 from multipos.positions.forces import FORCE, along_forces, known_rows, read_forces, states_forces
+from multipos.positions.headers import in_standard_g, plain_names
 from multipos.positions.order import Order, check_order, lay_out
 from multipos.results import Drawn, Result, Tabular
 
@@ -230,9 +231,10 @@ def _named_or_file(text: str) -> Scheme:
 
 
 def _from_table(source: Source) -> Scheme:
-    table = read_table(source, what="scheme", outputs=FORMS["up vector"])
+    table, units = plain_names(read_table(source, what="scheme", outputs=FORMS["up vector"]))
     rows = rows_with_orientation(table)
-    force = read_forces(table, rows) if states_forces(table, rows) else None
+    stated = states_forces(table, rows)
+    force = read_forces(in_standard_g(table, units), rows) if stated else None
     known = None if force is None else known_rows(force)
     attitudes = read_attitudes(table, known)
     if attitudes is None and force is None:

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.compensation.correction import (
+    as_fitted,
     correct,
     range_column,
     read_predictors,
@@ -92,7 +93,7 @@ def check_regression(
     if limit_g is not None:
         require_limit("--limit-g", limit_g)
     r = regression
-    table = read_table(data, what="run")
+    table, _ = as_fitted(r, read_table(data, what="run"))
     if r.response not in table:
         raise MultiposError(
             f"{table.source}: no column '{r.response}', the response; a check needs to know the "
