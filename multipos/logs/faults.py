@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from multipos.errors import MultiposError
 from multipos.finding import Finding, Level
 from multipos.logs.rest_means import Counts, RestMean
 from multipos.logs.rests import Rest, Survey
@@ -34,7 +35,7 @@ def fault_and_way(wrong: Finding) -> str:
     """Return what is wrong with means and the ways out, as an error says it."""
     action = wrong.action or "Correct the log."
     way = f"{action[0].lower()}{action[1:].removesuffix('.')}"
-    return f"{wrong.text}; {way}, or go on with --accept-faults."
+    return f"{wrong.text}; {way}, or continue with --accept-faults."
 
 
 def compare_scales(outputs: Sequence[str], means: Array) -> Finding | None:
@@ -43,8 +44,10 @@ def compare_scales(outputs: Sequence[str], means: Array) -> Finding | None:
     if scale is None or scale.max() <= _UNITS * scale.min():
         return None
     large, small = outputs[int(np.argmax(scale))], outputs[int(np.argmin(scale))]
-    ratio = scale.max() / scale.min()
-    text = f"1 g moves '{large}' {ratio:.3g} times as far as '{small}': mixed units?"
+    text = (
+        f"'{large}' is {scale.max() / scale.min():.3g} times as sensitive as '{small}'; their "
+        "units probably differ"
+    )
     action = "Convert the outputs to one unit, or average them one at a time with --outputs."
     return Finding("output-unit", "warning", text, action, outputs=(large, small))
 
@@ -141,17 +144,17 @@ def find_faults(
 
 def _moved(share: float | None) -> list[Finding]:
     if share is not None and share > _EDGE:
-        text = f"in motion during {100 * share:.0f} % of the time"
-        return [Finding("in-motion", "warning", text)]
-    text = "motion at its edges; give fewer rows"
-    return [Finding("motion-at-edge", "warning", text)] if share else []
+        text = f"the sensor moved during {100 * share:.0f} % of the time"
+        return [Finding("in-motion", "warning", text, "State its rows again, or record it again.")]
+    text = "the sensor moved at the beginning or end"
+    return [Finding("motion-at-edge", "warning", text, "State fewer rows.")] if share else []
 
 
 def _gaps(count: int) -> list[Finding]:
     if not count:
         return []
-    text = "a gap in the time" if count == 1 else f"{count} gaps in the time"
-    return [Finding("time-gap", "warning", text)]
+    text = "the time has 1 gap" if count == 1 else f"the time has {count} gaps"
+    return [Finding("time-gap", "warning", text, "Check the logger.")]
 
 
 def _rest_faults(
@@ -176,17 +179,18 @@ def _output_faults(
     if noisy and each.longest[j] >= max(_STUCK, each.n / 10):
         add("stuck", "warning", f"'{output}' repeats one value {each.longest[j]} times")
     if usual > 0.0 and each.sd[j] > _UNSTEADY * usual:
-        text = f"'{output}' is unsteady, its sd {each.sd[j] / usual:.1f} times the usual"
+        text = f"'{output}' has {each.sd[j] / usual:.1f} times the usual noise; its u includes it"
         add("unsteady", "note", text)
     if each.drift_u[j] > 0.0 and abs(each.drift[j]) > _SIGNIFICANT * each.drift_u[j]:
-        add("slow-drift", "note", f"'{output}' drifts by {each.drift[j]:+.3g}")
+        add("slow-drift", "note", f"'{output}' drifted by {each.drift[j]:+.3g}")
     elif each.edge[j] > _SIGNIFICANT:
-        add("motion-at-edge", "warning", f"'{output}' is off at an edge; motion there?")
+        text = f"'{output}' differs at the beginning or end, as if the sensor moved there"
+        add("motion-at-edge", "warning", text)
     return notes + _settled(output, j, each)
 
 
 def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[Finding]:
-    """Say where all rests together show that means do not settle."""
+    """Name the outputs whose flicker noise all rests together show."""
     ratio = np.array([each.common for each in found])
     names = [f"'{outputs[j]}'" for j in np.flatnonzero((ratio > 1.0).any(axis=0)).tolist()]
     if not names:
@@ -195,26 +199,26 @@ def common_noise(outputs: Sequence[str], found: Sequence[RestMean]) -> list[Find
     low, high = f"{raised.min():.2g}", f"{raised.max():.2g}"
     times = low if low == high else f"{low} to {high}"
     text = (
-        f"the rests together show slow noise in {', '.join(names)}, so that means do not settle: u "
-        f"is {times} times what the scatter of samples says"
+        f"flicker noise on {', '.join(names)}: longer averaging will not help; u includes it "
+        f"(factor {times})"
     )
     return [Finding("flicker", "note", text)]
 
 
 def _settled(output: str, j: int, each: RestMean) -> list[Finding]:
-    """Say where a mean does not settle, or rests on few independent samples."""
+    """Find a mean that drifts, or that rests on few independent samples."""
     if each.common[j] > 1.0:  # which is said once, of all rests
         return []
     if each.drift_factor[j] > 1.0:
         text = (
-            f"'{output}' wanders: its Allan deviation does not fall as that of noise does, and u "
-            f"is {each.drift_factor[j]:.2g} times what its scatter says"
+            f"'{output}' drifted slowly (by its Allan deviation); u was increased "
+            f"{each.drift_factor[j]:.2g} times"
         )
         return [Finding("slow-drift", "note", text, outputs=(output,))]
     if each.sd[j] > 0.0 and each.effective[j] < _FEW:
         text = (
-            f"'{output}' is worth {each.effective[j]:.2g} independent samples only, so that its u "
-            f"has {each.dof[j]:.2g} degrees of freedom"
+            f"noise of '{output}' is correlated: {each.n} samples equal about "
+            f"{each.effective[j]:.2g} independent ones; its u has {each.dof[j]:.2g} dof"
         )
         return [Finding("correlated-samples", "note", text, outputs=(output,))]
     return []
@@ -235,8 +239,8 @@ def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[Finding]:
         return []
     listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")
     text = (
-        f"nearly the same position, within about {_TWIN_DEG:g} degrees: {listed}; they say little "
-        "more than one, unless repeats are meant"
+        f"positions within about {_TWIN_DEG:g} degrees of each other: {listed}; such pairs are "
+        "repeats and separate no further parameters"
     )
     return [Finding("near-twins", "note", text)]
 
@@ -278,9 +282,11 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
         Finding(
             "wrapped",
             "warning",
-            f"output '{output}' wraps around: {jumps[j]} times it jumps across all of {bits[j]} "
-            f"bits, from {ends[0, j]:.10g} to {ends[1, j]:.10g}, first at row {first[j]}",
-            f"Give --signed {bits[j]}." if ends[0, j] >= 0.0 else "",
+            f"output '{output}' wraps around {jumps[j]} times in {bits[j]} bits "
+            f"({ends[0, j]:.10g} to {ends[1, j]:.10g}), first at row {first[j]}",
+            f"Read it with --signed {bits[j]}."
+            if ends[0, j] >= 0.0
+            else "Record it again in a wider range.",
             outputs=(output,),
         )
         for j, output in enumerate(samples.outputs)
@@ -344,8 +350,8 @@ def find_second_unit(survey: Survey) -> list[Finding]:
         return []
     row = at * survey.grid.window
     more, times = ("larger", ratio) if ratio > 1.0 else ("smaller", 1.0 / ratio)
-    text = f"from about row {row} on the readings are {times:.3g} times {more} than before"
-    return [Finding("two-units", "warning", f"{text}: two units in one log")]
+    text = f"from about row {row} on readings are {times:.3g} times {more}: two units in one log"
+    return [Finding("two-units", "warning", text, "Convert one of the two parts.")]
 
 
 def is_factor(ratio: float) -> bool:

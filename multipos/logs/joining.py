@@ -301,8 +301,8 @@ def faults_of_means(chosen: Sequence[Chosen]) -> list[Finding]:
             Finding(
                 "saturated",
                 "warning",
-                f"rest '{each.label}' {each.where}: {fault}, so its mean is wrong",
-                "Record it with a larger range, or leave the rest out with --only.",
+                f"rest '{each.label}' {each.where}: {fault}; its mean is wrong",
+                "Record it in a wider range, or omit the rest with --only.",
                 rows=(each.label,),
             )
             for fault in (*constant, *each.still.saturated)
@@ -318,8 +318,8 @@ def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[Findin
     if other is None:
         return []
     which, ratio = other
-    text = f"{sources[which]}: its readings are {ratio:.3g} times those of {sources[0]}"
-    return [Finding("two-units", "warning", f"{text}: two units", "Convert one of them.")]
+    text = f"readings of {sources[which]} are {ratio:.3g} times those of {sources[0]}: two units"
+    return [Finding("two-units", "warning", text, "Convert one of the files.")]
 
 
 def complete(
@@ -336,7 +336,7 @@ def complete(
     faults, general = _faults(logs, stills, labels)
     timed = len(logs) == 1 or _times_follow(stills)
     if not timed:
-        text = "the times of the logs do not follow each other and are not used"
+        text = "the times of the logs do not follow each other; they are not used"
         unseen = [*unseen, Finding("times-unused", "note", text)]
     distances = None if match is None else match.distance_deg.tolist()
     rests = _rests(chosen, labels, faults, distances, timed=timed)
@@ -412,16 +412,16 @@ _SHOWN = 6  # labels of positions
 # What several rests have in common, and what to do about it.
 _OF_RESTS = {
     "slow-drift": (
-        "drifted slowly, as hand-held ones do, which their u allows for",
+        "drifted slowly (typical when held by hand); their u includes it",
         "Rest the sensor on something for a smaller U.",
     ),
     "correlated-samples": (
-        "have correlated samples, and few independent ones, which their dof allow for",
+        "have correlated noise, thus few independent samples; their dof include it",
         "Record longer rests.",
     ),
-    "unsteady": ("are noisier than usual, which their u allows for", ""),
-    "in-motion": ("are partly in motion", "Give their rows again, or record them again."),
-    "motion-at-edge": ("move at an edge", "Give fewer rows of them."),
+    "unsteady": ("are noisier than usual; their u includes it", ""),
+    "in-motion": ("are partly in motion", "State their rows again, or record them again."),
+    "motion-at-edge": ("contain motion at the beginning or end", "State fewer rows of them."),
     "stuck": ("repeat one value", "Check the sensor and its resolution."),
     "time-gap": ("have gaps in their time", "Check the logger."),
 }
@@ -444,8 +444,11 @@ def _matched(
     )
     known = scheme.names
     missed = sorted({*range(len(known))}.difference(match.rows))
-    text = f"no rest at position {', '.join(known[i] for i in missed)} of scheme '{scheme.name}'"
-    found = [Finding("missed-positions", "warning", text)] if missed else []
+    named = ", ".join(known[i] for i in missed[:_SHOWN])
+    named += f" and {len(missed) - _SHOWN} more" if len(missed) > _SHOWN else ""
+    text = f"{len(missed)} of {len(known)} positions of '{scheme.name}' have no rest: {named}"
+    action = "Record the missing positions, or name another scheme."
+    found = [Finding("missed-positions", "warning", text, action)] if missed else []
     return match, [known[row] for row in match.rows], found
 
 

@@ -210,11 +210,11 @@ def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Find
     others = [name for name in names if name not in chosen]
     if others:
         text = (
-            f"outputs are {', '.join(chosen)}, by {by}; {', '.join(others)} beside them "
-            f"{'is no output' if len(others) == 1 else 'are none'}"
+            f"outputs are {', '.join(chosen)}, by {by}; {', '.join(others)} "
+            f"{'is not used' if len(others) == 1 else 'are not used'}"
         )
         return (Finding("outputs-by-name", "note", text),)
     if [name for name in names if name in chosen] != list(chosen):
-        text = f"outputs are taken in the order {', '.join(chosen)}, by their names"
+        text = f"outputs are ordered {', '.join(chosen)}, by their names"
         return (Finding("outputs-by-name", "note", text),)
     return ()

@@ -33,7 +33,7 @@ def rows_of_sensor(log: Log, column: str, value: str) -> Log:
         There is no such column, or no such row.
     """
     name = log.find(column)
-    said = Finding("one-sensor", "note", f"rows whose '{name}' is {value} are taken, and counted")
+    said = Finding("one-sensor", "note", f"only rows whose '{name}' is {value} are used")
     taken = replace(log, read=partial(_read, log, name, value), notes=(*log.notes, said))
     if not any(piece.table.rows for piece in taken.read((), (), ())):
         raise MultiposError(f"{log.source}: no row has '{name}' = {value}; correct --only.")

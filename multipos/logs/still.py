@@ -186,17 +186,17 @@ def _find_clock(samples: Samples) -> list[Finding]:
     clock = samples.clock
     said = []
     if clock is not None and (clock.column, clock.unit) != ("time", "s"):
-        text = f"the time is column '{clock.column}', in {clock.unit} by {clock.by}"
+        text = f"column '{clock.column}' is the time, in {clock.unit} by {clock.by}"
         said.append(Finding("time-column", "note", text))
     size, count = samples.wraps
     if clock is not None and count:
         text = (
             f"column '{clock.column}' wraps around {count} {'time' if count == 1 else 'times'}, "
-            f"after {size:.10g} s, and is taken to go on"
+            f"after {size:.10g} s; the time was continued"
         )
         said.append(Finding("time-column", "note", text))
     if samples.counter is not None:
-        text = f"column '{samples.counter}' goes up by ones: it counts rows, not time"
+        text = f"column '{samples.counter}' increases by 1 per row: a row counter, not a time"
         said.append(Finding("time-column", "note", text))
     if clock is None and samples.rate is not None and samples.rate == samples.log.rate:
         text = f"the log states a sample rate of {samples.rate:g} Hz"
@@ -211,30 +211,33 @@ def _find_spikes(samples: Samples, rests: list[Rest]) -> list[Finding]:
     if not count:
         return []
     share = count / sum(end - start for start, end in rests) / len(samples.outputs)
-    far = f"{count} samples at rest ({100 * share:.2g} %) are far from those beside them"
-    return [Finding("spikes", "note", f"{far}, whose median stands for them")]
+    text = (
+        f"{count} samples at rest ({100 * share:.2g} %) are spikes; each was replaced by the "
+        "median of its neighbours"
+    )
+    return [Finding("spikes", "note", text)]
 
 
 def _find_left_out(samples: Samples, found: "_Found | None") -> list[Finding]:
     """Return what was left out, and what is assumed."""
     said = _unused(samples)
     if samples.dropped:
-        rows = "row is" if samples.dropped == 1 else "rows are"
-        text = f"{samples.dropped} bad {rows} left out of {samples.log_rows}"
+        rows = "row was" if samples.dropped == 1 else "rows were"
+        text = f"{samples.dropped} bad {rows} omitted of {samples.log_rows}"
         said.append(Finding("dropped-rows", "note", text))
     if found is not None and found.frozen:
         where = listed([f"{start} to {end}" for start, end in map(samples.in_log, found.frozen)])
         text = (
-            f"rows {where}: nothing changes at all, of a sensor that else has noise; frozen or "
-            "erased, and no rest"
+            f"rows {where} repeat one value although the sensor has noise; they were omitted as "
+            "frozen"
         )
         said.append(Finding("frozen", "warning", text, "Check the cable and the logger."))
     if found is not None and samples.rate is None:
         text = (
-            f"nothing tells the time: a rest is at least {found.shortest} samples, however long "
-            "that is; give --rate or --time-column to say it in seconds"
+            f"the log has no time: a rest is at least {found.shortest} samples, of unknown duration"
         )
-        said.append(Finding("no-time", "warning", text))
+        action = "Add --rate or --time-column."
+        said.append(Finding("no-time", "warning", text, action))
     return said
 
 
@@ -295,8 +298,8 @@ def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Findin
     said = [] if shortest == grid.shortest else [_adapted(samples, shortest)]
     if limits.slow < np.inf:
         text = (
-            f"noise hides slow turns, so that means of {grid.block} samples are looked at too "
-            f"(threshold {limits.slow:.3g})"
+            f"slow rotations were detected in means of {grid.block} samples (threshold "
+            f"{limits.slow:.3g}), as single samples are too noisy"
         )
         said.append(Finding("vibration", "note", text))
     if not rests:
@@ -310,7 +313,7 @@ def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Findin
 
 def _adapted(samples: Samples, shortest: int) -> Finding:
     long = f"{shortest} samples" if samples.rate is None else f"{shortest / samples.rate:.3g} s"
-    return Finding("short-rests", "note", f"rests are short: one lasts at least {long}")
+    return Finding("short-rests", "note", f"short rests were accepted, of {long} or more")
 
 
 def would_take(short: Sequence[Rest], shortest: int, rate: float | None) -> str:

@@ -444,7 +444,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
-    text = f"the last row, '{shown}', is cut off and left out"
+    text = f"the last row, '{shown}', is incomplete and was omitted"
     return _Cut(begin + start, (Finding("cut-row", "note", text),))
 
 

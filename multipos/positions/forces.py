@@ -135,8 +135,6 @@ def find_lengths(table: Table, names: Iterable[str]) -> tuple[Finding, ...]:
         return ()
     low, high = (f"{end:.4g}" for end in (size.min(), size.max()))
     lengths = low if low == high else f"{low} to {high}"
-    text = (
-        f"the up vectors have lengths of {lengths} and are taken as directions; a known force [g] "
-        f"goes into {', '.join(FORCE)}"
-    )
-    return (Finding("up-length", "warning", text),)
+    text = f"up vectors have lengths of {lengths}; only their directions are used"
+    action = f"Name the columns {', '.join(FORCE)} if they are forces in g."
+    return (Finding("up-length", "warning", text, action),)

@@ -297,8 +297,8 @@ def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
             "harmonic-left",
             "warning",
             (
-                f"harmonic {h.order} in plane {h.plane} is left by the model with "
-                f"amplitude {h.amplitude:.3g} (p = {h.p:.1g})"
+                f"residuals contain harmonic {h.order} in plane {h.plane}, amplitude "
+                f"{h.amplitude:.2g} (p = {h.p:.1g})"
             ),
             "Check the table, or add a term to the model.",
             p=h.p,

@@ -346,7 +346,7 @@ def in_celsius(table: Table, units: Mapping[str, str], findings: list[Finding]) 
     kelvin = [n for n, unit in units.items() if unit == _KELVIN and not table.is_text(n)]
     if not kelvin:
         return table
-    texts = [f"column '{name}' is in K by its header; 273.15 is subtracted" for name in kelvin]
+    texts = [f"column '{name}' is in K by its header; 273.15 was subtracted" for name in kelvin]
     findings += [Finding("kelvin", "note", text) for text in texts]
     moved = {name: table.number(name, empty=True) - _ZERO for name in kelvin}
     return replace(table, columns={**table.columns, **moved})

@@ -92,8 +92,8 @@ def read_open_rolls(table: Table, findings: list[Finding]) -> tuple[str, ...] | 
         return None
     rows = ", ".join(str(row + 1) for row in np.flatnonzero(open_)[:6].tolist())
     text = (
-        f"row {rows}{' and more' if open_.sum() > 6 else ''}: the angle of the roll is open and "
-        "estimated; the axis is level, or rolls of one group share its inclination"
+        f"roll angles of row {rows}{' and more' if open_.sum() > 6 else ''} are estimated; their "
+        "axis is taken as level, or as equally inclined within a group"
     )
     findings.append(Finding("open-roll", "note", text))
     return tuple(
@@ -378,8 +378,9 @@ def orient(
     rows = _match(readings, given)
     findings = readings.findings
     if oriented:
-        text = f"the orientation columns are ignored, scheme '{given.name}' is used"
-        findings += (Finding("orientation-ignored", "warning", text),)
+        text = f"orientation columns are ignored; scheme '{given.name}' is used"
+        action = "Remove the columns, or --scheme."
+        findings += (Finding("orientation-ignored", "warning", text, action),)
     positions = readings.positions
     if positions is None and given.labels is not None:
         positions = tuple(given.labels[row] for row in rows)
@@ -419,11 +420,13 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
         _refuse_log(readings)
     given = (readings.up, readings.rotation, readings.orientation_sd, readings.group)
     if any(columns is not None for columns in given):
-        text = "the orientation columns are ignored, the orientation is taken as unknown"
-        findings += (Finding("orientation-ignored", "warning", text),)
+        text = "orientation columns are ignored; orientations are estimated"
+        action = "Remove the columns, or --unknown-orientation."
+        findings += (Finding("orientation-ignored", "warning", text, action),)
     if scheme is not None:
-        text = "--scheme is ignored, the orientation is taken as unknown"
-        findings += (Finding("orientation-ignored", "warning", text),)
+        text = "--scheme is ignored; orientations are estimated"
+        action = "Remove --scheme, or --unknown-orientation."
+        findings += (Finding("orientation-ignored", "warning", text, action),)
     return replace(
         readings,
         up=None,

@@ -142,8 +142,8 @@ def _where_it_stood(
     stated = states_forces(free, rows)
     force = read_forces(in_standard_g(free, units), rows) if stated else None
     if force is None and all(name in free for name in FORCE):
-        why = "were added by apply" if left_by_apply(free) else "stand beside an orientation"
-        text = f"columns {quoted(FORCE)} {why} and are no positions"
+        why = "were added by apply" if left_by_apply(free) else "accompany an orientation"
+        text = f"columns {quoted(FORCE)} {why} and are not used as positions"
         findings.append(Finding("unused-column", "note", text))
     oriented = attitudes.read_attitudes(free, _without_attitude(free, spread, rolls, force))
     up = attitudes.FORMS["up vector"]
@@ -215,7 +215,7 @@ def _of_surroundings(
         Finding(
             "unused-column",
             "note",
-            f"column '{name}' is in {units[name]} by its header, and no output",
+            f"column '{name}' is in {units[name]} by its header, thus not an output",
         )
         for name in found
         if name not in RESERVED and name not in used and not is_environment(name)
@@ -252,12 +252,10 @@ def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
     if not others:
         return []
     if any(map(is_beside, others)):
-        whose = "is no output" if len(others) == 1 else "are none"
+        whose = "is not used" if len(others) == 1 else "are not used"
     else:
-        whose = "is of another sensor" if len(others) == 1 else "are of other sensors"
-    text = (
-        f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} beside them {whose}"
-    )
+        whose = "belongs to another sensor" if len(others) == 1 else "belong to other sensors"
+    text = f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} {whose}"
     return [Finding("outputs-by-name", "note", text)]
 
 

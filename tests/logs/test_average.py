@@ -155,7 +155,9 @@ def test_sections_of_the_real_session():
         np.testing.assert_allclose(
             rest.found.mean, samples[slice(*rest.rows)].mean(axis=0), rtol=1e-12
         )
-    moving = [rest.position for rest in known.rests if any("motion" in n for n in texts(rest))]
+    moving = [
+        rest.position for rest in known.rests if any("sensor moved" in n for n in texts(rest))
+    ]
     assert moving == ["x_rot", "y_rot", "z_rot"]
     found = average(path, outputs=FERRARIS, rate=102.4, scheme="faces-6")
     order = ["x_p", "x_a", "y_p", "y_a", "z_p", "z_a"]
@@ -285,7 +287,7 @@ def test_readings_of_a_matched_log_need_no_scheme(log, tmp_path, capsys):
 def test_twins_are_named(log):
     twice = {name: np.concatenate([c, c[:400]]) for name, c in log.items() if name != "time"}
     found = average(twice, rate=100.0)
-    assert any("nearly the same position" in text and "1 and 7" in text for text in texts(found))
+    assert any("such pairs are repeats" in text and "1 and 7" in text for text in texts(found))
 
 
 def test_drift_motion_and_gaps_are_named(log):
@@ -293,10 +295,10 @@ def test_drift_motion_and_gaps_are_named(log):
     changed["ax"][600:1000] += np.linspace(0.0, 5e-3, 400)
     changed["time"][1500:] += 0.5
     found = average(changed)
-    assert any("'ax' drifts by" in note for note in texts(found.rests[1]))
-    assert any("a gap in the time" in note for note in texts(found.rests[2]))
+    assert any("'ax' drifted by" in note for note in texts(found.rests[1]))
+    assert any("the time has 1 gap" in note for note in texts(found.rests[2]))
     moved = average(log, sections={"a": {"start": 0, "end": 400}, "b": {"start": 300, "end": 700}})
-    assert any("in motion during" in note for note in texts(moved.rests[1]))
+    assert any("moved during" in note for note in texts(moved.rests[1]))
     assert texts(moved.rests[0]) == ()
 
 
@@ -328,9 +330,13 @@ def a_rest(**changes):
 @pytest.mark.parametrize(
     ("below", "above", "said"),
     [
-        ({"drift": -4.9e-4}, {"drift": -5.1e-4}, "'a' drifts by -0.00051"),  # five times its u
-        ({"edge": 4.9}, {"edge": 5.1}, "'a' is off at an edge; motion there?"),
-        ({"sd": 2.9e-3}, {"sd": 3.1e-3}, "'a' is unsteady, its sd 3.1 times the usual"),
+        ({"drift": -4.9e-4}, {"drift": -5.1e-4}, "'a' drifted by -0.00051"),  # five times its u
+        (
+            {"edge": 4.9},
+            {"edge": 5.1},
+            "'a' differs at the beginning or end, as if the sensor moved there",
+        ),
+        ({"sd": 2.9e-3}, {"sd": 3.1e-3}, "'a' has 3.1 times the usual noise; its u includes it"),
         ({"longest": 99}, {"longest": 100}, "'a' repeats one value 100 times"),  # a tenth
     ],
 )
@@ -346,7 +352,7 @@ def test_sections_that_are_all_in_motion_have_no_twins():
     rests = [a_rest(mean=0.5), a_rest(mean=0.5)]
     faults, twins = find_faults(("a",), rests, np.array([1e-6]), [0] * 2, [0.5, 0.5], "12")
     assert [[each.text for each in one] for one in faults] == [
-        ["in motion during 50 % of the time"]
+        ["the sensor moved during 50 % of the time"]
     ] * 2
     assert twins == []
 
@@ -355,8 +361,8 @@ def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
     rests = [a_rest(mean=0.5), a_rest(mean=-0.5), a_rest(mean=0.0), a_rest(mean=0.0)]
     still = find_faults(("a",), rests, np.array([1e-6]), [0] * 4, [0.09, 0.11, 0.0, 0.0], "1234")
     assert [[each.text for each in one] for one in still[0][:2]] == [
-        ["motion at its edges; give fewer rows"],
-        ["in motion during 11 % of the time"],
+        ["the sensor moved at the beginning or end"],
+        ["the sensor moved during 11 % of the time"],
     ]
     # two degrees of half the range of 1
     for apart, twins in ((1.99, 1), (2.01, 0)):
@@ -366,7 +372,7 @@ def test_motion_of_a_section_and_twins_begin_where_they_are_said_to():
 
 
 def test_a_gap_is_more_than_three_steps_of_the_time(log):
-    for more, notes in ((0.0199, []), (0.0201, ["a gap in the time"])):
+    for more, notes in ((0.0199, []), (0.0201, ["the time has 1 gap. Check the logger."])):
         time = log["time"].copy()
         time[1500:] += more  # beside the usual step of 0.01 s
         found = average(log | {"time": time})
@@ -382,7 +388,7 @@ def test_units_are_told_by_the_semi_axes_of_what_was_seen():
         np.testing.assert_allclose(_semi_axes(means), [1.0, 1.0, axis], rtol=1e-9)
         said = compare_scales(("a", "b", "c"), means)
         assert (said is None) == (axis < 3.0)
-        assert said is None or re.match(r"1 g moves 'c' 3\.1 times as far as '[ab]'", said.text)
+        assert said is None or re.match(r"'c' is 3\.1 times as sensitive as '[ab]'", said.text)
 
 
 # --- bad input: clear words, nothing written
@@ -412,7 +418,7 @@ BAD = {
     "saturated": (clipped, [], 1, "output 'az' is saturated at"),
     "stuck": (stuck, [], 1, "output 'az' is stuck at"),
     "backwards": (backwards, [], 1, "row 701 (line 702), column 'time': the time runs backwards"),
-    "mixed units": (mixed, [], 1, "mixed units?"),
+    "mixed units": (mixed, [], 1, "their units probably differ"),
     "named units": (
         lambda log: {"time": log["time"], "ax [g]": log["ax"], "ay [m/s^2]": log["ay"]},
         [],

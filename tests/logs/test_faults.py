@@ -74,13 +74,13 @@ def test_numbers_that_wrap_around_are_named(offset, log):
         return ((whole + 2**15) % 2**16 - 2**15 + offset).astype(float)
 
     wrapped = in_counts(log, 32767.5, wrap)
-    with pytest.raises(mp.MultiposError, match=r"output 'a[xyz]' wraps around: \d+ times it jumps"):
+    with pytest.raises(mp.MultiposError, match=r"'a[xyz]' wraps around \d+ times in 16 bits"):
         mp.average(wrapped)
-    with pytest.raises(mp.MultiposError, match=r"across all of 16 bits, from .* first at row \d+;"):
+    with pytest.raises(mp.MultiposError, match=r"in 16 bits \(.*\), first at row \d+;"):
         mp.average(wrapped)
     row = int(np.argmax(np.abs(np.diff(wrapped["ax"])) > 60000)) + 1
     said = texts(mp.average(wrapped, accept_faults=True))
-    assert any("'ax' wraps around: " in t and f"first at row {row}" in t for t in said)
+    assert any("'ax' wraps around " in t and f"first at row {row}" in t for t in said)
     assert not any("wraps" in text for text in texts(mp.average(in_counts(log, 25000.0))))
 
 
@@ -99,7 +99,7 @@ def test_a_log_that_goes_on_in_another_unit_is_named(factor, log):
     larger = "larger" if factor > 1.0 else "smaller"
     told = float(said.split("readings are ")[1].split()[0])
     assert told == pytest.approx(max(factor, 1 / factor), rel=0.02)
-    assert f"times {larger} than before: two units in one log" in said
+    assert f"times {larger}: two units in one log" in said
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""How well the u of a rest is known, and rests whose mean does not settle."""
+"""How well the u of a rest is known, and rests whose mean drifts."""
 
 import math
 
@@ -140,7 +140,7 @@ def test_the_file_carries_degrees_of_freedom_and_the_rest_says_few(tmp_path):
     log["time"] = np.arange(samples.shape[1]) / 100.0
     sections = {str(i + 1): {"start": 500 * i, "end": 500 * (i + 1)} for i in range(6)}
     found = mp.average(log, sections=sections, scheme="faces-6")
-    assert any("independent samples only" in note for note in texts(found.rests[0]))
+    assert any("independent ones" in note for note in texts(found.rests[0]))
     assert set(found.to_dict()["positions"][0]["dof"]) == {"ax", "ay", "az"}
     found.save(tmp_path / "readings.csv")
     read = mp.read_readings(tmp_path / "readings.csv")

@@ -80,7 +80,7 @@ def test_where_the_table_begins_is_said(log, tmp_path):
     assert found.outputs == ("2", "3", "4")
     assert texts(found) == (
         "the table begins on line 3, without a header",
-        "the time is column '1', in s by its steps",
+        "column '1' is the time, in s by its steps",
     )
     assert texts(mp.average(written(tmp_path, "# c\ntime,ax,ay,az\n" + rows_of(log)))) == ()
 
@@ -124,7 +124,7 @@ def test_units_leave_the_names(log, tmp_path):
     assert found.outputs == OUTPUTS
     assert found.readings.unit == "m/s^2"
     assert found.sample_rate == pytest.approx(100.0)
-    assert texts(found) == ("the time is column 'Time', in ms by its name",)
+    assert texts(found) == ("column 'Time' is the time, in ms by its name",)
     assert mp.average(path, outputs="ax (m/s²), AY", time_column="time [MS]").outputs == (
         "ax",
         "ay",
@@ -173,7 +173,7 @@ def test_the_unit_of_time_is_recognised(name, log, tmp_path):
     found = mp.average(written(tmp_path, f"{name},ax,ay,az\n{rows_of(scaled)}"))
     assert found.sample_rate == pytest.approx(100.0)
     column = name.partition(" (")[0]
-    assert texts(found) == (f"the time is column '{column}', in {said}",)
+    assert texts(found) == (f"column '{column}' is the time, in {said}",)
 
 
 @pytest.mark.parametrize(("power", "unit"), [(0, "s"), (3, "ms"), (6, "us"), (9, "ns")])
@@ -222,7 +222,7 @@ def test_a_bad_date_is_an_error_or_left_out(bad, log, tmp_path):
     path = written(tmp_path, f"time,ax,ay,az\n{text}\n")
     with pytest.raises(mp.MultiposError, match=r"row 701 \(line 702\), column 'time'"):
         mp.average(path)
-    assert texts(mp.average(path, drop_bad=True)) == (f"1 bad row is left out of {len(rows)}",)
+    assert texts(mp.average(path, drop_bad=True)) == (f"1 bad row was omitted of {len(rows)}",)
 
 
 def test_a_log_without_a_whole_row_is_refused(tmp_path):
@@ -243,13 +243,13 @@ def test_time_unit_decides(log, tmp_path):
 
 def test_an_unknown_rate_is_said_and_a_stated_one_taken(log, expected, tmp_path):
     path = written(tmp_path, "ax,ay,az\n" + rows_of(log, OUTPUTS))
-    (warning,) = [text for text in texts(mp.average(path)) if "nothing tells the time" in text]
+    (warning,) = [text for text in texts(mp.average(path)) if "the log has no time" in text]
     assert "a rest is at least 192 samples" in warning
     path = written(tmp_path, "Device at 100 Hz\nax,ay,az\n" + rows_of(log, OUTPUTS))
     found = mp.average(path)
     assert found.sample_rate == 100.0
     assert "the log states a sample rate of 100 Hz" in texts(found)
-    assert not any("nothing tells" in text for text in texts(found))
+    assert not any("has no time" in text for text in texts(found))
     assert mp.average(path, rate=50.0).sample_rate == 50.0
 
 
@@ -261,7 +261,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(log, tmp_path, capsys):
     whole = mp.average(written(tmp_path, text))
     for end in ("34.0,0.1", "34.0,0.1,0.2,-", "34.0,0.1\n"):
         found = mp.average(written(tmp_path, text + end))
-        assert texts(found)[0] == f"the last row, '{end.strip()}', is cut off and left out"
+        assert texts(found)[0] == f"the last row, '{end.strip()}', is incomplete and was omitted"
         assert found.rests[-1].rows == whole.rests[-1].rows
     for end in ("", "\n\n", "   \n", "# the end\n"):
         assert texts(mp.average(written(tmp_path, text + end))) == ()
@@ -272,7 +272,7 @@ def test_a_last_row_that_is_cut_off_is_left_out(log, tmp_path, capsys):
     )
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == len(log["time"]) + 1
-    assert "is cut off and left out" in err
+    assert "is incomplete and was omitted" in err
 
 
 @pytest.mark.parametrize("bad", ["oops", "", "nan", "inf", "1e30", "-4.6e12", None])
@@ -285,7 +285,7 @@ def test_bad_rows_are_an_error_or_left_out_and_counted(bad, log, tmp_path, capsy
         assert main(["average", str(path)]) == 1
         assert "row 700 (line 701)" in capsys.readouterr().err
     found = mp.average(path, drop_bad=True)
-    assert texts(found) == (f"1 bad row is left out of {len(log['time'])}",)
+    assert texts(found) == (f"1 bad row was omitted of {len(log['time'])}",)
     rows = found.rests[1].rows
     assert rows.start < 699 < rows.end
     assert found.rests[1].found.n == rows.end - rows.start - 1
@@ -306,7 +306,7 @@ def test_a_bad_first_row_is_a_row_all_the_same(bad, log, tmp_path, capsys):
     assert main(["average", str(path)]) == 1
     assert "row 1 (line 2), column 'ax'" in capsys.readouterr().err
     found = mp.average(path, drop_bad=True)
-    assert texts(found) == (f"1 bad row is left out of {len(rows)}",)
+    assert texts(found) == (f"1 bad row was omitted of {len(rows)}",)
     assert found.rests[0].rows.start == 1
 
 
@@ -370,7 +370,7 @@ def test_the_real_log_needs_no_option():
     assert mp.average(shared("mpu9150_imu0.log")).outputs == ("1", "2", "3")
     session = mp.average(shared("ferraris_session.csv"))
     assert session.outputs == ("acc_x", "acc_y", "acc_z")
-    assert any("n_samples, gyr_x, gyr_y, gyr_z beside them are none" in n for n in texts(session))
+    assert any("n_samples, gyr_x, gyr_y, gyr_z are not used" in n for n in texts(session))
 
 
 # --- packed

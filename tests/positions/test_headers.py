@@ -60,7 +60,7 @@ def test_a_temperature_in_kelvin_is_read_in_celsius():
     plain = mp.fit(HEADED | LISTED | {"temperature (degC)": celsius}, model=model)
     assert_allclose(cold.readings.environment["temperature"], celsius, rtol=0, atol=1e-12)
     assert_allclose(cold.parameters, plain.parameters, rtol=0, atol=1e-10)
-    assert "273.15 is subtracted" in " ".join(texts(cold))
+    assert "273.15 was subtracted" in " ".join(texts(cold))
     assert "temperature-kelvin" not in {finding.code for finding in cold.diagnostics.findings}
     with pytest.raises(MultiposError, match=r"in K, and the calibration takes degrees Celsius"):
         mp.apply(cold, HEADED | {"temperature (K)": celsius + 273.15})

@@ -117,7 +117,7 @@ def test_gyro_columns_are_no_outputs_beside_acceleration():
     given = columns("ax", "ay", "az", gx=np.zeros(26), gy=np.ones(26), gz=np.arange(26.0))
     cal = mp.fit(given)
     assert cal.outputs == ("ax", "ay", "az")
-    assert any("gx, gy, gz beside them are of other sensors" in w for w in texts(cal))
+    assert any("gx, gy, gz belong to other sensors" in w for w in texts(cal))
 
 
 def test_columns_that_average_carried_along_cause_no_word():

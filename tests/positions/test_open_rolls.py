@@ -19,7 +19,7 @@ def test_a_roll_without_its_angle_is_open_whether_the_column_stands_or_not():
     assert empty.open_roll == ("x", "", "y")
     assert np.isnan(empty.up[[0, 2]]).all()
     np.testing.assert_array_equal(empty.up[1], [0, 0, 1])
-    assert any("row 1, 3: the angle of the roll is open" in note for note in texts(empty))
+    assert any("roll angles of row 1, 3 are estimated" in note for note in texts(empty))
     assert (
         read_readings({"roll_axis": ["x"] * 3, "angle_deg": [0, 1, 2], **OUTPUTS}).open_roll is None
     )
