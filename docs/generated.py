@@ -220,6 +220,7 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
     for path in files:
         tree = ast.parse(path.read_text("utf-8"))
         functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        yield from _said(tree, functions, put_in)
         seen: set[int] = set()
         for part in (*functions, tree):
             names = assigned(part)
@@ -227,6 +228,21 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
                 if isinstance(node, ast.Call) and id(node) not in seen:
                     seen.add(id(node))
                     yield from _message(node, names, put_in)
+
+
+def _said(tree: ast.Module, functions: list[ast.FunctionDef], put_in: str) -> Iterator[Message]:
+    """Yield the warnings whose text, action and rows a function of a table `_SAID` returns."""
+    for node in tree.body:
+        if not isinstance(node, ast.AnnAssign) or getattr(node.target, "id", "") != "_SAID":
+            continue
+        assert node.value is not None
+        made = {code.value: call for code, call in _items(node.value)}
+        for code, call in made.items():
+            body = next(f for f in functions if f.name == getattr(call, "id", ""))
+            (last,) = [each.value for each in ast.walk(body) if isinstance(each, ast.Return)]
+            assert isinstance(last, ast.Tuple)
+            text, action, _ = (texts_of(each, assigned(body), put_in) for each in last.elts)
+            yield Message((code,), ("warning",), tuple(text), tuple(action))
 
 
 def _message(node: ast.Call, names: dict[str, list[ast.expr]], put_in: str) -> Iterator[Message]:
@@ -244,9 +260,18 @@ def _message(node: ast.Call, names: dict[str, list[ast.expr]], put_in: str) -> I
     if codes != [put_in]:
         yield Message(tuple(codes), levels, tuple(texts_of(text, names, put_in)), actions)
         return
+    ways = {k.value: v for table in names.get("actions", ()) for k, v in _items(table)}
     for table in names.get("texts", ()):  # of one of several repairs
-        for key, value in zip(table.keys, table.values, strict=True):  # type: ignore[attr-defined]
-            yield Message((key.value,), levels, tuple(texts_of(value, names, put_in)), actions)
+        for key, value in _items(table):
+            do = tuple(texts_of(ways[key.value], names, put_in)) if key.value in ways else actions
+            yield Message((key.value,), levels, tuple(texts_of(value, names, put_in)), do)
+
+
+def _items(table: ast.expr) -> list[tuple[ast.Constant, ast.expr]]:
+    assert isinstance(table, ast.Dict)
+    return [
+        (k, v) for k, v in zip(table.keys, table.values, strict=True) if isinstance(k, ast.Constant)
+    ]
 
 
 def messages_page() -> str:

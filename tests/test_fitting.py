@@ -117,8 +117,8 @@ def test_a_denied_noise_is_added_to_and_said():
     (said,) = texts(cal)
     assert f"exceed the stated noise (chi-square {chi2:.4g} on 30 dof)" in said
     scatter = cal.variance_components.rest_to_rest["ax"].value
-    assert f"excess noise of {scatter:.3g} reading is added" in said
-    assert "the data favour scatter from rest to rest" in said
+    assert f"U includes an excess of {scatter:.2g} reading" in said
+    assert "the likely cause is variation from rest to rest" in said
     # five times the claim, all of it known from residuals on 30 degrees of freedom
     variance = float(np.sum(cal.residuals**2)) / 30
     assert scatter == pytest.approx(math.sqrt(variance - 1e-6), rel=1e-3)
@@ -471,7 +471,7 @@ def test_badly_separated_parameters_warn():
     rng = np.random.default_rng(19)
     up = np.array([0, 0, 1]) + 1e-5 * rng.standard_normal((20, 3))
     cal = mp.fit(mp.Readings(up[:, :1], up=up))
-    assert any("separate the parameters badly" in text for text in texts(cal))
+    assert any("parameters are nearly inseparable" in text for text in texts(cal))
 
 
 def test_the_time_is_that_of_the_source_date_epoch(monkeypatch):

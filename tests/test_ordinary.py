@@ -51,7 +51,7 @@ def test_the_advice_for_six_faces_by_hand_is_followed():
         made = row.make(np.random.default_rng(seed))
         plain = mp.calibrate(made.log, scheme="faces-6")
         (said,) = (f for f in plain.findings if f.code == "denied-noise")
-        advised = re.search(r"--orientation-sd ([\d.]+), or no --scheme", str(said))
+        advised = re.search(r"--orientation-sd ([\d.]+) if the sensor", str(said))
         cal = mp.calibrate(made.log, scheme="faces-6", orientation_sd=float(advised[1]))
         for found, errors in ((plain, before), (cal, after)):
             errors.append(error_of(line_from(found), made, row))

@@ -226,7 +226,7 @@ def _silent(c: Calibration) -> Finding | None:
         "no-signal",
         "error",
         f"{quoted(silent)} does not respond to gravity along any axis",
-        "Check the wiring and the column, or leave the output out with --outputs.",
+        "Check the wiring and the column, or omit the output with --outputs.",
         outputs=tuple(silent),
     )
 
@@ -274,41 +274,36 @@ def _faces(view: View, expected: Array) -> float:
     return float(np.round(cosines(view.sensitivity, expected).min(), 2))
 
 
-_ACTIONS = {
-    "interchanged-rows": "Exchange them, or measure both again.",
-    "flipped-row": "Turn the direction round in the list, or measure again.",
-    "row-unit": "Bring all rows to one unit.",
-    "wrapped": "Add it, or measure again in a wider range.",
-    "angles-in-radians": "Convert them to degrees.",
-}
-
-
 def _in_words(c: Calibration, repair: Repair) -> Finding:
     labels = c.readings.labels
     rows = tuple(labels[row] for row in repair.rows)
     named = _positions(rows)
     outputs = tuple(c.outputs[i] for i in repair.outputs)
-    after = f"the rms is {repair.view.left_over:.3g} g"
+    after = f"rms is {repair.view.left_over:.2g} g"
     if c.rms < _OF_USE:
-        after = f"the rms falls from {c.rms:.3g} g to {repair.view.left_over:.3g} g"
+        after = f"rms falls from {c.rms:.2g} g to {repair.view.left_over:.2g} g"
     count = "is" if len(rows) == 1 else "are"
-    texts = {
-        "interchanged-rows": f"{named} look interchanged: with their readings exchanged {after}",
-        "flipped-row": f"{named} {count} upside down: with the other side up {after}",
-        "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: with the "
-        f"factor taken out {after}",
-        "wrapped": f"{quoted(outputs)} ran over one end of the range at {named} and came out "
-        f"at the other: with {repair.size:.6g} put back {after}",
-        "angles-in-radians": "the angles look like radians under a name that ends in _deg: taken "
-        f"as such {after}",
-    }
-    everywhere = repair.code == "angles-in-radians"
-    text = texts[repair.code]
     if repair.code == "interchanged-rows" and len(rows) == len(labels):
-        said = f"The rows follow the positions in the order 'spread': in that order {after}."
-        return Finding(repair.code, "error", said, "Fit with --order spread.")
-    action = _ACTIONS[repair.code]
-    rows = () if everywhere else rows
+        text = f"rows follow the positions in the order 'spread': matched so, {after}"
+        return Finding("interchanged-rows", "error", text, "Fit with --order spread.")
+    texts = {
+        "interchanged-rows": f"{named} are probably interchanged: with readings exchanged, {after}",
+        "flipped-row": f"{named} {count} listed upside down: with the direction reversed, {after}",
+        "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: converted, "
+        f"{after}",
+        "wrapped": f"{quoted(outputs)} overflowed the range at {named}: with {repair.size:.6g} "
+        f"added, {after}",
+        "angles-in-radians": f"angles in columns named _deg are probably radians: read so, {after}",
+    }
+    actions = {
+        "interchanged-rows": "Exchange their readings, or measure both again.",
+        "flipped-row": "Reverse the direction in the list, or measure again.",
+        "row-unit": "Convert all rows to one unit.",
+        "wrapped": f"Add {repair.size:.6g} to these readings, or measure again in a wider range.",
+        "angles-in-radians": "Convert the angles to degrees.",
+    }
+    rows = () if repair.code == "angles-in-radians" else rows
+    text, action = texts[repair.code], actions[repair.code]
     return Finding(repair.code, "error", text, action, rows=rows, outputs=outputs)
 
 
@@ -361,7 +356,7 @@ def _no_response(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "no-signal",
         "error",
-        f"an output does not respond to its own axis: {named}",
+        f"outputs do not respond to the axes listed for them: {named}",
         "Check columns and wiring, or name the axis of each output with --axes.",
         outputs=tuple(silent),
     )

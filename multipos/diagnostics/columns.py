@@ -55,8 +55,8 @@ def dead_output(c: Calibration) -> Finding | None:
     return Finding(
         "dead-output",
         "error",
-        f"{quoted(dead)} read the same number at all {len(c.readings)} positions",
-        "Check the wiring and the column, or leave the output out with --outputs.",
+        f"{quoted(dead)} has the same reading at all {len(c.readings)} positions",
+        "Check the wiring and the column, or omit the output with --outputs.",
         outputs=tuple(dead),
     )
 
@@ -100,8 +100,8 @@ def counter_column(c: Calibration) -> Finding | None:
         "counter-column",
         "error",
         (
-            f"{quoted(counters)} rises by the same step from row to row, as a "
-            "counter or a clock does"
+            f"{quoted(counters)} increases by one step from row to row: a counter or a clock, not "
+            "an output"
         ),
         "Name the outputs with --outputs.",
         outputs=tuple(counters),
@@ -137,11 +137,8 @@ def saturated(c: Calibration) -> Finding | None:
     return Finding(
         "saturated",
         "error",
-        (
-            f"{named} ran into the end of its range{where}: readings stop at "
-            "one number where more is expected"
-        ),
-        "Measure again in a wider range, or leave these positions out.",
+        (f"{named} is saturated{where}: readings stop at one value where larger ones are expected"),
+        "Measure again in a wider range, or omit these positions.",
         rows=tuple(rows),
         outputs=tuple(outputs),
     )
@@ -196,9 +193,9 @@ def quantized(c: Calibration) -> Finding | None:
     return Finding(
         "quantized",
         "note",
-        f"readings stand on a grid of {steps.max():.3g} {c.model.unit}, coarser than they scatter: "
-        "its step over the root of 12 is taken for their u",
-        "Read more digits, or average readings that vary.",
+        f"readings have a resolution of {steps.max():.3g} {c.model.unit}, coarser than their "
+        "noise; u includes resolution/sqrt(12)",
+        "Record more digits, or average readings that vary.",
         outputs=tuple(coarse),
     )
 
@@ -224,13 +221,12 @@ def repeated_rows(c: Calibration) -> Finding | None:
         if reference is not None and float(np.abs(reference[row] - reference[origin]).max()) > 1e-6
     ]
     text = (
-        f"positions {_some(stale)} read the same to the last digit though they differ: a reading "
-        "was not taken anew"
+        f"positions {_some(stale)} have identical readings although they differ: one was not "
+        "measured anew"
         if stale
-        else f"{len(copies)} of {len(labels)} rows are copies of others to the last digit; U is "
-        "too small"
+        else f"{len(copies)} of {len(labels)} rows are exact copies of others; U is too small"
     )
-    action = "Measure again, or leave one out." if stale else "Leave them out."
+    action = "Measure them again, or omit one." if stale else "Remove the copies."
     rows = dict.fromkeys(labels[row] for pair in copies for row in pair)
     return Finding("repeated-rows", "warning", text, action, rows=tuple(rows))
 

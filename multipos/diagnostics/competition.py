@@ -122,32 +122,32 @@ def _drift(c: Calibration, cause: Cause, sizes: Array) -> _Said:
 
 def _slipped(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     row, degrees = _first_row(c, cause), math.degrees(float(np.linalg.norm(sizes)))
-    text = f"from row {row} on the case is turned by {degrees:.2g} degrees, as one that slipped"
-    action = f"Give the rows from {row} on a name in a column `group`, the others none."
-    return f"{text} (p = {cause.chance}), and U leaves that out", action, (row,)
+    text = f"from row {row} on the case is rotated by {degrees:.2g} degrees, as if it slipped"
+    action = f"Name the rows from {row} on in a column `group`, and no others."
+    return f"{text} (p = {cause.chance}); U excludes it", action, (row,)
 
 
 def _replaced(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     row, what = _first_row(c, cause), "parameters"
     if not cause.wholly:
-        what = f"zeros, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
-    text = f"from row {row} on the readings follow other {what} (p = {cause.chance})"
-    action = f"Fit the rows before {row} and those from it on apart."
-    return f"{text}, as those of another unit or switch-on", action, (row,)
+        what = f"biases, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
+    text = f"from row {row} on readings have other {what} (p = {cause.chance})"
+    action = f"Fit the rows before {row} and those from it on separately."
+    return f"{text}, as after an exchange or a switch-on", action, (row,)
 
 
 def _settling(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     share = 100.0 * float(sizes.item())
-    text = f"readings hold {share:.2g} % of the row before (p = {cause.chance})"
-    action = "Wait longer at each position before it is read."
-    return f"{text}, as a filter does that has not settled", action, ()
+    text = f"readings contain {share:.2g} % of the previous row (p = {cause.chance})"
+    action = "Wait longer at each position before reading."
+    return f"{text}, as from a filter with a long time constant", action, ()
 
 
 def _hysteresis(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     both = 2.0 * float(np.abs(sizes).max())
-    text = f"readings differ by {both:.2g} {c.model.unit} with the side from which a position is"
+    text = f"readings differ by {both:.2g} {c.model.unit} with the side of approach to a position"
     action = "Approach all positions from one side, or each from both."
-    return f"{text} approached (p = {cause.chance})", action, ()
+    return f"{text} (p = {cause.chance})", action, ()
 
 
 def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
@@ -156,29 +156,29 @@ def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
     loud = np.flatnonzero(own > UNEQUAL * np.median(own))
     moved = float(np.abs(sizes).max() * own.max() ** 2)
-    text = f"readings move by up to {moved:.2g} {c.model.unit} with the variance of their rests"
-    action = "Measure these rests again with less of it, or set them aside with --exclude."
+    text = f"readings change by up to {moved:.2g} {c.model.unit} with the variance of their rests"
+    action = "Measure these rests again with less vibration, or set them aside with --exclude."
     rows = tuple(c.readings.labels[i] for i in loud.tolist())
-    return f"{text} (p = {cause.chance}), as vibration is rectified", action, rows
+    return f"{text} (p = {cause.chance}), as from rectified vibration", action, rows
 
 
 def _level(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     degrees = math.degrees(float(np.linalg.norm(sizes)))
-    text = f"the attitudes show a table that is tilted by {degrees:.2g} degrees"
-    return f"{text} (p = {cause.chance})", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
+    text = f"the attitudes indicate a table tilt of {degrees:.2g} degrees (p = {cause.chance})"
+    return f"{text}; U excludes it", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
 
 
 def _table(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     off = f"{math.degrees(float(np.abs(sizes).max())):.1g}"
-    text = "the residuals follow the angles of the rolls, as a table does that is off by"
-    action = f"Correct its angles by `multipos tumble`, or fit with --orientation-sd {off}."
-    return f"{text} {off} degrees (p = {cause.chance})", action, ()
+    text = f"residuals follow the roll angles, as from table errors of {off} degrees"
+    action = f"Correct the angles with `multipos tumble`, or fit with --orientation-sd {off}."
+    return f"{text} (p = {cause.chance})", action, ()
 
 
 def _slow(c: Calibration, cause: Cause, sizes: Array) -> _Said:
-    text = "residuals are alike from one row to the next though the positions are not, and U is"
-    action = "Give the rows a column `time`, of which U follows, or take the positions in random"
-    return f"{text} too small", f"{action} order.", ()
+    text = "residuals of neighbouring rows are correlated although their positions differ; U is"
+    action = "Add a column `time`, or measure the positions in random order."
+    return f"{text} too small", action, ()
 
 
 def _first_row(c: Calibration, cause: Cause) -> str:
@@ -195,5 +195,5 @@ _SAID: dict[str, Callable[[Calibration, Cause, Array], _Said]] = {
     "vibration": _vibration,
     "level": _level,
     "table": _table,
-    SLOW: _slow,
+    "time-correlated": _slow,
 }

@@ -64,6 +64,8 @@ _EXPLAINED = {
     "no-signal": ("convention",),
     "outlier": _BY_ROWS,
     "flipped-row": _BY_ROWS,
+    "missing-term": ("denied-noise",),
+    "missing-term": ("denied-noise",),
 }
 
 

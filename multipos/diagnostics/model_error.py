@@ -59,8 +59,8 @@ def zero_per_soak(c: Calibration) -> Finding | None:
     return Finding(
         "zero-per-soak",
         "note",
-        f"bias is not repeatable from soak to soak (p = {test.p:.1g}; {listed} {c.model.unit}); it "
-        "is in U of the bias over temperature",
+        f"bias is not repeatable between soaks ({listed} {c.model.unit} rms, p = {test.p:.1g}: "
+        "hysteresis or drift); U over temperature includes it",
     )
 
 
@@ -127,15 +127,14 @@ def missing_term(c: Calibration) -> Finding | None:
         return None
     named, first = _named(c, best), best[0]
     others = [t.term for t in best[1:] if t.gain > first.gain - _AS_GOOD and t.term not in named]
-    instead = f"; {' or '.join(others)} would explain them as well" if others else ""
+    instead = f"; {' or '.join(others)} would fit as well" if others else ""
     chance = "less than 1e-99" if first.p < 1e-99 else f"{first.p:.1g}"
     return Finding(
         "missing-term",
         "warning",
         (
-            f"the residuals ask for {' and '.join(named)}, which the model "
-            f"lacks (p = {chance}{instead}); U of compensated force leaves that "
-            "error out"
+            f"the model lacks {' and '.join(named)}, which residuals show (p = {chance}{instead}); "
+            "U of compensated force excludes that error"
         ),
         _way_out(c, named),
         outputs=_showing(first),
@@ -151,10 +150,10 @@ def hidden_terms(c: Calibration) -> Finding | None:
         "hidden-terms",
         "note",
         (
-            f"these positions cannot show {_listed(hidden)}, and U of "
-            "compensated force leaves such terms out"
+            f"{_listed(hidden)} cannot be determined from these positions and is not included "
+            "in U of compensated force"
         ),
-        "Add directions between those there are, or state their sizes in a budget, [unseen].",
+        "Add positions between these directions, or enter an allowance under [unseen] of a budget.",
     )
 
 
@@ -170,8 +169,8 @@ def find_hidden(c: Calibration) -> Findings:
     if not hidden:
         return ()
     text = (
-        f"the positions of the calibration could not show {_listed(hidden)}: between the "
-        "directions that were applied force may be off by such terms, and U leaves them out"
+        f"{_listed(hidden)} could not be determined from the positions of the calibration and is "
+        "not included in U between them"
     )
     return (Finding("hidden-terms", "note", text),)
 
@@ -225,7 +224,7 @@ def _left_out(residuals: Array, leverage: Array) -> Array:
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:
     if isinstance(c.model, ExpressionModel):
-        return "Write the term into the model."
+        return "Add the term to the model."
     columns = {kind.name: sum(map(len, kind.terms)) for kind in lacking(c)}
     shown = {t.term: sum(q for q, _ in t.dofs) for t in c.diagnostics.model_tests}
     formula = f"Fit with --model '{formula_with(c.model, named)}'"

@@ -43,20 +43,20 @@ def no_redundancy(c: Calibration) -> Finding | None:
     if spare <= 0:
         name, moved = _moved_by_noise(c)
         if moved > _BEYOND:
-            noise = "their noise" if c.readings.noise is not None else "a noise of 1 mg"
+            noise = "the stated noise" if c.readings.noise is not None else "noise of 1 mg"
             return Finding(
                 "no-residuals",
                 "error",
-                f"{n} positions for as many parameters: nothing contradicts the fit, and {noise} "
-                f"moves {name} by {100.0 * moved:.2g} % of one g",
+                f"{n} positions for as many parameters: nothing checks the fit, and {noise} "
+                f"changes {name} by {100.0 * moved:.2g} % of 1 g",
                 "Add positions that differ more.",
             )
         return Finding(
             "no-redundancy",
             "warning",
             (
-                f"{n} positions for as many parameters: the fit passes through "
-                "every reading and nothing shows whether it is right"
+                f"{n} positions for as many parameters: there are no residuals, so nothing checks "
+                "the fit"
             ),
             "Add positions.",
         )
@@ -83,7 +83,7 @@ def poorly_determined(c: Calibration) -> Finding | None:
         return Finding(
             "no-redundancy",
             "warning",
-            "the positions separate the parameters badly (condition "
+            "parameters are nearly inseparable at these positions (condition "
             f"{c.diagnostics.condition:.1e})",
             "Add positions that differ more.",
         )
@@ -91,11 +91,11 @@ def poorly_determined(c: Calibration) -> Finding | None:
     found = [(c.names[i], share[i]) for i in c.model.own_scales if _OPEN < share[i] < 1.0]
     if not found:
         return None
-    said = ", ".join(f"{name} to {100.0 * each:.2g} %" for name, each in found)
+    said = ", ".join(f"{name} (U = {100.0 * each:.2g} %)" for name, each in found)
     return Finding(
         "no-redundancy",
         "warning",
-        f"scale factors are poorly determined (U): {said}",
+        f"scale factors are poorly determined: {said}",
         "Average longer, or add positions.",
     )
 
@@ -108,11 +108,11 @@ def _poorly_known(c: Calibration) -> Finding | None:
     ]
     if not poor:
         return None
-    said = ", ".join(f"{name} to {1e3 * each:.2g} mrad" for name, each in poor[:4])
+    said = ", ".join(f"{name} (U = {1e3 * each:.2g} mrad)" for name, each in poor[:4])
     return Finding(
         "no-redundancy",
         "warning",
-        f"some parameters are poorly determined (U): {said}",
+        f"parameters are poorly determined: {said}",
         "Add positions that differ more.",
     )
 

@@ -51,6 +51,7 @@ from multipos.sensor.found import Estimator
 _LEVEL = 0.01  # at which repeats reject the model, all outputs together
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
 _SHOWN = 4
+_NAMED = 2  # outlying readings in one sentence
 _GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
 _ENOUGH = 3  # degrees of freedom without them
 _SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lost
@@ -65,14 +66,14 @@ def outlier(c: Calibration) -> Finding | None:
     noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
     if not found or not np.any(noise):
         return None
-    more = f"; and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    more = f"; and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
     heads = [(f"position {label}:", f"position {label} ", label) for label in c.readings.labels]
     named = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
     return Finding(
         "outlier",
         "warning",
-        f"{'; '.join(found[:_SHOWN])}{more}",
-        "Measure again, leave it out, or fit with --robust huber.",
+        f"{'; '.join(found[:_NAMED])}{more}",
+        "Measure again, omit it, or fit with --robust huber.",
         rows=tuple(dict.fromkeys(named)),
     )
 
@@ -98,7 +99,8 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     pairs = list(zip(labels, off, strict=True))
     said = ", ".join(f"{label} ({size})" for label, size in pairs[:_SHOWN])
     more = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
-    said = f"position {said} is" if len(pairs) == 1 else f"positions {said}{more} are"
+    one = len(pairs) == 1
+    said = f"position {said} deviates" if one else f"positions {said}{more} deviate"
     named = ",".join(dict.fromkeys(labels))
     lost = _signs_lost(c, found)
     if lost:
@@ -106,16 +108,16 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
         return Finding(
             "flipped-row",
             "error" if gross else "warning",
-            f"{cells} has the other sign: with it turned the residuals agree",
+            f"{cells} has the wrong sign: reversed, it agrees with the other readings",
             f"Correct the sign, or set aside with --exclude {named}.",
             rows=tuple(dict.fromkeys(labels)),
             outputs=tuple(dict.fromkeys(output for _, output in lost)),
         )
-    lower = f"; without, residuals are {found.ratio:.2g} times smaller" if gross else ""
+    lower = f"; residuals without are {found.ratio:.2g} times smaller" if gross else ""
     return Finding(
         "outlier",
         "error" if gross else "warning",
-        f"{said} off the fit of the others{lower}",
+        f"{said} from the fit of the others{lower}",
         f"Measure again, or set aside with --exclude {named}.",
         rows=tuple(dict.fromkeys(labels)),
     )
@@ -157,11 +159,10 @@ def lack_of_fit(c: Calibration) -> Finding | None:
         "lack-of-fit",
         "warning",
         (
-            "repeats of a position agree better than the model fits them: "
-            f"{said}; a term is missing, or positions are not where they are "
-            "listed"
+            f"residuals exceed what repeats of a position show: {said}; a term is missing, or "
+            "positions are not as listed"
         ),
-        "Try a model with more terms, or --orientation-sd.",
+        "Fit with more terms, or with --orientation-sd auto.",
         outputs=tuple(small),
     )
 
@@ -180,10 +181,10 @@ def _effective_number(c: Calibration, effective: Mapping[str, float]) -> Finding
         "time-correlated",
         "warning",
         (
-            f"neighbouring rows have nearly the same error: {n} rows equal "
-            f"fewer independent ones, {said}, which U allows for"
+            f"noise of neighbouring rows is correlated: {n} rows equal fewer independent ones "
+            f"({said}); U includes it"
         ),
-        "Take the positions several times, in random order.",
+        "Measure the positions several times, in random order.",
         outputs=tuple(fewer),
     )
 
@@ -199,18 +200,19 @@ def rejected_noise(c: Calibration) -> Finding | None:
         return None
     found = c.variance_components
     scatter = found and found.rest_to_rest
-    added = "U is multiplied by what they show"
+    added = "U was increased"
     if scatter:
-        sizes = ", ".join(dict.fromkeys(f"{part.value:.3g}" for part in scatter.values()))
-        added = f"excess noise of {sizes} {c.model.unit} is added"
+        sizes = ", ".join(dict.fromkeys(f"{part.value:.2g}" for part in scatter.values()))
+        added = f"U includes an excess of {sizes} {c.model.unit}"
+    cause, action = _cause(c)
     return Finding(
         "denied-noise",
         "warning",
         (
             f"residuals exceed the stated noise (chi-square {claim.chi2:.4g} on "
-            f"{claim.dof:g} dof); {added}; {_cause(c)}"
+            f"{claim.dof:g} dof); {added}; {cause}"
         ),
-        "State the noise that the readings have, or remove its cause.",
+        action,
     )
 
 
@@ -228,10 +230,10 @@ def orientation_error(c: Calibration) -> Finding | None:
         "placement",
         "warning",
         (
-            f"residuals suggest orientation errors of {degrees:.2g} degrees: "
-            "they lie across the force, and U takes positions as exact"
+            f"residuals suggest orientation errors of {degrees:.2g} degrees (1 sigma); U takes "
+            "positions as exact"
         ),
-        "Fit with --orientation-sd auto, which estimates them.",
+        "Fit with --orientation-sd auto.",
     )
 
 
@@ -242,40 +244,41 @@ def unequal_noise(c: Calibration) -> Finding | None:
     p, sizes = judge_equality(c)
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None
-    listed = ",".join(f"{size:.2g}" for size in sizes.tolist())
+    noisiest, quietest = int(np.argmax(sizes)), int(np.argmin(sizes))
     return Finding(
         "unequal-noise",
         "warning",
         (
-            f"outputs differ in noise (p = {p:.1g}; residuals {listed}), and the "
-            "fit takes them as "
-            f"{'stated' if c.readings.noise is not None else 'equal'}: U of the "
-            "noisiest is too small"
+            f"{c.outputs[noisiest]} is {sizes[noisiest] / sizes[quietest]:.2g} times as noisy as "
+            f"{c.outputs[quietest]} (p = {p:.1g}); its U is too small, as the fit takes "
+            f"{'stated' if c.readings.noise is not None else 'equal'} noise"
         ),
         "State the noise of each output with --reading-sd.",
         outputs=c.outputs,
     )
 
 
-def _cause(c: Calibration) -> str:
-    """Return the cause of a rejected noise that the data favour, with the way out in this mode."""
+_STATE = "State a larger --reading-sd."
+_STATE_EACH = "State the noise of each output with --reading-sd."
+_EXCESS = "the likely cause is variation from rest to rest"
+
+
+def _cause(c: Calibration) -> tuple[str, str]:
+    """Return the likely cause of noise beyond the stated one, and the action in this mode."""
     missing = significant(c.diagnostics.model_tests)
     if missing:
-        return f"a term that the model lacks explains them, {missing[0].term}"
+        return f"the likely cause is a missing term, {missing[0].term}", _STATE
     if c.estimator.exact:
         return _cause_at_known(c)
     if c.robust_weight is None and judge_equality(c)[0] < _LEVEL:
-        return "the outputs scatter unequally, so state the noise of each"
-    if c.estimator is Estimator.UNKNOWN:
-        return "the data favour scatter from rest to rest, beyond that within one"
-    return "no placement as stated explains them: the data favour scatter from rest to rest"
+        return "the outputs differ in noise", _STATE_EACH
+    return _EXCESS, _STATE
 
 
-def _cause_at_known(c: Calibration) -> str:
-    scatter = "the data favour scatter from rest to rest"
+def _cause_at_known(c: Calibration) -> tuple[str, str]:
     plain = c.readings.noise is not None and c.readings.noise.ndim == 1 and c.robust_weight is None
     if not plain or isinstance(c.model, ExpressionModel):
-        return scatter
+        return _EXCESS, _STATE
     of = residuals_of(c)
     equal, unequal = explain_equal(of), explain_unequal(of)
     degrees, contrasts = None, 1
@@ -283,22 +286,24 @@ def _cause_at_known(c: Calibration) -> str:
         moved, contrasts = explain_orientations(of), of.contrasts
         degrees = _orientation_error(equal, moved)
         if degrees is not None and moved.deviance[0] <= unequal.deviance[0]:
-            size = f"the data favour placement, some {degrees:.2g} degrees"
+            size = f"the likely cause is orientation errors of {degrees:.2g} degrees"
             if contrasts >= TELLING:
-                return f"{size}: see --orientation-sd auto"
-            return f"{size}, if not scatter: so few positions tell little; see --orientation-sd"
+                return size, "Fit with --orientation-sd auto."
+            return f"{size} or variation from rest to rest", f"Fit with {_sd(degrees)}."
     if degrees is None and contrasts < 1:
         # A turn moves the two outputs across a face, a scatter all three.
         off = math.sqrt(1.5 * float(np.mean(equal.variances[0] / np.sum(c.sensitivity**2, axis=1))))
-        return (
-            "these positions cannot tell placement from scatter from rest to rest: where a hand "
-            f"placed the sensor, give --orientation-sd {math.degrees(off):.2g}, or no --scheme"
-        )
+        text = "orientation errors and variation from rest to rest cannot be separated"
+        return text, f"Add {_sd(math.degrees(off))} if the sensor was positioned by hand."
     if prefers_unequal(equal, unequal)[0]:
         pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
-        return f"{scatter}, unlike in the outputs ({sizes} {c.model.unit}): state the noise of each"
-    return scatter
+        return f"{_EXCESS}, unequal in the outputs ({sizes} {c.model.unit})", _STATE_EACH
+    return _EXCESS, _STATE
+
+
+def _sd(degrees: float) -> str:
+    return f"--orientation-sd {degrees:.2g}"
 
 
 def residuals_of(c: Calibration) -> Residuals:

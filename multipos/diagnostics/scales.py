@@ -107,9 +107,9 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Finding | None:
     face = facing(sensitivity)
     own = tuple(COMPONENTS.index(axis) for axis in c.model.axes)
     known = (
-        "and that contradicts --axes"
+        "which contradicts --axes"
         if c.facing is not None
-        else "and no turning of the sensor does that"
+        else "which no rotation of the sensor explains"
     )
     if face.axes == own:
         wrong = [o for o, cosine in zip(c.outputs, along.tolist(), strict=True) if cosine < 0.0]
@@ -117,27 +117,23 @@ def reversed_or_permuted(c: Calibration, sensitivity: Array) -> Finding | None:
             "sign",
             "error",
             (
-                f"{quoted(wrong)} falls where it should rise as its axis turns, "
-                f"{known}: the output is reversed, or positions are listed for each "
-                "other"
+                f"{quoted(wrong)} decreases where it should increase, {known}: the output is "
+                "reversed, or positions are interchanged"
             ),
-            (
-                "Check wiring and list; where the sensor is made so, state it with "
-                f"--axes {face.text}."
-            ),
+            f"Check the wiring and the list, or confirm with --axes {face.text}.",
             outputs=tuple(wrong),
         )
     wrong = [o for o, a, b in zip(c.outputs, face.axes, own, strict=True) if a != b]
     senses = ", ".join(
-        f"{output} to {axis}"
+        f"{output} senses {axis}"
         for output, axis in zip(c.outputs, face.text.split(","), strict=True)
         if output in wrong
     )
     return Finding(
         "permuted-outputs",
         "error",
-        f"outputs are interchanged: {senses} is how they respond, {known}",
-        f"Name the columns rightly, or state it with --axes {face.text}.",
+        f"outputs are interchanged: {senses}, {known}",
+        f"Correct the names of the columns, or confirm with --axes {face.text}.",
         outputs=tuple(wrong),
     )
 
@@ -150,7 +146,7 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     if (cosines(sensitivity, -expected) > _SLANTED).all() and len(c.outputs) != 2:
         return None  # the other convention, which the fit says by itself
     face = facing(sensitivity)
-    words = "Mount it square, or state the axes that it has."
+    words = "Mount it square, or fit with --unknown-orientation for results in sensor axes."
     if face.least > CLEAR:
         words = f"Confirm with --axes {face.text}."
     how = ", ".join(
@@ -165,7 +161,7 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     return Finding(
         "turned",
         "warning",
-        f"the sensor is mounted turned in its case, {how}; results are in case axes",
+        f"the sensor is mounted rotated in its case, {how}; results are in case axes",
         words,
         outputs=c.outputs,
     )
@@ -208,15 +204,13 @@ def unit(c: Calibration, sensitivity: Array) -> Finding | None:
     if not _alike(size):
         return None  # one output is to be mended first
     near = [name for name, value in _ONE_G.items() if _is_near(ratio * one_g, value)]
-    way_out = "State the right unit, or none where it has no name."
-    if near:
-        way_out = f"State --unit {near[0]}, or none where the unit has no name."
+    way_out = f"State --unit {near[0]}." if near else "State the right unit, or no --unit."
     return Finding(
         "unit",
         "error",
         (
-            f"the readings are not in {c.model.unit}: one g makes "
-            f"{ratio * one_g:.4g} of them, where it should be {one_g:g}"
+            f"readings are not in {c.model.unit}: 1 g reads {ratio * one_g:.4g}, where "
+            f"{one_g:g} is expected"
         ),
         way_out,
     )
@@ -240,7 +234,7 @@ def output_unit(c: Calibration, sensitivity: Array) -> Finding | None:
         "output-unit",
         "error",
         f"outputs differ in unit: {said} as sensitive as the others",
-        "Bring the columns to one unit.",
+        "Convert the columns to one unit.",
         outputs=tuple(output for output, _ in wrong),
     )
 
@@ -251,13 +245,13 @@ def gravity(c: Calibration) -> Finding | None:
     if stated is None or _EARTH[0] - stated.u <= stated.value <= _EARTH[1] + stated.u:
         return None
     feet = _is_near(stated.value, STANDARD_GRAVITY / 0.3048, 1.01)
-    looks = "; it looks like feet per second squared, of which m/s^2 are .3048" if feet else ""
+    looks = "; it looks like feet per second squared (1 ft = 0.3048 m)" if feet else ""
     return Finding(
         "gravity",
         "error",
         (
-            f"gravity is {stated.value:g} m/s^2, and on the surface of the "
-            f"earth between 9.764 and 9.834{looks}"
+            f"gravity is {stated.value:g} m/s^2, but 9.764 to 9.834 at the surface of the "
+            f"earth{looks}"
         ),
         "Correct --gravity, or give --latitude and --height.",
     )

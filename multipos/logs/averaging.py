@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.logs.averages import Averages

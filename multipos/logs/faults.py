@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.finding import Finding, Level
 from multipos.logs.rest_means import Counts, RestMean
 from multipos.logs.rests import Rest, Survey

@@ -17,6 +17,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import Nominal
 
+_ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 _PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
 
 
@@ -72,10 +73,11 @@ def _largest_expanded(c: Calibration) -> tuple[float, float]:
     own = {c.model.keys[i][0]: i for i in c.model.own_scales}
     keys = enumerate(c.model.keys)
     zero = [i for i, (output, term) in keys if term == CONSTANT and output in own]
-    size: Array = np.abs(c.parameters[[own[c.model.keys[i][0]] for i in zero]])
     places = list(own.values())
-    with np.errstate(divide="ignore", invalid="ignore"):  # an output that does not respond
-        bias, scale = c.U[zero] / size, c.U[places] / np.abs(c.parameters[places])
+    response = np.abs(c.parameters)
+    response[response <= _ROUNDING * response[places].max(initial=0.0)] = np.nan
+    size: Array = response[[own[c.model.keys[i][0]] for i in zero]]
+    bias, scale = c.U[zero] / size, c.U[places] / response[places]
     largest = (float(np.max(each)) if len(each) else math.nan for each in (bias, scale))
     return next(largest), next(largest)
 

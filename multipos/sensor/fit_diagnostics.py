@@ -404,7 +404,7 @@ def find_outliers(
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)
     return tuple(
-        f"position {labels[row]}: {outputs[column]} is off by {residuals[row, column]:.3g}, "
+        f"position {labels[row]}: {outputs[column]} deviates by {residuals[row, column]:.3g}, "
         f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
         for column, row in sorted(beyond)
     )

@@ -255,7 +255,7 @@ def test_a_negative_verdict_ends_with_status_3(here, capsys):
     (here / "dead.csv").write_text((here / "dead.csv").read_text().replace("ay,0.25", "ay,az"))
     status, out, err = run(capsys, "fit", "dead.csv", "-o", "dead.json")
     assert (status, out.startswith("Not fit for use: ")) == (3, True)
-    assert err.startswith("multipos: not fit for use: 'az' read the same number")
+    assert err.startswith("multipos: not fit for use: 'az' has the same reading")
     assert run(capsys, "report", "dead.json", "-o", "dead.html")[0] == 0
     assert run(capsys, "export", "dead.json", "--to", "c", "-o", "dead.c")[0] == 1
 

@@ -139,7 +139,7 @@ def test_a_repair_names_rows_and_the_rms_before_and_after():
     found = finding(values, up)
     before = mp.fit(mp.Readings(values, up=up)).rms
     assert found.rows == ("1", "2")
-    said = f"the rms falls from {before:.3g} g to 0.000" if before < 10.0 else "the rms is 0.000"
+    said = f"rms falls from {before:.2g} g to 0.000" if before < 10.0 else "rms is 0.000"
     assert said in found.text
 
 

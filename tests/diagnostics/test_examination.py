@@ -55,16 +55,18 @@ def test_doubts_come_first_wherever_a_calibration_is_shown():
     cal = mp.fit(DEAD)
     text = text_report(cal)
     assert text.startswith("Not fit for use: ax, ay calibrated from 6 positions; ")
-    assert text.index("Findings\n--------\n- 'ay' read the same") < text.index("Residuals")
+    assert text.index("Findings\n--------\n- 'ay' has the same reading") < text.index("Residuals")
     content = build_content(cal)
     for page in (plain_report(content), markdown_report(content), html_report(content)):
-        verdict, finding, first = map(page.index, ("not fit for use", "read the same", "Results"))
+        verdict, finding, first = map(
+            page.index, ("not fit for use", "has the same reading", "Results")
+        )
         assert verdict < finding < first
     assert "本校准结果不可使用" in plain_report(build_content(cal, language="zh"))
 
 
 def test_warnings_of_a_fit_are_warnings_of_python():
-    with pytest.warns(mp.CalibrationWarning, match="'ay' read the same number") as caught:
+    with pytest.warns(mp.CalibrationWarning, match="'ay' has the same reading") as caught:
         mp.fit(DEAD)
     assert {warning.filename for warning in caught} == {__file__}
     with warnings.catch_warnings():
@@ -80,7 +82,7 @@ def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
     path.write_text("\n".join([",".join(table.columns), *lines]))
     status, out, err = run(capsys, "fit", path)
     assert status == 3
-    assert err.count("multipos: not fit for use: 'az' read the same number at all 6 positions") == 1
+    assert err.count("multipos: not fit for use: 'az' has the same reading at all 6 positions") == 1
     assert out.startswith("Not fit for use: ax, ay, az calibrated from 6 positions; 1 error.")
 
 

@@ -66,7 +66,7 @@ def test_every_text_of_a_finding_has_a_chinese_one(texts):
 
 def test_a_chinese_text_keeps_what_is_put_in():
     said = Translator("zh").message(
-        "positions 2, 5 look interchanged: with their readings exchanged the rms falls from "
+        "positions 2, 5 are probably interchanged: with readings exchanged, rms falls from "
         "0.5 g to 0.001 g"
     )
-    assert said.startswith("位置 2, 5 的读数像是互换了：交换后均方根由 0.5 g 降至 0.001 g")
+    assert said.startswith("位置 2, 5 的读数可能互换：交换后均方根由 0.5 g 降至 0.001 g")

@@ -77,7 +77,7 @@ def test_the_one_cause_is_named_at_unknown_orientations(cause):
 
 
 def test_settling_of_one_output_is_named():
-    """Each reading holds 5 % of the row before."""
+    """Each reading holds 5 % of the previous row."""
     rng = np.random.default_rng(4)
     up = rng.permutation(mp.read_scheme("fibonacci-24").up)
     y = ZERO[0] + up @ K[0]

@@ -308,10 +308,10 @@ def test_denied_noise_is_added_to_and_said(mode):
     honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
     said = [w for w in texts(cal) if "exceed the stated noise" in w]
     assert len(said) == 1
-    assert "scatter from rest to rest" in said[0]
+    assert "variation from rest to rest" in said[0]
     assert "--orientation-sd" not in said[0]  # it is given, or nothing is known of orientations
     scatter = cal.variance_components.rest_to_rest["ay"].value
-    assert f"excess noise of {scatter:.3g} reading is added" in said[0]
+    assert f"U includes an excess of {scatter:.2g} reading" in said[0]
     # 15 or some 24 contrasts that no orientation touches
     assert scatter == pytest.approx(1e-4, rel=0.5)
     if mode == "unknown":  # a floor that is nothing is as good as none
@@ -911,7 +911,9 @@ def test_estimated_standard_deviations_are_said_in_words():
 def test_bad_condition_is_a_warning():
     cal = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
     assert cal.diagnostics.condition > 1e4
-    assert any("separate the parameters badly (condition" in w for w in texts(cal))
+    assert any(
+        "parameters are nearly inseparable at these positions (condition" in w for w in texts(cal)
+    )
 
 
 def test_convergence_is_reported():

@@ -160,7 +160,7 @@ def test_columns_of_apply_are_no_positions(tmp_path):
     found = mp.read_readings(beside)
     assert found.outputs == ("ax",)
     assert found.force is None
-    assert any("no positions" in note for note in texts(found))
+    assert any("not used as positions" in note for note in texts(found))
 
 
 def test_outputs_may_have_the_names_of_forces():
