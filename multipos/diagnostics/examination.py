@@ -65,7 +65,6 @@ _EXPLAINED = {
     "outlier": _BY_ROWS,
     "flipped-row": _BY_ROWS,
     "missing-term": ("denied-noise",),
-    "missing-term": ("denied-noise",),
 }
 
 
