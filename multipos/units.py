@@ -91,17 +91,23 @@ def gravity_ratio(gravity: float | None) -> float:
     return 1.0 if gravity is None else gravity / STANDARD_GRAVITY
 
 
-def unit_per(unit: str, force_degree: int, environment: tuple[tuple[str, int], ...] = ()) -> str:
-    """Return the unit of a coefficient: reading unit per g to a degree and per other columns.
+def unit_per(
+    unit: str,
+    force_degree: int,
+    environment: tuple[tuple[str, int], ...] = (),
+    reference: str = "g",
+) -> str:
+    """Return the unit of a coefficient: reading unit per reference to a degree and other columns.
 
     ``unit_per("V", 2)`` is ``V/g^2``. Readings in g cancel: ``unit_per("g", 2)`` is ``1/g``.
+    A reference without a unit has none in the result.
     """
     numerator = unit
-    if unit == "g" and force_degree:
+    if unit == reference and force_degree:
         numerator, force_degree = "1", force_degree - 1
     parts = [numerator]
-    if force_degree:
-        parts.append("g" if force_degree == 1 else f"g^{force_degree}")
+    if force_degree and reference:
+        parts.append(reference if force_degree == 1 else f"{reference}^{force_degree}")
     for name, power in environment:
         symbol = "degC" if name == "temperature" else name
         parts.append(symbol if power == 1 else f"{symbol}^{power}")

@@ -16,9 +16,9 @@ from multipos.commands.options import (
 )
 from multipos.files.trees import to_json
 from multipos.finding import in_order
-from multipos.fitting.calibrate_logs import fit_rests
+from multipos.fitting.calibrate_logs import fit_rests, rests_or_rows
 from multipos.logs.averages import averages_text
-from multipos.logs.averaging import average
+from multipos.logs.waved import Waved
 from multipos.reports.sentences import calibration_sentence
 from multipos.reports.summary import detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
@@ -83,7 +83,13 @@ def run(arguments: argparse.Namespace) -> Answer:
     options = vars(arguments)
     with file_progress(arguments.logs, "reading") as progress:
         chosen = {name: options[name] for name in _AVERAGE}
-        found = average(*arguments.logs, progress=progress, **chosen)
+        found = rests_or_rows(
+            *arguments.logs,
+            field=options["field"],
+            unit=options["unit"],
+            progress=progress,
+            **chosen,
+        )
     apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN, "keep_going"} - {"convention"}
     fitting = {name: value for name, value in options.items() if name not in {*apart, "model"}}
     calibration = fit_rests(found, arguments.model, **fitting)
@@ -99,7 +105,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         return f"{parameter_text(calibration)}{last}"
 
     def detail() -> str:
-        return f"{averages_text(found)}\n{detail_text(calibration)}"
+        rows = str(found) if isinstance(found, Waved) else averages_text(found)
+        return f"{rows}\n{detail_text(calibration)}"
 
     def with_exports(made: str) -> Any:
         if arguments.output == STDOUT:

@@ -66,6 +66,9 @@ def add_conditions(parser: argparse.ArgumentParser) -> None:
     add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
     add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
     add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
+    add("--field", metavar="gravity|magnetic", help="what is sensed (default: by names and unit)")
+    add("--field-size", metavar="B", help="size of the magnetic field, such as 48.6uT")
+    add("--field-size-u", metavar="U", help="its standard uncertainty")
     add("--unit", metavar="UNIT", help="unit of the readings")
     add_range(parser)
     add(

@@ -242,7 +242,11 @@ def output_unit(c: Calibration, sensitivity: Array) -> Finding | None:
 def gravity(c: Calibration) -> Finding | None:
     """Find a gravity that is none of this earth."""
     stated = c.gravity
-    if stated is None or _EARTH[0] - stated.u <= stated.value <= _EARTH[1] + stated.u:
+    if (
+        stated is None
+        or c.field.magnetic
+        or _EARTH[0] - stated.u <= stated.value <= _EARTH[1] + stated.u
+    ):
         return None
     feet = _is_near(stated.value, STANDARD_GRAVITY / 0.3048, 1.01)
     looks = "; it looks like feet per second squared (1 ft = 0.3048 m)" if feet else ""

@@ -17,6 +17,7 @@ same to the last bit.
 """
 
 import itertools
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +38,7 @@ COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole n
 PER_G = 1_000_000  # of force, so that one is a µg
 FIXED = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const int32_t raw\[(?P<raw>\d{1,6})\], "
-    r"int32_t accel\[(?P<accel>\d{1,6})\]\)",
+    r"int32_t (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
     re.MULTILINE | re.ASCII,
 )
 _LARGEST = 2**31 - 1
@@ -127,9 +128,10 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
             second[pair] = theta[:, column]
     P = exact_inverse(theta[:, columns])
     R, largest = _raw_per_unit(c), float(np.linalg.norm(c.reference, axis=1).max())
-    scaled, offset = P * (PER_G / R), -(P @ bias) * PER_G
+    per = _per_unit(c)
+    scaled, offset = P * (per / R), -(P @ bias) * per
     shift = _shift(np.abs(scaled).sum(axis=1).max(), _SUM, np.abs(offset).max(), _CONSTANT)
-    held = int(np.ceil(_HELD * largest * PER_G))
+    held = int(np.ceil(_HELD * largest * per))
     if shift < 1 or held > _LARGEST:
         raise MultiposError(
             "--fixed: one reading moves the force by more than 32-bit numbers resolve; state the "
@@ -138,11 +140,11 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
     t = max(0, (held * held // _SUM).bit_length())
     D = np.zeros((len(sensed), len(second)))
     if second:
-        D = P @ np.column_stack(list(second.values())) * (2.0**t / PER_G)
+        D = P @ np.column_stack(list(second.values())) * (2.0**t / per)
     r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM, 0.0, _CONSTANT) if second else 0
     quadratic = _whole(D, r)
     used = np.asarray(quadratic.any(axis=0))
-    steps = counted_steps(c, theta[:, columns], _TOLERANCE / PER_G) if used.any() else 0
+    steps = counted_steps(c, theta[:, columns], _TOLERANCE / per) if used.any() else 0
     if steps > _MOST_STEPS:
         raise MultiposError(
             f"--fixed: the second order of this model takes more than {_MOST_STEPS} steps; drop "
@@ -151,7 +153,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
     return FixedPoint(
         calibration=c,
         raw_per_unit=R,
-        accel_per_g=PER_G,
+        accel_per_g=per,
         linear=_whole(scaled, shift),
         constant=_whole(offset, shift),
         shift=shift,
@@ -225,27 +227,42 @@ def _rounded(total: Whole, shift: int) -> Whole:
     return (total + (1 << shift >> 1)) >> shift
 
 
+_PER = {False: "ACCEL_PER_G", True: "FIELD_PER_UNIT"}
+
+
+def _per_unit(c: Calibration) -> int:
+    """Return the whole numbers in a g, or in the unit of a field, whose size has seven digits."""
+    if not c.field.magnetic:
+        return PER_G
+    return int(10 ** max(0, 6 - math.floor(math.log10(c.field.magnitude))))
+
+
 def fixed_signature(c: Calibration, name: str) -> str:
     """Return the declaration, without a semicolon."""
     axes = len(sensed_axes(c.model))
-    return f"void {name}_compensate(const int32_t raw[{len(c.outputs)}], int32_t accel[{axes}])"
+    result = "field" if c.field.magnetic else "accel"
+    return f"void {name}_compensate(const int32_t raw[{len(c.outputs)}], int32_t {result}[{axes}])"
 
 
 def fixed_notes(fixed: FixedPoint, name: str) -> tuple[str, ...]:
     """Return what the comment of the file says of the whole numbers, as lines."""
-    unit = fixed.calibration.model.unit
+    unit, field = fixed.calibration.model.unit, fixed.calibration.field
+    magnetic = field.magnetic
+    said = "field" if magnetic else "force"
+    error = field.shown(fixed.error) if magnetic else f"{1e6 * fixed.error:.2g} µg"
     raw = "counts" if unit in COUNTS else f"readings [{unit}] times {name}_RAW_PER_UNIT, rounded"
     return (
         f"In 32-bit whole numbers: raw are {raw};",
-        f"accel is the force times {name}_ACCEL_PER_G, saturated.",
+        f"accel is the {said} times {name}_{_PER[magnetic]}, saturated.",
         "Shifts of negative numbers are arithmetic, as compilers have them.",
-        f"Largest error at the corners of the calibrated range: {1e6 * fixed.error:.2g} µg.",
+        f"Largest error at the corners of the calibrated range: {error}.",
     )
 
 
 def fixed_defines(fixed: FixedPoint, name: str) -> str:
     """Return the scale factors as definitions of the preprocessor."""
-    lines = [f"#define {name}_ACCEL_PER_G {fixed.accel_per_g}"]
+    scale = _PER[fixed.calibration.field.magnetic]
+    lines = [f"#define {name}_{scale} {fixed.accel_per_g}"]
     if fixed.calibration.model.unit not in COUNTS:
         lines.append(f"#define {name}_RAW_PER_UNIT {fixed.raw_per_unit}")
     return "\n".join(lines) + "\n"

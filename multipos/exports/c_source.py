@@ -183,7 +183,7 @@ def _written(factors: tuple[Factor, ...], index: dict[str, str], single: bool) -
 
 SIGNATURE = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
-    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ accel\[(?P<accel>\d{1,6})\]\)",
+    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
     re.MULTILINE | re.ASCII,
 )
 METRES = re.compile(r"^ \* accel\[\d+\] = [^\n]*\[m/s\^2\], convention", re.MULTILINE)
@@ -225,22 +225,40 @@ def c_source(
     include = "#include <math.h>\n\n" if library or tilt else ""
     if in_metres:
         body = _in_metres(body, calibration, single)
-    head = _header(calibration, name, how, "m/s^2" if in_metres else "g", tilt)
+    if tilt and calibration.field.magnetic:
+        raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
+    if in_metres and calibration.field.magnetic:
+        raise UsageError("--output-unit is of forces; a field is in the unit of its size.")
+    head = _header(calibration, name, how, "m/s^2" if in_metres else _unit(calibration), tilt)
     text = f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
     if tilt:
         text += "\n" + tilt_function(calibration, name, single=single, in_metres=in_metres)
-    return text
+    return of_field(text, calibration)
+
+
+def of_field(text: str, calibration: Calibration) -> str:
+    """Return C of a magnetometer, whose result is called field and not accel; any other as it is.
+
+    Called where the calibration's own words, which may be any, are not in the text or are alike.
+    """
+    return re.sub(r"\baccel\b", "field", text) if calibration.field.magnetic else text
 
 
 def fixed_source(fixed: FixedPoint, name: str) -> str:
     """Return the C99 file of a calibration in whole numbers."""
     require_identifier(name)
     how = "one matrix product" if not fixed.products else f"{1 + fixed.steps} steps"
-    head = _header(fixed.calibration, name, how, "g", False, fixed_notes(fixed, name))
-    return (
+    unit = _unit(fixed.calibration)
+    head = _header(fixed.calibration, name, how, unit, False, fixed_notes(fixed, name))
+    text = (
         f"{head}\n#include <stdint.h>\n\n{fixed_defines(fixed, name)}\n"
         f"{fixed_signature(fixed.calibration, name)}\n{fixed_body(fixed)}"
     )
+    return of_field(text, fixed.calibration)
+
+
+def _unit(calibration: Calibration) -> str:
+    return calibration.field.unit or "1 where the field is as at calibration"
 
 
 def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
@@ -252,7 +270,7 @@ def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
 
 def signature(calibration: Calibration, name: str, single: bool) -> str:
     """Return the declaration, without a semicolon."""
-    return declaration(calibration, f"{name}_compensate", "accel", single)
+    return of_field(declaration(calibration, f"{name}_compensate", "accel", single), calibration)
 
 
 def c_test(
@@ -266,7 +284,10 @@ def c_test(
     """Return a C99 program that checks the function against values from Python."""
     kind = "float" if single else "double"
     raw, env, force = _vectors(calibration, single)
-    tolerance, unit = "5e-7f" if single else "1e-9", "g"
+    tolerance, unit = "5e-7f" if single else "1e-9", calibration.field.unit
+    if calibration.field.magnetic:
+        size = calibration.field.magnitude
+        tolerance = literal((5e-7 if single else 1e-9) * float(f"{size:.0e}"), single)
     if in_metres:
         force = force * STANDARD_GRAVITY
         tolerance, unit = "5e-6f" if single else "1e-8", "m/s^2"
@@ -278,7 +299,8 @@ def c_test(
         text += "\n" + array("angle", _angles(calibration, raw, env), single)
         declared = f"\n{tilt_signature(calibration, name, single)};"
         checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
-    return f"""\
+    return of_field(
+        f"""\
 /* Self-test of {name}_compensate: compile with the file that holds it, and run.
    Exits with 0 where every value is met within {tolerance} {unit}. */
 {library}#include <stdio.h>
@@ -306,7 +328,9 @@ int main(void)
     puts(failed ? "FAILED" : "{name}_compensate: all values met");
     return failed;
 }}
-"""
+""",
+        calibration,
+    )
 
 
 def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
@@ -380,13 +404,16 @@ def _header(
     sensed = [COMPONENTS[i] for i in axes]
     rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
     what = "specific force" if c.convention == "specific-force" else "gravity"
+    what = "magnetic field" if c.field.magnetic else what
+    convention = "" if c.field.magnetic else f", convention {c.convention}"
+    left = c.field.shown(c.rms) if c.field.magnetic else f"{1e3 * c.rms:.3g} mg"
     lines = [
-        f"{name}_compensate: raw accelerometer readings to {what} [{unit}].",
+        f"{name}_compensate: raw {c.field.sensor.lower()} readings to {what} [{unit}].",
         *(line for said in forced(c.diagnostics.findings) for line in wrap(said, _WIDTH)),
         "",
         f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
         *env,
-        f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}], convention {c.convention}",
+        f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}]{convention}",
         "raw and accel may be the same array.",
         *notes,
         *(tilt_header(c) if tilt else ()),
@@ -395,13 +422,15 @@ def _header(
         f"computed by {how}",
         f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
         f"written by  multipos {__version__}",
-        f"residual    rms {1e3 * c.rms:.3g} mg after compensation",
+        f"residual    rms {left} after compensation",
         f"valid       {_validity(c, axes)}; beyond it the model extrapolates",
         f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
         "",
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
-    if unit != "g":
+    if c.field.magnetic:
+        lines[-2:-2] = ["hard iron: the bias of each output; soft iron: the matrix", ""]
+    elif unit != "g":
         one = "one g, the local gravity, is taken as" if c.gravity is None else "one g is"
         lines.insert(1, f"{one} 9.80665 m/s^2.")
     return "/*\n" + "\n".join(f" * {comment(line)}".rstrip() for line in lines) + "\n */"

@@ -4,7 +4,13 @@ With raw = K f + o and T = K⁻¹, f the specific force in m/s² on axes x, y, z
 
     f = T (raw - o)                                                                        (1)
 
-is all that these consumers can do; some take an offset that drifts with the temperature t,
+is all that these consumers can do. Of a magnetometer f is the field in the consumer's unit, raw is
+so too, and consumers hold a symmetric T: of T = V S (polar), S the symmetric root, they take S, so
+that their field is turned by V'. Nothing is known of V where orientations were unknown; else it
+is a turn of the triad that such a file loses. A field of unknown size has the triad's own mean
+scale, the cube root of det K, so that det T = 1.
+
+Some take an offset that drifts with the temperature t,
 
     f = T (raw - o - sum_k c_k (t' - t_0)^k),    k = 1 to 3,                               (2)
 
@@ -27,6 +33,7 @@ from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
+from multipos.sensor.gravity import in_tesla
 from multipos.sensor.model import Model
 from multipos.sensor.stating import build_model
 from multipos.units import STANDARD_GRAVITY
@@ -96,6 +103,7 @@ class Law(NamedTuple):
     formula: str  # the terms it has
     lost: bool  # whether the calibration says more than this law can
     rms: float  # [g]
+    turn: Array = np.eye(3)  # V, where it is unknown
 
     @property
     def matrix(self) -> Array:
@@ -124,10 +132,14 @@ def reduce_to(
     *,
     allow_lossy: bool,
     thermal: bool = False,
+    tesla: float | None = None,
+    offset_alone: bool = False,
 ) -> Law:
     """Return the law of a formula, LINEAR or DIAGONAL, in the unit of the readings.
 
     Where it is `thermal`, powers of the temperature that the calibration's offsets have stay in.
+    Of a magnetometer `tesla` is the consumer's unit; its matrix is symmetric, or one where the
+    consumer takes the `offset_alone`.
 
     Raises
     ------
@@ -149,7 +161,7 @@ def reduce_to(
     linear = model.linear_part(parameters, middle)
     sign = calibration.sign
     order = [model.axes.index(axis) for axis in COMPONENTS]
-    K = sign * linear[:, 1:] / STANDARD_GRAVITY
+    K = sign * linear[:, 1:] / reference_in(calibration, tesla, linear[:, 1:])
     # Columns of T belong to the outputs in the order x, y, z in which consumers hold them.
     try:
         inverse = np.asarray(np.linalg.inv(K))
@@ -159,11 +171,69 @@ def reduce_to(
             "an output does not sense its axis."
         ) from None
     drift = _drift(calibration, model, parameters)
-    found = Correction(inverse[:, order], linear[order, 0], drift)
-    law = Law(found, formula, lost, rms_left(calibration, law_residuals(calibration, found)))
+    matrix, turn = inverse[:, order], np.eye(3)
+    if tesla is not None:
+        matrix, turn = _symmetric(matrix)
+        if calibration.estimator is not Estimator.UNKNOWN:
+            _require_no_turn(calibration, turn, target, allow_lossy)
+            turn = np.eye(3)
+    found = Correction(matrix, linear[order, 0], drift)
+    residuals = law_residuals(calibration, found, tesla, turn)
+    law = Law(found, formula, lost, rms_left(calibration, residuals), turn)
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")
-    return law
+    return _of_offset(calibration, law, target, tesla) if offset_alone and tesla else law
+
+
+def _of_offset(calibration: Calibration, law: Law, target: str, tesla: float) -> Law:
+    """Return a law whose matrix is one: of the consumer's raw field the offset is taken away."""
+    size = in_metres(calibration, target, tesla)
+    found = law.correction._replace(matrix=np.eye(3) * size)
+    left = rms_left(calibration, law_residuals(calibration, found, tesla, law.turn))
+    return law._replace(correction=found, lost=True, rms=left)
+
+
+def _symmetric(matrix: Array) -> tuple[Array, Array]:
+    """Return the symmetric root S and the turn V of a matrix T = V S."""
+    U, size, Vt = np.linalg.svd(matrix)
+    return Vt.T * size @ Vt, U @ Vt
+
+
+_TURN = 1e-6  # [degrees] that is rounding
+
+
+def _require_no_turn(calibration: Calibration, turn: Array, target: str, allow_lossy: bool) -> None:
+    """Refuse a triad that is turned in its case by more than U, which a symmetric matrix loses."""
+    mounting = calibration.intrinsic
+    u = 0.0 if mounting is None else max(v["u"] for v in mounting["mounting_deg"].values())
+    angle = float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
+    if angle > max(2.0 * u, _TURN) and not allow_lossy:
+        raise MultiposError(
+            f"{target} takes a symmetric matrix, and the triad is turned by {angle:.3g} degrees in "
+            "its case (U "
+            f"{2.0 * u:.2g}), which would be lost; accept it with --allow-lossy."
+        )
+
+
+def reference_in(
+    calibration: Calibration, tesla: float | None, linear: Array | None = None
+) -> float:
+    """Return one unit of the reference in the consumer's: m/s², or its unit of a field [T].
+
+    Parameters
+    ----------
+    linear : (3, 3) array, optional
+        Sensitivities, whose mean is that of a field of unknown size.
+    """
+    if tesla is None:
+        return STANDARD_GRAVITY
+    own = in_tesla(calibration.field.size_unit) if calibration.field.size is not None else None
+    if own is not None:
+        return own / tesla
+    if linear is None:
+        linear = calibration.sensitivity
+    mean = float(np.cbrt(abs(np.linalg.det(linear))))
+    return mean * raw_in(calibration, "", tesla, mean)
 
 
 def _thermal_terms(calibration: Calibration) -> list[str]:
@@ -186,13 +256,19 @@ def _drift(calibration: Calibration, model: Model, parameters: Array) -> Drift |
     return zero.about(float(np.mean(seen)))[1]
 
 
-def law_residuals(calibration: Calibration, law: Correction) -> Array:
+def law_residuals(
+    calibration: Calibration,
+    law: Correction,
+    tesla: float | None = None,
+    turn: Array | None = None,
+) -> Array:
     """Return the specific force of the law less the reference (n, 3) [g] at each position."""
     order = [calibration.model.axes.index(axis) for axis in COMPONENTS]
     raw = calibration.readings.values[:, order] - law.offset
     if law.drift is not None:
         raw = raw - law.drift.offset(calibration.readings.environment[TEMPERATURE])
-    return raw @ law.matrix.T / STANDARD_GRAVITY - specific_force(calibration)
+    force = raw @ law.matrix.T / reference_in(calibration, tesla)
+    return (force if turn is None else force @ turn.T) - specific_force(calibration)
 
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:
@@ -237,12 +313,34 @@ def loss_text(calibration: Calibration, law: Law, target: str) -> str:
     listed = ", ".join(gone[:9]) + (f" and {len(gone) - 9} more" if len(gone) > 9 else "")
     return (
         f"{target} cannot express {listed}: the rms of what is left after compensation grows from "
-        f"{1e3 * calibration.rms:.3g} to {1e3 * law.rms:.3g} mg"
+        f"{calibration.field.shown(calibration.rms)} to {calibration.field.shown(law.rms)}"
     )
 
 
-def in_metres(calibration: Calibration, target: str) -> float:
+def raw_in(calibration: Calibration, target: str, tesla: float, scale: float) -> float:
+    """Return the consumer's unit of a magnetic field [T] in a unit of the readings.
+
+    Raises
+    ------
+    MultiposError
+        The readings are in no unit of a field, and no nominal conversion [µT] is stated.
+    """
+    own = in_tesla(calibration.model.unit)
+    if own is not None:
+        return own / tesla
+    if calibration.nominal is not None:
+        return 1e-6 / tesla / calibration.nominal.scale
+    raise MultiposError(
+        f"{target} holds raw values of a magnetic field, but the readings are in "
+        f"'{calibration.model.unit}' with a mean scale of {scale:.4g}; give --unit, or the "
+        "driver's conversion to uT with --nominal BIAS,SCALE."
+    )
+
+
+def in_metres(calibration: Calibration, target: str, tesla: float | None = None) -> float:
     """Return the m/s² in a unit of the readings, for consumers that hold raw values in m/s².
+
+    Of a magnetometer it is the unit of a field that the consumer has.
 
     The calibration is one that `check_inputs` has let pass.
 
@@ -252,6 +350,8 @@ def in_metres(calibration: Calibration, target: str) -> float:
         The readings are neither in m/s² nor in g, and no nominal conversion is stated.
     """
     unit = calibration.model.unit
+    if tesla is not None:
+        return raw_in(calibration, target, tesla, scale_per_g(calibration))
     if unit in _METRES:
         return 1.0
     if unit == "g":
@@ -271,7 +371,8 @@ def in_metres(calibration: Calibration, target: str) -> float:
 def raw_zero(calibration: Calibration) -> float:
     """Return the reading that consumers hold as 0 m/s²."""
     nominal, unit = calibration.nominal, calibration.model.unit
-    return 0.0 if nominal is None or unit in (*_METRES, "g") else nominal.bias
+    in_field = unit in (*_METRES, "g") or in_tesla(unit) is not None
+    return 0.0 if nominal is None or in_field else nominal.bias
 
 
 def scale_per_g(calibration: Calibration) -> float:

@@ -43,7 +43,7 @@ from multipos.sensor.inverse import read_nominal
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _NOMINAL = re.compile(
-    r"^# nominal conversion of the readings: \(reading - (\S+)\) / (\S+) in g", re.MULTILINE
+    r"^# nominal conversion of the readings: \(reading - (\S+)\) / (\S+) in (?:g|uT)$", re.MULTILINE
 )
 _CALLED = {"px4": "PX4", "ardupilot": "ArduPilot", "inav": "INAV"}
 _SAME = 1e-6  # how far the forces of a file may be from those of its law [g]
@@ -61,6 +61,8 @@ def parameter_target(
     thermal: bool = False,
     takes: tuple[str, ...] = (),
     same: Callable[[Calibration], float] = lambda _: _SAME,
+    tesla: float | None = None,
+    offset_alone: bool = False,
 ) -> Target:
     """Return a target whose consumer applies a matrix and an offset.
 
@@ -86,19 +88,24 @@ def parameter_target(
         Options of `export` that it has.
     same : function
         How far [g] the forces of a file may be from those of the law, which it may hold rounded.
+    tesla : float, optional
+        The consumer's unit of a magnetic field, of a target for magnetometers.
+    offset_alone : bool
+        Whether it takes the offset and no matrix.
     """
+    form = {"thermal": thermal, "tesla": tesla, "offset_alone": offset_alone}
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
         check_inputs(calibration, name, thermal=thermal)
-        metres = in_metres(calibration, name) if raw == "m/s^2" else 1.0
+        metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
-        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, thermal=thermal)
+        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, **form)
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
             called = _CALLED.get(name, name)
             left = (
-                f"Residual error with the {called} parameters: {1e3 * law.rms:.2f} mg rms (full "
-                f"model: {1e3 * calibration.rms:.2f} mg)."
+                f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
+                f"(full model: {_rms(calibration, calibration.rms)})."
             )
             found = [Finding("lossy", "warning", left), *found]
         if calibration.convention == "gravity":
@@ -111,12 +118,13 @@ def parameter_target(
         if (stated := _NOMINAL.search(file.text)) is not None:
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
         check_inputs(calibration, name, thermal=thermal)
-        expected = reduce_to(calibration, formula, name, allow_lossy=True, thermal=thermal)
-        metres = in_metres(calibration, name) if raw == "m/s^2" else 1.0
+        expected = reduce_to(calibration, formula, name, allow_lossy=True, **form)
+        metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
-            residuals = law_residuals(calibration, given.of_raw_in(1.0 / metres, -zero * metres))
-            should = law_residuals(calibration, expected.correction)
+            law = given.of_raw_in(1.0 / metres, -zero * metres)
+            residuals = law_residuals(calibration, law, tesla, expected.turn)
+            should = law_residuals(calibration, expected.correction, tesla, expected.turn)
             thermal_too = (given.drift is None) == (expected.drift is None)
             difference = float(np.abs(residuals - should).max()) if thermal_too else np.inf
             rms = rms_left(calibration, residuals)
@@ -128,10 +136,25 @@ def parameter_target(
             rms=rms,
             calibration_rms=calibration.rms,
             difference=difference if math.isfinite(difference) else None,
-            findings=find_strange(file.path, difference, same(calibration)),
+            findings=find_strange(
+                file.path, difference, same(calibration) * size_of(calibration), calibration.field
+            ),
+            field=calibration.field,
         )
 
-    return Target(name, write_file, recognises, read_file, suffix, takes=takes)
+    magnetic = tesla is not None
+    return Target(name, write_file, recognises, read_file, suffix, takes=takes, magnetic=magnetic)
+
+
+def _rms(calibration: Calibration, rms: float) -> str:
+    if calibration.field.magnetic:
+        return calibration.field.shown(rms)
+    return f"{1e3 * rms:.2f} mg"
+
+
+def size_of(calibration: Calibration) -> float:
+    """Return the size of a magnetic reference, 1 of gravity, to which roundings are relative."""
+    return calibration.field.magnitude if calibration.field.magnetic else 1.0
 
 
 def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:
@@ -205,14 +228,18 @@ def origin(calibration: Calibration) -> list[str]:
     """Return what a file is of, as lines of comments: each stays on its line."""
     source = to_json(calibration.readings.source or "readings").strip()
     lines = [
-        f"Accelerometer calibration of {source}, model {calibration.model.text}",
+        f"{calibration.field.sensor} calibration of {source}, model {calibration.model.text}",
         f"made {calibration.created} by multipos {calibration.version}",
     ]
-    if calibration.gravity is None:
+    if calibration.field.magnetic:
+        lines.append(f"size of the field: {calibration.field.text}")
+    elif calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
     if calibration.nominal is not None:
         bias, scale = calibration.nominal
-        lines.append(f"nominal conversion of the readings: (reading - {bias!r}) / {scale!r} in g")
+        unit = "uT" if calibration.field.magnetic else "g"
+        said = f"nominal conversion of the readings: (reading - {bias!r}) / {scale!r} in {unit}"
+        lines.append(said)
     lines += forced(calibration.diagnostics.findings)
     return [visible(line) for line in lines]
 

@@ -22,6 +22,7 @@ from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.gravity import GRAVITY, Field
 
 
 class Wish(NamedTuple):
@@ -127,6 +128,8 @@ class Verification(Result):
         Whether C was run that is not what `export` writes of this calibration.
     findings : tuple of Finding
         An error where the file is not what `export` writes of this calibration.
+    field : Field
+        What the calibration is of; of a magnetic field the numbers are in its unit.
     """
 
     target: str
@@ -138,6 +141,7 @@ class Verification(Result):
     difference: float | None
     foreign: bool = False
     findings: Findings = ()
+    field: Field = GRAVITY
 
     @cached_property
     def max(self) -> float:
@@ -147,7 +151,8 @@ class Verification(Result):
     @property
     def sentence(self) -> str:
         """Whether the file holds, and the largest difference."""
-        largest = "" if self.difference is None else f"{number(self.difference, 2)} g"
+        unit = f" {self.field.unit}".rstrip()
+        largest = "" if self.difference is None else f"{number(self.difference, 2)}{unit}"
         return in_a_sentence(self.target, self.findings, largest)
 
     def to_dict(self) -> dict[str, Any]:
@@ -171,21 +176,25 @@ class Verification(Result):
         return result
 
     def __str__(self) -> str:
-        header = ["position", *(f"{axis} [mg]" for axis in self.axes)]
+        small, unit = 1e3, "mg"
+        if self.field.magnetic:
+            small, unit = (1.0, self.field.unit) if self.field.unit else (100.0, "%")
+        header = ["position", *(f"{axis} [{unit}]" for axis in self.axes)]
         rows = [
-            [label, *(f"{1e3 * value:+.4g}" for value in row)]
+            [label, *(f"{small * value:+.4g}" for value in row)]
             for label, row in zip(self.positions, self.residuals.tolist(), strict=True)
         ]
-        largest = f"rms {1e3 * self.rms:.4g} mg, largest {1e3 * self.max:.4g} mg"
+        largest = f"rms {small * self.rms:.4g} {unit}, largest {small * self.max:.4g} {unit}"
         lines = [
             f"What the consumer ({self.target}) leaves of the calibration's own readings:",
             "",
             table(header, rows),
             "",
-            f"{largest}; the calibration itself leaves {1e3 * self.calibration_rms:.4g} mg",
+            f"{largest}; the calibration itself leaves {small * self.calibration_rms:.4g} {unit}",
         ]
         if self.difference is not None:
-            lines.append(f"largest difference from multipos apply: {self.difference:.2g} g")
+            difference = f"{self.difference:.2g} {self.field.unit}".rstrip()
+            lines.append(f"largest difference from multipos apply: {difference}")
         if self.foreign:
             lines.append("the file is not what export writes of this calibration; it was run as is")
         return "\n".join(lines) + "\n"
@@ -211,6 +220,8 @@ class Target:
         Whether it is a function with a name, a precision and a self-test beside it.
     takes : tuple of str
         Options of `export` that not every target has.
+    magnetic : bool or None
+        Whether it is of magnetometers; None of both kinds of sensor.
     """
 
     name: str
@@ -220,15 +231,16 @@ class Target:
     suffix: str
     is_code: bool = False
     takes: tuple[str, ...] = ()
+    magnetic: bool | None = False
 
 
-def find_strange(path: str, difference: float, allowed: float) -> Findings:
+def find_strange(path: str, difference: float, allowed: float, field: Field = GRAVITY) -> Findings:
     """Return an error where forces differ [g] from the calibration's by more than digits do."""
     if difference <= allowed:
         return ()
     text = (
-        f"{path}: differs from this calibration by {difference:.2g} g, so it was exported from "
-        "another or changed since."
+        f"{path}: differs from this calibration by {f'{difference:.2g} {field.unit}'.rstrip()}, "
+        "so it was exported from another or changed since."
     )
     return (Finding("export-differs", "error", text, "Export again."),)
 

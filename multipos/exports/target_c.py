@@ -26,9 +26,11 @@ from multipos.exports.c_source import (
     c_source,
     c_test,
     fixed_source,
+    of_field,
     signature,
 )
 from multipos.exports.laws import rms_left
+from multipos.exports.parameters import size_of
 from multipos.exports.target import (
     Exported,
     GivenFile,
@@ -52,7 +54,8 @@ _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the ca
 def _write(calibration: Calibration, wish: Wish) -> Exported:
     if wish.fixed:
         fixed = find_fixed_point(calibration)
-        return Exported(C.name, fixed_source(fixed, wish.name), fixed_test(fixed, wish.name))
+        test = of_field(fixed_test(fixed, wish.name), calibration)
+        return Exported(C.name, fixed_source(fixed, wish.name), test)
     form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
     return Exported(C.name, text, c_test(calibration, wish.name, **form))
@@ -88,7 +91,8 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     )
     difference = float(np.abs(force - should).max())
     target = f"{C.name}, single precision" if single else C.name
-    findings = find_strange(path, difference, _SAME[found["type"]])
+    allowed = _SAME[found["type"]] * size_of(calibration)
+    findings = find_strange(path, difference, allowed, calibration.field)
     return _verified(target, calibration, force, difference, foreign, findings)
 
 
@@ -107,7 +111,10 @@ def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
     text = file.raw if foreign else own
     whole = run_c(file.path, text, calibration, declared, rows.astype(np.float64))
     findings = find_strange(
-        file.path, float(np.abs(whole - fixed_forces(fixed, rows)).max()) / fixed.accel_per_g, 0.0
+        file.path,
+        float(np.abs(whole - fixed_forces(fixed, rows)).max()) / fixed.accel_per_g,
+        0.0,
+        calibration.field,
     )
     force = whole / fixed.accel_per_g
     difference = float(np.abs(force - calibration.compensate(calibration.readings.values)).max())
@@ -136,6 +143,7 @@ def _verified(
         difference=difference,
         foreign=foreign,
         findings=findings,
+        field=calibration.field,
     )
 
 
@@ -189,4 +197,5 @@ C = Target(
     suffix=".c",
     is_code=True,
     takes=("output_unit", "tilt", "fixed"),
+    magnetic=None,
 )

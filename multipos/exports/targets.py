@@ -20,6 +20,11 @@ from multipos.exports.target_correction import Replay, correction_of, replay, wr
 from multipos.exports.target_imucal import IMUCAL
 from multipos.exports.target_inav import INAV
 from multipos.exports.target_kalibr import KALIBR
+from multipos.exports.target_magnetometer import (
+    ARDUPILOT_MAGNETOMETER,
+    PX4_MAGNETOMETER,
+    ROS_MAGNETOMETER,
+)
 from multipos.exports.target_px4 import PX4
 from multipos.exports.target_ros import ROS
 from multipos.files.spelling import Names
@@ -29,7 +34,9 @@ from multipos.finding import refuse_unfit
 from multipos.sensor.inverse import read_nominal
 
 # In the order of the documentation; the first that recognises a file reads it back.
-TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+TARGETS: tuple[Target, ...] = (C, ROS_MAGNETOMETER, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+# Of the names that accelerometers have too.
+_MAGNETOMETERS: tuple[Target, ...] = (PX4_MAGNETOMETER, ARDUPILOT_MAGNETOMETER)
 TargetName = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav", "ros"]
 Unit = Literal["g", "m/s^2"]
 
@@ -106,9 +113,9 @@ def export(
     """
     if isinstance(calibration, Stability):
         return write_noise(calibration, to)
-    target = _target(to, single=float)
     first, regressions = split_parts(calibration)
     first = first and first.of_sensor
+    target = _target(to, single=float, magnetic=first is not None and first.field.magnetic)
     if first is not None and nominal is not None:
         first = replace(first, nominal=read_nominal(nominal))
     others = {
@@ -137,12 +144,17 @@ def export(
     return target.write(first, wish)
 
 
-def _target(to: str, *, single: bool) -> Target:
-    """Return the target that is asked for."""
-    target = named_target(to)
-    if target is None:
+def _target(to: str, *, single: bool, magnetic: bool) -> Target:
+    """Return the target that is asked for, of magnetometers or of accelerometers."""
+    if named_target(to) is None:
         names = ", ".join(target.name for target in TARGETS)
         raise UsageError(f"--to takes {names}, got '{to}'.")
+    every = [each for each in (*TARGETS, *_MAGNETOMETERS) if each.magnetic in (None, magnetic)]
+    target = next((each for each in every if each.name == to), None)
+    if target is None:
+        sensor = "magnetometer" if magnetic else "accelerometer"
+        names = ", ".join(each.name for each in every)
+        raise MultiposError(f"{to} takes no {sensor}; export it --to {names}.")
     if single and not target.is_code:
         codes = ", ".join(target.name for target in TARGETS if target.is_code)
         raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")
@@ -188,7 +200,8 @@ def beside(calibration: str | os.PathLike[str], target: Target) -> Path:
 
 def recognised_target(text: str) -> Target | None:
     """Return the first target that takes a text for a file of its own, None where none does."""
-    return next((target for target in TARGETS if target.recognises(text)), None)
+    every = (*TARGETS, *_MAGNETOMETERS)
+    return next((target for target in every if target.recognises(text)), None)
 
 
 _LONGEST = 10 << 20  # [byte], far above any file that export writes

@@ -7,30 +7,34 @@ stood, nothing is known of the orientations but that gravity has the same size i
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.errors import RankError
-from multipos.files.spelling import Names
+from multipos.errors import MultiposError, RankError
+from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding
 from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
+from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
+from multipos.logs.waved import Waved, holds_most, magnetic_outputs, moves, read_rows, waved
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, Formula, ModelText
 from multipos.positions.attitudes import Convention
+from multipos.positions.headers import field_of_outputs
 from multipos.positions.order import Order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
+from multipos.sensor.gravity import FieldKind
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
@@ -38,6 +42,8 @@ from multipos.units import STANDARD_GRAVITY
 # What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.
 _ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
 _NEAR = 0.15
+# Earth's magnetic field, and a little beyond; other units may as well be counts.
+_EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
 _CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
 
@@ -77,6 +83,9 @@ def calibrate(
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
+    field: FieldKind | None = None,
+    field_size: float | str | None = None,
+    field_size_u: float | str | None = None,
     level_sd: float = 0.0,
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
@@ -104,8 +113,8 @@ def calibrate(
     exclude : sequence of str, or comma-separated str
         Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
     convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
-    pool, stepwise, drift, reading_sd, gravity, gravity_u, latitude, height, level_sd, budget, unit
-    range, nominal, confidence
+    pool, stepwise, drift, reading_sd, gravity, gravity_u, latitude, height, field, field_size
+    field_size_u, level_sd, budget, unit, range, nominal, confidence
         What is fitted, and how: as for `multipos.fit`.
 
     Returns
@@ -127,8 +136,10 @@ def calibrate(
     >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
     unknown-orientation 26 True
     """
-    found = average(
+    found = rests_or_rows(
         *logs,
+        field=field,
+        unit=unit,
         outputs=outputs,
         columns=columns,
         time_column=time_column,
@@ -167,6 +178,9 @@ def calibrate(
         gravity_u=gravity_u,
         latitude=latitude,
         height=height,
+        field=field,
+        field_size=field_size,
+        field_size_u=field_size_u,
         level_sd=level_sd,
         budget=budget,
         unit=unit,
@@ -176,8 +190,58 @@ def calibrate(
     )
 
 
+def rests_or_rows(
+    *logs: "Source | Log",
+    field: FieldKind | None = None,
+    unit: str | None = None,
+    **options: Any,
+) -> Averages | Waved:
+    """Return the means of rests, or of a magnetometer that was waved the rows as they are.
+
+    Parameters
+    ----------
+    *logs, options
+        As for `multipos.average`.
+    field, unit
+        As for `calibrate`.
+    """
+    known = ("sections", "label_column", "scheme", "only")
+    if field == "gravity" or any(options.get(name) is not None for name in known):
+        return average(*logs, **_with_outputs(logs, field, unit, options))
+    opened = [open_log(source, columns=options.get("columns")) for source in spread(logs)]
+    given = options.get("outputs")
+    names = None if given is None else split_names(given, "--outputs")
+    each = [magnetic_outputs(log, names, field, unit) for log in opened]
+    first = each[0] if each else None
+    if first is None or any(outputs != first for outputs in each):
+        return average(*logs, **options)
+    signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
+    values, environment = read_rows(opened, first, signed=signed, drop_bad=drop_bad)
+    if not moves(values):
+        try:
+            found = average(*logs, **{**options, "outputs": first})
+        except MultiposError:  # no rests: the rows are what there is
+            found = None
+        if found is not None and holds_most(found, len(values)):
+            return found
+    return waved(opened, first, values, environment)
+
+
+def _with_outputs(
+    logs: Sequence[Any], field: str | None, unit: str | None, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the options with the magnetometer's outputs, where --field asks for that sensor."""
+    if field != "magnetic" or options.get("outputs") is not None:
+        return options
+    log = open_log(spread(logs)[0], columns=options.get("columns"))
+    return {**options, "outputs": magnetic_outputs(log, None, field, unit)}
+
+
 def fit_rests(
-    found: Averages, model: ModelText | Expression | None = None, /, **options: Unpack[FitOptions]
+    found: Averages | Waved,
+    model: ModelText | Expression | None = None,
+    /,
+    **options: Unpack[FitOptions],
 ) -> Calibration:
     """Fit the means of rests: of unknown orientation, unless a scheme was matched to them.
 
@@ -190,7 +254,7 @@ def fit_rests(
     assumed = found.scheme_up is None and not by_user
     options["unknown_orientation"] = free or assumed
     options["model"] = "linear" if model is None else model
-    readings = readings_of(found, options.pop("unit", None))
+    readings = readings_of(found, options.pop("unit", None), options.get("field"))
     try:
         return fit(readings, **options)
     except RankError as error:
@@ -224,11 +288,26 @@ def _both_sides(values: Array) -> bool:
     return bool(len(values) >= 2 * len(COMPONENTS) and reach.min() > _REACH * reach.max())
 
 
-def readings_of(found: Averages, unit: str | None) -> Readings:
+def _in_likely_field(readings: Readings) -> Readings:
+    """Return readings in the unit in which the field is one of Earth's, where there is one."""
+    size = float(np.sqrt(readings.values.var(axis=0).sum()))  # of directions all around
+    for likely, (low, high) in _EARTH.items():
+        if low < size < high:
+            text = f"the unit is taken to be {likely}, since the field reads about {size:.2g}"
+            findings = (*readings.findings, Finding("likely-unit", "note", text))
+            return replace(readings, unit=likely, findings=findings)
+    return readings
+
+
+def readings_of(
+    found: Averages | Waved, unit: str | None, field: FieldKind | None = None
+) -> Readings:
     """Return the readings of rests: in the unit given, that of the log, or the one they show."""
     readings = replace(found.readings, findings=found.findings)
     if unit is not None or found.unit is not None:
         return replace(readings, unit=unit or found.unit or "")
+    if field_of_outputs(readings.outputs, readings.unit, None, field) == "magnetic":
+        return _in_likely_field(readings)
     size = float(median(np.linalg.norm(readings.values, axis=1)))
     if readings.values.shape[1] == 3:
         for likely, one in _ONE_G.items():

@@ -17,7 +17,7 @@ from multipos.positions.readings import Readings, stated_sd
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.fit_diagnostics import Diagnostics, lack_of_fit
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import Gravity, add_gravity
+from multipos.sensor.gravity import add_gravity
 from multipos.sensor.model import Model
 
 
@@ -27,7 +27,6 @@ def complete(
     *,
     listed: Array,
     convention: Convention,
-    gravity: Gravity | None,
     estimator: Estimator,
     criterion: str,
     confidence: float,
@@ -41,7 +40,7 @@ def complete(
         As used.
     listed : (n, 3) array [g]
         Reference that was listed, NaN where none was.
-    convention, gravity, estimator, criterion, confidence
+    convention, estimator, criterion, confidence
         As in `Calibration`.
 
     Raises
@@ -62,7 +61,6 @@ def complete(
         reference=reference,
         readings=readings,
         convention=convention,
-        gravity=gravity,
         estimator=estimator,
         criterion=criterion,
         confidence=confidence,
@@ -75,14 +73,14 @@ def complete(
         orientations=solution.orientations,
         robust_weight=solution.robust_weight,
     )
-    return calibration if gravity is None else _with_gravity(calibration, gravity)
+    return _with_size(calibration)
 
 
-def _with_gravity(calibration: Calibration, gravity: Gravity) -> Calibration:
-    """Return the calibration with the uncertainty of the local gravity."""
-    if not gravity.u > 0.0:
-        return calibration
-    c = calibration
+def _with_size(c: Calibration) -> Calibration:
+    """Return the calibration with the uncertainty of the size of its field."""
+    gravity = c.gravity
+    if gravity is None or not gravity.u > 0.0:
+        return c
     covariance, dof = add_gravity(c.covariance, c.parameter_dof, gravity, gravity_effect(c))
     return replace(c, covariance=covariance, parameter_dof=dof)
 

@@ -52,6 +52,7 @@ from multipos.numerics.arrays import Array, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, ModelText, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
+from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.order import Order
 from multipos.positions.orientations import StatedOrientations, as_used, place, resolve
 from multipos.positions.reading_tables import read_readings
@@ -62,7 +63,14 @@ from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.functions import build_expression
-from multipos.sensor.gravity import Gravity, resolve_gravity, signed_size
+from multipos.sensor.gravity import (
+    Field,
+    FieldKind,
+    check_field_kind,
+    resolve_field,
+    resolve_gravity,
+    signed_size,
+)
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
 from multipos.sensor.own_models import build_parsed
@@ -183,6 +191,9 @@ class FitOptions(TypedDict, total=False):
     gravity_u: float | None
     latitude: float | None
     height: float | None
+    field: FieldKind | None
+    field_size: float | str | None
+    field_size_u: float | str | None
     level_sd: float
     budget: "BudgetSource | Budget | None"
     unit: str | None
@@ -215,6 +226,9 @@ def fit(
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
+    field: FieldKind | None = None,
+    field_size: float | str | None = None,
+    field_size_u: float | str | None = None,
     level_sd: float = 0.0,
     budget: "BudgetSource | Budget | None" = None,
     unit: str | None = None,
@@ -266,6 +280,13 @@ def fit(
         Local gravity and its standard uncertainty; without it one g is the local gravity.
     latitude, height : float [degrees, m], optional
         Take gravity from the WGS 84 normal-gravity formula.
+    field : str, optional
+        'gravity' or 'magnetic': what the outputs sense; otherwise by their names and unit. Of a
+        magnetometer up_…, f_… or b_x, b_y, b_z are the direction of the field, and without them
+        the orientations are unknown.
+    field_size, field_size_u : number or str, optional
+        Size of the magnetic field and its standard uncertainty, such as '48.6uT'; a number is in
+        the unit of the readings. Without it the field is of size one.
     level_sd : float [degrees]
         Standard deviation of a tilt that all positions share, about each level axis.
     budget : path, tables or Budget, optional
@@ -328,14 +349,20 @@ def fit(
     stated = None if budget is None else read_budget(budget)
     before = None if nominal is None else read_nominal(nominal)
     local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
+    check_field_kind(field)
     written = model if callable(model) else read_model(model)
     used = _columns_named(written)
-    data = read_readings(readings, outputs=outputs, unit=unit, environment=used)
+    data = read_readings(readings, outputs=outputs, unit=unit, environment=used, field=field)
+    sensed = resolve_field(
+        field, field_size, field_size_u, local, outputs=data.outputs, unit=data.unit
+    )
+    if sensed.magnetic:
+        data, options = _magnetic(data, sensed, options, field, scheme)
     if range is not None:
         require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
-    built = _build(written, data, axes, inputs)
+    built = replace(_build(written, data, axes, inputs), field=sensed)
     if drift:
         data, built = _with_drift(data, built)
     if axes is None:
@@ -344,14 +371,14 @@ def fit(
     data, stated_up = resolve(
         data,
         scheme,
-        signed_size(local, convention),
+        signed_size(sensed, convention),
         order=order,
         unknown=options.unknown_orientation,
         orientation_sd=options.orientation_sd,
         estimate=options.estimate_orientation_sd,
         level_sd=options.level_sd,
     )
-    _require_one_unit(data, local)
+    _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
     apart = find_apart(built, data, stated_up, "none" if closed_form else exclude)
     whole, everywhere = data, stated_up.reference
@@ -359,13 +386,13 @@ def fit(
         data = select_rows(data, ~apart)
         stated_up = place(
             data,
-            signed_size(local, convention),
+            signed_size(sensed, convention),
             orientation_sd=options.orientation_sd,
             estimate=options.estimate_orientation_sd,
             level_sd=options.level_sd,
         )
     try:
-        calibration = calibrate_at(built, data, stated_up, options, local)
+        calibration = calibrate_at(built, data, stated_up, options)
     except MultiposError as error:
         if not options.unknown_orientation:
             raise
@@ -382,6 +409,39 @@ def fit(
     calibration = examine(calibration)
     warn(calibration.findings)
     return calibration
+
+
+def _magnetic(
+    readings: Readings,
+    field: Field,
+    options: Options,
+    stated: str | None,
+    scheme: "Source | Scheme | None",
+) -> tuple[Readings, Options]:
+    """Return readings of a magnetometer with what is said of them, and the options.
+
+    Raises
+    ------
+    UsageError
+        A convention or a level, which are of gravity.
+    """
+    if options.convention != CONVENTIONS[0] or options.level_sd:
+        raise UsageError(
+            "--convention and --level-sd are of gravity; a magnetic field has the direction that "
+            "columns b_x, b_y, b_z give."
+        )
+    findings = list(readings.findings)
+    if stated is None:
+        by = "unit" if readings.unit in MAGNETIC_UNITS else "names"
+        text = f"outputs {', '.join(readings.outputs)} sense a magnetic field, by their {by}"
+        findings.append(Finding("magnetic", "note", text, "State another with --field."))
+    stated_otherwise = options.orientation_sd is not None or options.closed_form
+    if readings.up is None and scheme is None and not stated_otherwise:
+        if not options.unknown_orientation:
+            text = "no columns b_x, b_y, b_z give the field's direction: orientations are unknown"
+            findings.append(Finding("unknown-orientation", "note", text))
+        options = replace(options, unknown_orientation=True)
+    return replace(readings, findings=tuple(findings)), options
 
 
 def find_apart(
@@ -443,7 +503,7 @@ def with_excluded(
         left = rows.values - calibration.predict(reference[apart], rows.environment)
         off = np.linalg.norm(left / np.linalg.norm(calibration.sensitivity, axis=1), axis=1)
     pairs = zip(rows.labels, off.tolist(), strict=True)
-    excluded = tuple(Excluded(label, each, "g") for label, each in pairs)
+    excluded = tuple(Excluded(label, each, calibration.field.unit) for label, each in pairs)
     calibration = replace(calibration, excluded=excluded)
     found = calibration.diagnostics
     labels = tuple(each.label for each in excluded)
@@ -480,7 +540,6 @@ def calibrate_at(
     readings: Readings,
     stated_up: StatedOrientations,
     options: Options,
-    gravity: Gravity | None,
     *,
     ordered: bool = True,
 ) -> Calibration:
@@ -519,7 +578,6 @@ def calibrate_at(
         as_used(readings, stated_up.orientation_sd if found is None else found),
         listed=np.where(stated_up.listed[:, None], stated_up.reference, np.nan),
         convention=options.convention,
-        gravity=gravity,
         estimator=estimator,
         criterion=criterion_in_words(estimator, options, model, readings),
         confidence=options.confidence,
@@ -528,10 +586,10 @@ def calibrate_at(
     return calibration if chosen is None else with_selection(calibration, chosen)
 
 
-def _require_one_unit(readings: Readings, gravity: Gravity | None) -> None:
+def _require_one_unit(readings: Readings, field: Field) -> None:
     """Refuse known forces, which are in standard g, beside a gravity of unknown size."""
     forced = readings.forced
-    if gravity is None and forced.any() and not forced.all():
+    if field.size is None and forced.any() and not forced.all():
         label = readings.labels[int(np.argmin(forced))]
         raise MultiposError(
             f"{readings.source or 'the readings'}: position '{label}' is at rest in gravity, "
@@ -596,13 +654,13 @@ def _stepwise(
     return select_terms(whole.model, whole.reference, readings)
 
 
-def _gravity_of(budget: Budget | None, local: Gravity | None) -> Gravity | None:
+def _gravity_of(budget: Budget | None, local: Field | None) -> Field | None:
     """Return the gravity of the options or of the budget."""
     if budget is None or budget.gravity is None:
         return local
     if local is not None:
         raise UsageError("the options and the budget's [gravity] both state it; give one.")
-    return Gravity(*budget.gravity)
+    return Field("gravity", *budget.gravity)
 
 
 def _with_rolls(calibration: Calibration) -> Calibration:

@@ -66,7 +66,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import Gravity
+from multipos.sensor.gravity import Field
 from multipos.sensor.inverse import inverses, sensed_axes
 from multipos.sensor.model import Model
 
@@ -180,7 +180,7 @@ class Pattern:
         Known orientations, unknown ones, or uncertain ones.
     fixture : Fixture or None
         Where the angles of the positions can be identified from residuals.
-    gravity : Gravity or None
+    gravity : Field or None
     findings : str
         Codes that the positions alone give, whatever the unit.
     asked : bool
@@ -193,7 +193,7 @@ class Pattern:
 
     shared: Shared
     fixture: Fixture | None
-    gravity: Gravity | None
+    gravity: Field | None
     findings: str
     asked: bool
     tests: UnitTests | None = None

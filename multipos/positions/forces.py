@@ -27,14 +27,15 @@ from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
 
 FORCE = ("f_x", "f_y", "f_z")
+OF_FIELD = ("b_x", "b_y", "b_z")  # a magnetic field, as its direction or as `apply` adds it
 REFERENCE_U = ("reference_u_x", "reference_u_y", "reference_u_z")
-_APPLIED = re.compile(r"([uU]_)?(f_[xyz]|tilt_[xyz]_deg)|outside|parity|fault")
+_APPLIED = re.compile(r"([uU]_)?([fb]_[xyz]|tilt_[xyz]_deg)|heading_deg|outside|parity|fault")
 _LENGTHS = 0.01  # by which up vectors, rounded for print, are longer or shorter than one
 
 
 def left_by_apply(table: Table) -> tuple[str, ...]:
     """Return the columns that `apply` added to a table, by its mark ``outside``."""
-    if "outside" not in table or not any(name in table for name in FORCE):
+    if "outside" not in table or not any(name in table for name in (*FORCE, *OF_FIELD)):
         return ()
     return tuple(name for name in table.columns if _APPLIED.fullmatch(name))
 

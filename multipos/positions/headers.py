@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding
 from multipos.numerics.terms import COMPONENTS
@@ -49,8 +49,12 @@ _WRITTEN = {
     "rad": "rad",
     "°C": "°c c degc deg_c celsius ℃",
     "K": "k",
-    "uT": "ut µt μt",
+    "T": "tesla",
+    "mT": "millitesla",
+    "uT": "ut µt μt microtesla",
+    "nT": "nanotesla",
     "G": "gauss",
+    "mG": "mgauss milligauss",
     "hPa": "hpa mbar",
     "Pa": "pa",
     "Hz": "hz",
@@ -59,6 +63,10 @@ _WRITTEN = {
     "%": "%",
 }
 UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
+MAGNETIC_UNITS = ("T", "mT", "uT", "nT", "G", "mG")
+ACCELERATION_UNITS = ("m/s^2", "g", "mg", "ug")
+# A capital tells gauss from g and tesla from time.
+_AS_WRITTEN = {unit: unit for unit in MAGNETIC_UNITS}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 _COMPONENT = re.compile(
     r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
@@ -67,6 +75,7 @@ _ACCELERATION = re.compile(r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*accelerat
 _ELSEWHERE = re.compile(
     r"(.* )?[gwmbh]|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
 )
+_MAGNETIC = re.compile(r"(.* )?m|[a-z ]*(mag|field|compass).*")
 _FOREIGN = {
     "beschleunigung": "acceleration",
     "drehrate": "gyro",
@@ -89,7 +98,8 @@ _LINEAR = re.compile(r"linear acceleration", re.IGNORECASE)  # of phyphox; ROS w
 
 def unit_of(written: str) -> str | None:
     """Return the unit that a text is, None where it is none that is known."""
-    return UNITS.get(written.replace(" ", "").casefold())
+    plain = written.replace(" ", "")
+    return _AS_WRITTEN.get(plain) or UNITS.get(plain.casefold())
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
@@ -106,6 +116,7 @@ class NameParts(NamedTuple):
     axis: int  # -1 where it names none
     acceleration: bool
     elsewhere: bool  # another sensor
+    magnetic: bool = False
 
 
 def component(name: str) -> NameParts:
@@ -122,6 +133,7 @@ def component(name: str) -> NameParts:
         axis,
         acceleration and axis >= 0 and not is_without_gravity(stem),
         not acceleration and _ELSEWHERE.fullmatch(plain) is not None,
+        not acceleration and axis >= 0 and _MAGNETIC.fullmatch(plain) is not None,
     )
 
 
@@ -129,6 +141,46 @@ def is_without_gravity(stem: str) -> bool:
     """Tell whether a column is of acceleration from which gravity has been taken, by its name."""
     plain = re.sub(r"[^a-z]+", " ", stem.casefold()).strip()
     return bool(_LINEAR.fullmatch(stem) or _WITHOUT_GRAVITY.fullmatch(plain))
+
+
+def field_of_outputs(
+    outputs: Sequence[str], unit: str, stated: str | None, asked: str | None = None
+) -> str:
+    """Return what outputs sense, 'gravity' or 'magnetic', by what is asked, their unit and names.
+
+    Parameters
+    ----------
+    outputs, unit
+        Names of the outputs, and the unit of their readings.
+    stated : str or None
+        What other options are of, where names and unit say nothing else.
+    asked : str or None
+        By --field.
+
+    Raises
+    ------
+    UsageError
+        The unit is one of the other field.
+    """
+    kinds = [component(name) for name in outputs]
+    magnetic = unit in MAGNETIC_UNITS
+    if asked == "gravity" or (asked is None and any(kind.acceleration for kind in kinds)):
+        if magnetic:
+            gauss = ", which is gauss," if unit in ("G", "mG") else ""
+            raise UsageError(
+                f"the unit {unit}{gauss} is of a magnetic field; give accelerations in g, mg or "
+                "m/s^2, or --field magnetic."
+            )
+        return "gravity"
+    if asked == "magnetic":
+        if unit in ACCELERATION_UNITS:
+            raise UsageError(
+                f"the unit {unit} is of accelerations; give --unit {', '.join(MAGNETIC_UNITS)} or "
+                "count, or leave --field magnetic away."
+            )
+        return asked
+    named = bool(kinds) and all(kind.magnetic for kind in kinds) and stated is None
+    return "magnetic" if magnetic or (named and unit not in ACCELERATION_UNITS) else "gravity"
 
 
 def is_beside(name: str) -> bool:
@@ -303,9 +355,9 @@ def find_column(table: Table, name: str) -> str:
 
 
 def unit_as_known(unit: str) -> str:
-    """Return a unit of acceleration as it is called here: m/s2, mps2 and m/s**2 are m/s^2."""
+    """Return a unit as it is called here: m/s2, mps2 and m/s**2 are m/s^2, µT is uT."""
     known = unit_of(unit)
-    return known if known in ("m/s^2", "g", "mg", "ug") else unit
+    return known if known in (*ACCELERATION_UNITS, *MAGNETIC_UNITS) else unit
 
 
 def unit_of_outputs(

@@ -6,6 +6,7 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,11 @@ from multipos.files.spelling import Names, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions import attitudes
 from multipos.positions.forces import (
     FORCE,
+    OF_FIELD,
     find_lengths,
     known_rows,
     left_by_apply,
@@ -26,6 +29,8 @@ from multipos.positions.forces import (
     states_forces,
 )
 from multipos.positions.headers import (
+    ACCELERATION_UNITS,
+    MAGNETIC_UNITS,
     OF_SURROUNDINGS,
     RESERVED,
     NameParts,
@@ -50,6 +55,7 @@ def read_readings(
     outputs: Names | None = None,
     unit: str | None = None,
     environment: Sequence[str] = (),
+    field: str | None = None,
 ) -> Readings:
     """Return readings from whatever `multipos.read_table` takes.
 
@@ -63,6 +69,9 @@ def read_readings(
         Unit of the readings, for names and reports.
     environment : names, optional
         Columns that are not outputs, beside those whose name says so.
+    field : str, optional
+        'gravity' or 'magnetic': which sensor's columns are the outputs where there are several,
+        and what orientation columns are of; otherwise by names and unit.
 
     Returns
     -------
@@ -91,6 +100,8 @@ def read_readings(
     table, units = plain_names(read_table(source, what="readings", outputs=names))
     findings: list[Finding] = []
     names = None if names is None else tuple(find_column(table, name) for name in names)
+    if field != "gravity":
+        table, names = _of_magnetic_field(table, names, units, unit, field)
     beside = [*environment, *_of_surroundings(units, names or (), environment, findings)]
     names = _outputs(table, names, beside, findings)
     table = in_celsius(table, _used(units, names, environment), findings)
@@ -122,6 +133,59 @@ def read_readings(
         findings=tuple(findings),
         open_roll=rolls,
     )
+
+
+def _of_magnetic_field(
+    table: Table,
+    names: tuple[str, ...] | None,
+    units: Mapping[str, str],
+    unit: str | None,
+    field: str | None,
+) -> tuple[Table, tuple[str, ...] | None]:
+    """Return a magnetometer's table with the field's direction as up vectors, and its outputs.
+
+    Any other table is returned as it is.
+
+    Raises
+    ------
+    MultiposError
+        Columns that say where up is, which is not where the field points.
+    """
+    apart = {*OF_FIELD, *FORCE, *RESERVED}
+    named = [n for n in table.columns if n not in apart and component(n).magnetic]
+    others = [n for n in table.columns if component(n).acceleration]
+    if field is None:
+        kinds = {units.get(name) for name in names or named} | {unit_as_known(unit or "")}
+        shown = bool(kinds.intersection(MAGNETIC_UNITS)) and not others
+        alone = len(named) == len(COMPONENTS) and not others
+        if names is not None:
+            alone = all(component(name).magnetic for name in names)
+        if not (shown or alone) or unit_as_known(unit or "") in ACCELERATION_UNITS:
+            return table, names
+    if field == "magnetic" and names is None and len(triads_of(named, _parts(named))) == 1:
+        names = triads_of(named, _parts(named))[0]
+    kept = table.columns if names is None else {n for n in table.columns if n not in names}
+    wrong = [n for n in attitudes.COLUMNS if n in kept and n not in attitudes.UP]
+    if wrong:
+        raise MultiposError(
+            f"{table.source}: column {quoted(sorted(wrong))} says where up is, which is not where "
+            "a magnetic field points; give its direction as b_x, b_y, b_z, or leave it out."
+        )
+    forms = [form for form in (OF_FIELD, FORCE) if all(name in kept for name in form)]
+    if not forms or left_by_apply(table) or any(name in kept for name in attitudes.UP):
+        return replace(table, columns=_without(table, names, (*OF_FIELD, *FORCE))), names
+    renamed = dict(zip(forms[0], attitudes.UP, strict=True))
+    columns = _without(table, names, () if len(forms) == 1 else forms[1])
+    return replace(table, columns={renamed.get(n, n): c for n, c in columns.items()}), names
+
+
+def _parts(names: Sequence[str]) -> dict[str, NameParts]:
+    return {name: component(name) for name in names}
+
+
+def _without(table: Table, outputs: tuple[str, ...] | None, names: Sequence[str]) -> dict[str, Any]:
+    """Return the columns without some, outputs among them kept."""
+    return {n: c for n, c in table.columns.items() if n not in names or n in (outputs or ())}
 
 
 def _where_it_stood(

@@ -11,7 +11,8 @@ degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `con
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as declared
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -40,7 +41,7 @@ from multipos.sensor.found import (
     VarianceComponents,
     add_scatter,
 )
-from multipos.sensor.gravity import Gravity
+from multipos.sensor.gravity import Field
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import Model, paper_symbol
 
@@ -96,8 +97,6 @@ class Calibration(Result, Drawn):
     readings : Readings
     convention : str
         'specific-force' (the axis that points up reads +1) or 'gravity' (the one that points down).
-    gravity : Gravity or None
-        None: one g is the local gravity.
     estimator : Estimator
     criterion : str
     confidence : float
@@ -150,13 +149,12 @@ class Calibration(Result, Drawn):
     reference: Array
     readings: Readings
     convention: Convention
-    gravity: Gravity | None
     estimator: Estimator
     criterion: str
     confidence: float
     diagnostics: Diagnostics
     status: Status
-    created: str = field(compare=False)
+    created: str = declared(compare=False)
     version: str
     cross_check: float | None = None
     variance_components: VarianceComponents | None = None
@@ -179,6 +177,16 @@ class Calibration(Result, Drawn):
         """
         place = self.model.named(key) if isinstance(key, str) else self.model.index(*key)
         return self._parameter(place)
+
+    @property
+    def field(self) -> Field:
+        """What the sensor senses: gravity, or a magnetic field, and its size where it is known."""
+        return self.model.field
+
+    @property
+    def gravity(self) -> Field | None:
+        """The field where its size is stated; None: one g is the local gravity, or size one."""
+        return None if self.field.size is None else self.field
 
     @property
     def names(self) -> tuple[str, ...]:

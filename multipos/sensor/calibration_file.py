@@ -13,7 +13,7 @@ what follows from it.
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.forces import known_rows
+from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
@@ -73,7 +74,7 @@ from multipos.sensor.found import (
     VarianceComponents,
 )
 from multipos.sensor.functions import load_expression
-from multipos.sensor.gravity import Gravity
+from multipos.sensor.gravity import FIELD_KINDS, Field
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
 from multipos.sensor.own_models import expression_dict, load_parsed
@@ -210,6 +211,14 @@ CALIBRATION = Fields(
             )
         ),
         "drift_per": Text(("h", "row")),
+        "field": Fields(
+            {
+                "kind": Text(FIELD_KINDS),
+                "size": Maybe(POSITIVE),
+                "u": NOT_NEGATIVE,
+                "unit": Maybe(Text(MAGNETIC_UNITS)),
+            }
+        ),
         "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
         "excluded": Listed(Fields({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT})),
         "sessions": Fields({"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}),
@@ -250,7 +259,8 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "created": c.created,
         "input": {"file": readings.source, "sha256": readings.sha256},
         "convention": c.convention,
-        "gravity": None if c.gravity is None else c.gravity._asdict(),
+        "gravity": _gravity(c.field),
+        **({"field": c.field.to_dict()} if c.field.magnetic else {}),
         "estimator": c.estimator,
         "criterion": c.criterion,
         "gauge": c.model.gauge,
@@ -291,6 +301,21 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
     }
     result: dict[str, Any] = plain(content)
     return result
+
+
+def _gravity(field: Field) -> dict[str, float] | None:
+    """Return the stated gravity, None where there is none."""
+    if field.magnetic or field.size is None:
+        return None
+    return {"value": field.size, "u": field.u}
+
+
+def _field(content: Mapping[str, Any]) -> Field:
+    """Return the field of a file: gravity where it says nothing of one."""
+    gravity, stated = content["gravity"], content.get("field")
+    if stated is not None:
+        return Field(stated["kind"], stated["size"], stated["u"], stated["unit"] or "uT")
+    return Field() if gravity is None else Field(size=gravity["value"], u=gravity["u"])
 
 
 def _known_of(readings: Readings) -> dict[str, Any]:
@@ -386,7 +411,7 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
     keys = [(entry["output"], entry["term"]) for entry in parameters]
     if keys != [(output, str(term)) for output, term in model.keys]:
         raise ValueError("its parameters are not those of its model")
-    cross_check, gravity = content["cross_check"], content["gravity"]
+    cross_check = content["cross_check"]
     return Calibration(
         model=model,
         parameters=_numbers([entry["value"] for entry in parameters]),
@@ -398,7 +423,6 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
         reference=_numbers(content["reference"]),
         readings=_readings(content, model),
         convention=content["convention"],
-        gravity=None if gravity is None else Gravity(gravity["value"], gravity["u"]),
         estimator=Estimator(content["estimator"]),
         criterion=content["criterion"],
         confidence=float(content["confidence"]),
@@ -414,6 +438,10 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
 
 
 def _model(content: Mapping[str, Any]) -> Model:
+    return replace(_model_in_gravity(content), field=_field(content))
+
+
+def _model_in_gravity(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
         return load_parsed(content)
     if "expression" in content:

@@ -118,7 +118,7 @@ class ExpressionModel(Model):
     @cached_property
     def units(self) -> tuple[str, ...]:
         """Parameter units: as stated, known for bias and scale, else left open."""
-        known = {"bias": self.unit, "scale": unit_per(self.unit, 1)}
+        known = {"bias": self.unit, "scale": unit_per(self.unit, 1, (), self.field.unit)}
         return tuple(q.unit or known.get(q.name, "-") for q in self.quantities)
 
     def label(self, index: int) -> str:

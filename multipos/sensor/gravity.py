@@ -1,6 +1,11 @@
-"""The local gravity: what options state of it, and what its uncertainty does to a calibration.
+"""The field that a triad senses: gravity or magnetic, its size, and what its uncertainty does.
 
-An uncertain gravity scales the reference of every position at rest alike. Where all are, a
+A triad turned in a field of constant size reads y = b + K f, |f| the size: known, or one where it
+is not. What is said of the field stands in one object, `Field`: its kind, its size and the unit of
+that, and with them the unit of the reference (g; the unit of the field; none of a field of unknown
+size, which is one). Estimation sees a vector of a size and nothing else.
+
+An uncertain size scales the reference of every position at rest alike. Where all are, a
 coefficient of degree d in force is proportional to g^-d, so that its sensitivity (of every case:
 `multipos.estimation.gains`) and the covariance that all parameters share are
 
@@ -10,30 +15,107 @@ with infinite degrees of freedom; the effective ones of the sum are Welch and Sa
 
     ν_eff = ν (u_c² / u_A²)²,     u_A from the readings, u_c combined.                      (2)
 
+Under gravity the reference is the specific force, +1 along the axis that points up; a magnetic
+reference is the field b itself, whose direction columns ``b_x, b_y, b_z`` state.
+
 References
 ----------
 JCGM 100:2008, clause 5.1 and G.4.1.
 """
 
-from typing import NamedTuple
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from multipos.errors import UsageError
+from multipos.files.numbers import in_unit
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.positions.headers import MAGNETIC_UNITS, field_of_outputs, unit_of
 from multipos.units import gravity_ratio, normal_gravity
 
+FieldKind = Literal["gravity", "magnetic"]
+FIELD_KINDS: tuple[FieldKind, ...] = get_args(FieldKind)
 
-class Gravity(NamedTuple):
-    """Local gravity and its standard uncertainty [m/s²]."""
 
-    value: float
-    u: float
+@dataclass(frozen=True)
+class Field:
+    """What a triad senses.
+
+    Attributes
+    ----------
+    kind : str
+        'gravity' or 'magnetic'.
+    size, u : float or None, float
+        Its size and standard uncertainty, in `size_unit`; None where it is not known: a gravity of
+        one g, a magnetic field of one.
+    size_unit : str
+        'm/s^2', or of a magnetic field T, mT, uT, nT, G or mG.
+    """
+
+    kind: FieldKind = "gravity"
+    size: float | None = None
+    u: float = 0.0
+    size_unit: str = "m/s^2"
+
+    @property
+    def magnetic(self) -> bool:
+        """Whether it is a magnetic field."""
+        return self.kind == "magnetic"
+
+    @property
+    def value(self) -> float:
+        """The size, as equations (1) take it."""
+        return 1.0 if self.size is None else self.size
+
+    @property
+    def magnitude(self) -> float:
+        """The size of the reference, in `unit`."""
+        return self.value if self.magnetic else gravity_ratio(self.size)
+
+    @property
+    def unit(self) -> str:
+        """The unit of the reference: g, that of the size, or none."""
+        if not self.magnetic:
+            return "g"
+        return "" if self.size is None else self.size_unit
+
+    @property
+    def sensor(self) -> str:
+        """What senses it."""
+        return "Magnetometer" if self.magnetic else "Accelerometer"
+
+    @property
+    def symbol(self) -> str:
+        """What a component is called in columns: f of forces, b of magnetic fields."""
+        return "b" if self.magnetic else "f"
+
+    @property
+    def text(self) -> str:
+        """Its size in words."""
+        if self.size is None:
+            return "size unknown, taken as one" if self.magnetic else "local, one g"
+        return f"{self.size:.10g} {self.size_unit}, u = {self.u:.3g} {self.size_unit}"
+
+    def shown(self, size: float) -> str:
+        """Return a size in the unit of the reference as people read it, 2 mg, 120 nT or .3 %."""
+        return in_unit(size, self.unit) if self.unit else f"{100.0 * size:.3g} %"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON carries of a magnetic field."""
+        unit = self.size_unit if self.size is not None else None
+        return {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
+
+
+GRAVITY = Field()
+MAGNETIC = Field("magnetic", size_unit="uT")
 
 
 def resolve_gravity(
     gravity: float | None, gravity_u: float | None, latitude: float | None, height: float | None
-) -> Gravity | None:
+) -> Field | None:
     """Return the local gravity [m/s²] that the options state, or None.
 
     Raises
@@ -52,38 +134,127 @@ def resolve_gravity(
     return None if gravity is None else _measured(gravity, gravity_u)
 
 
-def _of_place(latitude: float, height: float) -> Gravity:
+def _of_place(latitude: float, height: float) -> Field:
     try:
-        return Gravity(normal_gravity(latitude, height), 0.0)
+        return Field(size=normal_gravity(latitude, height))
     except ValueError as error:
         raise UsageError(str(error)) from None
 
 
-def _measured(gravity: float, gravity_u: float | None) -> Gravity:
+def _measured(gravity: float, gravity_u: float | None) -> Field:
     if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST:
         raise UsageError(
             f"--gravity-u must be 0 or more, and no more than {LARGEST:g}, got {gravity_u}."
         )
     if not 1.0 <= gravity <= 100.0:
         raise UsageError(f"--gravity must be in m/s², such as 9.81, got {gravity}.")
-    return Gravity(gravity, gravity_u or 0.0)
+    return Field(size=gravity, u=gravity_u or 0.0)
 
 
-def signed_size(gravity: Gravity | None, convention: str) -> float:
-    """Return the magnitude of the reference [g], negative under the gravity convention."""
-    size = gravity_ratio(None if gravity is None else gravity.value)
+def resolve_field(
+    kind: str | None,
+    size: float | str | None,
+    size_u: float | str | None,
+    gravity: Field | None,
+    *,
+    outputs: tuple[str, ...],
+    unit: str,
+) -> Field:
+    """Return the field that options state, or that names and unit of the outputs show.
+
+    Parameters
+    ----------
+    kind : str or None
+        'gravity' or 'magnetic', as stated.
+    size, size_u : number or text such as '48.6uT', or None
+        Of a magnetic field; without a unit in that of the readings.
+    gravity : Field or None
+        The local gravity, where options state one.
+    outputs : tuple of str
+    unit : str
+        Of the readings.
+
+    Raises
+    ------
+    UsageError
+        An unknown kind, a unit of the other kind, or a size that is none.
+    """
+    check_field_kind(kind)
+    found = field_of_outputs(outputs, unit, None if gravity is None else "gravity", kind)
+    if found == "gravity":
+        if size is not None or size_u is not None:
+            raise UsageError(
+                "--field-size is of a magnetic field; give --field magnetic, or the local gravity "
+                "with --gravity."
+            )
+        return gravity or GRAVITY
+    if gravity is not None:
+        raise UsageError(
+            "--gravity and --latitude are of accelerometers; a magnetic field has --field-size."
+        )
+    if size is None:
+        if size_u is not None:
+            raise UsageError("--field-size-u needs --field-size.")
+        return MAGNETIC
+    value, own = _quantity(size, "--field-size", unit)
+    if not 0.0 < value <= LARGEST:
+        raise UsageError(f"--field-size must be above 0, such as 48.6uT, got {size}.")
+    if size_u is None:
+        return Field("magnetic", value, 0.0, own)
+    u, other = _quantity(size_u, "--field-size-u", unit)
+    u *= 10.0 ** (_POWERS[other] - _POWERS[own])
+    if not 0.0 <= u < value:
+        raise UsageError(f"--field-size-u must be 0 or more and below the size, got {size_u}.")
+    return Field("magnetic", value, u, own)
+
+
+_POWERS = {"T": 0, "mT": -3, "uT": -6, "nT": -9, "G": -4, "mG": -7}  # of ten, in tesla
+_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D*)\s*")
+
+
+def check_field_kind(kind: str | None) -> None:
+    """Refuse a kind of field that is none."""
+    if kind is not None and kind not in FIELD_KINDS:
+        raise UsageError(f"--field takes gravity or magnetic, got '{kind}'.")
+
+
+def in_tesla(unit: str) -> float | None:
+    """Return a unit of magnetic fields in tesla, None of any other."""
+    return 10.0 ** _POWERS[unit] if unit in _POWERS else None
+
+
+def _quantity(given: float | str, option: str, readings: str) -> tuple[float, str]:
+    """Return number and unit of what was given, the readings' where it has none."""
+    found = _QUANTITY.fullmatch(str(given))
+    try:
+        value = float(found[1]) if found else math.nan
+    except ValueError:
+        value = math.nan
+    written = found[2].strip() if found else ""
+    unit = unit_of(written) if written else readings
+    if math.isnan(value) or unit not in MAGNETIC_UNITS:
+        raise UsageError(
+            f"{option} takes a number and a unit of {', '.join(MAGNETIC_UNITS)}, such as 48.6uT, "
+            f"got '{given}'" + ("." if written else f", and the readings are in '{readings}'.")
+        )
+    return value, unit
+
+
+def signed_size(field: Field | None, convention: str) -> float:
+    """Return the magnitude of the reference, negative under the gravity convention."""
+    size = (field or GRAVITY).magnitude
     return -size if convention == "gravity" else size
 
 
 def add_gravity(
-    covariance: Array, dof: Array, gravity: Gravity, sensitivity: Array
+    covariance: Array, dof: Array, gravity: Field, sensitivity: Array
 ) -> tuple[Array, Array]:
-    """Return covariance and degrees of freedom with the common term of gravity, eqs. (1), (2).
+    """Return covariance and degrees of freedom with the common term of the size, eqs. (1), (2).
 
     Parameters
     ----------
     covariance, dof : (p, p), (p,) arrays
-    gravity : Gravity
+    gravity : Field
     sensitivity : (p,) array
         c of eq. (1).
     """

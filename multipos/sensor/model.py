@@ -13,7 +13,8 @@ Names of the parameters: for the command line and files, and in plain words for 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as declared
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -33,6 +34,7 @@ from multipos.numerics.terms import (
     parse_term,
 )
 from multipos.results import Result
+from multipos.sensor.gravity import GRAVITY, Field
 from multipos.units import unit_per
 
 DRIFT = "drift"  # the column and term of a session's drift
@@ -112,6 +114,8 @@ class Model(Result):
     drift_per : str or None
         'h' or 'row' where a drift of the session is among the terms, which is no part of the
         sensor: zero in the middle of the session, and wherever readings are compensated.
+    field : Field
+        What the outputs sense; its unit is that of the reference.
 
     Examples
     --------
@@ -128,7 +132,8 @@ class Model(Result):
     unit: str
     terms: tuple[tuple[Term, ...], ...]
     gauge: Gauge | RollGauge | None = None
-    drift_per: Literal["h", "row"] | None = field(default=None, kw_only=True)
+    drift_per: Literal["h", "row"] | None = declared(default=None, kw_only=True)
+    field: Field = declared(default=GRAVITY, kw_only=True)
 
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
@@ -155,7 +160,7 @@ class Model(Result):
         return tuple(
             drift
             if self.drift_per is not None and term == _DRIFT
-            else unit_per(self.unit, term.force_degree, term.environment)
+            else unit_per(self.unit, term.force_degree, term.environment, self.field.unit)
             for _, term in self.keys
         )
 

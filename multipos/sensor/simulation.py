@@ -30,7 +30,6 @@ from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, read_scheme
 from multipos.results import Columns, require
 from multipos.sensor.calibration import Calibration
-from multipos.units import gravity_ratio
 
 _TREMBLE = 0.03  # [g], standard deviation of each component while a hand turns the case
 _LARGEST = 200_000_000  # samples
@@ -193,7 +192,7 @@ def _session(
             f"--orientation-sd must be 0 or more and below 180 degrees, got {orientation_sd:g}."
         )
     sign = calibration.sign
-    size = gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
+    size = calibration.field.magnitude
     force = size * scheme.up
     if scheme.force is not None:
         force = np.where(np.isfinite(scheme.force), scheme.force, force)

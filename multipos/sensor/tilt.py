@@ -46,7 +46,6 @@ from multipos.sensor.inverse import (
     unseen_axes,
     unseen_leak,
 )
-from multipos.units import gravity_ratio
 
 _ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
 
@@ -229,7 +228,7 @@ def _unseen_circle(calibration: Calibration, rest: Array) -> Array:
 
 def magnitude_of(calibration: Calibration) -> float:
     """Return the size of the reference [g]: one, or the stated gravity over standard gravity."""
-    return gravity_ratio(None if calibration.gravity is None else calibration.gravity.value)
+    return calibration.field.magnitude
 
 
 def true_tilt(up: Array) -> Array:

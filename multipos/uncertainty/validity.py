@@ -126,6 +126,7 @@ def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
 # outside.
 _MARGIN = 0.01
 _MARGIN_RMS = 4.0
+_ELSEWHERE = 0.25
 POINTS = "fibonacci-1000"  # even directions: the worst of them is within 1 % of the worst of all
 
 
@@ -141,6 +142,7 @@ class ForcesSeen(NamedTuple):
     low: Array  # (3,)
     high: Array  # (3,)
     margin: float
+    unit: str = "g"
 
     def holds(self, force: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
         """Tell which forces (n, K) along K axes are inside; NaN is not."""
@@ -164,9 +166,9 @@ class ForcesSeen(NamedTuple):
     def in_words(self, axes: Sequence[int]) -> str:
         """Return what was applied, along K axes."""
         if self.sphere == self.largest:
-            return f"up to {self.largest:.4g} g"
+            return f"up to {self.largest:.4g} {self.unit}".rstrip()
         parts = [f"{COMPONENTS[i]} {self.low[i]:.4g} to {self.high[i]:.4g}" for i in axes]
-        return f"{', '.join(parts)} g"
+        return f"{', '.join(parts)} {self.unit}".rstrip()
 
 
 def applied(calibration: Calibration) -> ForcesSeen:
@@ -175,11 +177,14 @@ def applied(calibration: Calibration) -> ForcesSeen:
     forced = c.readings.forced
     size = np.linalg.norm(c.reference, axis=1)
     largest, margin = float(size.max()), _MARGIN_RMS * c.rms
+    if c.field.magnetic:  # which is another one elsewhere
+        margin += _ELSEWHERE * largest
     sphere = float(size[~forced].max(initial=0.0))
     known = c.reference[forced]
     low = known.min(axis=0, initial=-sphere)
     high = known.max(axis=0, initial=sphere)
-    return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin)
+    unit = c.field.unit
+    return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin, unit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -420,7 +420,7 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findi
     if c.model.gauge is not None or not np.abs(left / response).max() > _FAR_OFF:
         return ()
     run = replace(data, u=None, dof=None, covariance=None, orientation_sd=None, findings=())
-    gravity = None if c.gravity is None else c.gravity.value
+    size = c.field.size
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
         try:
@@ -429,7 +429,9 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findi
                 axes=c.facing or c.model.axes,
                 inputs=c.model.inputs,
                 convention=c.convention,
-                gravity=gravity,
+                gravity=None if c.field.magnetic else size,
+                field=c.field.kind,
+                field_size=f"{size}{c.field.size_unit}" if c.field.magnetic and size else None,
             )
         except MultiposError:  # too few positions to fit
             return ()

@@ -96,17 +96,19 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
         level_sd=math.radians(level or 0.0),
     )
 
+    exact = replace(first.model, field=replace(first.field, u=0.0))
+
     def solved(readings: Readings) -> Calibration:
         size = signed_size(first.gravity, first.convention)
         stated_up = place(readings, size, level_sd=options.level_sd)
         # rows of one session are alike by what S holds
-        return calibrate_at(first.model, readings, stated_up, options, None, ordered=False)
+        return calibrate_at(exact, readings, stated_up, options, ordered=False)
 
     pooled = solved(readings)
     each = found if alike else [solved(_plain(c.readings)) for c in found]
     pooled = replace(
         pooled,
-        gravity=first.gravity,
+        model=replace(pooled.model, field=first.field),
         selection=first.selection,
         nominal=first.nominal,
         facing=first.facing,
@@ -135,8 +137,8 @@ def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
                     f"{file}: has the readings of {name}, which is no further session; leave one "
                     "out."
                 )
-        if c.estimator.exact != first.estimator.exact or c.gravity != first.gravity:
-            what = "gravity" if c.gravity != first.gravity else "estimator"
+        if c.estimator.exact != first.estimator.exact or c.field != first.field:
+            what = "gravity" if c.field != first.field else "estimator"
             raise MultiposError(
                 f"{file}: its {what} is not that of {files[0]}; fit all sessions alike to combine "
                 "them."

@@ -28,6 +28,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, stacked
+from multipos.sensor.gravity import FieldKind
 from multipos.sensor.stating import default_axes, stated_facing
 from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
 from multipos.verification.coefficients import (
@@ -129,6 +130,9 @@ def tumble(
     gravity_u: float | None = None,
     latitude: float | None = None,
     height: float | None = None,
+    field: FieldKind | None = None,
+    field_size: float | str | None = None,
+    field_size_u: float | str | None = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
     confidence: float = 0.95,
@@ -144,7 +148,8 @@ def tumble(
     axes : names, optional
         The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z;
         -x faces the other way.
-    scheme, convention, reading_sd, gravity, gravity_u, latitude, height, unit, range, confidence
+    scheme, convention, reading_sd, gravity, gravity_u, latitude, height, field, field_size
+    field_size_u, unit, range, confidence
         As in `multipos.fit`.
     model : str, optional
         Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate; a
@@ -185,6 +190,9 @@ def tumble(
         "gravity_u": gravity_u,
         "latitude": latitude,
         "height": height,
+        "field": field,
+        "field_size": field_size,
+        "field_size_u": field_size_u,
         "range": range,
         "confidence": confidence,
     }

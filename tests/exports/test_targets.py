@@ -34,7 +34,7 @@ def read_plain(path, text):
 PLAIN = parameter_target(
     "plain",
     LINEAR,
-    raw_in_metres=False,
+    raw="readings",
     write=lambda cal, law, wish: (
         json.dumps({"plain T": law.matrix.tolist(), "o": law.offset.tolist()}),
         [Finding("plain", "warning", "as plain as can be")],

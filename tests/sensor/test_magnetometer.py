@@ -1,0 +1,224 @@
+"""A magnetometer: the same mathematics in a magnetic field, and what its consumers make of it."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.cli import main
+from multipos.errors import MultiposError, UsageError
+
+SIZE = 48.6  # [µT]
+SOFT = np.array([[1.02, 0.01, -0.02], [0.03, 0.97, 0.01], [-0.01, 0.02, 1.05]])
+HARD = np.array([3.0, -8.0, 12.0])  # [µT]
+NAMES = ("mx", "my", "mz")
+
+
+def directions(n=60, seed=1):
+    u = np.random.default_rng(seed).normal(size=(n, 3))
+    return u / np.linalg.norm(u, axis=1)[:, None]
+
+
+def readings(n=60, seed=1, sd=0.15, names=NAMES, soft=SOFT):
+    """Return readings [µT] by y = o + B K b, and the directions."""
+    u = directions(n, seed)
+    noise = np.random.default_rng(seed + 1000).normal(size=u.shape) * sd
+    return dict(zip(names, (HARD + SIZE * u @ soft.T + noise).T, strict=True)), u
+
+
+def listed(u):
+    return dict(zip(("b_x", "b_y", "b_z"), u.T, strict=True))
+
+
+@pytest.mark.parametrize("oriented", [False, True])
+def test_names_change_no_number(oriented):
+    """The same rows as accelerations in counts and as a field: the same to the last bit."""
+    rows, u = readings()
+    up = dict(zip(("up_x", "up_y", "up_z"), u.T, strict=True)) if oriented else {}
+    force = dict(zip(("ax", "ay", "az"), rows.values(), strict=True))
+    a = mp.fit({**force, **up}, unit="count", unknown_orientation=not oriented)
+    m = mp.fit({**rows, **up}, unit="count")
+    assert m.field.magnetic
+    assert not a.field.magnetic
+    for name in ("parameters", "covariance", "residuals", "reference"):
+        assert np.array_equal(getattr(a, name), getattr(m, name))
+
+
+def test_known_size_gives_a_matrix_without_unit_and_its_share_of_u():
+    rows, u = readings(sd=0.0)
+    cal = mp.fit({**rows, **listed(u)}, unit="uT", field_size="48.6uT", field_size_u="0.1uT")
+    assert_allclose(cal["bias_mx"].value, HARD[0], atol=1e-9)
+    assert_allclose([cal["mx", t].value for t in "xyz"], SOFT[0], atol=1e-12)
+    assert cal["scale_mx"].unit == "1"
+    assert cal["bias_mx"].unit == "uT"
+    # one for one: u of a scale factor is that of the size
+    assert_allclose(cal["scale_mx"].u, SOFT[0, 0] * 0.1 / SIZE, rtol=1e-6)
+    assert_allclose(cal.compensate(np.array([*rows.values()]).T), SIZE * u, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("nT", 1e3), ("G", 1e-2), ("mG", 10.0), ("T", 1e-6)])
+def test_units_of_a_field(unit, factor):
+    """Numbers scale with the unit, and every unit is one of a field by itself."""
+    rows, _ = readings()
+    ours = mp.fit(rows, unit="uT", field_size=SIZE)
+    other = {name: factor * column for name, column in rows.items()}
+    cal = mp.fit(dict(zip("xyz", other.values(), strict=True)), unit=unit, field_size=SIZE * factor)
+    assert cal.field.magnetic
+    assert cal.field.unit == unit
+    assert_allclose(cal["bias_x"].value, factor * ours["bias_mx"].value, rtol=1e-8)
+    assert_allclose(cal["scale_y"].U, ours["scale_my"].U, rtol=1e-6)
+    assert [f.code for f in cal.findings] == [f.code for f in ours.findings]
+
+
+@pytest.mark.parametrize("unit", ["G", "mG", "uT"])
+def test_gauss_is_no_g(unit):
+    rows, _ = readings(names=("ax", "ay", "az"))
+    with pytest.raises(UsageError, match="of a magnetic field"):
+        mp.fit(rows, unit=unit, unknown_orientation=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"field": "electric"}, "--field takes gravity or magnetic"),
+        ({"gravity": 9.81}, "--gravity and --latitude are of accelerometers"),
+        ({"convention": "gravity"}, "are of gravity"),
+        ({"field_size": "48.6furlong"}, "such as 48.6uT"),
+        ({"field_size_u": 1.0}, "--field-size-u needs --field-size"),
+        ({"field_size": -3.0}, "above 0"),
+    ],
+)
+def test_options_that_contradict_a_magnetic_field(options, said):
+    rows, _ = readings()
+    with pytest.raises(UsageError, match=said):
+        mp.fit(rows, unit="uT", **options)
+
+
+def test_a_position_of_up_is_no_direction_of_the_field():
+    rows, _ = readings(6)
+    with pytest.raises(MultiposError, match="not where a magnetic field points"):
+        mp.fit({**rows, "roll_deg": np.zeros(6), "pitch_deg": np.zeros(6)}, unit="uT")
+
+
+def test_the_file_knows_the_field(tmp_path):
+    rows, _ = readings()
+    cal = mp.fit(rows, unit="uT", field_size="0.486G", field_size_u="1mG")
+    cal.save(tmp_path / "cal.json")
+    content = json.loads((tmp_path / "cal.json").read_text())
+    assert content["gravity"] is None
+    assert content["field"] == {"kind": "magnetic", "size": 0.486, "u": 0.001, "unit": "G"}
+    again = mp.load(tmp_path / "cal.json")
+    assert again.field == cal.field
+    assert again.model.units == cal.model.units
+    assert "field" not in mp.demo().calibration.to_dict()
+
+
+def symmetric_root(soft):
+    """Return S of K⁻¹ = V S by the eigenvalues of K K', apart from the package's SVD."""
+    size, vectors = np.linalg.eigh(np.linalg.inv(soft @ soft.T))
+    return vectors * np.sqrt(size) @ vectors.T
+
+
+@pytest.mark.parametrize(
+    ("target", "unit", "form"),
+    [("px4", 0.01, "CAL_MAG0_{0}{1}"), ("ardupilot", 10.0, "COMPASS_{1}_{0}")],
+)
+def test_autopilots_correct_by_their_own_equation(target, unit, form, tmp_path):
+    """PX4: S (raw − OFF) in gauss; ArduPilot: S (raw + OFS) in milligauss; ODIAG xy, xz, yz."""
+    rows, _u = readings(sd=0.0)
+    cal = mp.fit(rows, unit="uT", field_size=SIZE)
+    exported = mp.export(cal, to=target, device_id=7)
+    kinds = ("OFF", "SCALE", "ODIAG") if target == "px4" else ("OFS", "DIA", "ODI")
+    found = {}
+    for line in exported.text.splitlines():
+        cells = line.replace(",", "\t").split("\t")
+        found.update({n: float(v) for n, v in itertools.pairwise(cells) if n.isupper() or "_" in n})
+    o, d, b = (np.array([found[form.format(a, k)] for a in "XYZ"]) for k in kinds)
+    S = np.array([[d[0], b[0], b[1]], [b[0], d[1], b[2]], [b[1], b[2], d[2]]])
+    raw = unit * np.array([*rows.values()]).T
+    field = (raw - o if target == "px4" else raw + o) @ S.T
+    assert_allclose(np.linalg.norm(field, axis=1), unit * SIZE, rtol=1e-6)
+    assert_allclose(S, symmetric_root(SOFT), atol=1e-6)
+    assert_allclose(o, unit * HARD * (1 if target == "px4" else -1), atol=1e-5)
+    exported.save(tmp_path / "file")
+    verified = mp.verify_export(tmp_path / "file", cal)
+    assert verified.target == target
+    assert not verified.findings
+
+
+def test_ros_takes_the_offset_in_tesla(tmp_path):
+    rows, _ = readings(sd=0.0)
+    exported = mp.export(mp.fit(rows, unit="uT"), to="ros")
+    bias = [float(s.split(":")[1]) for s in exported.text.splitlines() if "mag_bias_" in s][-3:]
+    assert_allclose(bias, 1e-6 * HARD, atol=1e-12)
+    assert [f.code for f in exported.findings] == ["lossy"]
+
+
+def test_a_turn_of_the_triad_is_refused():
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rows, u = readings(soft=SOFT @ turn)
+    cal = mp.fit({**rows, **listed(u)}, unit="uT", field_size=SIZE)
+    with pytest.raises(MultiposError, match="turned by 9"):
+        mp.export(cal, to="px4")
+    assert "CAL_MAG0_XOFF" in mp.export(cal, to="px4", allow_lossy=True).text
+
+
+def test_unknown_size_keeps_the_mean_scale():
+    """det S = 1, so that corrected and raw fields have one mean size."""
+    rows, _ = readings()
+    text = mp.export(mp.fit(rows, unit="uT"), to="px4").text
+    found = dict(line.split("\t")[2:4] for line in text.splitlines() if line.startswith("1\t"))
+    d = [float(found[f"CAL_MAG0_{a}SCALE"]) for a in "XYZ"]
+    b = [float(found[f"CAL_MAG0_{a}ODIAG"]) for a in "XYZ"]
+    S = np.array([[d[0], b[0], b[1]], [b[0], d[1], b[2]], [b[1], b[2], d[2]]])
+    assert_allclose(np.linalg.det(S), 1.0, rtol=1e-6)
+
+
+def wave(n, seed, rho=0.0, sd=0.3):
+    """Return a log of a hand that turns a sensor about, noise AR(1) with the coefficient rho."""
+    rng = np.random.default_rng(seed)
+    knots = rng.normal(size=(max(8, n // 35), 4))
+    for i in range(1, len(knots)):
+        knots[i] *= np.sign(knots[i] @ knots[i - 1])
+    at = np.linspace(0.0, 1.0, n)
+    places = np.linspace(0.0, 1.0, len(knots))
+    w, x, y, z = (np.interp(at, places, column) for column in knots.T)
+    size = w * w + x * x + y * y + z * z
+    # the field along a slanted axis, turned by the quaternion (w, x, y, z)
+    f = np.array([0.4, 0.1, -0.9]) / np.sqrt(0.98)
+    q, v = np.column_stack([x, y, z]), np.tile(f, (n, 1))
+    u = v + 2.0 * np.cross(q, np.cross(q, v) + w[:, None] * v) / size[:, None]
+    noise = rng.normal(size=(n, 3))
+    for row in range(1, n if rho else 0):
+        noise[row] = rho * noise[row - 1] + np.sqrt(1.0 - rho**2) * noise[row]
+    values = HARD + SIZE * u @ SOFT.T + sd * noise
+    return {"time": 0.02 * np.arange(n), **dict(zip(NAMES, values.T, strict=True))}
+
+
+def test_a_waved_log_to_px4(tmp_path, capsys):
+    log = wave(6000, 5)
+    table = np.column_stack([*log.values()])
+    path = tmp_path / "wave.csv"
+    np.savetxt(path, table, delimiter=",", header=",".join(log), comments="", fmt="%.5f")
+    asked = ["calibrate", str(path), "--unit", "uT", "--to", "px4", "--device-id", "396825"]
+    assert main([*asked, "-o", str(tmp_path / "cal.json")]) == 0
+    cal = mp.load(tmp_path / "cal.json")
+    assert cal.field.magnetic
+    assert cal.estimator == "unknown-orientation"
+    assert 200 < len(cal.readings) <= 300
+    for name, truth in zip(("bias_mx", "bias_my", "bias_mz"), HARD, strict=True):
+        assert abs(cal[name].value - truth) < 2.0 * cal[name].U
+    assert mp.verify_export(tmp_path / "cal_px4.params", cal).difference < 1e-6
+
+
+def test_nine_rests_that_hold_most_of_a_log_are_averaged():
+    u = directions(12, 3)
+    rng = np.random.default_rng(3)
+    rows = np.repeat(HARD + SIZE * u @ SOFT.T, 200, axis=0) + 0.1 * rng.normal(size=(2400, 3))
+    log = {"time": 0.02 * np.arange(2400), **dict(zip(NAMES, rows.T, strict=True))}
+    cal = mp.calibrate(log, unit="uT")
+    assert len(cal.readings) == 12
+    assert cal.readings.samples is not None
