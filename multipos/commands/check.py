@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_range, numbers
+from multipos.commands.options import add_range, names, numbers
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.finding import Findings, errors_of
@@ -13,7 +13,7 @@ from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.reports.sheets import check_sentence, check_text, run_conclusions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.verification.checks import RUN, check
+from multipos.verification.checks import RUN, average_run, check
 from multipos.verification.verdicts import Check, errors_table
 
 INPUTS = ("calibration", "readings", "scheme")
@@ -32,9 +32,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "readings",
         metavar="READINGS",
-        help="CSV file of an independent run: at known positions, "
+        help="CSV file of an independent run: at known positions, or a raw log of them, "
         "or with the response of the regression",
     )
+    add("--outputs", type=names, metavar="a,b,c", help="columns of the run that are its outputs")
     add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
     add("--tilt", action="store_true", help="compare tilt in degrees and not force in g")
     limit = parser.add_mutually_exclusive_group()
@@ -83,7 +84,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         json=lambda: to_json(found.to_dict()),
         forms={
             "figure": lambda: check_figure(found),
-            "table": lambda: _errors(calibration, arguments.readings, found),
+            "table": lambda: _errors(calibration, arguments, found),
         },
         findings=lambda: found.findings,
         negative=lambda findings: _failed(found, findings),
@@ -97,8 +98,13 @@ def _failed(found: Check, findings: Findings) -> bool:
 
 
 def _errors(
-    calibration: Calibration | Regression | Regressions, readings: str, found: Check
+    calibration: Calibration | Regression | Regressions,
+    arguments: argparse.Namespace,
+    found: Check,
 ) -> str:
-    """Return the run's own columns with its errors beside them, as CSV."""
-    table = read_table(readings, what="run")
+    """Return the run's own columns, or the means of its log, with its errors beside, as CSV."""
+    run, means = arguments.readings, None
+    if isinstance(calibration, Calibration):
+        means = average_run(calibration, run, arguments.scheme, arguments.outputs)
+    table = read_table(run if means is None else means.columns(), what="run")
     return format_csv(errors_table(calibration, table, found), table.delimiter)

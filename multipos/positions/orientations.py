@@ -439,13 +439,18 @@ def _without_orientation(readings: Readings, scheme: object) -> Readings:
     )
 
 
-def _refuse_log(readings: Readings) -> None:
-    """Refuse samples of a raw log: no labels, and rows that go on where the one before stood."""
+def are_samples(readings: Readings) -> bool:
+    """Tell whether rows are samples of a raw log: no labels, each where the one before stood."""
     if readings.positions is not None or len(readings) < _LOG_ROWS:
-        return
+        return False
     values = readings.values
     step = median(np.linalg.norm(np.diff(values, axis=0), axis=1))
-    if step < _LOG_STEP * np.linalg.norm(values.std(axis=0)):
+    return bool(step < _LOG_STEP * np.linalg.norm(values.std(axis=0)))
+
+
+def _refuse_log(readings: Readings) -> None:
+    """Refuse samples of a raw log."""
+    if are_samples(readings):
         name = Path(readings.source or "LOG").name
         raise MultiposError(
             f"{readings.source or 'the readings'}: {len(readings)} rows of samples, not of "

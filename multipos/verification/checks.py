@@ -30,23 +30,29 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
+from multipos.files.handed import take_in
+from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.finding import Findings, about, errors_of, in_order
 from multipos.fitting.fit_readings import fit
+from multipos.logs.averages import Averages
+from multipos.logs.averaging import average
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.attitudes import Convention
 from multipos.positions.headers import require_units, unit_of
-from multipos.positions.orientations import orient, refuse_open_rolls
+from multipos.positions.orientations import are_samples, orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
-from multipos.positions.scheme import Scheme
+from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
@@ -213,6 +219,7 @@ def check(
     readings: Source | Readings,
     *,
     scheme: Source | Scheme | None = None,
+    outputs: Names | None = None,
     tilt: bool = False,
     limit_deg: float | None = None,
     limit_g: float | None = None,
@@ -230,8 +237,11 @@ def check(
     readings : Readings, path, mapping of columns, or data frame
         An independent run; its ``u_…`` are the uncertainty of its readings. For a regression a
         table with its response and its variables.
+        A raw log is averaged first, and its rests matched to the scheme.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the readings' own columns say them.
+    outputs : sequence of str, or comma-separated str, optional
+        The columns of the run that are the calibration's outputs, in their order.
     tilt : bool
         Compare tilt in degrees and not force in g; a limit in degrees does so by itself.
     limit_deg, limit_g : float, optional
@@ -271,6 +281,7 @@ def check(
         _refuse_options(
             {
                 "--scheme": scheme,
+                "--outputs": outputs,
                 "--tilt": tilt or None,
                 "--limit-deg": limit_deg,
                 "--within-deg": within_deg,
@@ -287,7 +298,7 @@ def check(
     before = calibration.nominal or Nominal(0.0, 1.0)
     if nominal is not None:
         before = read_nominal(nominal)
-    data = _read_run(calibration, readings, scheme)
+    data = _read_run(calibration, readings, scheme, outputs)
     if range is not None:
         require_range(data, range)
     noise, estimated = run_noise(calibration, data, reading_sd)
@@ -301,13 +312,73 @@ def check(
     return replace(found, consistency=agreement, findings=every)
 
 
+def average_run(
+    calibration: Calibration,
+    run: Source | Readings,
+    scheme: Source | Scheme | None = None,
+    outputs: Names | None = None,
+) -> Averages | None:
+    """Return the means of a run that is a raw log; None of a table of means.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    run, scheme, outputs
+        As of `check`.
+    """
+    if isinstance(run, Readings):
+        return None
+    names = _columns_of_run(calibration, outputs)
+    try:
+        data = read_readings(run, outputs=names, environment=calibration.model.environment)
+    except MultiposError:  # a log without header, or of another kind than tables
+        with suppress(MultiposError):
+            return _averaged(run, names, scheme, calibration.convention)
+        return None
+    stated = data.up is not None or data.force is not None
+    if stated or not are_samples(data) or _fits(scheme, data):
+        return None
+    return _averaged(run, names, scheme, calibration.convention)
+
+
+def _averaged(
+    run: Source, names: tuple[str, ...], scheme: Source | Scheme | None, convention: Convention
+) -> Averages:
+    return average(run, outputs=names, scheme=scheme, convention=convention)
+
+
+def _fits(scheme: Source | Scheme | None, data: Readings) -> bool:
+    """Tell whether a scheme has as many positions as there are rows, which are then no samples."""
+    return scheme is not None and len(read_scheme(scheme)) == len(data)
+
+
+def _columns_of_run(calibration: Calibration, outputs: Names | None) -> tuple[str, ...]:
+    """Return the columns of a run that are the outputs of a calibration."""
+    names = calibration.outputs if outputs is None else split_names(outputs, "--outputs")
+    if len(names) != len(calibration.outputs):
+        raise UsageError(
+            f"--outputs names {len(names)} columns, and the calibration has the outputs "
+            f"{', '.join(calibration.outputs)}; name one for each, in their order."
+        )
+    return names
+
+
 def _read_run(
-    calibration: Calibration, readings: Source | Readings, scheme: Source | Scheme | None
+    calibration: Calibration,
+    readings: Source | Readings,
+    scheme: Source | Scheme | None,
+    outputs: Names | None,
 ) -> Readings:
     """Return a run with its positions, held to what the calibration needs."""
-    data = read_readings(
-        readings, outputs=calibration.outputs, environment=calibration.model.environment
-    )
+    if not isinstance(readings, Readings):  # an open file is read once
+        readings = take_in(readings, "run", calibration.outputs)
+    means = average_run(calibration, readings, scheme, outputs)
+    if means is None:
+        names = _columns_of_run(calibration, outputs)
+        data = read_readings(readings, outputs=names, environment=calibration.model.environment)
+    else:
+        data = replace(means.readings, up=None, findings=means.findings)
+    data = replace(data, outputs=calibration.outputs)
     require_units(
         data.source or "the run",
         dict.fromkeys(data.outputs, data.unit) if unit_of(data.unit) else {},
