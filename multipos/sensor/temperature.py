@@ -19,7 +19,9 @@ of freedom, and s² what is left,
 
 s_0² that of the fit, if σ_a² is above zero. U holds both parts, each with its own factor: t of ν
 for the first, of q for the second; W likewise. With no more soaks than the model has terms of
-temperature there is no q, and `soak_sd` is not known.
+temperature there is no q, and `soak_sd` is not known. How the zero repeats is in U once: σ_a is at
+least half of a hysteresis beyond its U, eq. (3), and of the second part of (2) and ``[stability]``
+in the budget, which state the same, the larger is taken.
 
 **Hysteresis.** Where levels of temperature are read both when it rises and when it falls, the mean
 of zero, falling less rising, over such levels, with the scatter of these differences,
@@ -183,8 +185,10 @@ def _curve(
     per_g = "1" if unit == "g" else f"{unit}/g"
     of_soaks, q = np.zeros(len(T)), 1.0
     if soaks is not None and soaks.sd > 0.0:
-        of_soaks, q = soaks.sd**2 * ((w @ soaks.moves) ** 2).sum(axis=1), soaks.dof
-        own = own * soaks.within
+        stated = 0.0 if place else _stated_zero(calibration, output) ** 2
+        of_soaks, q = _spread(soaks) ** 2 * ((w @ soaks.moves) ** 2).sum(axis=1), soaks.dof
+        of_soaks = np.maximum(of_soaks - stated, 0.0)
+        own = np.maximum(own - stated, 0.0) * soaks.within + stated
     k, k_soaks = (coverage_factor(confidence, nu) for nu in (dof, q))
     wide, wide_soaks = (m * f_quantile(confidence, m, nu) for nu in (dof, q))
     return Curve(
@@ -199,6 +203,22 @@ def _curve(
         soak_sd=None if soaks is None or place else soaks.sd,
         hysteresis=None if soaks is None or place else soaks.hysteresis,
     )
+
+
+def _spread(soaks: _Soaks) -> float:
+    """Return the larger of what soaks differ by and half of a hysteresis that is beyond its U."""
+    found = soaks.hysteresis
+    if found is None or abs(found["value"]) <= found["U"]:
+        return soaks.sd
+    return max(soaks.sd, abs(float(found["value"])) / 2.0)
+
+
+def _stated_zero(c: Calibration, output: str) -> float:
+    """Return the standard deviation of an output's zero that ``[stability]`` states."""
+    table = c.budget_tables.get("stability", {})
+    scale = float(np.abs(c.sensitivity[c.outputs.index(output)]).max())
+    axis = c.model.axes[c.outputs.index(output)]
+    return float(np.hypot(table.get(f"u_{output}", 0.0), scale * table.get(f"u_f_{axis}", 0.0)))
 
 
 def soaks_of(readings: Readings) -> NDArray[np.intp] | None:

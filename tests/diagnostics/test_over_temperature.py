@@ -106,3 +106,21 @@ def test_soaks_and_hysteresis_by_hand():
     assert bias.hysteresis["unit"] == "g"
     # 4 mg² of soaks in squares of rows: Δ = 6 · 4e-6 on three, tr = 6 · 3
     assert bias.soak_sd == pytest.approx(np.sqrt(4e-6 / 3), rel=1e-2)
+
+
+@pytest.mark.parametrize("stated", [1e-4, 5e-3])
+def test_how_the_zero_repeats_is_in_u_once(stated):
+    """Soaks differ by 1 mg; of that and of what the budget states of the zero U has the larger."""
+    soak, up = np.repeat(np.arange(5), 6), np.tile(read_scheme("faces-6").up, (5, 1))
+    zero = np.array([1.0, -1.0, 0.4, -1.2, 0.8]) * 1e-3
+    rng = np.random.default_rng(3)
+    values = up + zero[soak, None] + 1e-6 * rng.standard_normal(up.shape)
+    warm = {"temperature": np.array([10.0, 20.0, 30.0, 40.0, 50.0])[soak]}
+    readings = mp.Readings(values, up=up, unit="g", environment=warm)
+    budget = {"stability": {f"u_{name}": stated for name in readings.outputs}}
+    plain, told = (
+        mp.over_temperature(mp.fit(readings, model=MODEL, budget=b), [30.0])[0]
+        for b in (None, budget)
+    )
+    assert plain.u[0] > 3e-4  # a tenth of what soaks differ by, at least, over five soaks
+    assert told.u[0] == pytest.approx(max(plain.u[0], stated), rel=0.02)
