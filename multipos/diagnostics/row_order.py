@@ -299,7 +299,7 @@ def _best_steps(test: _Test, e: Array, nu: float) -> tuple[Rows, Array, Array]:
             along = roots @ _from_each(columns[:, :, None] * e[:, [output]], steps)
             explained[:, output] = np.einsum("kqb,kqb->kb", along, along)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
-    gain = -nu * np.log(np.prod(1.0 - explained, axis=1))
+    gain = -nu * np.log1p(-explained).sum(axis=1)
     place = np.argmax(gain - test.limits[:, None], axis=0)
     units = np.arange(count)
     return place, gain[place, units], explained[place, :, units].T

@@ -449,11 +449,11 @@ def are_samples(readings: Readings) -> bool:
 
 
 def _refuse_log(readings: Readings) -> None:
-    """Refuse samples of a raw log."""
-    if are_samples(readings):
-        name = Path(readings.source or "LOG").name
+    """Refuse a file of samples; who hands in arrays may take each as a position."""
+    if readings.source is not None and are_samples(readings):
+        name = Path(readings.source).name
         raise MultiposError(
-            f"{readings.source or 'the readings'}: {len(readings)} rows of samples, not of "
+            f"{readings.source}: {len(readings)} rows of samples, not of "
             f"means; calibrate the log with multipos calibrate {name}, or average its rests "
             f"first with multipos average {name} -o readings.csv."
         )

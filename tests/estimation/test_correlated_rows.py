@@ -99,7 +99,7 @@ def test_how_many_rows_they_are_worth_is_said_and_kept(tmp_path):
     assert rows == pytest.approx(dict.fromkeys(cal.outputs, 400.0), rel=0.25)
     finding = next(d for d in cal.diagnostics.findings if d.code == "time-correlated")
     assert finding.outputs == cal.outputs
-    said = f"1200 rows equal fewer independent ones, ax {rows['ax']:.2g}"
+    said = f"1200 rows equal fewer independent ones (ax {rows['ax']:.2g}"
     assert said in finding.text
     cal.save(tmp_path / "cal.json")
     again = mp.load(tmp_path / "cal.json")
