@@ -51,11 +51,11 @@ def compete(c: Calibration, found: list[Finding]) -> list[Finding]:
     best = max(causes, key=lambda cause: cause.score)
     rivals = [finding for finding in found if finding.code in RIVALS]
     kept = [finding for finding in found if finding.code not in RIVALS]
-    strongest = max(rivals, key=lambda finding: _score(c, finding, freedom), default=None)
-    if strongest is not None:
-        said = {finding.code for finding in rivals}
-        if best.code in said or _score(c, strongest, freedom) >= best.score:
-            return [*kept, *(d for d in rivals if d.code == strongest.code)]
+    if rivals:
+        scores = [_score(c, finding, freedom) for finding in rivals]
+        strongest = rivals[int(np.argmax(scores))].code
+        if best.code in {finding.code for finding in rivals} or max(scores) >= best.score:
+            return [*kept, *(d for d in rivals if d.code == strongest)]
     return [*kept, _describe(c, best)]
 
 

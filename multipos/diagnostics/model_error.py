@@ -24,15 +24,13 @@ fitted straight shows as the next power of temperature (`multipos.diagnostics.sc
 two causes a zero of its own for each soak explains the other, so it is asked first.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
-from multipos.errors import RankError
-from multipos.estimation.known import solve_known
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
@@ -86,7 +84,8 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         curved = []
     ratios, dofs, sizes = [], [], []
     for i, mine in enumerate(c.model.columns):
-        design = np.column_stack([phi[:, mine], _columns(curved, i, c)])
+        further = columns_of(curved, i, c.reference, c.readings.environment)
+        design = np.column_stack([phi[:, mine], further])
         Q = np.linalg.qr(design)[0]
         V = left_of(Q, columns)
         rows = seen_rows(V, columns)
@@ -102,18 +101,20 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
     return ModelTest("soak", c.outputs, tuple(ratios), tuple(dofs)), np.array(sizes)
 
 
-def _columns(kinds: list[Kind], output: int, c: Calibration) -> Array:
-    """Return the columns (n, q) of kinds of terms of one output."""
-    variables = {axis: c.reference[:, i] for i, axis in enumerate(COMPONENTS)}
-    variables |= dict(c.readings.environment)
+def columns_of(
+    kinds: Sequence[Kind], output: int, reference: Array, environment: Mapping[str, Array]
+) -> Array:
+    """Return the columns (n, q) of kinds of terms of one output, at references (n, 3) [g]."""
+    variables = {axis: reference[:, i] for i, axis in enumerate(COMPONENTS)} | dict(environment)
     terms = [term for kind in kinds for term in kind.terms[output]]
-    columns = [np.broadcast_to(term.evaluate(variables), len(c.reference)) for term in terms]
-    return np.column_stack(columns) if columns else np.zeros((len(c.reference), 0))
+    columns = [np.broadcast_to(term.evaluate(variables), len(reference)) for term in terms]
+    return np.column_stack(columns) if columns else np.zeros((len(reference), 0))
 
 
 _MOST = 3  # terms named
 _LARGEST = 0.05  # of the scale factor, that a term of force may be
 _ALONE = 1e-6  # of 1 − leverage, where a row alone fixes a parameter
+_SEPARATE = 1e-9  # of a column, that the others leave of it
 _AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of chi² on one degree
 
 
@@ -199,27 +200,70 @@ def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
     if c.robust_weight is not None:
         return True
     kinds = [kind for kind in lacking(c) if kind.name in named]
-    more = [tuple(t for kind in kinds for t in kind.terms[i]) for i in range(len(c.outputs))]
-    terms = tuple((*own, *new) for own, new in zip(c.model.terms, more, strict=True))
-    wider = replace(c.model, terms=terms)
-    try:
-        found = solve_known(wider, c.reference, c.readings)
-    except RankError:
-        return False
-    response = np.linalg.norm(c.sensitivity, axis=1)
-    for part, new, size in zip(wider.slices, more, response.tolist(), strict=True):
-        coefficients = found.parameters[part.stop - len(new) : part.stop].tolist()
-        pairs = zip(new, coefficients, strict=True)
-        if any(abs(value) > _LARGEST * size for term, value in pairs if not term.environment):
-            return False
-    before = _left_out(c.residuals, c.diagnostics.leverage)
-    after = _left_out(found.residuals, found.leverage)
-    return bool(np.sum(after / np.where(before > 0.0, before, 1.0)) < len(before))
+    root = np.broadcast_to(1.0 / c.sd_of_readings, c.residuals.shape)
+    phi = c.model.basis(c.reference, c.readings.environment)
+    size = np.linalg.norm(c.sensitivity, axis=1)
+    designs, added, largest, values = [], [], [], []
+    for i, own in enumerate(c.model.columns):
+        weight = root[:, [i]]
+        designs.append(phi[:, own] * weight)
+        added.append(columns_of(kinds, i, c.reference, c.readings.environment) * weight)
+        largest.append(largest_coefficients(kinds, i)[:, None] * size[i])
+        values.append(c.residuals[:, [i]] * weight)
+    return bool(are_better_with(designs, added, largest, values)[0])
 
 
-def _left_out(residuals: Array, leverage: Array) -> Array:
-    """Return the sum of squares (M,) of the errors at rows that are left out one by one."""
-    return np.asarray(np.sum((residuals / np.maximum(1.0 - leverage, _ALONE)) ** 2, axis=0))
+def largest_coefficients(kinds: Sequence[Kind], output: int) -> Array:
+    """Return how large coefficients (k,) of terms of a sensor can be, per scale factor."""
+    terms = [term for kind in kinds for term in kind.terms[output]]
+    return np.array([np.inf if term.environment else _LARGEST for term in terms])
+
+
+def are_better_with(
+    designs: Sequence[Array],
+    added: Sequence[Array],
+    largest: Sequence[Array],
+    values: Sequence[Array],
+) -> NDArray[np.bool_]:
+    """Tell in which units (B,) further terms lower the errors at rows that are left out.
+
+    Parameters
+    ----------
+    designs, added : M arrays (n, p), (n, k)
+        Of the model, and of the terms.
+    largest : M arrays (k, B) or (k, 1)
+        That a coefficient can be.
+    values : M arrays (n, B)
+        Readings, or residuals of the model.
+    """
+    better = np.ones(values[0].shape[1], dtype=np.bool_)
+    ratio = np.zeros(len(better))
+    for X, Z, most, y in zip(designs, added, largest, values, strict=True):
+        before = _left_out(X, y)
+        if not Z.shape[1] or before is None:
+            ratio += 1.0
+            continue
+        after = _left_out(np.column_stack([X, Z]), y)
+        if after is None:
+            return np.zeros_like(better)
+        better &= (np.abs(after[1][X.shape[1] :]) <= most).all(axis=0)
+        ratio += after[0] / np.where(before[0] > 0.0, before[0], 1.0)
+    return np.asarray(better & (ratio < len(values)))
+
+
+def _left_out(X: Array, y: Array) -> tuple[Array, Array] | None:
+    """Return the sums of squares (B,) of errors at rows left out one by one, and coefficients.
+
+    None where the columns of X (n, p) are not separate.
+    """
+    length = np.linalg.norm(X, axis=0)
+    Q, R = np.linalg.qr(X / np.where(length > 0.0, length, 1.0))
+    if len(X) < X.shape[1] or np.abs(np.diag(R)).min() < _SEPARATE:
+        return None
+    along = Q.T @ y
+    left = 1.0 - np.einsum("np,np->n", Q, Q)[:, None]
+    error = (y - Q @ along) / np.maximum(left, _ALONE)
+    return np.einsum("nb,nb->b", error, error), np.linalg.solve(R, along) / length[:, None]
 
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:

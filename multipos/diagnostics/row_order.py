@@ -273,11 +273,11 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     score, p, step = np.full(shape, -np.inf), np.ones(shape), np.zeros(shape, dtype=np.intp)
     for row, test in enumerate(plan.tests):
         place, gain, explained = _best_steps(test, e, plan.nu)
-        step[row] = test.family.steps[place]
         units = np.flatnonzero((gain > test.limits[place]) & whole)
         if len(units):
             given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
-            p[row, units], score[row, units] = _judge(plan, test, *given)
+            place[units], p[row, units], score[row, units] = _judge(plan, test, *given)
+        step[row] = test.family.steps[place]
     if whole.all():
         _judge_slow(plan, e, score[-1], p[-1])
     codes = (*(test.family.code for test in plan.tests), SLOW)
@@ -335,8 +335,8 @@ def _together(logs: Array) -> Array:
 
 def _judge(
     plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows, explained: Array, gain: Array
-) -> tuple[Array, Array]:
-    """Return p (U,) and S (U,) of units whose Λ is beyond the limit."""
+) -> tuple[Rows, Array, Array]:
+    """Return the step, p and S (U,) of units whose Λ is beyond the limit."""
     q, m = test.ranks[place], e.shape[1]
     if test.family.apart:
         left, columns = plan.nu - q, q * m
@@ -344,12 +344,23 @@ def _judge(
     else:
         left, columns = plan.freedom - q, q
         ratios = (np.expm1(gain / plan.freedom) * left / q)[None]
-        after = np.arange(len(e)) >= test.family.steps[place][:, None]
-        Z = _moved(test.family.base, slopes) * plan.weight[..., None] * after[:, :, None, None]
-        gain = fit_sizes(plan.bases, Z, np.moveaxis(e, 2, 0))[1]
+        place, gain = _refined(plan, test, e, slopes, place)
     p = np.minimum(_together(_log_tails(ratios, q, left)) * test.tried * plan.codes, 1.0)
     score = gain - columns * math.log(plan.freedom) - 2.0 * math.log(test.tried)
-    return p, np.where(p < LEVEL, score, -np.inf)
+    return place, p, np.where(p < LEVEL, score, -np.inf)
+
+
+def _refined(plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows) -> tuple[Rows, Array]:
+    """Return the step (U,) and Λ (U,) with the slopes (U, M, 3) and scatters of each unit."""
+    moved = _moved(test.family.base, slopes) * plan.weight[..., None]
+    unit, last = np.moveaxis(e, 2, 0), len(test.limits) - 1
+    best, gain = place, np.full(len(place), -np.inf)
+    for step in (0, -1, 1) if last else (0,):  # a plan's slopes may be those of another unit
+        tried = np.clip(place + step, 0, last)
+        after = np.arange(len(e)) >= test.family.steps[tried][:, None]
+        found = fit_sizes(plan.bases, moved * after[:, :, None, None], unit)[1]
+        best, gain = np.where(found > gain, tried, best), np.maximum(found, gain)
+    return best, gain
 
 
 def _moved(base: Array, slopes: Array) -> Array:

@@ -326,7 +326,8 @@ _POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noi
 # What units are found of without being looked at in full, in the order of `fit`.
 _CODES = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
-    *("lack-of-fit", _REJECTED, "placement", "time-correlated", _OVERSTATED),
+    *("lack-of-fit", _REJECTED, "placement", "time-correlated", "drift", "slipped", "replaced"),
+    *("settling", "hysteresis", "vibration", "level", "table", _OVERSTATED),
 )
 _OF_UNITS = frozenset((*_CODES[4:], _POOR))
 
@@ -366,11 +367,17 @@ def _findings(
         named[_REJECTED] = found.chi2 > chi2_quantile(REJECTED, freedom)
         named[_REJECTED] &= ~named.get("outlier", np.False_)  # which explains it
         named[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
-    words, number = [pattern.findings], np.zeros(count, dtype=np.intp)
-    for code, each in named.items():
-        number += len(words) * each
-        words += [_in_order((*word.split(";"), code)) for word in words]
-    return [words[i] for i in number.tolist()]
+    codes = [code for code, each in named.items() if each.any()]
+    number = np.zeros(count, dtype=np.intp)
+    for place, code in enumerate(codes):
+        number += named[code].astype(np.intp) << place
+    words = {
+        mask: _in_order(
+            (*pattern.findings.split(";"), *(c for i, c in enumerate(codes) if mask >> i & 1))
+        )
+        for mask in np.unique(number).tolist()
+    }
+    return [words[mask] for mask in number.tolist()]
 
 
 def solve_task(task: Task) -> Solved:

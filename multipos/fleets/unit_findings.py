@@ -9,8 +9,8 @@ leverages, quantiles. The tests are then contractions over units:
   similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
   the unit is left to the fit of one;
 - lack of fit and orientation errors (`multipos.diagnostics.noise_causes`);
-- causes of time and table (`multipos.diagnostics.row_order`), with which all others compete: a unit
-  that shows one at first sight is left to the fit of one.
+- causes of time and table (`multipos.diagnostics.row_order`), with which all others compete by S of
+  eq. (3) there; where two are as good, or several rows are off, the unit is left to the fit of one.
 
 Readings state no noise, or one that is equal in all readings of an output.
 """
@@ -24,8 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics import noise_causes
-from multipos.diagnostics.projections import Projection, Setting, is_level, lacking, project
-from multipos.diagnostics.row_order import Plan, plan_of, search_units
+from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
+from multipos.diagnostics.projections import (
+    Kind,
+    Projection,
+    Setting,
+    is_level,
+    lacking,
+    project,
+)
+from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
@@ -50,6 +58,7 @@ _AT_ONCE = 12_000  # readings of an output, so that what tests need stays in cac
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
+_CLOSE = 1.0  # of S, within which causes are as good
 _MOST = 1000  # positions of which the nearest two are looked for
 
 
@@ -61,6 +70,8 @@ class UnitTests:
     ----------
     projection : Projection or None
         On the terms that the model lacks, if it lacks any.
+    kinds : tuple of Kind
+        These.
     soaks : bool
         A missing term of temperature may be a zero of each soak.
     leverage : (M, n) array
@@ -75,6 +86,7 @@ class UnitTests:
     """
 
     projection: Projection | None
+    kinds: tuple[Kind, ...]
     soaks: bool
     leverage: Array
     repeats: NDArray[np.intp] | None
@@ -111,6 +123,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     temperature = c.readings.environment.get(COLUMN)
     return UnitTests(
         projection=projection,
+        kinds=kinds,
         soaks=temperature is not None and find_soaks(temperature) is not None,
         leverage=np.stack([each.leverage for each in shared.by_output]),
         repeats=position if position.max() + 1 < len(position) else None,
@@ -148,8 +161,12 @@ def find_in_units(
         _find(tests, shared, [y[first : first + step] for y in values], found, first)
         for first in range(0, count, step)
     ]
-    codes = parts[0].found
-    joined = {code: np.concatenate([part.found[code] for part in parts]) for code in codes}
+    joined = {
+        code: np.concatenate(
+            [part.found.get(code, np.zeros(len(part.singly), dtype=np.bool_)) for part in parts]
+        )
+        for code in dict.fromkeys(code for part in parts for code in part.found)
+    }
     return UnitFindings(joined, np.concatenate([part.singly for part in parts]))
 
 
@@ -161,37 +178,109 @@ def _find(
     residuals = np.stack([each[units] for each in found.residuals])
     variance = None if found.variance is None else found.variance[units].T[:, :, None]
     error = residuals if variance is None else residuals / np.sqrt(variance)
-    missing = _missing_terms(tests, values, error)
     sensitivity = inverses(found.inverse[units])
     outlying, singly = _outliers(tests, shared, sensitivity, residuals, error)
-    misplaced = np.zeros_like(missing)
-    axes = sorted(shared.model.axes) == list(COMPONENTS)
-    if not tests.stated and axes:
-        misplaced = (
-            _off_positions(shared, found.parameters[units], residuals) & ~missing & ~outlying
-        )
-    if tests.soaks:
-        singly |= missing
+    lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
+    significant, of_terms = _missing_terms(tests, values, error)
+    missing = _admissible(tests, shared, sensitivity, residuals, significant)
+    scored: Mask = np.zeros(len(missing), dtype=np.bool_)
+    shown = None
     if tests.order is not None:
-        slopes = (
-            sensitivity if variance is None else sensitivity / np.sqrt(variance).transpose(1, 0, 2)
-        )
+        slopes = sensitivity
+        if variance is not None:
+            slopes = sensitivity / np.sqrt(variance).transpose(1, 0, 2)
         shown = search_units(tests.order, error, slopes)
-        singly |= np.isfinite(shown.score).any(axis=0)
+        scored = scored | np.isfinite(shown.score.max(axis=0))
+    misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
+    if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
+        asked = np.asarray(~significant.any(axis=1))
+        misplaced, of_positions = _off_positions(
+            shared, found.parameters[units], residuals, asked, scored
+        )
     codes = {
         "missing-term": missing,
         "outlier": outlying,
-        "lack-of-fit": _lack_of_fit(tests, shared, values, residuals),
+        "lack-of-fit": lacking_fit,
         "placement": misplaced,
     }
+    if tests.soaks:
+        singly |= missing | scored
+    if shown is not None and scored.any():
+        of_row, several = _one_row(tests, error)
+        rivals = np.stack([of_terms, of_row, of_fit, of_positions])
+        singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
+    codes["placement"] = codes["placement"] & ~codes["outlier"]
     return UnitFindings(codes, singly)
 
 
-def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> Mask:
-    """Return of which units the model lacks a term (B,), by whitened residuals (M, B, n)."""
-    on = tests.projection
+def _compete(shown: Shown, codes: dict[str, Mask], rivals: Array) -> Mask:
+    """Keep the best of what explains the residuals of a unit, and return where two are as good.
+
+    Parameters
+    ----------
+    shown : Shown
+    codes : dict of four codes, each with the units (B,) that it is found of
+    rivals : (4, B) array
+        S of these.
+    """
+    best = shown.score.max(axis=0)
+    scored = np.isfinite(best)
+    held = np.where(np.stack(list(codes.values())), rivals, -np.inf)
+    strongest, top = held.argmax(axis=0), held.max(axis=0)
+    with np.errstate(invalid="ignore"):
+        wins, close = scored & (best > top), scored & (np.abs(best - top) < _CLOSE)
+    for place, code in enumerate(list(codes)):
+        codes[code] = codes[code] & (~scored | ((strongest == place) & ~wins))
+    winner = shown.score.argmax(axis=0)
+    for place in np.unique(winner[wins]).tolist():
+        code = shown.codes[place]
+        codes[code] = codes.get(code, np.zeros_like(wins)) | (wins & (winner == place))
+    return np.asarray(close)
+
+
+def _one_row(tests: UnitTests, error: Array) -> tuple[Array, Mask]:
+    """Return S (B,) of the row that is most off, and where a second one is nearly as far off."""
+    m, _, n = error.shape
+    order = tests.order
+    assert order is not None
+    square = np.einsum("mbn,mbn->mb", error, error)[:, :, None]
+    share = error**2 / (square * np.maximum(1.0 - tests.leverage[:, None], _LEAST))
+    gain = -order.nu * np.log1p(-np.minimum(share, 1.0 - FINEST)).sum(axis=0)
+    two = np.sort(gain, axis=1)[:, -2:]
+    score = two[:, 1] - m * math.log(order.freedom) - 2.0 * math.log(n)
+    return score, two[:, 0] > _COMPARABLE * two[:, 1]
+
+
+def _admissible(
+    tests: UnitTests, shared: SharedDesign, sensitivity: Array, residuals: Array, significant: Mask
+) -> Mask:
+    """Return of which units (B,) one of the kinds (B, K) is a term that a sensor can have."""
+    found = np.zeros(len(significant), dtype=np.bool_)
+    size = np.linalg.norm(sensitivity, axis=2).T
+    for place in np.flatnonzero(significant.any(axis=0)).tolist():
+        assert tests.projection is not None
+        name = tests.projection.names[place]
+        kinds = [kind for kind in tests.kinds if kind.name == name]
+        if name in tests.projection.hidden:
+            continue
+        units = np.flatnonzero(significant[:, place] & ~found)
+        outputs = range(len(residuals))
+        added = [columns_of(kinds, i, shared.reference, shared.environment) for i in outputs]
+        largest = [np.outer(largest_coefficients(kinds, i), size[i, units]) for i in outputs]
+        found[units] = are_better_with(
+            shared.designs, added, largest, [each[units].T for each in residuals]
+        )
+    return found
+
+
+def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> tuple[Mask, Array]:
+    """Return of which units a kind of term is significant (B, K), and S (B,) of the best.
+
+    By whitened residuals (M, B, n).
+    """
+    on, count = tests.projection, error.shape[1]
     if on is None:
-        return np.zeros(error.shape[1], dtype=np.bool_)
+        return np.zeros((count, 0), dtype=np.bool_), np.full(count, -np.inf)
     explained = explained_by(on, error)
     whole = np.einsum("mbn,mbn->bm", error, error)[:, None]
     q, left, least_variance = on.q, on.left, np.zeros(1)
@@ -213,7 +302,18 @@ def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> Mask:
         outputs = np.flatnonzero(tested[unit, kind]).tolist()
         exact = [f_tail(ratio[unit, kind, i], q[kind, i], nu[kind, i]) for i in outputs]
         total[unit, kind] = sum(math.log(max(tail, _LEAST)) for tail in exact)
-    return np.asarray((total < limit).any(axis=1))
+    significant = total < limit
+    best = np.argmin(np.where(significant, total - limit, np.inf), axis=1)
+    units = np.arange(count)
+    columns = np.where(tested, q, 0.0)[units, best]
+    left = nu[best]
+    gain = (columns + left) * np.log1p(
+        columns * ratio[units, best] / np.where(columns > 0.0, left, 1.0)
+    )
+    freedom = float(np.sum(on.left))
+    score = np.where(columns > 0.0, gain, 0.0).sum(axis=1)
+    score -= columns.sum(axis=1) * math.log(freedom)
+    return significant, score - 2.0 * np.log(np.maximum(np.sum(used > 0, axis=1), 1))
 
 
 def _limits(used: NDArray[np.intp]) -> Array:
@@ -266,8 +366,13 @@ def _limit(nu: float, readings: int) -> float:
     return largest_square(nu, readings) if nu >= 2.0 else math.inf
 
 
-def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) -> Mask:
-    """Return of which units residuals lie across the force, as orientation errors make them."""
+def _off_positions(
+    shared: SharedDesign, parameters: Array, residuals: Array, asked: Mask, scored: Mask
+) -> tuple[Mask, Array]:
+    """Return of which units residuals lie across the force, as orientation errors make them.
+
+    Of those scored, S (B,) of eq. (3) of `multipos.diagnostics.row_order` beside it.
+    """
     model, (_, count, n) = shared.model, residuals.shape
     force = np.broadcast_to(shared.reference.T[:, None], (3, count, n))
     coefficients = model_coefficients(model, parameters)
@@ -281,23 +386,28 @@ def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) ->
         force=shared.reference,
         stated=np.zeros((count, n, 3)),
     )
-    found = noise_causes.across_the_force(of)
+    found = noise_causes.across_the_force(of) & asked
+    score = np.full(count, -np.inf)
     units = np.flatnonzero(found)
     if len(units):
         some = of.some(units)
-        equal = noise_causes.explain_equal(some)
         moved = noise_causes.explain_orientations(some)
-        found[units] = noise_causes.prefers_orientations(equal, moved)
-    return found
+        found[units] = noise_causes.prefers_orientations(noise_causes.explain_equal(some), moved)
+        beside = scored[units] & found[units]
+        if beside.any():  # two variances for three
+            unequal = noise_causes.explain_unequal(some.some(np.flatnonzero(beside))).deviance
+            score[units[beside]] = unequal - moved.deviance[beside] + math.log(of.freedom)
+    return found, score
 
 
 def _lack_of_fit(
     tests: UnitTests, shared: SharedDesign, values: list[Array], residuals: Array
-) -> Mask:
-    """Return of which units repeats agree better than the model meets them."""
+) -> tuple[Mask, Array]:
+    """Return of which units repeats agree better than the model meets them, and S of that (B,)."""
     found = np.zeros(residuals.shape[1], dtype=np.bool_)
+    score = np.zeros(len(found))
     if tests.repeats is None:
-        return found
+        return found, score
     level = LEVEL / len(residuals)
     for each, y, design in zip(residuals, values, shared.designs, strict=True):
         tested = lack_of_fit_ratios(each, tests.repeats, design.shape[1], np.ones(len(design)))
@@ -306,8 +416,10 @@ def _lack_of_fit(
         f, lack, pure = tested
         beyond = np.flatnonzero(f > f_quantile(1.0 - level, float(lack), float(pure)))
         freedom = float(np.subtract(*design.shape))
+        score += (lack + pure) * np.log1p(lack * f / pure)
+        score -= lack * math.log(float(shared.dof.sum()))
         for unit in beyond.tolist():
             sd = math.sqrt(float(each[unit] @ each[unit]) / freedom)
             # repeats that agree because they are rounded say nothing of the noise
             found[unit] |= sd > resolution(y[unit])
-    return found
+    return found, score
