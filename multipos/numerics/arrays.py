@@ -71,8 +71,11 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     gaps = np.where(gaps > 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0), gaps, 0.0)
     least = np.where(gaps > 0.0, gaps, np.inf).min(axis=0)
     asked = (least <= _FINE * span) & (least > 2.0 * scatter)
-    steps = np.zeros(values.shape[1])
-    for column in np.flatnonzero(asked).tolist():
+    steps, columns = np.zeros(values.shape[1]), np.flatnonzero(asked)
+    # most of what is on no grid shows it in its largest gap
+    parts = np.arange(1.0, _DIVISORS + 1.0)[:, None] * (gaps.max(axis=0) / least)[columns]
+    columns = columns[(np.abs(parts - np.rint(parts)) < 2.0 * _ON_GRID).any(axis=0)]
+    for column in columns.tolist():
         tried = least[column] / np.arange(1.0, _DIVISORS + 1.0)
         tried = tried[tried > 2.0 * scatter[column]]
         parts = gaps[:, column] / tried[:, None]

@@ -228,15 +228,19 @@ def coverage_factors(confidence: float, dof: Array) -> Array:
     Many different ones come from SciPy's quantiles, where it is installed, after a step of Newton's
     on its tails.
     """
-    each = dof.ravel().tolist()
-    if len(set(each)) < _MANY:  # `coverage_factor` keeps what it has found
-        return np.array([coverage_factor(confidence, nu) for nu in each]).reshape(dof.shape)
+    different, place = np.unique(dof, return_inverse=True)
+    found = _many_factors(confidence, different) if len(different) >= _MANY else None
+    if found is None:  # `coverage_factor` keeps what it has found
+        found = np.array([coverage_factor(confidence, nu) for nu in different.tolist()])
+    return np.asarray(found[place.reshape(dof.shape)])
+
+
+def _many_factors(confidence: float, different: Array) -> Array | None:
+    """Return the factors by SciPy, None where it is not installed."""
     try:
         from scipy.special import betainc, gammaln, ndtri, stdtrit
     except ImportError:
-        return np.array([coverage_factor(confidence, nu) for nu in each]).reshape(dof.shape)
-
-    different, place = np.unique(dof, return_inverse=True)
+        return None
     nu = np.where(different > 0.0, different, np.nan)
     p = (1.0 - confidence) / 2.0
     with np.errstate(invalid="ignore"):  # nan and infinite degrees of freedom
@@ -245,7 +249,7 @@ def coverage_factors(confidence: float, dof: Array) -> Array:
         density = 2.0 * np.exp(constant - (nu + 1.0) / 2.0 * np.log1p(k**2 / nu))
         better = k + (betainc(nu / 2.0, 0.5, nu / (nu + k**2)) - 2.0 * p) / density
     k = np.where(nu < _KNOWN, better, k)
-    return np.asarray(np.where(np.isinf(nu), -ndtri(p), k)[place].reshape(dof.shape))
+    return np.asarray(np.where(np.isinf(nu), -ndtri(p), k))
 
 
 @lru_cache(_KEPT)
