@@ -2,11 +2,13 @@
 
 Beside READINGS.csv stand READINGS_log.csv, the rows of a source that is no log, written as they
 come, and READINGS_session.json, the threshold and rate that were fixed and what the user took back.
-With these and the log the same poses are found again.
+With these and the log the same poses are found again. READINGS_session.lock has the number of the
+process that writes them, while it does.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -21,6 +23,7 @@ from multipos.files.whole import write_text
 
 _SCHEMA = "multipos/capture/1"
 _LAST = 1 << 16  # bytes that hold the last row
+_DIGITS = 10  # that no process number has
 _DEFAULT = Path("capture.csv")  # of a source whose rows would be gone otherwise
 
 
@@ -87,25 +90,90 @@ class Kept:
             self.written = text
 
 
-def keep(source: RowSource, readings: Path | None, *, resume: bool) -> Kept:
-    """Return what is kept, beside the readings; earlier rows are never written over.
+def files_kept(source: RowSource, readings: Path) -> tuple[Path, ...]:
+    """Return the session file, its lock and, of a source that is no log, where its rows go."""
+    endings = ("_session.json", "_session.lock", *(() if source.is_log else ("_log.csv",)))
+    return tuple(readings.with_name(f"{readings.stem}{ending}") for ending in endings)
+
+
+@contextmanager
+def keep(source: RowSource, readings: Path | None, *, resume: bool) -> Iterator[Kept]:
+    """Yield what is kept, beside the readings; earlier rows are never written over.
 
     Raises
     ------
     UsageError, MultiposError
-        There is no session to go on with.
+        There is no session to go on with, or another process keeps one there.
     """
     if readings is None and not source.untimed:
         if resume:
             raise UsageError("--resume goes on with the session of -o READINGS.csv; name it.")
-        return Kept()
-    path = readings or _DEFAULT
-    kept = Kept(session=path.with_name(f"{path.stem}_session.json"))
-    log = None if source.is_log else path.with_name(f"{path.stem}_log.csv")
-    kept.log = log
-    assert kept.session is not None
+        yield Kept()
+        return
+    session, lock, *logs = files_kept(source, readings or _DEFAULT)
+    with _locked(lock) as said:
+        yield _kept(session, logs[0] if logs else None, said, resume=resume)
+
+
+@contextmanager
+def _locked(lock: Path) -> Iterator[list[str]]:
+    """Hold a lock, by the number of this process; yield what to say of an older one.
+
+    Raises
+    ------
+    MultiposError
+        A process that still runs holds it, or it cannot be made.
+    """
+    said = []
+    owner = _owner(lock)
+    if owner is not None:
+        said.append(f"process {owner} has ended without its session; {lock} is taken over")
+        lock.unlink(missing_ok=True)
+    try:
+        with lock.open("x", encoding="ascii") as stream:
+            stream.write(f"{os.getpid()}\n")
+    except OSError as error:
+        raise MultiposError(
+            f"{lock}: cannot write: {error.strerror or error}; check the folder and permissions."
+        ) from None
+    try:
+        yield said
+    finally:
+        lock.unlink(missing_ok=True)
+
+
+def _owner(lock: Path) -> int | None:
+    """Return the process that left a lock; None where there is none.
+
+    Raises
+    ------
+    MultiposError
+        It still runs.
+    """
+    try:
+        text = lock.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        return None
+    owner = int(text) if text.isdecimal() and len(text) < _DIGITS else 0
+    try:
+        if owner:
+            os.kill(owner, 0)
+    except ProcessLookupError:
+        return owner
+    except OSError:  # somebody else's
+        pass
+    if not owner:
+        return owner
+    raise MultiposError(
+        f"{lock}: process {owner} keeps a session there; end it, or give another -o."
+    )
+
+
+def _kept(session: Path, log: Path | None, said: list[str], *, resume: bool) -> Kept:
+    """Return what is kept where the lock is held."""
+    kept = Kept(log=log, session=session, said=said)
     if resume:
-        kept.earlier = _read(kept.session)
+        kept.earlier = _read(session)
         kept.before = log
     if log is not None:
         kept.said += _make_way(log, resume=resume)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from multipos.capturing.evaluation import SessionPlan, Targets, read_targets
+from multipos.capturing.evaluation import SessionPlan, Targets, average_poses, read_targets
 from multipos.capturing.keeping import Kept
 from multipos.capturing.live_rests import RowOptions
 from multipos.capturing.session import Session
@@ -272,12 +272,21 @@ def run_session(
     going_on = kept.before is not None
     log = nullcontext(None) if kept.log is None else closing(RawLog(kept.log, going_on=going_on))
     with log as raw:
-        with suppress(KeyboardInterrupt):
-            _feed(session, source, columns, raw, kept, going_on=False)
-        with session.changed:
-            session.finish()
-            session.changed.notify_all()
-        kept.write(session)
+        try:
+            with suppress(KeyboardInterrupt):
+                _feed(session, source, columns, raw, kept, going_on=False)
+        except BaseException:  # the rests that are there count all the same
+            with suppress(Exception):
+                _finish(session, kept)
+            raise
+        _finish(session, kept)
+
+
+def _finish(session: Session, kept: Kept) -> None:
+    with session.changed:
+        session.finish()
+        session.changed.notify_all()
+    kept.write(session)
 
 
 def _feed(
@@ -331,3 +340,9 @@ def captured(session: Session) -> Captured:
     """Return the result of a session."""
     found = session.evaluation
     return Captured(found.averages, found.calibration, found.problem, state_of(session))
+
+
+def rescued(session: Session) -> Captured:
+    """Return what an unfinished session has taken: the averages of the poses that count."""
+    averages = average_poses(session.plan, session.still_log(), session.accepted)
+    return Captured(averages, None, None, state_of(session))

@@ -6,7 +6,7 @@ stream of server-sent events, whole after each change and the live values in bet
 
 A page of another site can make a browser send requests here, and a name that its owner points to
 127.0.0.1 can make it read the answers. So every request must name this host, and, where the browser
-says which page it is from, be from this one. No path of a request reaches the file system.
+says which page or site it is from, be from this one. No path of a request reaches the file system.
 """
 
 import base64
@@ -15,17 +15,20 @@ import json
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import unquote
 
 from multipos.capturing.session import Session
 from multipos.capturing.state import live_of, state_of
 from multipos.errors import MultiposError, UsageError
+
+Server = TypeVar("Server", bound=ThreadingHTTPServer)
 
 LOOPBACK = "127.0.0.1"
 _HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
@@ -56,7 +59,7 @@ def serve(session: Session, port: int | None, *, default: int) -> Iterator[str]:
     UsageError
         It is none.
     """
-    server = _bind(session, port, default)
+    server = bind(partial(_Server, session), port, default)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1})
     thread.start()
     try:
@@ -68,14 +71,23 @@ def serve(session: Session, port: int | None, *, default: int) -> Iterator[str]:
         server.server_close()
 
 
-def _bind(session: Session, port: int | None, default: int) -> "_Server":
+def bind(make: Callable[[int], Server], port: int | None, default: int) -> Server:
+    """Return the server that `make` opens at a port: where none is asked for any that is free.
+
+    Raises
+    ------
+    MultiposError
+        The port is taken.
+    UsageError
+        It is none.
+    """
     if port is not None and not 0 <= port < 1 << 16:
         raise UsageError(f"--port must be from 0 (any that is free) to 65535, got {port}.")
     try:
-        return _Server(session, default if port is None else port)
+        return make(default if port is None else port)
     except OSError as error:
         if port is None:
-            return _Server(session, 0)
+            return make(0)
         raise MultiposError(
             f"port {port} cannot be used: {error.strerror or error}; give another --port."
         ) from None
@@ -212,6 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
         hosts = self.headers.get_all("Host") or []
         origins = self.headers.get_all("Origin") or []
         ours = len(hosts) == 1 and _HOST.fullmatch(hosts[0]) is not None
+        ours &= self.headers.get("Sec-Fetch-Site", "none") in ("same-origin", "none")
         if not ours or any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself, on this machine, is let in")
             return False

@@ -342,7 +342,7 @@ class Session:
             before = None
             if self.plan.targets:
                 before = self._evaluated(poses[:-1])
-            self._known[key] = evaluate(self.plan, self._still_log(), list(poses), before)
+            self._known[key] = evaluate(self.plan, self.still_log(), list(poses), before)
             for old in list(self._known)[1:-64]:  # the newest are asked for again, by undo
                 del self._known[old]
         return self._known[key]
@@ -377,7 +377,7 @@ class Session:
         self._choose_next()
         self.version += 1
 
-    def _still_log(self) -> StillLog:
+    def still_log(self) -> StillLog:
         """Return the log as it is by now, for the averages of its rests."""
         rows, rests = self.rows, self.rests
         assert rows is not None

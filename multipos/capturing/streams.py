@@ -378,8 +378,7 @@ def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
     block = left + chunk
     end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
     whole, left = block[:end], block[end:]
-    if len(left) > _LONGEST_LINE:
-        left = b""
+    left = left[:_LONGEST_LINE]  # of a longer line the middle goes, and it is a bad row
     text = whole.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
     return text.removeprefix("\ufeff"), left
 

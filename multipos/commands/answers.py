@@ -23,7 +23,7 @@ from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import STDIN, Pipe, is_pipe
 from multipos.files.spelling import escaped, visible_lines
-from multipos.files.whole import Content, written
+from multipos.files.whole import Content, check_place, written
 from multipos.finding import Finding, Findings, errors_of, in_order, serious
 
 STDOUT = "-"
@@ -140,7 +140,7 @@ class Answer:
         Asked when all else has been made.
     negative : callable
         Whether the verdict is negative, of the findings: where one is an error, if not given.
-    failure : str
+    failure : str or exception
         What could not be done; the rest is written, nothing is printed, and it is an error.
     verbatim : bool
         What is printed is a table for other programs: only a terminal gets escapes.
@@ -153,7 +153,7 @@ class Answer:
     forms: Mapping[str, Callable[[], Any]] = field(default_factory=dict)
     findings: Callable[[], Iterable[Finding]] = tuple
     negative: Callable[[Findings], bool] = lambda found: bool(errors_of(found))
-    failure: str = ""
+    failure: str | BaseException = ""
     verbatim: bool = False
 
     def make(self, form: str, ending: str) -> Any:
@@ -204,7 +204,9 @@ def settle(
     if not path:
         raise UsageError("-o needs a name; - is stdout.")
     ending = Path(path).suffix.lower()
-    _refuse_inputs([Path(path), *output.beside(arguments)], _named(arguments, inputs))
+    if path != STDOUT and output.own != "folder":
+        check_place(path)
+    refuse_inputs([Path(path), *output.beside(arguments)], _named(arguments, inputs))
     form = output.form(path, json=arguments.json)
     if _same(_status(path, None), _status(STDOUT, sys.stdout)):
         arguments.output = STDOUT
@@ -224,7 +226,13 @@ def _named(arguments: argparse.Namespace, inputs: Sequence[str]) -> Iterator[str
         yield model.strip()
 
 
-def _refuse_inputs(outputs: Sequence[Path], inputs: Iterable[str]) -> None:
+def refuse_inputs(outputs: Sequence[Path], inputs: Iterable[str]) -> None:
+    """Refuse outputs that are among the inputs.
+
+    Raises
+    ------
+    UsageError
+    """
     for name in inputs:
         source = _status(name, sys.stdin)
         if source is None or not stat.S_ISREG(source.st_mode):
@@ -331,6 +339,8 @@ def deliver(
         elif verbose and not answer.failure:
             detail = answer.detail()
             print_out([f"\n{detail}" if detail else ""])
+    if isinstance(answer.failure, BaseException):
+        raise answer.failure
     if answer.failure:
         raise MultiposError(answer.failure)
     return NEGATIVE if answer.negative(found) else 0

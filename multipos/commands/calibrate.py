@@ -32,7 +32,7 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
         return ()
     from multipos.commands.export import files_beside  # with all targets, and what they need
 
-    return files_beside(arguments)
+    return files_beside(arguments.to, arguments.output)
 
 
 INPUTS = ("logs", "sections", "scheme", "budget", "stability")

@@ -7,16 +7,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing.keeping import Kept, keep
-from multipos.capturing.running import Captured, captured, make_plan, make_reading, run_session
+from multipos.capturing.evaluation import SessionPlan
+from multipos.capturing.keeping import Kept, files_kept, keep
+from multipos.capturing.live_rests import RowOptions
+from multipos.capturing.running import (
+    Captured,
+    captured,
+    make_plan,
+    make_reading,
+    rescued,
+    run_session,
+)
 from multipos.capturing.session import Session
 from multipos.capturing.state import line_of
-from multipos.capturing.streams import RowSource, open_source
-from multipos.commands.answers import STDOUT, Answer, Output, print_out, same_file
-from multipos.commands.export import check_targets, make_exports
+from multipos.capturing.streams import open_source
+from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
+from multipos.commands.export import check_targets, files_beside, make_exports
 from multipos.commands.fit import add_fit_options
 from multipos.commands.options import add_order, add_reading, add_targets, export_options, say
-from multipos.errors import UsageError
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
@@ -26,6 +34,22 @@ from multipos.reports.documents import html_report
 from multipos.reports.sentences import calibration_sentence
 from multipos.reports.summary import detail_text, parameter_text
 
+
+def _calibration_path(output: str) -> Path:
+    path = Path(output)
+    plain = path.with_suffix(".json")
+    return plain if plain != path else path.with_name(f"{path.stem}_cal.json")
+
+
+def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
+    if arguments.output == STDOUT:
+        return ()
+    calibration = _calibration_path(arguments.output)
+    kept = files_kept(open_source(arguments.source), Path(arguments.output))
+    exports = files_beside(arguments.to, calibration)
+    return (calibration, calibration.with_suffix(".html"), *kept, *exports)
+
+
 INPUTS = ("scheme", "budget", "stability")
 OUTPUT = Output(
     "READINGS.csv",
@@ -33,6 +57,7 @@ OUTPUT = Output(
     "exports, and the rows of a source that is no log as they come",
     "table",
     ("json",),
+    beside=_beside,
 )
 PORT = 8035
 _READING = ("outputs", "time_column", "time_unit", "rate", "min_duration", "threshold")
@@ -81,21 +106,10 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     check_targets(arguments)
     source = open_source(arguments.source)
-    _refuse_input(source, arguments.output)
-    session, kept = _begin(arguments, source)
-    with ExitStack() as stack:
-        if not arguments.headless:
-            from multipos.capturing.screen import text_screen
-            from multipos.capturing.serving import serve
-
-            address = stack.enter_context(serve(session, arguments.port, default=PORT))
-            say(f"page at {address}")
-            stack.enter_context(text_screen(session, commands=arguments.source != STDOUT))
-        run_session(session, source, arguments.columns, kept)
-    return _answer(arguments, _Result(captured(session), arguments))
-
-
-def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, Kept]:
+    path = _readings_path(arguments)
+    if path is not None and source.path is not None:
+        refuse_inputs([path, *_beside(arguments)], [str(source.path)])
+    source.untimed = source.untimed and arguments.rate is None
     options = vars(arguments)
     apart = {*_READING, "to", *export_options(arguments), *_OWN, *_UNUSED}
     fitting = {name: value for name, value in options.items() if name not in apart}
@@ -103,32 +117,40 @@ def _begin(arguments: argparse.Namespace, source: RowSource) -> tuple[Session, K
         arguments.target, arguments.positions, arguments.scheme, fitting, arguments.order
     )
     reading = make_reading(**{name: options[name] for name in _READING})
-    source.untimed = source.untimed and arguments.rate is None
-    kept = keep(source, _readings_path(arguments), resume=arguments.resume)
+    with ExitStack() as stack:
+        kept = stack.enter_context(keep(source, path, resume=arguments.resume))
+        session = _begin(plan, reading, kept, headless=arguments.headless)
+        if not arguments.headless:
+            from multipos.capturing.screen import text_screen
+            from multipos.capturing.serving import serve
+
+            address = stack.enter_context(serve(session, arguments.port, default=PORT))
+            say(f"page at {address}")
+            stack.enter_context(text_screen(session, commands=arguments.source != STDOUT))
+        try:
+            run_session(session, source, arguments.columns, kept)
+        except BaseException as error:
+            if path is None or not session.accepted:
+                raise
+            return _answer(arguments, _Result(rescued(session), arguments), error)
+    return _answer(arguments, _Result(captured(session), arguments))
+
+
+def _begin(plan: SessionPlan, reading: RowOptions, kept: Kept, *, headless: bool) -> Session:
     for said in kept.said:
         say(said)
 
     def notify(session: Session) -> None:
-        if arguments.headless:
+        if headless:
             print_out([to_json_line(line_of(session))])
 
     session = Session(plan, kept.as_before(reading), notify)
     session.decide(kept.decided)
-    return session, kept
+    return session
 
 
 def _readings_path(arguments: argparse.Namespace) -> Path | None:
     return None if arguments.output in (None, STDOUT) else Path(arguments.output)
-
-
-def _refuse_input(source: RowSource, output: str | None) -> None:
-    """Refuse an output that is the log which is read."""
-    if output in (None, STDOUT) or source.path is None:
-        return
-    if same_file(source.path, output):
-        raise UsageError(
-            f"-o would write over {output}, which this command reads; give another name."
-        )
 
 
 @dataclass(frozen=True)
@@ -138,19 +160,13 @@ class _Result:
     captured: Captured
     arguments: argparse.Namespace
 
-    @property
-    def calibration_path(self) -> Path:
-        path = Path(self.arguments.output)
-        plain = path.with_suffix(".json")
-        return plain if plain != path else path.with_name(f"{path.stem}_cal.json")
-
     def exports(self) -> tuple[dict[Path, Exported], list[str]]:
         calibration = self.captured.calibration
         if not self.arguments.to:
             return {}, []
         if calibration is None:
             return {}, [f"no calibration to export: {self.captured.problem}"]
-        return make_exports(calibration, self.arguments, self.calibration_path)
+        return make_exports(calibration, self.arguments, _calibration_path(self.arguments.output))
 
     def files(self, made: str, exports: Mapping[Path, Exported]) -> Any:
         """Return what ``-o`` writes: the readings, and everything beside them."""
@@ -159,7 +175,7 @@ class _Result:
         files: dict[Any, Any] = {self.arguments.output: made}
         calibration = self.captured.calibration
         if calibration is not None:
-            path = self.calibration_path
+            path = _calibration_path(self.arguments.output)
             files[path] = to_json(calibration.to_dict())
             files[path.with_suffix(".html")] = html_report(build_content(calibration))
         for path, each in exports.items():
@@ -167,9 +183,12 @@ class _Result:
         return files
 
 
-def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
+def _answer(
+    arguments: argparse.Namespace, result: _Result, ended_by: BaseException | None = None
+) -> Answer:
+    """Return what is written and printed; of a session that an error ended its readings."""
     found = result.captured
-    exports, refused = result.exports()
+    exports, refused = result.exports() if ended_by is None else ({}, [])
     table = "" if found.averages is None else format_csv(found.averages.columns())
 
     def sentence() -> str:
@@ -201,5 +220,5 @@ def _answer(arguments: argparse.Namespace, result: _Result) -> Answer:
             *found.findings,
             *(note for each in exports.values() for note in each.findings),
         ),
-        failure=" ".join(refused),
+        failure=ended_by or " ".join(refused),
     )

@@ -107,13 +107,13 @@ def _listed(exported: Exported) -> list[dict[str, Any]]:
     return [found.to_dict() for found in exported.findings]
 
 
-def files_beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
-    """Return the exports, and the self-tests beside them."""
+def files_beside(targets: Sequence[str], calibration: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """Return the exports beside a calibration, and their self-tests."""
     paths: list[Path] = []
-    for name in arguments.to:
+    for name in targets:
         target = named_target(name)
         if target is not None:
-            path = beside(arguments.output, target)
+            path = beside(calibration, target)
             paths += [path, *(self_test(path) if target.is_code else ())]
     return tuple(paths)
 

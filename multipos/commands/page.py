@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from multipos.capturing.serving import LOOPBACK
 from multipos.commands.answers import Answer, Output, print_out
 from multipos.files.trees import to_json
 from multipos.page.runtime import VERSION
 from multipos.page.site import check_folder, make_site, write_site
-from multipos.page.site_server import LOOPBACK, PORT, open_server
+from multipos.page.site_server import PORT, open_server
 
 INPUTS = ()
 OUTPUT = Output("DIR", "write the site to DIR, for any host; without it, serve it here", "folder")

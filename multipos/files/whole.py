@@ -125,6 +125,19 @@ def _writing(path: str | os.PathLike[str]) -> Iterator[None]:
         ) from None
 
 
+def check_place(path: str | os.PathLike[str]) -> None:
+    """Say in one line why a file could not be written there, before any work is done for it.
+
+    Raises
+    ------
+    MultiposError
+    """
+    with _writing(path):
+        folder = _draft(path).target.parent
+        if not folder.is_dir():
+            raise FileNotFoundError(None, f"there is no folder {folder}")
+
+
 def _draft(path: str | os.PathLike[str]) -> _Draft:
     """Return where a file goes: a link stays, what it points to is written."""
     regular, folder = True, os.fspath(path).endswith("/")

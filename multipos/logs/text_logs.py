@@ -109,7 +109,13 @@ def is_row(line: str) -> bool:
 def split_rows(
     source: str, lines: Sequence[str], numbers: Sequence[int], delimiter: str
 ) -> list[list[str]]:
-    """Return the cells of rows of text, whose line numbers are given; a row is one line."""
+    """Return the cells of rows of text, whose line numbers are given; a row is one line.
+
+    Raises
+    ------
+    MultiposError
+        Of a quote that is not closed, or a cell of more than 128 KiB.
+    """
     if not delimiter:
         return [line.split() for line in lines]
     reader = csv.reader(lines, delimiter=delimiter, strict=True)
@@ -599,7 +605,13 @@ def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: _Wanted) -> Tab
 
 def _cells(text: _Text, rows: Rows, first: int, *, lenient: bool) -> list[list[str]]:
     """Return the cells of rows; empty ones where a row has too few or too many and that is fine."""
-    cells = split_rows(str(text.path), rows.lines, rows.numbers, text.layout.delimiter)
+    mark = text.layout.delimiter
+    try:
+        cells = split_rows(str(text.path), rows.lines, rows.numbers, mark)
+    except MultiposError:
+        if not lenient:
+            raise
+        cells = [_cells_of(line, mark) for line in rows.lines]
     width = len(text.columns)
     for i, row in enumerate(cells):
         if len(row) == width:
@@ -612,6 +624,14 @@ def _cells(text: _Text, rows: Rows, first: int, *, lenient: bool) -> list[list[s
             )
         cells[i] = [""] * width
     return cells
+
+
+def _cells_of(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one row, none where its quotes are not closed."""
+    try:
+        return split_rows("", [line], [0], delimiter)[0]
+    except MultiposError:
+        return []
 
 
 def _lenient(cells: Sequence[str], mark: str) -> Array:

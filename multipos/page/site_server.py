@@ -1,16 +1,14 @@
 """The site on this machine: served from memory on loopback, with the policies it asks for."""
 
 import mimetypes
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote, urlsplit
 
-from multipos.errors import MultiposError, UsageError
+from multipos.capturing.serving import LOOPBACK, bind
 from multipos.page.site import Site
 
-LOOPBACK = "127.0.0.1"
 PORT = 8036
 _TYPES = {
     ".js": "text/javascript",
@@ -20,37 +18,15 @@ _TYPES = {
 }
 
 
-@contextmanager
-def open_server(site: Site, port: int | None) -> Iterator[ThreadingHTTPServer]:
-    """Yield a server of a site, whose `serve_forever` serves it, and close it at the end.
-
-    Parameters
-    ----------
-    site : Site
-    port : int or None
-        None: the default, or any that is free.
+def open_server(site: Site, port: int | None) -> ThreadingHTTPServer:
+    """Return a server of a site, which `serve_forever` serves and ``with`` closes.
 
     Raises
     ------
-    MultiposError
-        The port is taken.
-    UsageError
-        It is none.
+    MultiposError, UsageError
+        As in `multipos.capturing.serving.bind`.
     """
-    if port is not None and not 0 <= port < 1 << 16:
-        raise UsageError(f"--port must be from 0 (any that is free) to 65535, got {port}.")
-    try:
-        server = _Server(site, PORT if port is None else port)
-    except OSError as error:
-        if port is not None:
-            raise MultiposError(
-                f"port {port} cannot be used: {error.strerror or error}; give another --port."
-            ) from None
-        server = _Server(site, 0)
-    try:
-        yield server
-    finally:
-        server.server_close()
+    return bind(partial(_Server, site), port, PORT)
 
 
 class _Server(ThreadingHTTPServer):

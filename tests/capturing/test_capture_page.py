@@ -101,6 +101,18 @@ def test_only_this_machine_and_this_page_are_let_in(live):
             assert live.ask(method, path, {"Host": own, "Origin": origin})[0] == 403, origin
 
 
+def test_an_image_on_another_site_holds_no_stream(live):
+    own = f"127.0.0.1:{live.port}"
+    for site, status in (
+        ("same-origin", 200),
+        ("none", 200),
+        ("cross-site", 403),
+        ("same-site", 403),
+    ):
+        assert live.ask("GET", "/state", {"Host": own, "Sec-Fetch-Site": site})[0] == status
+    assert live.ask("GET", "/events", {"Host": own, "Sec-Fetch-Site": "cross-site"})[0] == 403
+
+
 def test_two_hosts_or_none_are_not_let_in(live):
     for head in (
         b"GET / HTTP/1.1\r\n\r\n",

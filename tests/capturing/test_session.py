@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import os
+import subprocess
 import sys
 import threading
 import time
@@ -374,6 +376,75 @@ def test_garbage_is_counted_and_kept_as_comments(log, tmp_path, capsys):
     expected = mp.average(tmp_path / "clean.csv", threshold=found["threshold"])
     assert [r.rows for r in clean.rests] == [r.rows for r in expected.rests]
     assert (tmp_path / "run_log.csv").read_text().count("\n# ") == 3
+
+
+def test_quotes_and_endless_lines_are_one_bad_row_each(log, tmp_path, capsys):
+    rows = log.read_text().splitlines(keepends=True)
+    bad = ['0.1,"1,2,3\n', '"\n', '0.1,1,2,3"\n', "9" * 200_000 + ",1,2,3\n", "x" * 70_000 + "\n"]
+    path, out = tmp_path / "dirty.csv", tmp_path / "run.csv"
+    path.write_text("".join([*rows[:3000], *bad, *rows[3000:8000]]))
+    with stdin_of(path):
+        assert main(["capture", "-", "--headless", "-o", str(out)]) == 0
+    (tmp_path / "clean.csv").write_text("".join(rows[:8000]))
+    threshold = json.loads((tmp_path / "run_session.json").read_text())["threshold"]
+    expected = mp.average(tmp_path / "clean.csv", threshold=threshold)
+    assert len(out.read_text().splitlines()) == 1 + len(expected.rests)
+    kept = (tmp_path / "run_log.csv").read_text().splitlines()
+    assert sum(not line.startswith("#") for line in kept) == 8000
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("a fault"), mp.MultiposError("no disk"), SystemExit()]
+)
+def test_what_was_taken_is_written_whatever_ends_the_run(log, tmp_path, monkeypatch, error):
+    real = Session.feed
+
+    def fails(self, columns, **state):
+        if len(self.poses) == 7:
+            raise error
+        return real(self, columns, **state)
+
+    monkeypatch.setattr(Session, "feed", fails)
+    out = tmp_path / "run.csv"
+    command = ["capture", f"replay:{log}:0", "--headless", "-o", str(out)]
+    if isinstance(error, SystemExit):
+        with pytest.raises(SystemExit):
+            main(command)
+    else:
+        assert main(command) == 1
+    taken = out.read_text().splitlines()[1:]
+    assert len(taken) >= 7
+    assert not (tmp_path / "run_session.lock").exists()
+
+
+def test_what_stands_beside_the_readings_is_no_input(log, tmp_path, capsys):
+    for name, option in (("run.json", "--stability"), ("run.html", "--budget")):
+        (tmp_path / name).write_text("{}")
+        target = ["--to", "kalibr"] if option == "--stability" else []
+        command = ["capture", f"replay:{log}:0", "--headless", "-o", str(tmp_path / "run.csv")]
+        assert main([*command, *target, option, str(tmp_path / name)]) == 2
+        assert f"would write over {tmp_path / name}" in capsys.readouterr().err
+        assert (tmp_path / name).read_text() == "{}"
+
+
+def test_one_session_at_a_time_keeps_its_files_at_a_place(log, tmp_path, capsys):
+    lock, command = tmp_path / "run_session.lock", ["capture", f"replay:{log}:0", "--headless"]
+    command += ["--positions", "2", "-o", str(tmp_path / "run.csv")]
+    lock.write_text(f"{os.getpid()}\n")
+    assert main(command) == 1
+    assert f"process {os.getpid()} keeps a session there" in capsys.readouterr().err
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    lock.write_text(f"{ended.pid}\n")
+    assert main(command) == 0
+    assert f"process {ended.pid} has ended without its session" in capsys.readouterr().err
+    assert not lock.exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_pose(log, tmp_path, capsys):
+    place = tmp_path / "missing" / "run.csv"
+    assert main(["capture", f"replay:{log}:0", "--headless", "-o", str(place)]) == 1
+    assert capsys.readouterr().out == ""
 
 
 def test_a_log_that_grows_is_read_as_it_grows(log, tmp_path):
