@@ -253,7 +253,10 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     size = np.linalg.norm(calibration.reference, axis=1)
     setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
     up = sign * calibration.reference / size[:, np.newaxis]
-    present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(model.beliefs))
+    # A drift ends with its session: one position more would say nothing of it.
+    of_session = np.isin([str(term) for _, term in model.keys], model.of_session)
+    known = model.beliefs + np.where(of_session, 1.0 / calibration.u**2, 0.0)
+    present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(known))
     ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
     covered = np.empty(len(ratio))
     for part in setting.blocks:

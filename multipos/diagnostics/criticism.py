@@ -170,9 +170,10 @@ def find_influence(calibration: Calibration) -> Influence:
     _, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
     for column, (_, slopes) in enumerate(blocks):
         X = slopes / sd[:, [column]]
-        cofactor = np.linalg.inv(X.T @ X)
+        cofactor = np.linalg.pinv(X.T @ X, hermitian=True)  # a prior may be all that is known
         moved = (X @ cofactor) * (e[:, column] / left[:, column])[:, None]
-        shift[:, column] = np.abs(moved / np.sqrt(s2[column] * np.diag(cofactor))).max(axis=1)
+        own = np.sqrt(s2[column] * np.diag(cofactor))
+        shift[:, column] = np.abs(moved / np.where(own == 0.0, np.inf, own)).max(axis=1)
     return Influence(
         studentised=r,
         external=t,

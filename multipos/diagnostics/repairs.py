@@ -412,16 +412,21 @@ def explain_failure(error: MultiposError, readings: Readings) -> MultiposError:
     )
 
 
-def explain_breakdown(
-    error: np.linalg.LinAlgError, readings: Readings
-) -> MultiposError | np.linalg.LinAlgError:
-    """Return an error that names the largest reading, if the others drown in it; else the same."""
+def refuse_drowned(readings: Readings) -> None:
+    """Refuse readings of which one is so large that no digit is left of the others beside it.
+
+    Raises
+    ------
+    MultiposError
+    """
     size = np.abs(readings.values)
+    if not size.any():
+        return
     largest, typical = float(size.max()), float(median(size[size > 0.0]))
     if not largest > _DROWNED * typical:
-        return error
+        return
     row, column = divmod(int(size.argmax()), size.shape[1])
-    return MultiposError(
+    raise MultiposError(
         f"{readings.source or 'the readings'}: position {readings.labels[row]}: "
         f"{readings.outputs[column]} is {largest:.3g}, beside which no digit is left of the other "
         f"readings, of {typical:.3g} as a rule; leave such rows out, or look at the file."

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.diagnostics.examination import examine
-from multipos.diagnostics.repairs import explain_breakdown, explain_failure
+from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.correlated_rows import spread_correlation
@@ -391,14 +391,18 @@ def fit(
             estimate=options.estimate_orientation_sd,
             level_sd=options.level_sd,
         )
+    refuse_drowned(data)
     try:
         calibration = calibrate_at(built, data, stated_up, options)
     except MultiposError as error:
         if not options.unknown_orientation:
             raise
         raise explain_failure(error, data) from None
-    except np.linalg.LinAlgError as error:
-        raise explain_breakdown(error, data) from None
+    except np.linalg.LinAlgError:
+        raise MultiposError(
+            f"{len(data)} positions do not determine the {len(built.keys)} parameters of this "
+            "model under these options; add positions, or drop a term or an option."
+        ) from None
     if apart.any():
         calibration = with_excluded(calibration, whole, everywhere, apart)
     if before is not None:

@@ -252,10 +252,11 @@ def test_an_interchange_is_found_under_a_formula_that_is_nearly_linear():
     assert (found.code, found.rows) == ("interchanged-rows", ("1", "2"))
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_a_reading_in_which_all_others_drown_leaves_no_result():
-    up = mp.read_scheme("faces-6").up
+@pytest.mark.parametrize("known", [{}, {"orientation_sd": 0.5}, {"unknown_orientation": True}])
+def test_a_reading_in_which_all_others_drown_leaves_no_result(known):
+    up = mp.read_scheme("all-26").up
     values = sense(up)
-    values[:, 2] = [1e17, 1e17, 1e17, 1e17, 0.0, 0.0]
-    cal = mp.fit(mp.Readings(values, up=up), orientation_sd=0.5, reading_sd=1e-3)
-    assert "error" in {each.level for each in cal.findings}
+    values[5, 2] = 1e17
+    readings = mp.Readings(values, up=None if "unknown_orientation" in known else up)
+    with pytest.raises(mp.MultiposError, match=r"position 6: .* is 1e\+17, beside which no digit"):
+        mp.fit(readings, **known, reading_sd=1e-3)
