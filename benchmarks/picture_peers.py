@@ -1,6 +1,6 @@
 """The picture of the peers: the error of every program on every simulation, from the page's table.
 
-`python -m benchmarks.picture_peers docs/studies/peers.md docs/studies/peers.svg` draws it. What the
+`python -m benchmarks.picture_peers benchmarks/tables.md docs/figures/peers.svg` draws it. What the
 table says was measured by `benchmarks.peers`, which takes the peers and hours; this takes neither.
 """
 

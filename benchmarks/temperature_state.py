@@ -1,6 +1,6 @@
 """Does a state pay? Lag and hysteresis fitted with the terms, against rates and branches.
 
-The chamber is that of docs/studies/temperature.md, run as the page has it and once more with a
+The chamber is that of `benchmarks.chamber_run`, as it is and once more with a
 sensor that does have states: an element whose bias follows its own temperature s, behind the
 case by 15 min, and a hysteresis h of 1 mg. The state model replaces rates by
 
@@ -8,16 +8,14 @@ case by 15 min, and a hysteresis h of 1 mg. The state model replaces rates by
     h_k = (h_{k-1} + dT/w)/(1 + |dT|/w),         dT = T_k − T_{k-1},                        (2)
 
 a first-order lag and Dahl's friction of width w. Terms are all products of at most two of V, T,
-T − s, ambient (and h), in the segments of the page, and tau, w and all coefficients are one
+T − s, ambient (and h), in the segments of the study, and tau, w and all coefficients are one
 least-squares problem: CasADi gives the recursion and its derivatives, Gauss and Newton's steps do
 the rest. Every model is fitted to the first run (or to five, with a zero for each) and judged on
 eight that it has not seen. Run by `python -m benchmarks.temperature_state`.
 """
 
-import re
 from collections.abc import Callable
 from itertools import combinations_with_replacement
-from pathlib import Path
 from typing import Any
 
 import casadi
@@ -25,25 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import multipos as mp
+from benchmarks import chamber_run
 
 Array = NDArray[np.float64]
 Run = dict[str, Array]
 
-PAGE = Path(__file__).parents[1] / "docs" / "studies" / "temperature.md"
 EDGES = (-20.0, 20.0)
 UNSEEN = range(9000, 9008)
 LAG, WIDTH = 6.0, 15.0  # [min], [degC]: where the search starts
-
-
-def chamber() -> Callable[[int], Run]:
-    """Return the function of the page that makes a run."""
-    text = PAGE.read_text(encoding="utf-8")
-    found = re.search(r"<!-- file: chamber.py -->\n```python\n(.*?)```", text, flags=re.DOTALL)
-    assert found is not None
-    space: dict[str, Any] = {"__name__": "chamber"}
-    exec(found[1], space)  # the page's own program
-    made: Callable[[int], Run] = space["run"]
-    return made
 
 
 def with_states(run: Run) -> Run:
@@ -170,14 +157,13 @@ def figures(left: list[Array]) -> str:
 
 
 def main() -> None:
-    made = chamber()
     kinds: dict[str, Callable[[Run], Run]] = {"the page's sensor": lambda run: run}
     kinds["one with lag and hysteresis"] = with_states
     print("error on unseen runs [mg]: rms, that of the worst run, rms about each run's own mean")
     for name, changed in kinds.items():
-        unseen = [changed(made(seed)) for seed in UNSEEN]
+        unseen = [changed(chamber_run.run(seed)) for seed in UNSEEN]
         for count in (1, 5):
-            runs = [changed(made(seed)) for seed in range(100, 100 + count)]
+            runs = [changed(chamber_run.run(seed)) for seed in range(100, 100 + count)]
             print(f"\n{name}, fitted to {count}")
             print(
                 "  rates, stepwise     ", figures(left_by_regression(runs, unseen, stepwise=True))

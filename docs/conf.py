@@ -15,7 +15,8 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build"]
+# Why things are as they are, and where they stand, is of the repository and not of the site.
+exclude_patterns = ["_build", "architecture.md", "decisions.md"]
 html_theme = "furo"
 html_title = "multipos"
 
@@ -25,7 +26,7 @@ mathjax = Path(found.submodule_search_locations[0], "static", "mathjax", "tex-sv
 html_static_path = [str(mathjax)]
 mathjax_path = mathjax.name
 
-# Who searches for what a fit said wants the page of findings first.
+# Who searches for what a fit said wants the page of messages first.
 html_search_scorer = str(Path(__file__).with_name("scorer.js"))
 
 # What is copied of a block is what one types, not what comes out.

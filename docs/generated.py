@@ -10,7 +10,8 @@ import ast
 import inspect
 import itertools
 import re
-from collections.abc import Iterable, Iterator
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,12 +32,48 @@ together is on the page of [Python](api.md).
 """
 MESSAGES_HEAD = """# Messages
 
-Every [finding](../findings.md) that a result may have, by its code: its level, what it says with …
-for numbers and names, and what to do. A finding without an action leaves nothing to do.
+Every [finding](#levels) that a result may have, by its code: its level, its sentences with … for
+numbers and names, what it means, what to do, and an example as printed. A finding without an
+action leaves nothing to do.
 
-| code | level | text | what to do | what it means |
-|---|---|---|---|---|"""
+## Levels
+
+A result examines itself before it is returned. Its list `findings`, in Python, in every JSON
+object and in every report, has the most serious first: code, level, text, action, the positions
+and outputs concerned, and p where there was a test.
+
+- **error**: nobody should use this result. It is written and printed, the exit status is 3, and
+  `export` and `calibrate --to` refuse it without `--force`.
+- **warning**: about these data. U may not hold, or something is to be decided.
+- **note**: nothing to decide: constant for the method, the positions or the scheme, or already in
+  U.
+
+Errors and warnings are printed on stderr, once, and are Python warnings
+(`mp.CalibrationWarning`); notes are printed with `-v`, nothing with `-q`; with `--json` all are
+in the object. One cause has one finding.
+
+```python
+>>> import multipos as mp
+>>> readings = {"direction": ["E-U-S", "E-N-U", "D-E-S", "W-D-S", "U-W-S", "S-W-D"],
+...             "ax": [-0.0094, 0.0071, -0.9965, -0.0076, 0.9965, 0.0067],
+...             "ay": [-0.0058, 1.0029, 0.0064, -1.0030, 0.0073, -0.0060],
+...             "az": [1.0008, -0.0016, 0.0015, 0.0032, 0.0027, -1.0008]}
+>>> (finding,) = mp.fit(readings).findings
+>>> finding.code, finding.level, finding.rows
+('interchanged-rows', 'error', ('1', '2'))
+
+```
+
+Where one hypothesis explains the data (an interchange, a reversal, a factor), the text names it
+with the rms before and after. It is named where chance would come so near less than once in
+100,000 times, and where what it changes is no outlier afterwards.
+
+How often findings are wrong, and what no test can show, is among the [results](../results.md).
+
+## Codes
+"""
 _SHOWN = 4  # texts of one code
+KEPT = ("meanings.toml", "examples.toml")  # what the program's sentences do not say themselves
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 
@@ -277,31 +314,38 @@ def _items(table: ast.expr) -> list[tuple[ast.Constant, ast.expr]]:
 def messages_page() -> str:
     """Return the page of all findings, by their codes."""
     files = sorted((FOLDER.parents[1] / "multipos").rglob("*.py"))
-    rows: dict[str, list[Message]] = {}
+    made: dict[str, list[Message]] = {}
     for message in messages(files, "…"):
         for code in message.codes:
-            rows.setdefault(code, []).append(message)
-    return "\n".join([MESSAGES_HEAD, *(_row(code, rows[code]) for code in sorted(rows)), ""])
-
-
-def _row(code: str, made: list[Message]) -> str:
-    cells = []
-    for name in ("levels", "texts", "actions"):
-        each = [text for message in made for text in getattr(message, name) if text != "…"]
-        shown = list(dict.fromkeys(escaped(re.sub("…+", "…", text)) for text in each))[:_SHOWN]
-        cells.append("<br>".join(shown).replace("\\|", "|").replace("|", "\\|"))
-    return f"| `{code}` | {' | '.join(cells)} | {meaning(code)} |"
-
-
-def meaning(code: str) -> str:
-    """Return what the page of findings says of a code."""
-    page = (FOLDER.parent / "findings.md").read_text("utf-8")
-    found = re.search(rf"^\| `{code}` \| (.*?) \|", page, re.MULTILINE)
-    return (
-        re.sub(r"\]\((?!http)", "](../", found[1]).replace("(../#", "(../findings.md#")
-        if found
-        else ""
+            made.setdefault(code, []).append(message)
+    known = {name: tomllib.loads((FOLDER.parent / name).read_text("utf-8")) for name in KEPT}
+    return "\n".join(
+        [MESSAGES_HEAD, *(_entry(code, made[code], *known.values()) for code in sorted(made))]
     )
+
+
+def _entry(
+    code: str, made: list[Message], meanings: Mapping[str, str], examples: Mapping[str, str]
+) -> str:
+    """Return what stands of one code: its sentences, meaning, actions and an example."""
+    levels, texts, actions = (
+        list(dict.fromkeys(re.sub("…+", "…", text) for m in made for text in getattr(m, name)))
+        for name in ("levels", "texts", "actions")
+    )
+    texts = [text for text in texts if text != "…"]
+    lines = [f"### `{code}`", "", f"*{', '.join(levels)}*", ""]
+    lines += [f"- {escaped(text)}" for text in texts[:_SHOWN]]
+    lines += [""] if texts else []
+    lines += [meanings[code], ""] if code in meanings else []
+    lines += [f"**Do:** {' / '.join(map(escaped, actions[:_SHOWN]))}", ""] if actions else []
+    if any(_is_of(examples.get(code, ""), text) for text in texts):
+        lines += ["```text", examples[code], "```", ""]
+    return "\n".join(lines)
+
+
+def _is_of(example: str, text: str) -> bool:
+    """Return whether a sentence with its numbers is one that the program still makes."""
+    return re.fullmatch(".+".join(map(re.escape, text.split("…"))), example) is not None
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 Every block of a page is run as `tests/test_docs.py` runs it; where the page shows something else,
 what is printed now takes its place. Lines that a page left out as `...` stay left out, as far as
 the lines around them are found again; read the change before you commit it. Without a page all are
-run, but for the studies, which take long.
+run.
 """
 
 import difflib
@@ -146,7 +146,7 @@ def aligned(want: str, got: str) -> list[str]:
 def main(arguments: list[str]) -> None:
     """Run the pages that are named, or all but the studies."""
     pages = [Path(name).resolve() for name in arguments]
-    for page in pages or [p for p in test_docs.PAGES if p.parent.name != "studies"]:
+    for page in pages or test_docs.RUN:
         try:
             changed = rewrite(page)
         except Exception as error:  # the next page all the same

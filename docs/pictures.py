@@ -1,8 +1,7 @@
 """The pictures of the pages: `python docs/pictures.py [PAGE …]` draws them again.
 
 A page runs a command or a few lines that draw a file; `<!-- drawn: FILE -->` above an image says
-that it is that file, kept. What draws it runs whenever the tests run the page, and `gallery.md`
-shows all pictures with it.
+that it is that file, kept. What draws it runs whenever the tests run the page.
 """
 
 import re
@@ -17,16 +16,7 @@ DOCS = Path(__file__).resolve().parent
 MARK = re.compile(
     r"^<!-- drawn: (?P<drawn>\S+) -->\n!\[(?P<told>[^\]]*)\]\((?P<kept>\S+)\)$", re.MULTILINE
 )
-FENCED = re.compile(
-    r"^```(?P<language>console|python)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
-)
 PAPER = '<rect width="100%" height="100%" fill="#ffffff"/>'
-HEAD = """# Gallery
-
-Every picture of these pages with the command or the lines that drew it. The pages give the
-readings, and the tests run them; `python docs/pictures.py` draws all again.
-[A notebook](notebook.ipynb) goes the whole way from a log to C, with what every cell gives.
-"""
 
 
 @dataclass(frozen=True)
@@ -51,30 +41,6 @@ def every_picture() -> Iterator[Picture]:
     for page in sorted(DOCS.rglob("*.md")):
         if "_build" not in page.parts:
             yield from pictures(page)
-
-
-def drawing(picture: Picture) -> str:
-    """Return the fenced command, or the lines of Python, that draw a picture."""
-    for block in FENCED.finditer(picture.page.read_text("utf-8")):
-        language, text = block["language"], block["text"]
-        if picture.drawn not in text:
-            continue
-        if language == "console":
-            commands = re.findall(r"^\$ .*(?:\n> .*)*", text, re.MULTILINE)
-            text = next(command for command in commands if picture.drawn in command) + "\n"
-        return f"```{language}\n{text}```"
-    raise ValueError(f"{picture.page.name} does not draw {picture.drawn}")
-
-
-def gallery_page() -> str:
-    parts = [HEAD]
-    for picture in every_picture():
-        name = picture.page.relative_to(DOCS).as_posix()
-        title = picture.page.read_text("utf-8").splitlines()[0].removeprefix("# ")
-        kept = picture.kept.relative_to(DOCS).as_posix()
-        head = f"## {picture.told}\n\n![{picture.told}]({kept})\n\n"
-        parts.append(f"{head}From [{title}]({name}):\n\n{drawing(picture)}\n")
-    return "\n".join(parts)
 
 
 def keep(drawn: Path, kept: Path) -> None:
@@ -107,7 +73,6 @@ def main() -> None:
             for picture in pictures(page):
                 keep(Path(folder, picture.drawn), picture.kept)
                 print(picture.kept.relative_to(DOCS), picture.kept.stat().st_size)
-    (DOCS / "gallery.md").write_text(gallery_page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

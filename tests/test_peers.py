@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs/studies/peers.md"
+PAGE = ROOT / "benchmarks/tables.md"
 
 
 def rows(text):
@@ -49,7 +49,7 @@ def test_its_picture_is_of_its_page(tmp_path):
     subprocess.run(command, cwd=ROOT, check=True)
     shown, kept = (
         re.findall(r"<text[^>]*>([^<]*)</text>", picture.read_text("utf-8"))
-        for picture in (drawn, PAGE.with_name("peers.svg"))
+        for picture in (drawn, ROOT / "docs/figures/peers.svg")
     )
     assert shown == kept
     assert "worn for 13 h, axes askew" in shown

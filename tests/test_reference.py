@@ -132,7 +132,7 @@ def test_every_key_of_a_comparison_is_described(calibration):
 
 
 def test_every_key_of_a_stability_result_is_described():
-    page = (Path(__file__).resolve().parents[1] / "docs/reference/stability.md").read_text("utf-8")
+    page = (Path(__file__).resolve().parents[1] / "docs/howto/static-records.md").read_text("utf-8")
     names = set(re.findall(r"[a-z_A-Z]+", " ".join(re.findall(r"`([^`\n]+)`", page))))
     t = np.arange(2000) / 10.0
     noise = 1e-3 * np.random.default_rng(1).standard_normal((2, 2000))

@@ -10,7 +10,7 @@ record.
 
 Stability in files: what the file holds, key by key, its writing and its reading.
 
-What every key means is in `docs/reference/stability`.
+What every key means is in `docs/howto/static-records`.
 
 Stability as people read it.
 """
@@ -216,7 +216,7 @@ class Stability(Result, Drawn, Tabular):
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/stability.md."""
+        """Return everything as JSON carries it, keys as in docs/howto/static-records.md."""
         # Imported here, for the file's module makes this type and so imports this one.
 
         return stability_dict(self)

@@ -25,7 +25,7 @@ the stated variance. Parameters then are a mixture of normal laws, and
 
 The prior chance was chosen by coverage: with 6 degrees of freedom U is 23 % longer than where u is
 right and known to be, and covers 94 % or more whatever part of the noise u is; a χ² test that
-either accepts or rejects u covers 73 % where u is half the noise (`docs/studies/noise`).
+either accepts or rejects u covers 73 % where u is half the noise (`docs/results`).
 
 References
 ----------

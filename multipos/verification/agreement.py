@@ -33,7 +33,7 @@ that agree, one at most is said to disagree.
 
 References
 ----------
-JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/check-and-tumble`.
+JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/formats`.
 """
 
 from dataclasses import dataclass

@@ -195,7 +195,7 @@ class Tumble(Result, Drawn, Tabular):
         return {"name": list(self.coefficients), **fields}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
+        """Return everything as JSON carries it, keys as in docs/howto/single-axis-tumble.md."""
         return {
             "schema": SCHEMA,
             **{name: vars(found) for name, found in self.coefficients.items()},

@@ -98,7 +98,7 @@ class Tumbles(Result, Drawn, Tabular):
         return stacked("output", {name: found.columns() for name, found in self.outputs.items()})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
+        """Return everything as JSON carries it, keys as in docs/howto/single-axis-tumble.md."""
         return {
             "schema": SCHEMA,
             "outputs": {name: found.to_dict() for name, found in self.outputs.items()},

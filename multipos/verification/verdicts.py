@@ -29,7 +29,7 @@ of the nominal conversion; all other columns stay, time and temperatures among t
 Checks in files: what the file of a check holds, key by key, its writing and its reading.
 
 What a check derives again when it is read (its summary and verdicts) is not read and not described
-here; what every key means is in `docs/reference/check-and-tumble`.
+here; what every key means is in `docs/reference/formats`.
 
 References
 ----------
@@ -219,7 +219,7 @@ class Check(Result, Drawn):
         return data_frame(columns)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/check-and-tumble.md."""
+        """Return everything as JSON carries it, keys as in docs/reference/formats.md."""
         # Imported here, for the file's module makes checks and so imports this one.
 
         return check_dict(self)

@@ -1,4 +1,4 @@
-"""Every model of the gallery finds the numbers of a simulated sensor."""
+"""Every model to copy finds the numbers of a simulated sensor."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from multipos.positions.scheme import read_scheme
 from multipos.sensor.formulas import read_model
 from multipos.sensor.own_models import build_parsed
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "model-gallery.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "own-model.md"
 LINES = re.findall(r"^\| [^|]+ \| `(.+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 UP = read_scheme("fibonacci-60").up
 TRUTH = {"b": 0.1, "s": 1.1, "k": 0.1, "a": 1.5, "w": 1.3, "p": 0.05, "q": 0.04, "h": 0.01}

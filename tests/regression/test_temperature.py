@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose
-from test_docs import ROOT, blocks
 
 import multipos as mp
+from benchmarks import chamber_run
 from multipos import plots
 from multipos.cli import main
 from multipos.errors import UsageError
@@ -180,14 +180,6 @@ def test_reference_temperature_is_stated():
 # --- the study's chamber run
 
 
-def chamber():
-    page = ROOT / "docs" / "studies" / "temperature.md"
-    source = next(b.text for b in blocks(page) if b.note == ("file", "chamber.py"))
-    namespace = {"__name__": "chamber"}
-    exec(compile(source, str(page), "exec"), namespace)
-    return namespace["run"]
-
-
 def two_stage(data, degree):
     """Bias and scale of each lap of positions at its mean temperature, polynomials through them."""
     lap, means = (data["time"] // 12.0).astype(int), []
@@ -220,7 +212,7 @@ VARIABLES = "V,temperature,temperature_rate,ambient,ambient_rate"
 )
 def test_full_temperature_case(seed, options):
     """Within 3 mg in modelling and 5 mg on an independent run; the two-stage way is worse."""
-    run = chamber()
+    run = chamber_run.run
     modelled, independent = run(seed), run(100 + seed)
     found = mp.regress(
         modelled,
@@ -249,7 +241,7 @@ def test_full_temperature_case(seed, options):
 
 
 def test_figures_draw_what_they_are_given(tmp_path):
-    data = chamber()(1)
+    data = chamber_run.run(1)
     found = mp.regress(
         data,
         response="error",

@@ -1,0 +1,1 @@
+"""The figures of docs/results.md, a program each: `python -m benchmarks.studies.NAME`."""
