@@ -1,6 +1,6 @@
 """The picture of a finding: two readings in each other's rows in a fit of fourteen positions.
 
-`python -m benchmarks.picture_findings docs/findings.svg` draws it, and prints the findings before
+`python -m benchmarks.picture_findings docs/figures/findings.svg` draws it, and prints the findings before
 and after the readings are exchanged back.
 """
 

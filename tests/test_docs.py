@@ -8,8 +8,8 @@
 - After `<!-- continues: PAGE -->` the blocks of that page are run before those of this one.
 - ```` ```sh ```` after `<!-- command: NAME -->` sets a machine up: `.ci/run` runs it, not this.
 
-All of a page happens in one temporary folder, from top to bottom. Plain commands of `multipos` run in
-this process, which has the libraries loaded; whatever needs a shell runs in one.
+All of a page happens in one temporary folder, from top to bottom. Plain commands of `multipos` run
+in this process, which has the libraries loaded; whatever needs a shell runs in one.
 """
 
 import difflib

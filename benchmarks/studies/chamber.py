@@ -43,7 +43,7 @@ def main() -> None:
         axes.plot(independent["temperature"][::4], 1e3 * values[::4], ".", label=name)
     axes.set(xlabel="temperature of the case [°C]", ylabel="error [mg]")
     axes.legend()
-    Path("run.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("chamber-run.svg").write_text(to_svg(figure), encoding="utf-8")
     grid = [
         "temperature",
         "temperature^2",
@@ -142,7 +142,7 @@ def main() -> None:
         )
     axes.set(xlabel="temperature [°C]", ylabel="error of the scale [mg/g]")
     axes.legend()
-    Path("scale.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("chamber-scale.svg").write_text(to_svg(figure), encoding="utf-8")
 
     def joined(seeds):
         parts = [run(seed) for seed in seeds]
@@ -189,7 +189,7 @@ def main() -> None:
     axes.axhline(0.0, color="0.6")
     axes.set(xlabel="unseen run", ylabel="mean error, and U of a row [mg]")
     axes.legend()
-    Path("unseen.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("chamber-unseen.svg").write_text(to_svg(figure), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ def main() -> None:
         axes.plot(middle, bias.reshape(10, -1).mean(axis=1), f"{mark}-", label=name)
     axes.set(xlabel="unit", ylabel="bias_ay [mg]")
     axes.legend(title="station")
-    Path("drift.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("line-drift.svg").write_text(to_svg(figure), encoding="utf-8")
 
 
 if __name__ == "__main__":

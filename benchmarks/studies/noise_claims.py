@@ -38,7 +38,7 @@ def main() -> None:
     axes.axhline(95.0, color="0.6", linestyle="--")
     axes.set(xlabel="claim, over the noise", ylabel="held by U (95 %) [%]", ylim=(0, 105))
     axes.legend()
-    Path("claims.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("noise-claims.svg").write_text(to_svg(figure), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ def main() -> None:
     axes.axvspan(-1, 1, color="0.92")
     axes.set(xlabel="force along x [g]", ylabel="error [mg]", ylim=(-60, 60))
     axes.legend()
-    Path("errors.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("own-models-error.svg").write_text(to_svg(figure), encoding="utf-8")
     fit = mp.fit(readings, model="own-cubic", reading_sd=1e-4)
     print(fit.findings[0].text)
     print(mp.fit(readings, model="each = b + s*own/(1 + k*own^2)", reading_sd=1e-4).findings)

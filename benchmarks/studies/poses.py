@@ -40,7 +40,7 @@ def main() -> None:
     axes.set(xlabel="poses", ylabel="worst u [reading]")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.legend()
-    Path("ways.svg").write_text(to_svg(figure), encoding="utf-8")
+    Path("capture-ways.svg").write_text(to_svg(figure), encoding="utf-8")
 
 
 if __name__ == "__main__":
