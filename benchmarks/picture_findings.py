@@ -1,7 +1,7 @@
 """The picture of a finding: two readings in each other's rows in a fit of fourteen positions.
 
-`python -m benchmarks.picture_findings docs/figures/findings.svg` draws it, and prints the findings before
-and after the readings are exchanged back.
+`python -m benchmarks.picture_findings docs/figures/findings.svg` draws it, and prints the findings
+before and after the readings are exchanged back.
 """
 
 import argparse

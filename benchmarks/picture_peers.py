@@ -35,7 +35,7 @@ def main() -> None:
 def errors(page: str) -> dict[str, dict[str, float]]:
     """Return the error [µg] by recording and program, where the truth is known."""
     found: dict[str, dict[str, float]] = {}
-    for line in page.split("## The table")[1].split("\n## ")[0].splitlines():
+    for line in page.split("## Peers on the package index")[1].split("\n## ")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) > ERROR and cells[ERROR].replace(".", "").isdigit():
             found.setdefault(cells[RECORDING], {})[cells[PROGRAM]] = float(cells[ERROR])

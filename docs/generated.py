@@ -70,7 +70,7 @@ with the rms before and after. It is named where chance would come so near less 
 
 Two readings in each other's rows, of fourteen (`python -m benchmarks.picture_findings`):
 
-![Residuals: half a g at positions 4 and 10, a tenth of a g elsewhere; nothing once exchanged back](../figures/findings.svg)
+![Half a g at positions 4 and 10, nothing once exchanged back](../figures/findings.svg)
 
 How often findings are wrong, and what no test can show, is among the [results](../results.md).
 

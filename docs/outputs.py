@@ -137,10 +137,14 @@ def aligned(want: str, got: str) -> list[str]:
         if best is not None:
             if best > place and (not found or found[-1] != LEFT_OUT):
                 found.append(LEFT_OUT)
-            found.append(new[best])
+            found.append(line if _shows(line, new[best]) else new[best])
             place = best + 1
     shown = "\n".join([*found, ""])
     return found if doctest.OutputChecker().check_output(shown, got, doctest.ELLIPSIS) else new
+
+
+def _shows(line: str, printed: str) -> bool:
+    return doctest.OutputChecker().check_output(line + "\n", printed + "\n", doctest.ELLIPSIS)
 
 
 def main(arguments: list[str]) -> None:

@@ -7,8 +7,8 @@ and of a sensor with fewer axes stand above the horizon by
     theta_i = asin(s f_i/g)                                         one or two axes,        (2)
 
 eqs. (24) and (25) of docs/theory/linear-fit.md. A triad needs no g and is good all the way round.
-The arcsine loses its slope at ±90°: there u/(g cos theta) would be infinite, and the truth is that the
-interval f ± U maps to a finite one, so its longer side is the uncertainty,
+The arcsine loses its slope at ±90°: there u/(g cos theta) would be infinite, and the truth is that
+the interval f ± U maps to a finite one, so its longer side is the uncertainty,
 
     U(theta) = max(|asin((f + U)/g) − theta|, |theta − asin((f − U)/g)|),                   (3)
 
