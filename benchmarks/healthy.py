@@ -178,6 +178,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.healthy", description=__doc__)
     parser.add_argument("--sets", type=int, default=10, help="of each kind")
+    parser.add_argument("--seed", type=int, default=0, help="other sets than those of another")
     parser.add_argument("--kind", help="one of them alone")
     asked = parser.parse_args()
     warnings.simplefilter("ignore", mp.CalibrationWarning)
@@ -189,8 +190,9 @@ def main() -> None:
             continue
         warned = failed = most = 0
         codes: collections.Counter[str] = collections.Counter()
-        for seed in range(asked.sets):
-            found = make(np.random.default_rng([seed, sum(map(ord, kind))])).findings
+        for run in range(asked.sets):
+            seeds = [run, sum(map(ord, kind)), *([asked.seed] if asked.seed else [])]
+            found = make(np.random.default_rng(seeds)).findings
             levels = [each.level for each in found]
             warned += "warning" in levels
             failed += "error" in levels

@@ -365,7 +365,8 @@ def _findings(
         equations = task.values[0].size // count * (1 if unknown else len(task.values))
         freedom = float(equations - len(shared.model.keys))
         named[_REJECTED] = found.chi2 > chi2_quantile(REJECTED, freedom)
-        named[_REJECTED] &= ~named.get("outlier", np.False_)  # which explains it
+        for code in ("outlier", "missing-term"):  # which explain it
+            named[_REJECTED] &= ~named.get(code, np.False_)
         named[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     codes = [code for code, each in named.items() if each.any()]
     number = np.zeros(count, dtype=np.intp)

@@ -39,7 +39,7 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
         ("fibonacci-24", {"out": 5e-3}, {}, "outlier"),
         ("fibonacci-24", {"off_deg": 0.1}, {}, "placement"),
         ("fibonacci-24", {"drift": 2e-3}, {}, ""),
-        ("fibonacci-24", {"cubic": 2e-3}, {"reading_sd": 1e-4}, "missing-term denied-noise"),
+        ("fibonacci-24", {"cubic": 2e-3}, {"reading_sd": 1e-4}, "missing-term"),
         ("fibonacci-24", {"out": 5e-3}, {"reading_sd": [1e-4, 1e-4, 2e-4]}, "outlier"),
         ("all-26", {"cubic": 2e-3}, {"model": "own-quadratic"}, "missing-term"),
         ("icosahedron-12", {"cubic": 2e-4, "repeats": 3}, {"model": "linear"}, ""),
