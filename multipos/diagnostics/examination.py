@@ -66,6 +66,7 @@ _EXPLAINED = {
     "flipped-row": _BY_ROWS,
     "missing-term": ("denied-noise",),
 }
+_SLOW_NOISE = 3.0  # times the noise within rests, that noise from rest to rest may well be
 
 
 def examine(calibration: Calibration) -> Calibration:
@@ -88,14 +89,24 @@ def examine(calibration: Calibration) -> Calibration:
             found += compete(calibration, of_rows)
     before = calibration.diagnostics
     every = (*found, *before.findings)
-    if calibration.readings.dof is not None:  # estimated: too large is the safe side
+    if calibration.readings.dof is not None:  # nobody stated this noise
         every = tuple(
-            replace(each, level="note") if each.code == "overstated-noise" else each
+            replace(each, level="note") if _is_allowed_for(calibration, each.code) else each
             for each in every
         )
     explained_too = {code for each in every for code in _EXPLAINED.get(each.code, ())}
     findings = in_order(each for each in every if each.code not in explained_too)
     return replace(calibration, diagnostics=replace(before, findings=findings))
+
+
+def _is_allowed_for(c: Calibration, code: str) -> bool:
+    """Tell whether a finding about noise that the rests gave leaves nothing to decide.
+
+    Too large is the safe side, and what slow noise adds from rest to rest is in U.
+    """
+    claim = c.diagnostics.claim
+    of_rests = claim is not None and claim.chi2 < _SLOW_NOISE**2 * claim.dof
+    return code == "overstated-noise" or (code == "denied-noise" and of_rests)
 
 
 def _answers(questions: Sequence[Question], calibration: Calibration) -> list[Finding]:
