@@ -12,6 +12,7 @@ from multipos.files.numbers import (
     table,
     uncertain,
 )
+from multipos.fleets.stations import is_off
 
 _REASONS = 3  # that the first line names
 _SHOWN = 10  # outliers, causes and moves that are listed
@@ -19,7 +20,8 @@ _SHOWN = 10  # outliers, causes and moves that are listed
 
 def fleet_text(found: Mapping[str, Any]) -> str:
     """Return the summary of a fleet, as `fleet.json` holds it, as text."""
-    parts = [_head(found), _table("Parameters", *parameter_rows(found))]
+    parts = [] if found["asked"]["unit_column"] else ["each file is one unit, named by the file"]
+    parts.append(_table("Parameters", *parameter_rows(found)))
     if len(found["stations"]) > 1:
         parts.append(_table("Stations, against their mean", *station_rows(found)))
     if found["gauge"] is not None:
@@ -33,17 +35,6 @@ def fleet_text(found: Mapping[str, Any]) -> str:
             more = f" (the first {_SHOWN} of {len(rows)})" if len(rows) > _SHOWN else ""
             parts.append(_table(f"{title}{more}", header, rows[:_SHOWN]))
     return "\n\n".join(parts) + "\n"
-
-
-def _head(found: Mapping[str, Any]) -> str:
-    good = found["yield"]
-    counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
-    named = "" if found["asked"]["unit_column"] else "each file is one unit, named by the file\n"
-    return (
-        f"{found['units']} units: {counts}\n{named}"
-        f"yield {percent(good['value'])}, {percent(good['low'])} to {percent(good['high'])} "
-        "with 95 % confidence"
-    )
 
 
 def percent(share: float) -> str:
@@ -113,6 +104,12 @@ def station_rows(found: Mapping[str, Any]) -> Rows:
         )
         for each in found["stations"]
     ]
+    off = [
+        ", ".join(f"level {axis}" for axis in turned if is_off((each["level_deg"] or {}).get(axis)))
+        for each in found["stations"]
+    ]
+    if any(off):
+        header, rows = (*header, "off"), [(*row, said) for row, said in zip(rows, off, strict=True)]
     return header, rows
 
 

@@ -172,7 +172,7 @@ def find_off(station: Mapping[str, Any]) -> Findings:
         (abs(each[axis]["value"]), what, axis, each[axis]["u"])
         for what, each in named
         for axis in COMPONENTS
-        if each.get(axis) and abs(each[axis]["value"]) > max(_OFF, _CLEAR * each[axis]["u"])
+        if is_off(each.get(axis))
     ]
     if not off:
         return ()
@@ -183,6 +183,11 @@ def find_off(station: Mapping[str, Any]) -> Findings:
         f"(u {u:.1g}){more}"
     )
     return (Finding("station", "warning", text, "Correct the fixture, or use its correction."),)
+
+
+def is_off(angle: Mapping[str, float] | None) -> bool:
+    """Return whether an angle (`value` and `u` [deg]) of a station is clearly not zero."""
+    return angle is not None and abs(angle["value"]) > max(_OFF, _CLEAR * angle["u"])
 
 
 def _levels(

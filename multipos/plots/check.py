@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from multipos.files.numbers import in_unit, pretty_unit
-from multipos.numerics.arrays import Array
 from multipos.plots.style import (
     COLOURS,
     MARKERS,
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
 _LIMIT = 10.0  # times what is left after, from which a limit would hide it
 _APART = 5.0  # times what is left after, from which errors before have axes of their own
-_BESIDE = 0.8  # of the way to the next known value, over which positions of one share the room
-_SAME = 1e-6  # of the span
 
 
 def draw_check(
@@ -34,14 +31,13 @@ def draw_check(
 ) -> None:
     """Draw the errors of one axis before and after, U about the latter, and the limit.
 
-    Those of a regression are drawn against its segment variable. Positions of one and the same
-    known value, such as a roll that leaves the axis level, stand beside each other. A limit so wide
+    Those of a regression are drawn against its segment variable. A limit so wide
     that errors after and their U would shrink to a line is named beside them and not drawn.
     """
     column = found.axes.index(axis)
     used = found.counted[:, column]
     order = np.argsort(found.reference[used, column], kind="stable")
-    known = set_beside(found.reference[used, column][order])
+    known = found.reference[used, column][order]
     before, after, U = (
         array[used, column][order] for array in (found.before, found.after, found.U)
     )
@@ -95,22 +91,6 @@ def _draw_limit(found: Check, axes: "Axes", *, drawn: bool) -> None:
         return
     for height, label in ((-found.limit, None), (found.limit, said)):
         axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
-
-
-def set_beside(known: Array) -> Array:
-    """Return rising values (n,), those that are equal set beside each other in their order."""
-    if not len(known):
-        return known
-    span = float(np.ptp(known))
-    group = np.cumsum(np.append(0, np.diff(known) > _SAME * span))
-    shifted = known.astype(np.float64)
-    steps = np.diff(known)
-    room = _BESIDE * float(steps[steps > _SAME * span].min(initial=span))
-    for number in range(int(group[-1]) + 1):
-        rows = np.flatnonzero(group == number)
-        if len(rows) > 2:
-            shifted[rows] += np.linspace(-0.5, 0.5, len(rows)) * room
-    return shifted
 
 
 def errors_apart(found: Check) -> bool:

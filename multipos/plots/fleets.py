@@ -10,19 +10,6 @@ from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST = 10  # causes that get a bar
-
-
-def draw_causes(causes: Mapping[str, int], axes: "Axes") -> None:
-    """Draw why units do not pass, the commonest cause on top."""
-    shown = list(causes.items())[:_MOST]
-    places = np.arange(len(shown))
-    axes.barh(places, [count for _, count in shown], color=COLOURS[0], height=0.7)
-    axes.set_yticks(places, [cause for cause, _ in shown])
-    axes.invert_yaxis()
-    axes.locator_params(axis="x", integer=True)
-    axes.set_xlabel("units")
-
 
 def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
     """Draw how many units have which value, and the limits."""

@@ -21,7 +21,8 @@ from multipos.fleets.fleet_text import (
     percent,
     station_rows,
 )
-from multipos.plots.fleets import draw_causes, draw_chart, draw_histogram
+from multipos.fleets.stations import is_off
+from multipos.plots.fleets import draw_chart, draw_histogram
 from multipos.reports.certificate import Content
 from multipos.reports.sections import (
     Figure,
@@ -34,6 +35,7 @@ from multipos.reports.sections import (
 )
 
 _ROUNDING = 1e-9  # [deg]
+_DRAWN = 6  # parameters, those with limits first
 _SHOWN = 24  # units of a table; fleet.json has all
 _EXPLAINED = (
     "Numbers of the line are those of units that were fitted and are fit for use.",
@@ -58,10 +60,10 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     tr = Translator(language)
     outliers, named = outlier_rows(found)
     sections = [
-        _section("Why units do not pass", cause_rows(found), tr, (), _causes(found, tr)),
+        _section("Why units do not pass", cause_rows(found), tr),
+        _section("Stations", station_rows(found), tr, (_STATIONS,)),
         _section("Parameters", parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)),
         _risks(found, tr),
-        _section("Stations", station_rows(found), tr, (_STATIONS,)),
         _fixtures(found, tr),
         _gauge(found, tr),
         _section("What moved", _moves(found), tr, (), _charts(found, tr)),
@@ -147,14 +149,9 @@ def _heading(text: str, tr: Translator) -> str:
     return f"{tr(word)} {rest}" if word in ("level", "shift") else tr.label(text)
 
 
-def _causes(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
-    if not found["causes"]:
-        return ()
-    draw = partial(_drawn, tr, draw_causes, found["causes"])
-    return (Figure(tr("Why units do not pass"), tr("bars, the commonest cause first"), draw),)
-
-
 def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
+    counted = [each for each in found["parameters"] if each["histogram"] is not None]
+    limited = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
     return tuple(
         Figure(
             each["name"],
@@ -164,8 +161,7 @@ def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
             ),
             partial(_drawn, tr, draw_histogram, each),
         )
-        for each in found["parameters"]
-        if each["histogram"] is not None
+        for each in (limited or counted)[:_DRAWN]
     )
 
 
@@ -213,7 +209,15 @@ def _fixtures(found: Mapping[str, Any], tr: Translator) -> Section | None:
         if rows:
             name = station["station"]
             caption = tr("Station {name}", name=name) if name else tr("All units")
-            header = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
+            off = [
+                ", ".join(axis for axis in "xyz" if is_off(each[axis]))
+                for each in station["positions_deg"]
+                if any(each[axis] is not None for axis in "xyz")
+            ]
+            header: tuple[str, ...] = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
+            if any(off):
+                header = (*header, tr("off"))
+                rows = [(*row, said) for row, said in zip(rows, off, strict=True)]
             tables.append(PageTable(caption, header, tuple(rows)))
     if not tables:
         return None

@@ -24,7 +24,7 @@ from multipos.files.numbers import number
 from multipos.files.spelling import visible
 from multipos.finding import NOT_FIT, Findings, errors_of
 from multipos.fleets.fleet import Fleet
-from multipos.fleets.fleet_text import fleet_text
+from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.logs.averages import Averages, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
 from multipos.plots.check import check_panels
@@ -71,7 +71,7 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
 def show_text(found: Result) -> str:
     """Return a result as its command prints it; one that no command prints as a line a field."""
     if isinstance(found, Fleet):
-        return fleet_text(found.summary)
+        return f"{fleet_sentence(found.summary)}\n\n{fleet_text(found.summary)}"
     write = _TEXTS.get(type(found))
     if write is not None:
         return write(found).rstrip("\n")

@@ -6,8 +6,13 @@ from inclinometer_bench import calibrated, check_run, make_bench
 from tumble_bench import tumble
 
 import multipos as mp
-from multipos.plots import check_figure, draw_check, draw_residual_harmonics, draw_signal
-from multipos.plots.check import set_beside
+from multipos.plots import (
+    check_figure,
+    draw_check,
+    draw_residual_harmonics,
+    draw_signal,
+    new_figure,
+)
 
 
 @pytest.fixture
@@ -46,9 +51,14 @@ def test_check_is_drawn_with_its_limits(axes):
     assert "limit ±0.05°" in [text.get_text() for text in axes.get_legend().get_texts()]
 
 
-def test_positions_of_one_angle_stand_beside_each_other():
-    placed = set_beside(np.array([-30.0, -15.0, 0.0, 0.0, 0.0, 15.0]))
-    np.testing.assert_allclose(placed, [-30.0, -15.0, -6.0, 0.0, 6.0, 15.0])
+def test_positions_of_one_angle_stand_where_they_are():
+    rng = np.random.default_rng(1)
+    bench = make_bench(rng)
+    found = mp.check(calibrated(bench, rng), check_run(bench, rng), limit_deg=0.05)
+    _, (axes,) = new_figure()
+    draw_check(found, axes, axis="x", when="after")
+    (drawn,) = (line.get_xdata() for line in axes.lines if len(line.get_xdata()) == 18)
+    np.testing.assert_allclose(drawn, np.sort(found.reference[:, 0]))
 
 
 def test_before_has_axes_of_its_own_where_it_would_hide_what_is_left():
