@@ -162,6 +162,11 @@ class AnyOf(Kind):
                 continue
         return self.kinds[-1].check(value, place)
 
+    def read(self, value: Any) -> Any:
+        """Return what a result holds: as the kinds have it where all are of one sort."""
+        alike = len(set(map(type, self.kinds))) == 1
+        return self.kinds[0].read(value) if alike else value
+
 
 @dataclass(frozen=True)
 class Listed(Kind):

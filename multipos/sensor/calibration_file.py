@@ -1,19 +1,17 @@
-"""Calibrations in files: what a calibration file holds, key by key, and its writing.
+"""Calibrations in files: what a calibration file holds, key by key, its writing and its reading.
 
-Its reading is `multipos.sensor.calibration_file`. What a calibration derives again when it is read
-(its rms, the labels of its parameters) is not read and not described here; what every key means is
-in `docs/reference/formats`.
+What a calibration derives again when it is read (its rms, the labels of its parameters) is not read
+and not described here; what every key means is in `docs/reference/formats`.
 
-Calibrations out of files: `load`, and what makes the parts of a calibration from its keys.
-
-A file is held to its description (`multipos.sensor.calibration_file`) first, so that what is read
-here is of the right kind; then its lists to one another's sizes, and in the end what it says to
-what follows from it.
+A file is held to its description first, so that what is read is of the right kind; then its lists
+to one another's sizes, and in the end what it says to what follows from it.
 """
 
+import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,11 +33,13 @@ from multipos.files.records import (
     AnyOf,
     Fields,
     Flag,
+    Kind,
     Listed,
     Maybe,
     Named,
     Number,
     Numbers,
+    Record,
     Text,
     Whole,
     require,
@@ -81,26 +81,34 @@ from multipos.sensor.own_models import expression_dict, load_parsed
 from multipos.sensor.stating import build_model
 
 SCHEMA = "multipos/calibration/1"
-_DIAGNOSTICS = (
-    "rank",
-    "parameters",
-    "condition",
-    "lack_of_fit",
-    "outliers",
-    "unidentifiable",
-    "findings",
-    "hidden",
-    "leverage",
-)
 # Null is infinite, 0 none; less than a millionth of one is neither.
-_DOF = Maybe(AnyOf((Number(0.0, 0.0), Number(1e-6))))
+_DOF = Maybe(AnyOf((Number(0.0, 0.0), Number(1e-6))), math.inf)
 _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table in a budget
 
 # One number a position, or one an output as well where the outputs were fitted apart.
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
-_COMPONENT = Fields({"value": POSITIVE, "u": POSITIVE})
-_ORIENTATION_SPREAD = Fields({"value": POSITIVE, "u": POSITIVE}, {"determined": Flag()})
-_REST_TO_REST = Named(Fields({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}))
+_COMPONENT = Record({"value": POSITIVE, "u": POSITIVE}, make=Component)
+_COMPONENTS = Record(
+    {},
+    {
+        "rest_to_rest": Named(
+            Record({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}, make=RestToRest)
+        ),
+        "reading_sd": _COMPONENT,
+        "orientation_sd_deg": Record(
+            {"value": POSITIVE, "u": POSITIVE},
+            {"determined": Flag()},  # not in files of version 0.1
+            make=partial(OrientationSpread, determined=True),
+        ),
+        "effective_rows": Named(NOT_NEGATIVE),
+    },
+    make=VarianceComponents,
+)
+_STATUS = Record(
+    {"converged": Flag(), "iterations": Whole(), "message": ANY_TEXT},
+    {"last_step": Maybe(ANY_NUMBER), "gradient": Maybe(ANY_NUMBER)},
+    make=Status,
+)
 _QUANTITY = Fields(
     {},
     {
@@ -111,9 +119,93 @@ _QUANTITY = Fields(
         "high": ANY_NUMBER,
     },
 )
-_NOISE_TEST = Maybe(Fields({"chi2": NOT_NEGATIVE, "dof": POSITIVE}))
 _TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
-
+_DIAGNOSTICS = Record(
+    {
+        "rank": Whole(),
+        "parameters": Whole(),
+        "condition": FIGURE,
+        "leverage": Numbers(2, gaps=True),
+        "lack_of_fit": Named(Fields({"F": FIGURE, "dof": Maybe(Numbers(1)), "p": P_VALUE})),
+        "outliers": TEXTS,
+        "unidentifiable": TEXTS,
+    },
+    {
+        "hidden": TEXTS,
+        "claim": Maybe(Record({"chi2": NOT_NEGATIVE, "dof": POSITIVE}, make=NoiseTest)),
+    },
+)
+# What is known of the readings beside their values, each with what it is called in `Readings` and
+# its shape for n readings of m outputs.
+_OF_READINGS: dict[str, tuple[Kind, str, str]] = {
+    "reading_u": (Numbers(2), "u", "nm"),
+    "reading_dof": (Numbers(2), "dof", "nm"),
+    "reading_covariance": (
+        Numbers(2, low=-LARGEST_SQUARE, high=LARGEST_SQUARE),
+        "covariance",
+        "kk",
+    ),
+    "reading_sd": (Numbers(2), "sd", "nm"),
+    "samples": (Numbers(1), "samples", "n"),
+    "group": (TEXTS, "group", "n"),
+    "open_roll": (TEXTS, "open_roll", "n"),
+    "attitude": (Numbers(3, gaps=True), "rotation", "n33"),
+    "up": (Numbers(2, gaps=True), "up", "n3"),
+    "force": (Numbers(2, gaps=True), "force", "n3"),
+    "reference_u": (Numbers(2), "reference_u", "n3"),
+}
+_KNOWN = Record(
+    {},
+    {key: kind for key, (kind, _, _) in _OF_READINGS.items()},
+    names={key: name for key, (_, name, _) in _OF_READINGS.items()},
+)
+_ORIENTATIONS = Record(
+    {},
+    {
+        "orientation_error_deg": _BY_POSITION,
+        "group_rotation_deg": Named(Numbers(1)),
+        "inclination_deg": Named(ANY_NUMBER),
+        "level_sd_deg": NOT_NEGATIVE,
+        "level_tilt_deg": Numbers(1),
+    },
+    make=FoundOrientations,
+)
+_CHOSEN = Record(
+    {
+        "terms": Listed(ANY_TEXT, 1),
+        "path": Listed(_TESTED),
+        "runner_up": Maybe(_TESTED),
+        "collinear": TEXTS,
+    },
+    make=Chosen,
+)
+_EXCLUDED = Record({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT}, make=Excluded)
+# What only some estimators, options and budgets add.
+_ADDED = Record(
+    {},
+    {
+        "robust_weight": _BY_POSITION,
+        "variance_components": _COMPONENTS,
+        "facing": Listed(Text(tuple(f"{sign}{axis}" for sign in ("", "-") for axis in COMPONENTS))),
+        "selection": Named(_CHOSEN),
+        "nominal": Record(
+            {"bias": ANY_NUMBER, "scale": ANY_NUMBER},
+            make=lambda bias, scale: read_nominal((bias, scale)),
+        ),
+        "excluded": Listed(_EXCLUDED),
+        "sessions": Record(
+            {"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}, make=Sessions
+        ),
+        "budget": Record(
+            {
+                "tables": Named(Named(_SETTING)),
+                "rows": Listed(Fields({"quantity": ANY_TEXT, "contribution": Named(FIGURE)})),
+            },
+            {"scatter": VARIANCES},
+            make=StatedBudget,
+        ),
+    },
+)
 CALIBRATION = Fields(
     {
         "multipos_version": ANY_TEXT,
@@ -130,10 +222,7 @@ CALIBRATION = Fields(
         "inputs": Listed(AXIS, 1, len(COMPONENTS)),
         "unit": ANY_TEXT,
         "confidence": SHARE,
-        "status": Fields(
-            {"converged": Flag(), "iterations": Whole(), "message": ANY_TEXT},
-            {"last_step": Maybe(ANY_NUMBER), "gradient": Maybe(ANY_NUMBER)},
-        ),
+        "status": _STATUS,
         "positions": Listed(ANY_TEXT, 1),
         "parameters": Listed(
             Fields(
@@ -155,61 +244,17 @@ CALIBRATION = Fields(
         "readings": Numbers(2),
         "reference": Numbers(2),
         "diagnostics": Fields(
-            {
-                "rank": Whole(),
-                "parameters": Whole(),
-                "condition": FIGURE,
-                "leverage": Numbers(2, gaps=True),
-                "lack_of_fit": Named(
-                    Fields({"F": FIGURE, "dof": Maybe(Numbers(1)), "p": P_VALUE}),
-                ),
-                "outliers": TEXTS,
-                "unidentifiable": TEXTS,
-            },
-            {**FINDINGS, "model_tests": MODEL_TESTS, "hidden": TEXTS, "claim": _NOISE_TEST},
+            _DIAGNOSTICS.needed,
+            {**FINDINGS, **_DIAGNOSTICS.optional, "model_tests": MODEL_TESTS},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
     {
-        "reading_u": Numbers(2),
-        "reading_dof": Numbers(2),
-        "reading_covariance": Numbers(2, low=-LARGEST_SQUARE, high=LARGEST_SQUARE),
-        "reading_sd": Numbers(2),
-        "samples": Numbers(1),
+        **_KNOWN.optional,
+        **_ORIENTATIONS.optional,
+        **_ADDED.optional,
         "orientation_sd_deg": Numbers(1, gaps=True),
-        "group": TEXTS,
-        "open_roll": TEXTS,
         "environment": Named(Numbers(1, gaps=True)),
-        "attitude": Numbers(3, gaps=True),
-        "up": Numbers(2, gaps=True),
-        "force": Numbers(2, gaps=True),
-        "reference_u": Numbers(2),
-        "robust_weight": _BY_POSITION,
-        "orientation_error_deg": _BY_POSITION,
-        "group_rotation_deg": Named(Listed(ANY_NUMBER, 3, 3)),
-        "inclination_deg": Named(ANY_NUMBER),
-        "level_sd_deg": NOT_NEGATIVE,
-        "level_tilt_deg": Numbers(1),
-        "variance_components": Fields(
-            {},
-            {
-                "rest_to_rest": _REST_TO_REST,
-                "reading_sd": _COMPONENT,
-                "orientation_sd_deg": _ORIENTATION_SPREAD,
-                "effective_rows": Named(NOT_NEGATIVE),
-            },
-        ),
-        "facing": Listed(Text(tuple(f"{sign}{axis}" for sign in ("", "-") for axis in COMPONENTS))),
-        "selection": Named(
-            Fields(
-                {
-                    "terms": Listed(ANY_TEXT, 1),
-                    "path": Listed(_TESTED),
-                    "runner_up": Maybe(_TESTED),
-                    "collinear": TEXTS,
-                }
-            )
-        ),
         "drift_per": Text(("h", "row")),
         "field": Fields(
             {
@@ -218,16 +263,6 @@ CALIBRATION = Fields(
                 "u": NOT_NEGATIVE,
                 "unit": Maybe(Text(MAGNETIC_UNITS)),
             }
-        ),
-        "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
-        "excluded": Listed(Fields({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT})),
-        "sessions": Fields({"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}),
-        "budget": Fields(
-            {
-                "tables": Named(Named(_SETTING)),
-                "rows": Listed(Fields({"quantity": ANY_TEXT, "contribution": Named(FIGURE)})),
-            },
-            {"scatter": VARIANCES},
         ),
         "own_model": Fields(
             {
@@ -270,7 +305,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "inputs": c.model.inputs,
         "unit": c.model.unit,
         "confidence": c.confidence,
-        "status": c.status._asdict(),
+        "status": _STATUS.write(c.status),
         "positions": readings.labels,
         "parameters": [entry._asdict() for entry in c.entries],
         "covariance": c.covariance,
@@ -283,11 +318,10 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         **_known_of(readings),
         "rms": c.rms,
         "linearity": c.linearity,
-        "excluded": [each._asdict() for each in c.excluded],
         "diagnostics": {
-            **{key: getattr(c.diagnostics, key) for key in _DIAGNOSTICS},
+            **_DIAGNOSTICS.write(c.diagnostics),
+            "findings": c.diagnostics.findings,
             "model_tests": [test.to_dict() for test in c.diagnostics.model_tests],
-            "claim": c.diagnostics.claim and c.diagnostics.claim._asdict(),
         },
         "cross_check": None
         if c.cross_check is None
@@ -296,7 +330,8 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "installation_deg": c.installation_deg,
         **expression_dict(c.model),
         **({} if c.model.drift_per is None else {"drift_per": c.model.drift_per}),
-        **_found_dict(c),
+        **_ADDED.write(c),
+        **({} if c.orientations is None else _ORIENTATIONS.write(c.orientations)),
         "findings": c.findings,
     }
     result: dict[str, Any] = plain(content)
@@ -320,50 +355,12 @@ def _field(content: Mapping[str, Any]) -> Field:
 
 def _known_of(readings: Readings) -> dict[str, Any]:
     """Return what is known of readings beside their values, as far as it is."""
-    known = {
-        "reading_u": readings.u,
-        "reading_dof": readings.dof,
-        "reading_covariance": readings.covariance,
-        "reading_sd": readings.sd,
-        "samples": readings.samples,
-        "orientation_sd_deg": None
-        if readings.orientation_sd is None
-        else np.degrees(readings.orientation_sd),
-        "group": readings.group,
-        "open_roll": readings.open_roll,
-        "environment": dict(readings.environment) or None,
-        "attitude": readings.rotation,
-        "up": readings.up,
-        "force": readings.force,
-        "reference_u": readings.reference_u,
+    sd = readings.orientation_sd
+    return {
+        **_KNOWN.write(readings),
+        **({} if sd is None else {"orientation_sd_deg": np.degrees(sd)}),
+        **({"environment": dict(readings.environment)} if readings.environment else {}),
     }
-    return _stated(known)
-
-
-def _found_dict(c: Calibration) -> dict[str, Any]:
-    """Return what only some estimators and budgets add."""
-    found: dict[str, Any] = {
-        "robust_weight": c.robust_weight,
-        "selection": c.selection,
-        "nominal": None if c.nominal is None else c.nominal._asdict(),
-        "facing": c.facing,
-        **(c.orientations or {}),
-    }
-    for name, parts in (
-        ("variance_components", c.variance_components),
-        ("budget", c.budget),
-        ("sessions", c.sessions),
-    ):
-        if parts is not None:
-            found[name] = _stated(parts)
-    return _stated(found)
-
-
-def _stated(parts: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in parts.items() if value is not None}
-
-
-_SPREAD_LOADING = ("value", "u", "determined")
 
 
 def load(path: str | os.PathLike[str]) -> Calibration:
@@ -427,13 +424,16 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
         criterion=content["criterion"],
         confidence=float(content["confidence"]),
         diagnostics=_diagnostics(content["diagnostics"]),
-        status=Status(**_known_keys(content["status"], Status._fields)),
+        status=_STATUS.read(content["status"]),
         created=content["created"],
         version=content["multipos_version"],
         cross_check=None
         if cross_check is None
         else float(cross_check["closed_form_max_difference"]),
-        **_found(content),
+        orientations=_ORIENTATIONS.read(content)
+        if _ORIENTATIONS.optional.keys() & content
+        else None,
+        **_ADDED.read(content),
     )
 
 
@@ -466,8 +466,9 @@ def _model_in_gravity(content: Mapping[str, Any]) -> Model:
 
 
 def _readings(content: Mapping[str, Any], model: Model) -> Readings:
-    reference, force = _numbers(content["reference"]), _numbers(content.get("force"))
+    reference, known = _numbers(content["reference"]), _KNOWN.read(content)
     size = np.linalg.norm(reference, axis=1)
+    force = known.get("force")
     at_rest = np.ones(len(size), dtype=bool) if force is None else ~known_rows(force)
     if not (np.isfinite(size) & ((size > 0.0) | ~at_rest)).all():
         raise ValueError("its reference is zero or not finite")
@@ -478,111 +479,23 @@ def _readings(content: Mapping[str, Any], model: Model) -> Readings:
         values=_numbers(content["readings"]),
         outputs=model.outputs,
         positions=tuple(content["positions"]),
-        up=_numbers(content["up"]) if "up" in content else up,
-        rotation=_numbers(content.get("attitude")),
-        force=force,
-        reference_u=_numbers(content.get("reference_u")),
-        u=_numbers(content.get("reading_u")),
-        covariance=_numbers(content.get("reading_covariance")),
-        sd=_numbers(content.get("reading_sd")),
-        samples=_numbers(content.get("samples")),
+        up=known.pop("up", up),
         orientation_sd=None if sd_deg is None else np.radians(_numbers(sd_deg)),
-        group=content.get("group"),
         environment={
             name: _numbers(column) for name, column in content.get("environment", {}).items()
         },
         unit=model.unit,
         source=content["input"]["file"],
         sha256=content["input"]["sha256"],
-        dof=_numbers(content.get("reading_dof")),
-        open_roll=content.get("open_roll"),
+        **known,
     )
 
 
 def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
     return Diagnostics(
-        rank=found["rank"],
-        parameters=found["parameters"],
-        condition=float(_numbers([found["condition"]])[0]),
-        leverage=_numbers(found["leverage"]),
-        lack_of_fit={
-            output: {key: test[key] for key in ("F", "dof", "p")}
-            for output, test in found["lack_of_fit"].items()
-        },
-        outliers=tuple(found["outliers"]),
-        unidentifiable=tuple(found["unidentifiable"]),
+        **_DIAGNOSTICS.read(found),
         findings=read_findings(found),
         model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
-        hidden=tuple(found.get("hidden", ())),
-        claim=NoiseTest(claim["chi2"], claim["dof"]) if (claim := found.get("claim")) else None,
-    )
-
-
-def _found(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a calibration that only some estimators and budgets add."""
-    found: dict[str, Any] = {"robust_weight": _numbers(content.get("robust_weight"))}
-    components, chosen = content.get("variance_components"), content.get("selection")
-    if components is not None:
-        found["variance_components"] = _components(components)
-    if orientations := _orientations(content):
-        found["orientations"] = orientations
-    if "facing" in content:
-        found["facing"] = tuple(content["facing"])
-    if chosen is not None:
-        found["selection"] = {output: _chosen(said) for output, said in chosen.items()}
-    if "nominal" in content:
-        found["nominal"] = read_nominal([content["nominal"][key] for key in ("bias", "scale")])
-    found["excluded"] = tuple(Excluded(**each) for each in content.get("excluded", ()))
-    if "sessions" in content:
-        said = content["sessions"]
-        found["sessions"] = Sessions(said["runs"], tuple(said["files"]), said["sd"])
-    if "budget" in content:
-        said = content["budget"]
-        scatter = _numbers(said.get("scatter"))
-        found["budget"] = StatedBudget(said["tables"], tuple(said["rows"]), scatter)
-    return found
-
-
-def _orientations(content: Mapping[str, Any]) -> FoundOrientations | None:
-    known = _known_keys(content, [field.name for field in fields(FoundOrientations)])
-    if not known:
-        return None
-    for key in ("orientation_error_deg", "level_tilt_deg"):
-        known[key] = _numbers(known.get(key))
-    groups = known.get("group_rotation_deg")
-    if groups is not None:
-        known["group_rotation_deg"] = {k: _numbers(v) for k, v in groups.items()}
-    return FoundOrientations(**known)
-
-
-def _components(said: Mapping[str, Any]) -> VarianceComponents:
-    scatter, reading, spread = (
-        said.get(key) for key in ("rest_to_rest", "reading_sd", "orientation_sd_deg")
-    )
-    if scatter is not None:
-        dof = _dof([part["dof"] for part in scatter.values()]).tolist()
-        scatter = {
-            output: RestToRest(part["value"], part["u"], nu)
-            for (output, part), nu in zip(scatter.items(), dof, strict=True)
-        }
-    return VarianceComponents(
-        scatter,
-        None if reading is None else Component(reading["value"], reading["u"]),
-        None
-        if spread is None
-        else OrientationSpread(**{"determined": True, **_known_keys(spread, _SPREAD_LOADING)}),
-        said.get("effective_rows"),
-    )
-
-
-def _known_keys(said: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
-    """Return what is said under keys that are known; a later version may have more."""
-    return {key: said[key] for key in keys if key in said}
-
-
-def _chosen(said: Mapping[str, Any]) -> Chosen:
-    return Chosen(
-        tuple(said["terms"]), tuple(said["path"]), said["runner_up"], tuple(said["collinear"])
     )
 
 
@@ -605,29 +518,22 @@ def _lists(
     c: Mapping[str, Any], n: int, m: int, p: int
 ) -> Iterator[tuple[str, Any, tuple[int, ...]]]:
     """Yield lists of a file with the shapes that n readings, m outputs and p parameters ask."""
+    sizes = {"n": n, "m": m, "k": n * m, "3": 3}
     known: dict[str, tuple[int, ...]] = {
         "covariance": (p, p),
         "readings": (n, m),
         "residuals": (n, m),
         "reference": (n, 3),
         "positions": (n,),
-        "reading_u": (n, m),
-        "reading_dof": (n, m),
-        "reading_covariance": (n * m, n * m),
-        "reading_sd": (n, m),
-        "samples": (n,),
         "orientation_sd_deg": (n,),
-        "group": (n,),
-        "open_roll": (n,),
-        "attitude": (n, 3, 3),
-        "up": (n, 3),
-        "force": (n, 3),
-        "reference_u": (n, 3),
+        **{key: tuple(sizes[d] for d in dims) for key, (_, _, dims) in _OF_READINGS.items()},
     }
     yield from ((key, c[key], shape) for key, shape in known.items() if key in c)
     yield "diagnostics.leverage", c["diagnostics"]["leverage"], (n, m)
     for name, column in c.get("environment", {}).items():
         yield f"environment.{name}", column, (n,)
+    for name, vector in c.get("group_rotation_deg", {}).items():
+        yield f"group_rotation_deg.{name}", vector, (3,)
     if "scatter" in c.get("budget", {}):
         yield "budget.scatter", c["budget"]["scatter"], (p, p)
     for key in ("robust_weight", "orientation_error_deg"):
