@@ -190,7 +190,8 @@ def evaluate(
     calibration, problem = _fit(plan, averages)
     axes = tuple(named_axes(averages.outputs))
     means = averages.readings.values
-    frame = find_frame(means, axes, plan.convention, calibration)
+    asked = [pose.asked for pose in poses] if plan.scheme is None else []
+    frame = find_frame(means, axes, plan.convention, calibration, asked)
     parameters: tuple[Progress, ...] = ()
     if calibration is not None:
         parameters = tuple(_progress(plan, calibration, before))
@@ -336,26 +337,37 @@ def is_unknown(plan: SessionPlan) -> bool:
 
 
 def next_pose(
-    plan: SessionPlan, model: Model, found: PosesGain, poses: list[Pose], under_way: Array
+    plan: SessionPlan,
+    model: Model,
+    found: PosesGain,
+    frame: Frame | None,
+    poses: list[Pose],
+    under_way: Array,
 ) -> NextPose | None:
     """Return the pose to take next.
 
     Parameters
     ----------
     found : PosesWorth
+    frame : Frame or None
+        How readings show directions, by what is under way too.
     poses : list of Pose
         The accepted ones.
     under_way : (0 or 1, 3) array
-        Up vector of a pose that is being taken.
+        Up vector of a pose that is being taken, in case axes.
     """
     targets = _targets_in(plan, model)
     if plan.scheme is not None:
         return _next_of_scheme(plan.scheme, model, found, poses, targets, plan.order)
     taken = under_way
-    if found.frame is not None and found.averages is not None:
-        up = found.frame.up(found.averages.readings.values)
-        taken = np.concatenate([up, under_way])
-    return best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
+    if frame is not None:
+        taken = frame.in_outputs(under_way)
+        if found.averages is not None:
+            taken = np.concatenate([frame.up(found.averages.readings.values), taken])
+    best = best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
+    if best is None or frame is None:
+        return best
+    return replace(best, direction=frame.in_case(best.direction) + 0.0)
 
 
 def _targets_in(plan: SessionPlan, model: Model) -> dict[str, float]:

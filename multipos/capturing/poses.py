@@ -5,8 +5,13 @@ the poses so far; before there is one, by a sphere through their means,
 
     |y|² = 2 c·y + (r² − c·c),                                                              (1)
 
-linear in the centre c; and before that by the size of gravity in a known unit. A rest is refused
-that moved, is cut off, reads gravity in another unit, or repeats a direction within 5°.
+linear in the centre c; and before that by the size of gravity in a known unit, or by what was asked
+for: where the first rest shows a face of the case, its size is gravity's. A rest is refused that
+moved, is cut off, reads gravity in another unit, or repeats a direction within 5°.
+
+How the outputs stand in the case, mirrored and turned boards among them, is what was asked for
+against what was shown: the signed permutation Q, of 48, whose Q a_i are nearest to the directions
+s_i, where these are within 30° of three in four; the board as it is named goes before all others.
 
 The next pose: where one more rest lowers the uncertainty most.
 
@@ -31,8 +36,10 @@ only taken where it is clearly better than all of them.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +51,7 @@ from multipos.logs.faults import at_one_value, is_factor
 from multipos.logs.still import Still
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import read_scheme
 from multipos.results import Result
@@ -52,6 +60,8 @@ from multipos.sensor.model import Model
 from multipos.units import STANDARD_GRAVITY
 
 REPEAT_DEG = 5.0
+_HAND_DEG = 30.0  # a hand that is asked for a direction comes nearer than that,
+_FOLLOWED = 0.75  # at so many of the poses
 _SPREAD = 30.0  # condition of eq. (1) up to which the centre is identifiable
 _SIGNIFICANT = 5.0  # times its standard uncertainty, of a drift
 _ONE_G = (1.0, STANDARD_GRAVITY, 1000.0)
@@ -72,6 +82,8 @@ class Pose(Result):
         Why it is not accepted.
     undone : bool
         Whether the user took it back.
+    asked : (3,) array or None
+        The direction, in case axes, that was asked for when it began.
     """
 
     position: str
@@ -79,6 +91,7 @@ class Pose(Result):
     accepted: bool
     reason: str | None
     undone: bool = False
+    asked: Array | None = None
 
     def taken_back(self, reason: str) -> "Pose":
         """Return the pose as the user took it back."""
@@ -98,6 +111,7 @@ class Frame:
     order: tuple[int, ...]  # output of x, y, z
     sign: float
     calibration: Calibration | None = None
+    turn: Array = field(default_factory=lambda: np.eye(3))  # from the case to the outputs
 
     def force(self, means: Array) -> Array:
         """Return the forces (n, 3) that readings (n, M) show, in case axes, about 1 in size."""
@@ -110,15 +124,80 @@ class Frame:
         return np.asarray(np.linalg.norm(self.force(means), axis=1))
 
     def up(self, means: Array) -> Array:
-        """Return the up vectors (n, 3) that readings (n, M) show, in case axes."""
+        """Return the up vectors (n, 3) that readings (n, M) show, in the axes of the outputs."""
         force = self.sign * self.force(means)
         return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
 
+    def in_case(self, up: Array) -> Array:
+        """Return up vectors (n, 3) in case axes."""
+        return np.asarray(up @ self.turn)
+
+    def in_outputs(self, up: Array) -> Array:
+        """Return up vectors (n, 3) in the axes of the outputs."""
+        return np.asarray(up @ self.turn.T)
+
 
 def find_frame(
+    means: Array,
+    axes: tuple[int, ...],
+    convention: Convention,
+    calibration: Calibration | None,
+    asked: "Sequence[Array | None]" = (),
+) -> Frame | None:
+    """Return how readings (n, M) show directions, as far as the poses so far tell.
+
+    Parameters
+    ----------
+    asked : sequence of (3,) array or None
+        What was asked for at each pose, in case axes.
+    """
+    frame = _find_frame(means, axes, convention, calibration)
+    pairs = [i for i, up in enumerate(asked) if up is not None]
+    if not pairs or len(axes) != len(COMPONENTS):
+        return frame
+    sign = -1.0 if convention == "gravity" else 1.0
+    order = tuple(int(i) for i in np.argsort(axes))
+    seen = frame or Frame(np.zeros(3), float(median(_sizes(means, np.zeros(3)))), order, sign)
+    wanted = np.array([asked[i] for i in pairs])
+    turn = find_turn(wanted, seen.up(means[pairs]))
+    return frame if turn is None else replace(seen, turn=turn)
+
+
+@cache
+def _turns() -> Array:
+    """Return the signed permutations (48, 3, 3): the identity, other rotations, mirrors."""
+    every = [
+        np.eye(3)[list(order)] * np.array(signs)
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return np.array(sorted(every, key=lambda turn: (-np.linalg.det(turn).round(), -np.trace(turn))))
+
+
+def find_turn(asked: Array, shown: Array) -> Array | None:
+    """Return how outputs stand in the case; None where nothing brings the directions together.
+
+    Parameters
+    ----------
+    asked : (n, 3) array
+        Up vectors in case axes.
+    shown : (n, 3) array
+        In the axes of the outputs.
+    """
+    near = np.einsum("tij,nj,ni->tn", _turns(), asked, shown)
+    followed = (near >= math.cos(math.radians(_HAND_DEG))).mean(axis=1)
+    if followed.max() < _FOLLOWED:
+        return None
+    if followed[0] == followed.max():
+        return np.eye(3)
+    score = np.where(followed == followed.max(), near.mean(axis=1), -np.inf)
+    return np.asarray(_turns()[int(np.argmax(np.round(score, 6)))])
+
+
+def _find_frame(
     means: Array, axes: tuple[int, ...], convention: Convention, calibration: Calibration | None
 ) -> Frame | None:
-    """Return how readings (n, M) show directions, as far as the poses so far tell."""
+    """Return how readings (n, M) show directions by themselves."""
     sign = -1.0 if convention == "gravity" else 1.0
     order = tuple(int(i) for i in np.argsort(axes))
     if calibration is not None and _is_plain_triad(calibration.model):

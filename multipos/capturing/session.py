@@ -23,6 +23,7 @@ from multipos.capturing.evaluation import (
 )
 from multipos.capturing.live_rests import LiveRests, LiveRows, RowOptions
 from multipos.capturing.poses import (
+    Frame,
     NextPose,
     Pose,
     find_frame,
@@ -92,6 +93,7 @@ class Session:
         self._again = ""  # the pose that is to be taken again
         self.newest: Array | None = None
         self.under_way: Pose | None = None
+        self._asked: list[tuple[int, Array]] = []  # first row, and the direction asked for from it
         self._decided: dict[str, str] = {}  # what the user took back, by position, and why
 
     # What changes it
@@ -226,7 +228,7 @@ class Session:
 
     def direction(self, mean: Array | None) -> Array | None:
         """Return the up vector (3,) that a reading (M,) shows, None where it does not."""
-        frame = self.evaluation.frame
+        frame = self._frame()
         if mean is None:
             return None
         if frame is None:  # no pose yet: the reading itself may be in a known unit
@@ -235,15 +237,31 @@ class Session:
             frame = find_frame(mean[np.newaxis], axes, self.plan.convention, None)
         if frame is None:
             return None
-        up = frame.up(mean[np.newaxis])[0]
+        up = frame.in_case(frame.up(mean[np.newaxis]))[0]
         return up if np.isfinite(up).all() else None
+
+    def _frame(self) -> Frame | None:
+        """Return how readings show directions, by the poses taken and what is under way."""
+        current = self.under_way
+        if current is None or current.reason is not None or self.plan.scheme is not None:
+            return self.evaluation.frame
+        assert self.rows is not None
+        poses = [*self.accepted, current]
+        return find_frame(
+            np.array([pose.still.found.mean for pose in poses]),
+            tuple(named_axes(self.rows.outputs)),
+            self.plan.convention,
+            self.evaluation.calibration,
+            [pose.asked for pose in poses],
+        )
 
     def directions(self) -> list[Array | None]:
         """Return the up vector (3,) of every pose."""
         means = [pose.still.found.mean for pose in self.poses]
         if self.evaluation.frame is None or not means:
             return [self.direction(mean) for mean in means]
-        up = self.evaluation.frame.up(np.array(means))
+        frame = self.evaluation.frame
+        up = frame.in_case(frame.up(np.array(means)))
         return [each if np.isfinite(each).all() else None for each in up]
 
     def _offer_settled(self) -> None:
@@ -266,7 +284,8 @@ class Session:
     def _judge(self, still: Still, number: str) -> Pose:
         """Return the pose that a rest is, accepted or refused."""
         assert self.rows is not None
-        pose = Pose(number, still, accepted=True, reason=None)
+        asked = next((up for row, up in reversed(self._asked) if row <= still.rows.start), None)
+        pose = Pose(number, still, accepted=True, reason=None, asked=asked)
         reason = refuse_rest(still, self.rows.outputs, self.threshold)
         if reason is None:
             means = np.array([each.still.found.mean for each in self.accepted])
@@ -289,7 +308,8 @@ class Session:
             return None
         means = np.array([pose.still.found.mean for pose in accepted])
         labels = [pose.position for pose in accepted]
-        return refuse_repeat(up, self.evaluation.frame.up(means), labels)
+        frame = self.evaluation.frame
+        return refuse_repeat(up, frame.in_case(frame.up(means)), labels)
 
     def _place(self, still: Still) -> tuple[str, str | None]:
         """Return the position of the scheme that a rest is at, and why it is at none."""
@@ -360,7 +380,12 @@ class Session:
             if up is not None:
                 self.next = NextPose(up, None, self._again)
                 return
-        self.next = next_pose(self.plan, self.model, self.evaluation, self.accepted, under_way)
+        self.next = next_pose(
+            self.plan, self.model, self.evaluation, self._frame(), self.accepted, under_way
+        )
+        row = 0 if self.rows is None else self.rows.rows
+        if self.next is not None:
+            self._asked.append((row, self.next.direction))
 
     def _look_under_way(self) -> None:
         """See whether the sensor has been still for long enough, and lead on from there."""
