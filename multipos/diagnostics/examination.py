@@ -19,6 +19,7 @@ from multipos.diagnostics.columns import (
     temperature_kelvin,
 )
 from multipos.diagnostics.competition import RIVALS, compete
+from multipos.diagnostics.magnetic import disturbance, field_size, moving_iron, sphere_gap
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.redundancy import drift_absorbed, no_redundancy, poorly_determined
 from multipos.diagnostics.residuals import (
@@ -33,12 +34,15 @@ from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model
 from multipos.finding import Finding, errors_of, in_order
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.gravity import MAGNETIC, worded
 
 Question = Callable[[Calibration], Finding | None]
 
 # Implausible whatever the fit says; where a column is no output at all, no more is asked of it.
 OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
 OF_OPTIONS: tuple[Question, ...] = (gravity,)
+# Of a magnetic field alone.
+OF_FIELD: tuple[Question, ...] = (field_size, sphere_gap, disturbance, moving_iron)
 # Cautions about what was given and what the positions can show.
 CAUTIONS: tuple[Question, ...] = (quantized, no_redundancy, repeated_rows, temperature_kelvin)
 # Cautions about what the residuals show, and cannot show.
@@ -72,8 +76,24 @@ _SLOW_NOISE = 3.0  # times the noise within rests, that noise from rest to rest 
 def examine(calibration: Calibration) -> Calibration:
     """Return a calibration with what does not look right about it.
 
-    Beside the findings stand the tests of the terms that the model lacks.
+    Beside the findings stand the tests of the terms that the model lacks. Of a magnetometer they
+    are asked of the relative field, and said in its words.
     """
+    if not calibration.field.magnetic:
+        return _examined(calibration)
+    found = _examined(calibration.relative).diagnostics
+    own = tuple(ask(calibration) for ask in OF_FIELD)
+    said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)
+    findings = in_order((*(each for each in own if each is not None), *said))
+    return replace(calibration, diagnostics=replace(found, findings=findings))
+
+
+def in_words(text: str) -> str:
+    """Return a sentence in the words of a magnetometer."""
+    return worded(text, MAGNETIC)
+
+
+def _examined(calibration: Calibration) -> Calibration:
     tested = judge_model(calibration)
     of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
     calibration = replace(calibration, diagnostics=of_model)

@@ -21,6 +21,7 @@ from multipos.plots.style import (
 )
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
+from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import nominal_force, sensitivities
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import vector_uncertainty
@@ -78,9 +79,9 @@ def draw_size_residuals(calibration: Calibration, axes: "Axes") -> None:
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(sd).all():
         axes.vlines(at, -2.0 * sd, 2.0 * sd, color=COLOURS[5], linewidth=5.0, label="±2 sd")
-    axes.plot(at, error, MARKERS[0], color=COLOURS[0], label="size of the force")
+    axes.plot(at, error, MARKERS[0], color=COLOURS[0], label=worded("size of the force", c.field))
     _name_positions(axes, c.readings.labels)
-    name_axis(axes.yaxis, "size of the force", "g")
+    name_axis(axes.yaxis, worded("size of the force", c.field), c.field.printed)
     name_series(axes, 2)
 
 
@@ -103,8 +104,8 @@ def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
     up = c.sign * directions(c.reference)
     if np.isfinite(c.rms) and np.isfinite(c.u).all():
         u = vector_uncertainty(c, c.sign * everywhere())
-        factor, unit = readable_unit(float(u.max()), "g")
-        draw_map(factor * u, f"u of force [{unit}]", axes)
+        factor, unit = readable_unit(float(u.max()), c.field.printed)
+        draw_map(factor * u, f"{worded('u of force', c.field)} [{unit}]", axes)
     draw_frame(axes)
     forced = c.readings.forced
     for rows, marker in ((~forced, "o"), (forced, "s")):
@@ -122,7 +123,7 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     tiny = 1e-3 * max(float(np.nanmax(before)), 1e-12)
     axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
     axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
-    scale_by_powers(axes, "y", "g")
+    scale_by_powers(axes, "y", c.field.printed)
     axes.set_ylabel("error")
     _name_positions(axes, c.readings.labels)
     name_series(axes, 2)
@@ -166,7 +167,7 @@ def _nominal_off(c: Calibration) -> Array:
         for output, axis in zip(c.outputs, c.model.axes, strict=True)
         if (output, linear_term(axis)) in c.model.keys
     ]
-    scale = 1.0 if c.model.unit == "g" or not own else float(np.mean(own))
+    scale = 1.0 if c.model.unit == c.field.unit or not own else float(np.mean(own))
     axes = [COMPONENTS.index(axis) for axis in c.model.axes]
     return np.asarray(c.readings.values / scale - c.reference[:, axes])
 

@@ -23,6 +23,7 @@ from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
+from multipos.sensor.gravity import worded
 
 Words = Callable[[str], str]
 _WIDTH, _TYPE, _INK = 360, 11, "#000000"
@@ -170,7 +171,8 @@ def residual_picture(calibration: Calibration, words: Words = str) -> str:
     c = calibration
     if c.estimator is Estimator.UNKNOWN:
         size, sd = size_residuals(c)
-        panels = [("size of the force", "g", size, 2.0 * sd)]
+        what = worded("size of the force", c.field)
+        panels = [(what, c.field.printed, size, 2.0 * sd)]
     else:
         left = np.sqrt(np.maximum(1.0 - c.diagnostics.leverage, 0.0))
         bands = 2.0 * c.sd_of_readings * left

@@ -217,7 +217,7 @@ def build_content(
     MultiposError
         The lab file is at fault, or the check is of another calibration.
     """
-    tr = Translator(language)
+    tr = Translator(language, calibration.field)
     said = read_lab(lab)
     c = calibration
     budget = evaluate_budget(c)
@@ -269,19 +269,18 @@ def _answer(c: Calibration, check: Check | None, tr: Translator) -> str:
 
 
 def _method(c: Calibration, tr: Translator) -> Section:
-    gravity = (
-        tr("local, one g")
-        if c.gravity is None
-        else (f"{c.gravity.value:.10g} m/s^2, u = {in_unit(c.gravity.u, 'm/s^2')}")
-    )
+    size = tr(c.field.text)
+    if c.gravity is not None:
+        unit = c.gravity.size_unit
+        size = f"{c.gravity.value:.10g} {unit}, u = {in_unit(c.gravity.u, unit)}"
     rows: list[tuple[str, str]] = [
         (tr("Readings"), c.readings.source or tr("from memory")),
         (tr("SHA-256 of the readings"), c.readings.sha256 or "-"),
         (tr("Number of readings"), str(len(c.readings))),
         (tr("Outputs and unit"), f"{', '.join(c.outputs)} [{c.model.unit}]"),
         (tr("Model"), c.model.text),
-        (tr("Convention"), tr(c.convention)),
-        (tr("Gravity"), gravity),
+        *(() if c.field.magnetic else ((tr("Convention"), tr(c.convention)),)),
+        (tr("Gravity"), size),
         (tr("Estimator"), tr(c.estimator)),
         (tr("Criterion"), tr.message(c.criterion)),
         (tr("Computed"), f"{c.created}, multipos {c.version}"),

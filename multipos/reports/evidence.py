@@ -51,11 +51,11 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     paragraphs = [_kind_of_residual(c, tr)]
     if c.estimator is Estimator.UNKNOWN:
         sizes, sd = size_residuals(c)
-        printed = column(sizes[shown], "g", float(sd.max()), signed=True)
+        printed = column(sizes[shown], c.field.printed, float(sd.max()), signed=True)
         columns.append((f"{tr('size of the force')} [{printed.unit}]", [*printed.cells, "", ""]))
     if math.isfinite(c.rms):
         for when, error in (("before", nominal_error(c)), ("after", compensated_error(c))):
-            printed = column([*error[shown]], "g")
+            printed = column([*error[shown]], c.field.printed)
             columns.append((f"{tr('error')} {tr(when)} [{printed.unit}]", [*printed.cells, "", ""]))
         paragraphs.append(_kind_of_error(c, tr))
     table = PageTable(

@@ -8,7 +8,6 @@ from multipos.diagnostics.model_error import not_stated
 from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
     decimals_of,
-    in_unit,
     largest_rows,
     number,
     plain_number,
@@ -55,8 +54,10 @@ def _equation(c: Calibration, tr: Translator) -> str:
     """Return the measurement equation: the terms of the table, or formulas as they were written."""
     if isinstance(c.model, ExpressionModel):
         return tr(
-            "Each output reads, in the reference x, y, z and that along its own axis [g]: {model}.",
+            "Each output reads, in the reference x, y, z and that along its own axis [{unit}]: "
+            "{model}.",
             model=c.model.text,
+            unit=c.field.printed,
         )
     return tr(
         "The model of output i is y_i = sum of coefficients times terms of the reference "
@@ -199,6 +200,8 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     seen = applied(c)
     forced = (seen.largest,) if c.readings.forced.any() and seen.largest > 1.0 else ()
     sizes = sorted({1.0, *forced, *((2.0, 5.0) if allowed else ())})
+    if c.field.magnetic:
+        sizes = [c.field.magnitude]
     rows = _sphere_rows(c, sizes, max((1.0, *forced)), tr)
     paragraphs = [
         tr(
@@ -211,9 +214,10 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
         )
         if allowed
         else tr(
-            "The calibration holds within what was applied, up to {size} g. Beyond, terms that the "
-            "positions cannot show may grow without limit.",
+            "The calibration holds within what was applied, up to {size} {unit}. Beyond, "
+            "terms that the positions cannot show may grow without limit.",
             size=f"{seen.largest:.4g}",
+            unit=c.field.unit,
         ),
     ]
     if hidden:
@@ -251,7 +255,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
 
 def _seen_terms(c: Calibration, tr: Translator) -> list[str]:
     """Return the sizes of terms that the positions show, beside which hidden ones are judged."""
-    listed = [f"{name} ({in_unit(size, 'g')})" for name, size in shown_sizes(c).items()]
+    listed = [f"{name} ({c.field.shown(size)})" for name, size in shown_sizes(c).items()]
     said = "Of higher order these positions do show {terms}, with what noise leaves open."
     return [tr(said, terms=", ".join(listed))] if listed else []
 
@@ -260,18 +264,20 @@ def _sphere_rows(
     c: Calibration, sizes: Sequence[float], seen: float, tr: Translator
 ) -> list[tuple[str, ...]]:
     """Return force at each size [g], beyond `seen` marked, and tilt at 1 g, by axis."""
-    words = {"force": ("force along {axis}", "g"), "tilt_deg": ("tilt of {axis}", "deg")}
+    unit = c.field.printed
+    words = {"force": ("force along {axis}", unit), "tilt_deg": ("tilt of {axis}", "deg")}
     rows: list[tuple[str, ...]] = []
     for size in sizes:
         found = evaluate_sphere(c, size=size)
-        for what in ("force",) if size > 1.0 else found:
+        for what in ("force",) if size > 1.0 or c.field.magnetic else found:
             text, unit = words[what]
             for axis, entry in found[what].items():
                 factor, shown = readable_unit(entry["U"], unit)
                 rows.append(
                     (
                         tr(text, axis=axis),
-                        f"{size:g} g" + ("" if size <= seen else " *"),
+                        f"{size:g} {c.field.printed}"
+                        + ("" if size <= seen or c.field.magnetic else " *"),
                         *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),
                         shown,
                         plain_number(entry["k"], 3),

@@ -12,7 +12,6 @@ from multipos.diagnostics.score_tests import judge_included
 from multipos.files.numbers import (
     chance,
     decimals_of,
-    in_unit,
     number,
     p_in_words,
     plain_number,
@@ -27,7 +26,7 @@ from multipos.uncertainty.monte_carlo import MonteCarlo
 def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None) -> Section:
     """Return the checks of the fit."""
     rows: list[tuple[str, str]] = [
-        (tr("rms of what is left after compensation"), in_unit(c.rms, "g")),
+        (tr("rms of what is left after compensation"), c.field.shown(c.rms)),
         (tr("rank and parameters"), f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
         (tr("condition of the design"), number(c.diagnostics.condition, 3)),
     ]

@@ -23,6 +23,7 @@ from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.uncertainty.propagation import Evaluation
+from multipos.units import unit_per
 
 
 class Quantity(NamedTuple):
@@ -52,9 +53,10 @@ def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> li
         return []
     values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
     u, dof, _ = budget.combine(gradient)
+    per = unit_per(c.model.unit, 1, (), c.field.unit)
     names = [
-        *((tr("Sensitivity of {output}", output=o), f"{c.model.unit}/g") for o in c.outputs),
-        *((tr("Offset of {output}", output=o), "g") for o in c.outputs),
+        *((tr("Sensitivity of {output}", output=o), per) for o in c.outputs),
+        *((tr("Offset of {output}", output=o), c.field.printed) for o in c.outputs),
         *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
         *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
     ]

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from multipos.errors import UsageError
 from multipos.files.numbers import largest_rows
 from multipos.plots.style import new_figure, to_svg
+from multipos.sensor.gravity import GRAVITY, Field, worded, worded_chinese
 
 Language = Literal["en", "zh"]
 LANGUAGES: tuple[Language, ...] = get_args(Language)
@@ -31,20 +32,28 @@ LANGUAGES: tuple[Language, ...] = get_args(Language)
 class Translator:
     """Return a sentence in a language: ``tr("Offset of {output}", output="ax")``."""
 
-    def __init__(self, language: Language) -> None:
+    def __init__(self, language: Language, field: Field = GRAVITY) -> None:
         if language not in LANGUAGES:
             raise UsageError(f"--language takes {' or '.join(LANGUAGES)}, got '{language}'.")
         self.language = language
         content = {} if language == "en" else _read(language)
         self.words: dict[str, str] = content.get("words", {})
         self.messages: dict[str, str] = content.get("messages", {})
+        self.field = field
+        if field.magnetic:
+            self.words, self.messages = map(self._in_field, (self.words, self.messages))
+
+    def _in_field(self, table: dict[str, str]) -> dict[str, str]:
+        return {worded(key, self.field): worded_chinese(said) for key, said in table.items()}
 
     def __call__(self, text: str, **put_in: str) -> str:
         """Return a sentence with what is put in."""
+        text = worded(text, self.field)
         return self.words.get(text, text).format(**put_in) if put_in else self.words.get(text, text)
 
     def message(self, text: str) -> str:
         """Return what a fit said: a sentence with numbers and names in it."""
+        text = worded(text, self.field)
         for pattern, translated in self.messages.items():
             match = _regular(pattern).fullmatch(text)
             if match:

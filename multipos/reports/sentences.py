@@ -40,14 +40,15 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
     count = len(c.readings)
     kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
+    kind = "reading" if c.field.magnetic else kind
     said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
     parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
     if math.isfinite(c.rms):
-        before, after = _rms_before(c), in_unit(c.rms, "g")
+        before, after = _rms_before(c), c.field.shown(c.rms)
         said = ": rms error {before} before, {after} after" if before else ": rms error {after}"
         parts[0] += tr(said, before=before, after=after)
     bias, scale = _largest_expanded(c)
-    sizes = [tr("{size} of bias", size=in_unit(bias, "g"))] if math.isfinite(bias) else []
+    sizes = [tr("{size} of bias", size=c.field.shown(bias))] if math.isfinite(bias) else []
     sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
     if sizes:
         percent = f"{100.0 * c.confidence:g}"
@@ -60,7 +61,7 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
 
 def _rms_before(c: Calibration) -> str:
     """Return the rms error by the stated conversion, or by the unit where it is one of force."""
-    if c.nominal is None and c.model.unit not in MICRO_G:
+    if c.field.magnetic or (c.nominal is None and c.model.unit not in MICRO_G):
         return ""
     if c.nominal is None:
         c = replace(c, nominal=Nominal(0.0, _PER_G / MICRO_G[c.model.unit]))

@@ -173,7 +173,7 @@ def _body(found: Result) -> str:
     if isinstance(found, Calibration):
         return (
             _table(*parameter_rows(found), left=3)
-            + f"<p>rms {number(found.rms, 3)} g after compensation</p>"
+            + f"<p>rms {number(found.rms, 3)} {found.field.printed} after compensation</p>"
         )
     if isinstance(found, Check):
         sheet = check_sheets(found)[0]

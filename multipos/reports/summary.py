@@ -13,6 +13,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sentences import calibration_sentence
 from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, parameter_rows
+from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
 
@@ -58,23 +59,21 @@ def _bullets(lines: Iterable[str]) -> str:
 
 def _summary(calibration: Calibration) -> str:
     c = calibration
-    gravity = (
-        "local, one g"
-        if c.gravity is None
-        else (f"{c.gravity.value:.10g} m/s^2, u = {c.gravity.u:.3g} m/s^2")
-    )
     readings = c.readings
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
     lines = [
         f"readings    {readings.source or 'from memory'}: {counted}",
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
-        f"convention  {c.convention}",
-        f"gravity     {gravity}",
+        *((f"field       {c.field.text}",) if c.field.magnetic else _in_gravity(c)),
         *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
         f"estimator   {c.estimator}: {c.criterion}",
         f"created     {c.created}, multipos {c.version}",
     ]
     return "\n".join(lines)
+
+
+def _in_gravity(c: Calibration) -> tuple[str, str]:
+    return f"convention  {c.convention}", f"gravity     {c.field.text}"
 
 
 def _residuals(calibration: Calibration) -> str:
@@ -99,7 +98,9 @@ def _residuals(calibration: Calibration) -> str:
 
 def _checks(calibration: Calibration) -> str:
     c = calibration
-    left = f"{c.rms:.3e} g" if math.isfinite(c.rms) else "none, as the parameters give no force"
+    unit = c.field.unit or "of the field"
+    no_force = worded("none, as the parameters give no force", c.field)
+    left = f"{c.rms:.3e} {unit}" if math.isfinite(c.rms) else no_force
     lines = [f"rms of what is left after compensation: {left}"]
     if c.nominal is not None:
         # Imported here, for who states no conversion shall not wait for what draws it.
@@ -108,7 +109,7 @@ def _checks(calibration: Calibration) -> str:
         before = nominal_error(c)
         rms = math.sqrt(float(before @ before) / len(before))
         said = f"(reading - {c.nominal.bias:g})/{c.nominal.scale:g}"
-        lines.append(f"before, by {said}: rms {rms:.3e} g, largest {before.max():.3e} g")
+        lines.append(f"before, by {said}: rms {rms:.3e} {unit}, largest {before.max():.3e} {unit}")
     for output, found in c.linearity.items():
         lines.append(
             f"linearity of {output}: {number(found['without_model_percent'])} % without, "

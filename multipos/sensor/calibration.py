@@ -41,7 +41,7 @@ from multipos.sensor.found import (
     VarianceComponents,
     add_scatter,
 )
-from multipos.sensor.gravity import Field
+from multipos.sensor.gravity import MAGNETIC, Field
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import Model, paper_symbol
 
@@ -253,15 +253,35 @@ class Calibration(Result, Drawn):
         """Which rows were set aside and how far off they are, as a sentence; empty for none."""
         if not self.excluded:
             return ""
-        off = ", ".join(
-            f"{each.label} ({number(1e3 * each.off, 3)} m{each.unit})"
-            for each in self.excluded[:_SHOWN]
-        )
+        off = ", ".join(f"{each.label} ({self._shown(each)})" for each in self.excluded[:_SHOWN])
         if len(self.excluded) > _SHOWN:
             off += f" and {len(self.excluded) - _SHOWN} more"
         rows = "positions" if self.readings.samples is None else "rests"
         count = len(self.excluded)
         return f"{count} of {count + len(self.readings)} {rows} set aside: {off}"
+
+    def _shown(self, each: Excluded) -> str:
+        if self.field.magnetic:
+            return self.field.shown(each.off)
+        return f"{number(1e3 * each.off, 3)} m{each.unit}"
+
+    @cached_property
+    def relative(self) -> "Calibration":
+        """The calibration in a magnetic field of size one, whatever its size; of gravity itself.
+
+        A coefficient of degree d in the field is d powers of its size larger.
+        """
+        field = self.field
+        if not field.magnetic or field.size is None or hasattr(self.model, "functions"):
+            return self
+        power = np.asarray(field.size ** self.model.force_degrees.astype(np.float64))
+        return replace(
+            self,
+            model=replace(self.model, field=MAGNETIC),
+            parameters=self.parameters * power,
+            covariance=self.covariance * np.outer(power, power),
+            reference=self.reference / field.size,
+        )
 
     @property
     def budget_tables(self) -> Mapping[str, Mapping[str, Any]]:

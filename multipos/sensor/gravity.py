@@ -83,6 +83,11 @@ class Field:
         return "" if self.size is None else self.size_unit
 
     @property
+    def printed(self) -> str:
+        """The unit of the reference for tables, 1 where it has none."""
+        return self.unit or "1"
+
+    @property
     def sensor(self) -> str:
         """What senses it."""
         return "Magnetometer" if self.magnetic else "Accelerometer"
@@ -107,6 +112,66 @@ class Field:
         """Return what JSON carries of a magnetic field."""
         unit = self.size_unit if self.size is not None else None
         return {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
+
+
+# What is said of force in the sentences of all sensors, and what that is of a magnetic field; the
+# option --force, names in braces and what stands in quotes stay.
+_WORDS = (
+    (r"specific force", "field"),
+    (r"at rest in one gravity", "in one field"),
+    (r"beside gravity", "of another size"),
+    (r"(?:local )?gravity reads", "the field reads"),
+    (r"respond to gravity", "respond to the field"),
+    (r"in gravity", "in the magnetic field"),
+    (r"Gravity", "Field"),
+    (r"the reference in g", "the reference"),
+    (r"readings in g", "readings in its unit"),
+    (r"local gravity|(?<!--)(?<!\{)gravity", "the field"),
+    (r"forces", "fields"),
+    (r"Forces", "Fields"),
+    (r"force and(?: of)? tilt|force and tilt", "field"),
+    (r"(?<!--)(?<!\{)force", "field"),
+    (r"Force", "Field"),
+    (r"Accelerometer", "Magnetometer"),
+    (r"accelerometer", "magnetometer"),
+    (r"accelerations?", "field"),
+    (r"one g|1 g", "the field"),
+    (r"−1 g to \+1 g", "the field's range"),
+    (r"Offset of", "Hard iron of"),
+    (r"Which way was up", "Where the field pointed"),
+    (r"which way was up", "where the field pointed"),
+    (r"up vectors?", "field direction"),
+    (r"hand-held position", "reading in all directions"),
+    (r"upside down", "reversed"),
+)
+_PERCENT = {"g": 100.0, "mg": 0.1, "µg": 1e-4}  # of a relative field
+_CHINESE = (
+    *(("比力", "磁场"), ("加速度计", "磁力计"), ("加速度", "磁场"), ("重力场", "磁场")),
+    *(("重力", "磁场"), ("受力", "磁场"), ("力的大小", "磁场的大小"), ("补偿后力", "补偿后磁场")),
+    *(("为单位的力", "为单位的磁场"), ("零偏", "硬磁偏置"), ("力以", "磁场以"), ("与倾角", "")),
+)
+_TABLE = tuple((re.compile(rf"(?<![\w-]){old}(?!\w)"), new) for old, new in _WORDS)
+_SIZE = re.compile(r"(?<![\w.])([-+]?[\d.]+(?:e[-+]?\d+)?) (mg|µg|g)(?![\w/^])")
+
+
+def worded(text: str, field: Field) -> str:
+    """Return a sentence as it is said of a sensor of a field; of accelerometers as it stands.
+
+    Sizes in g are those of the relative field.
+    """
+    if not field.magnetic:
+        return text
+    text = _SIZE.sub(lambda m: f"{_PERCENT[m[2]] * float(m[1]):.3g} % of the field", text)
+    for pattern, new in _TABLE:
+        text = pattern.sub(new, text)
+    return text
+
+
+def worded_chinese(text: str) -> str:
+    """Return a Chinese sentence as it is said of a magnetometer."""
+    for old, new in _CHINESE:
+        text = text.replace(old, new)
+    return text
 
 
 GRAVITY = Field()

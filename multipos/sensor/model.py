@@ -34,7 +34,7 @@ from multipos.numerics.terms import (
     parse_term,
 )
 from multipos.results import Result
-from multipos.sensor.gravity import GRAVITY, Field
+from multipos.sensor.gravity import GRAVITY, Field, worded
 from multipos.units import unit_per
 
 DRIFT = "drift"  # the column and term of a session's drift
@@ -68,7 +68,7 @@ def _of_one_factor(output: str, axis: str, factor: Factor) -> str:
     return ""
 
 
-def parameter_label(output: str, axis: str, term: Term) -> str:
+def parameter_label(output: str, axis: str, term: Term, field: Field = GRAVITY) -> str:
     """Return a parameter in plain words, for reports."""
     name = parameter_name(output, axis, term)
     kind = name.partition("_")[0]
@@ -82,7 +82,7 @@ def parameter_label(output: str, axis: str, term: Term) -> str:
         "product": f"cross-coupling of {output} with {term}",
         "square": f"sensitivity of {output} to {term}",
     }
-    return words.get(kind, f"coefficient of {term} in {output}")
+    return worded(words.get(kind, f"coefficient of {term} in {output}"), field)
 
 
 Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy/dp (n, p_i)
@@ -416,7 +416,7 @@ class Model(Result):
     def label(self, index: int) -> str:
         """Return a parameter in plain words, for reports."""
         output, term = self.keys[index]
-        return parameter_label(output, self.axes[self.outputs.index(output)], term)
+        return parameter_label(output, self.axes[self.outputs.index(output)], term, self.field)
 
     def linear_part(self, parameters: Array, environment: Mapping[str, float]) -> Array:
         """Return the constant and the coefficients of x, y and z (M, 4) of each output."""
@@ -517,7 +517,8 @@ def paper_symbol(model: Model, index: int) -> str | None:
     The paper numbers the other axes in order (K_ax1 on y, K_ax2 on z; K_ay1 on x, K_ay2 on z;
     K_az1 on x, K_az2 on y) and the square of the own axis 3.
     """
-    if model.text not in ("linear", "own-quadratic") or model.axes != COMPONENTS:
+    of_paper = model.text in ("linear", "own-quadratic") and not model.field.magnetic
+    if not of_paper or model.axes != COMPONENTS:
         return None
     output, term = model.keys[index]
     axis = model.axes[model.outputs.index(output)]
