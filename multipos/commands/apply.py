@@ -17,7 +17,7 @@ from multipos.logs.opening import open_log
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.sensor.calibration_file import load
 
-INPUTS = ("calibration", "data")
+INPUTS = ("calibration", "data", "beside")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))
 
 
@@ -28,6 +28,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("data", metavar="DATA.csv", help="raw readings; every column is kept")
     add("--columns", type=names, metavar="a,b,c,…", help="names of all columns, where it has none")
     add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
+    add(
+        "--with",
+        dest="beside",
+        metavar="ACCEL.json",
+        help="of a magnetometer: add heading_deg by the accelerometer beside it, at rest",
+    )
     add("--uncertainty", action="store_true", help="add the uncertainties u_f_x, U_f_x, …")
     add(
         "--reading-sd",
@@ -58,6 +64,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         "reading_sd": arguments.reading_sd,
         "parameters_only": arguments.parameters_only,
         "outside": arguments.outside,
+        "beside": None if arguments.beside is None else load(arguments.beside),
     }
     log = open_log(arguments.data, columns=arguments.columns)
     applied = apply_log(calibration, log, **options)
@@ -85,6 +92,8 @@ def _correct(arguments: argparse.Namespace) -> Answer:
     """Apply a regression: whole, because a rate needs the rows before and after."""
     if arguments.tilt:
         raise UsageError("--tilt goes with a calibration; a regression corrects a column.")
+    if arguments.beside is not None:
+        raise UsageError("--with goes with a magnetometer's calibration, not with a regression.")
     table = read_table(arguments.data, what="data")
     columns = correct(
         load_regression(arguments.calibration),

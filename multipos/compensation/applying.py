@@ -22,6 +22,12 @@ angles of its axes above the horizon, and one axis that it does not have follows
 that axis up. More outputs than axes leave a parity: ``parity`` and ``fault``
 (`multipos.compensation.applying`).
 
+A magnetometer gives ``b_x``, ``b_y``, ``b_z`` instead. With an accelerometer beside it, at rest, u
+its specific force as a unit vector, ``heading_deg`` is that of case axis x from magnetic north, 0
+to 360° by the east, without declination:
+
+    n = b − (b·u) u,     e = n × u,     heading = atan2(x·e, x·n).
+
 Parity: what more outputs than axes say of each other, whatever the force.
 
 M outputs on K < M axes over-determine the force. Least squares leaves r = y − h(f), which lies in
@@ -38,7 +44,7 @@ that an output has failed, not which one.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -59,6 +65,7 @@ from multipos.positions.headers import plain_names, require_units, under_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import has_other_solutions, sensed_axes, sensitivities
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
 from multipos.uncertainty.validity import applied, unseen_covariance
@@ -129,6 +136,7 @@ def add_columns(
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
     outside: Outside,
+    beside: Calibration | None = None,
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
@@ -159,16 +167,55 @@ def add_columns(
             found=force,
             reach=float(np.linalg.norm(calibration.reference, axis=1).max()),
         )
-    added = _by_axis("f_{}", axes, force)
+    symbol = calibration.field.symbol
+    added = _by_axis(f"{symbol}_{{}}", axes, force)
     if uncertainty is not None and noise is not None:
         u, U = uncertainty.of_force(force, environment, noise)
-        added |= _by_axis("u_f_{}", axes, u) | _by_axis("U_f_{}", axes, U)
+        added |= _by_axis(f"u_{symbol}_{{}}", axes, u) | _by_axis(f"U_{symbol}_{{}}", axes, U)
     added |= tilts
+    if beside is not None:
+        added["heading_deg"] = _heading(force, beside, table)
     if len(calibration.outputs) > len(axes):
         odd = parity(calibration, raw, force, environment, reading_noise(calibration))
         added["parity"] = odd.size
         added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
     return {**added, "outside": beyond.astype(np.int64)}
+
+
+def _heading(field: Array, beside: Calibration, table: Table) -> Array:
+    """Return the heading (n,) of case axis x [degrees], NaN where it has none."""
+    raw = np.column_stack([table.number(name, largest=LARGEST) for name in beside.outputs])
+    environment = {name: table.number(name) for name in beside.model.environment}
+    up = beside.sign * beside.compensate(raw, environment)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        up = up / np.linalg.norm(up, axis=1)[:, None]
+        north = field - np.einsum("ni,ni->n", field, up)[:, None] * up
+        east = np.cross(north, up)
+        found = np.degrees(np.arctan2(east[:, 0], north[:, 0])) % 360.0
+    level = np.hypot(east[:, 0], north[:, 0]) > 0.0
+    return np.where(level & (found < 360.0), found, np.where(level, 0.0, np.nan))
+
+
+def check_beside(calibration: Calibration, beside: Calibration | None, tilt: bool) -> None:
+    """Refuse a heading without a magnetometer and an accelerometer, and a tilt of the former."""
+    if tilt and calibration.field.magnetic:
+        raise UsageError("--tilt is of accelerometers; a magnetometer has --with ACCEL.json.")
+    if beside is None:
+        return
+    if not calibration.field.magnetic or beside.field.magnetic:
+        raise UsageError("--with goes with a magnetometer, and takes an accelerometer's file.")
+    for each in (calibration, beside):
+        if sorted(each.model.axes) != list(COMPONENTS):
+            raise UsageError("--with takes two triads; one of the calibrations has other axes.")
+
+
+def find_turn(calibration: Calibration, beside: Calibration | None) -> Findings:
+    """Say that the turn between two triads is not known, where one had no orientations."""
+    if beside is None or (calibration.model.gauge is None and beside.model.gauge is None):
+        return ()
+    text = "the turn between the two triads is not known, and is not in the heading"
+    action = "Calibrate both at known orientations of one case to have it."
+    return (Finding("triads-turned", "warning", text, action),)
 
 
 def _tilts(
@@ -204,6 +251,7 @@ def check_columns(
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
     units: Mapping[str, str],
+    beside: Calibration | None = None,
 ) -> None:
     """Refuse a table that lacks a column, has it in another unit, or has one that is added."""
     for name in (*calibration.outputs, *calibration.model.environment):
@@ -212,6 +260,8 @@ def check_columns(
                 f"{source}: no column '{name}', which this calibration needs; "
                 f"the columns are {', '.join(columns)}."
             )
+    if beside is not None:
+        check_columns(beside, source, columns, False, None, units)
     model = calibration.model
     require_units(source, units, model.outputs, model.environment, model.unit)
     # What one reading gets, every reading gets.
@@ -221,7 +271,7 @@ def check_columns(
     added = add_columns(
         calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
     )
-    for name in added:
+    for name in (*added, *(("heading_deg",) if beside is not None else ())):
         if name in columns:
             raise MultiposError(
                 f"{source}: column '{name}' is there already; rename it, apply writes it."
@@ -279,6 +329,7 @@ class AppliedLog:
     rows: int = 0
     beyond: int = 0
     samples: Findings = ()
+    beside: Calibration | None = None
 
     @property
     def noise(self) -> str | None:
@@ -290,6 +341,7 @@ class AppliedLog:
         """What was found about force and its uncertainties, of the rows done so far."""
         wanted = self.uncertainty
         of_noise = () if wanted is None else (*wanted.held, *self.samples)
+        of_noise = (*of_noise, *find_turn(self.calibration, self.beside))
         return found_applying(self.calibration, of_noise, self.beyond, self.rows)
 
     def __iter__(self) -> Iterator[str]:
@@ -328,6 +380,7 @@ class AppliedLog:
                 tilt=self.tilt,
                 uncertainty=self.uncertainty,
                 outside=self.outside,
+                beside=self.beside,
             )
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
@@ -342,8 +395,11 @@ class AppliedLog:
 
     @property
     def _needed(self) -> tuple[str, ...]:
-        beside = () if self.uncertainty is None else self.uncertainty.noise.columns
-        return (*self.calibration.outputs, *self.calibration.model.environment, *beside)
+        needed = [*self.calibration.outputs, *self.calibration.model.environment]
+        needed += () if self.uncertainty is None else self.uncertainty.noise.columns
+        if self.beside is not None:
+            needed += [*self.beside.outputs, *self.beside.model.environment]
+        return tuple(dict.fromkeys(needed))
 
     @property
     def _delimiter(self) -> str:
@@ -370,6 +426,7 @@ def apply_log(
     reading_sd: ArrayLike | None = None,
     parameters_only: bool = False,
     outside: Outside = "flag",
+    beside: Calibration | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> AppliedLog:
     """Return a log with the compensated force beside its columns, to be written piece by piece.
@@ -380,12 +437,14 @@ def apply_log(
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
     check_outside(outside)
-    log = called_as(log, wanted_columns(calibration))
+    check_beside(calibration, beside, tilt)
+    asked = wanted_columns(calibration)
+    log = called_as(log, asked if beside is None else (*asked, *wanted_columns(beside)))
     wanted = asked_uncertainty(
         calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
     )
-    check_columns(calibration, log.source, log.columns, tilt, wanted, log.units)
-    return AppliedLog(calibration, log, tilt, wanted, outside, progress)
+    check_columns(calibration, log.source, log.columns, tilt, wanted, log.units, beside)
+    return AppliedLog(calibration, log, tilt, wanted, outside, progress, beside=beside)
 
 
 def wanted_columns(calibration: Calibration) -> tuple[str, ...]:
@@ -448,6 +507,7 @@ def apply(
     reading_sd: ArrayLike | None = None,
     parameters_only: bool = False,
     outside: Outside = "flag",
+    beside: Calibration | None = None,
 ) -> Applied:
     """Return the columns of a table with the compensated force beside them.
 
@@ -470,6 +530,9 @@ def apply(
     outside : str
         'flag' rows beyond what was calibrated, 'clamp' the model's other columns (such as
         temperature) to the calibrated range as well, or 'refuse' the table.
+    beside : Calibration, optional
+        Of the accelerometer beside a magnetometer, whose outputs the table has as well: add
+        ``heading_deg``, of case axis x from magnetic north, at rest.
 
     Returns
     -------
@@ -499,6 +562,7 @@ def apply(
             "`multipos.correct`, and `multipos.load` reads a calibration from its file."
         )
     check_outside(outside)
+    check_beside(calibration, beside, tilt)
     data = take_in(data, "data", calibration.outputs)
     if not isinstance(data, Mapping):  # a log of any kind that the command reads
         whole = apply_log(
@@ -509,17 +573,21 @@ def apply(
             reading_sd=reading_sd,
             parameters_only=parameters_only,
             outside=outside,
+            beside=beside,
         )
         columns = whole.columns()
         return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
     given = read_table(data, what="data")
     table, units = plain_names(given)
-    table, _ = under_names(table, wanted_columns(calibration))
+    asked = wanted_columns(calibration)
+    table, _ = under_names(table, asked if beside is None else (*asked, *wanted_columns(beside)))
     wanted = asked_uncertainty(
         calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
     )
-    check_columns(calibration, table.source, table.columns, tilt, wanted, units)
-    added = add_columns(calibration, table, tilt=tilt, uncertainty=wanted, outside=outside)
+    check_columns(calibration, table.source, table.columns, tilt, wanted, units, beside)
+    added = add_columns(
+        calibration, table, tilt=tilt, uncertainty=wanted, outside=outside, beside=beside
+    )
     if outside == "refuse" and added["outside"].any():
         where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
         raise refusal(where, int(added["outside"].sum()), table.rows)
@@ -527,6 +595,7 @@ def apply(
     said: Findings = ()
     if wanted is not None:
         said = (*wanted.held, *wanted.find_samples(table, table.columns))
+    said = (*said, *find_turn(calibration, beside))
     findings = found_applying(calibration, said, int(sum(added["outside"])), table.rows)
     noise = None if wanted is None else wanted.noise.text
     return Applied({**kept, **added}, noise, findings)
@@ -534,7 +603,8 @@ def apply(
 
 def found_applying(c: Calibration, of_noise: Findings, beyond: int, rows: int) -> Findings:
     """Return what was found about compensated force."""
-    return in_order((*find_hidden(c), *of_noise, *find_outside(beyond, rows)))
+    found = in_order((*find_hidden(c), *of_noise, *find_outside(beyond, rows)))
+    return tuple(replace(each, text=worded(each.text, c.field)) for each in found)
 
 
 def find_outside(beyond: int, rows: int) -> Findings:

@@ -1,12 +1,16 @@
 """Logs of a magnetometer that was turned about by hand: rows as they are, and those worth keeping.
 
 A magnetometer is not put down in positions but waved through all directions, and every row is a
-reading of the field in some direction. Neighbours of a fast log have nearly the same direction and
-the same slow noise; so of more rows than `_KEPT` those are kept that stand for most directions. A
-sphere through the readings, |y|² = 2 c·y + (r² − |c|²) by least squares, gives each row a direction
-y − c, which falls into one of the squares of a cube's faces; of every square so many rows are kept,
-even in time, that all together are as many as wanted. What is left of their correlation is for the
-fit, which takes rows in the order of time (`multipos.estimation.correlated_rows`).
+reading of the field in some direction. Slow noise e of the sensor, r (·) its correlation, makes the
+misfits m = u'e of rows a lag apart have the mean
+
+    E m_t m_t+k = s² r(k) u_t·u_t+k,                                                        (1)
+
+which the sums over all t, divided by those of (u_t·u_t+k)², tell of the misfits to the ellipsoid
+through all rows by least squares. Rows are kept as far apart as r takes to fall to a tenth, even in
+time and no more than `_KEPT`; where the sensor stood, in a square of a cube's faces, no more than
+`_OVER` times what is usual. What is left of correlation is for the fit, which takes rows in the
+order of time (`multipos.estimation.correlated_rows`).
 
 Rests are taken instead where nine or more hold most of the log.
 """
@@ -37,7 +41,10 @@ from multipos.positions.headers import (
 from multipos.positions.readings import Readings
 from multipos.results import Result, plain
 
-_KEPT = 300  # rows that a fit is made of
+_KEPT = 600  # rows that a fit is made of
+_LEAST = 60  # rows that are kept whatever their correlation
+_FORGOTTEN = 0.1  # correlation of rows that are as good as independent
+_OVER = 4.0
 _SQUARES = 4  # along an edge of a face of the cube
 _FEWEST = 12  # rows
 _BLOCK = 25  # rows, that stand still or not
@@ -170,11 +177,15 @@ def waved(
 ) -> Waved:
     """Return the rows (n, 3) of a waved log that are worth keeping."""
     source = logs[0].source
-    rows = worth_keeping(values)
+    rows, stride = worth_keeping(values)
     said = "rows are taken as they are, each a direction of its own"
     if len(rows) < len(values):
         said = f"{len(rows)} of {len(values)} rows are kept, even over directions and time"
     findings = [Finding("waved", "note", said), *_cut_off(outputs, values)]
+    if _LEAST * stride > len(values) > _LEAST:
+        text = f"noise is correlated over {stride} rows, so that U of {len(values)} is too small"
+        action = f"Record {_LEAST * stride} rows or more."
+        findings.append(Finding("time-correlated", "warning", text, action))
     units = {log.units.get(name) for log in logs for name in outputs}
     readings = Readings(
         values=values[rows],
@@ -189,50 +200,74 @@ def waved(
     return Waved(source, outputs, len(values), readings, tuple(findings), unit)
 
 
-def worth_keeping(values: Array, count: int = _KEPT) -> NDArray[np.intp]:
-    """Return the rows (k,) of readings (n, 3) that are kept, k about `count` at most, in order."""
+def worth_keeping(values: Array) -> tuple[NDArray[np.intp], int]:
+    """Return the rows (k,) of readings (n, 3) that are kept, in order, and the stride."""
     n = len(values)
-    if n <= count or values.shape[1] != len(COMPONENTS):
-        return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(np.intp))
-    square = _squares_of(values)
+    if values.shape[1] != len(COMPONENTS):
+        return np.unique(np.linspace(0, n - 1, min(n, _KEPT)).astype(np.intp)), 1
+    misfit, away = _off_the_ellipsoid(values)
+    stride = _stride(misfit, away)
+    count = min(n, _KEPT, max(n // stride, _LEAST))
+    rows = ((np.arange(count) + 0.5) * n / count).astype(np.intp)
+    square = _squares_of(away[rows])
     sizes = np.bincount(square)
-    cap = _even_cap(sizes[sizes > 0], count)
+    cap = int(max(_OVER * median(sizes[sizes > 0].astype(np.float64)), _FEWEST))
     order = np.argsort(square, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(sizes)])
     kept = []
-    for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-        own = order[start:end]
-        if len(own) > cap:
-            own = own[((np.arange(cap) + 0.5) * len(own) / cap).astype(np.intp)]
-        kept.append(own)
-    return np.sort(np.concatenate(kept))
+    for own in np.split(order, np.cumsum(sizes)[:-1]):
+        even = ((np.arange(cap) + 0.5) * len(own) / cap).astype(np.intp)
+        kept.append(own[even] if len(own) > cap else own)
+    return rows[np.sort(np.concatenate(kept))], stride
 
 
-def _squares_of(values: Array) -> NDArray[np.intp]:
-    """Return in which square of a cube's faces the direction of each row is."""
-    scale = float(np.abs(values).max()) or 1.0
-    y = values / scale
-    design = np.column_stack([2.0 * y, np.ones(len(y))])
-    centre = np.linalg.lstsq(design, np.sum(y**2, axis=1), rcond=None)[0][:3]
-    away = y - centre
-    along = np.abs(away).argmax(axis=1)
-    rows = np.arange(len(away))
-    size = np.where(away[rows, along] == 0.0, 1.0, away[rows, along])
-    face = 2 * along + (size > 0.0)
-    beside = np.stack([away[rows, (along + k) % 3] / np.abs(size) for k in (1, 2)])
+def _off_the_ellipsoid(values: Array) -> tuple[Array, Array]:
+    """Return the misfit (n,) of rows to the ellipsoid through them, and their directions (n, 3).
+
+    Where the readings have none, directions are those about their mean.
+    """
+    middle, scale = values.mean(axis=0), float(values.std()) or 1.0
+    y = (values - middle) / scale
+    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+    design = np.column_stack([*(y[:, i] * y[:, j] for i, j in pairs), y])
+    p = np.linalg.lstsq(design, np.ones(len(y)), rcond=None)[0]
+    A = np.zeros((3, 3))
+    for (i, j), value in zip(pairs, p.tolist(), strict=False):
+        A[i, j] += 0.5 * value
+        A[j, i] += 0.5 * value
+    size, vectors = np.linalg.eigh(A)
+    if not (size > 0.0).all():
+        return np.zeros(len(y)), y
+    centre = -0.5 * np.linalg.solve(A, p[6:])
+    root = vectors * np.sqrt(size / (1.0 + centre @ A @ centre)) @ vectors.T
+    field = (y - centre) @ root
+    length = np.linalg.norm(field, axis=1)
+    return length - 1.0, field / np.where(length > 0.0, length, 1.0)[:, None]
+
+
+def _stride(misfit: Array, along: Array) -> int:
+    """Return the least number of rows after which noise is forgotten, by eq. (1)."""
+    n, lag = len(misfit), 1
+    whole = float(misfit @ misfit) / n
+    if not whole > 0.0:
+        return 1
+    while lag < n // 4:
+        parallel = np.einsum("ni,ni->n", along[:-lag], along[lag:])
+        found = float(np.sum(misfit[:-lag] * misfit[lag:] * parallel))
+        if found < _FORGOTTEN * whole * float(parallel @ parallel):
+            return lag
+        lag = max(lag + 1, round(1.25 * lag))
+    return lag
+
+
+def _squares_of(along: Array) -> NDArray[np.intp]:
+    """Return in which square of a cube's faces directions (n, 3) are."""
+    largest = np.abs(along).argmax(axis=1)
+    rows = np.arange(len(along))
+    size = np.where(along[rows, largest] == 0.0, 1.0, along[rows, largest])
+    face = 2 * largest + (size > 0.0)
+    beside = np.stack([along[rows, (largest + k) % 3] / np.abs(size) for k in (1, 2)])
     cell = np.clip(((beside + 1.0) / 2.0 * _SQUARES).astype(np.intp), 0, _SQUARES - 1)
     return np.asarray((face * _SQUARES + cell[0]) * _SQUARES + cell[1])
-
-
-def _even_cap(sizes: NDArray[np.intp], count: int) -> int:
-    """Return how many rows of a square may be kept, so that all are no more than `count`."""
-    low, high = 1, int(sizes.max())
-    while low < high:
-        middle = (low + high + 1) // 2
-        low, high = (
-            (middle, high) if np.minimum(sizes, middle).sum() <= count else (low, middle - 1)
-        )
-    return low
 
 
 def _cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_a_waved_log_to_px4(tmp_path, capsys):
     cal = mp.load(tmp_path / "cal.json")
     assert cal.field.magnetic
     assert cal.estimator == "unknown-orientation"
-    assert 200 < len(cal.readings) <= 300
+    assert 300 < len(cal.readings) <= 600
     for name, truth in zip(("bias_mx", "bias_my", "bias_mz"), HARD, strict=True):
         assert abs(cal[name].value - truth) < 2.0 * cal[name].U
     assert mp.verify_export(tmp_path / "cal_px4.params", cal).difference < 1e-6
@@ -222,3 +223,141 @@ def test_nine_rests_that_hold_most_of_a_log_are_averaged():
     cal = mp.calibrate(log, unit="uT")
     assert len(cal.readings) == 12
     assert cal.readings.samples is not None
+
+
+def accelerometer():
+    """Return a calibration of readings that are specific force already."""
+    up = mp.read_scheme("all-26").up
+    rows = dict(zip(("ax", "ay", "az"), up.T, strict=True))
+    return mp.fit({**rows, **dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))}, unit="g")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_heading_is_that_of_a_compass(seed):
+    """Attitudes drawn at random; the truth is the azimuth of case axis x."""
+    rows, u = readings(sd=0.0)
+    cal = mp.fit({**rows, **listed(u)}, unit="uT", field_size=SIZE)
+    rng = np.random.default_rng(seed)
+    Q = np.linalg.qr(rng.normal(size=(50, 3, 3)))[0]
+    Q *= np.linalg.det(Q)[:, None, None]  # proper: level to case
+    east, north, up = (Q[:, :, i] for i in range(3))
+    dip = np.radians(64.0)
+    field = SIZE * (np.cos(dip) * north - np.sin(dip) * up)
+    raw = HARD + field @ SOFT.T
+    table = dict(zip((*NAMES, "ax", "ay", "az"), (*raw.T, *up.T), strict=True))
+    found = mp.apply(cal, table, beside=accelerometer())
+    assert_allclose(np.column_stack([found.b_x, found.b_y, found.b_z]), field, atol=1e-6)
+    truth = np.degrees(np.arctan2(east[:, 0], north[:, 0])) % 360.0
+    assert_allclose((found.heading_deg - truth + 180.0) % 360.0, 180.0, atol=1e-5)
+    assert "f_x" not in found
+    assert not any("turn" in f.code for f in found.findings)
+
+
+def test_heading_of_unknown_orientations_says_what_it_lacks(tmp_path, capsys):
+    rows, u = readings()
+    mp.fit(rows, unit="uT").save(tmp_path / "mag.json")
+    accelerometer().save(tmp_path / "acc.json")
+    table = np.column_stack([*rows.values(), u])
+    path = tmp_path / "log.csv"
+    np.savetxt(path, table, delimiter=",", header="mx,my,mz,ax,ay,az", comments="")
+    asked = ["apply", str(tmp_path / "mag.json"), str(path), "-o", str(tmp_path / "out.csv")]
+    assert main([*asked, "--with", str(tmp_path / "acc.json"), "--uncertainty"]) == 0
+    assert "is not known" in capsys.readouterr().err
+    head = (tmp_path / "out.csv").read_text().splitlines()[0]
+    assert head.endswith("b_x,b_y,b_z,u_b_x,u_b_y,u_b_z,U_b_x,U_b_y,U_b_z,heading_deg,outside")
+    assert main([*asked, "--tilt"]) == 2
+    assert main(["apply", str(tmp_path / "acc.json"), str(path), "--with", asked[1]]) == 2
+
+
+FOREIGN = re.compile(
+    r"\b([Ff]orces?|(?:[Ss]pecific |out of )force|[Aa]ccel\w*|[Gg]ravity)\b|[\d)] ?[mµ]?g\b|\[m?g\]"
+)
+FOREIGN_CHINESE = re.compile(r"比力|加速|重力|\d ?[mµ]?g\b")
+
+
+def of_a_magnetometer(text):
+    """Return what is said of forces in a text, but for the option --force and keys of programs."""
+    return [m[0] for m in FOREIGN.finditer(text.replace("--force", ""))]
+
+
+@pytest.mark.parametrize("case", ["unknown", "known", "six"])
+def test_no_word_of_forces(case, tmp_path, capsys):
+    """Summaries, reports in two languages, C and parameters of a magnetometer, and its findings."""
+    rows, u = readings(6 if case == "six" else 40, sd=1.0)
+    table = rows if case == "unknown" else {**rows, **listed(u)}
+    size = [] if case == "unknown" else ["--field-size", "48.6uT", "--field-size-u", ".1uT"]
+    path, cal = tmp_path / "rows.csv", tmp_path / "cal.json"
+    columns = np.column_stack([*table.values()])
+    np.savetxt(path, columns, delimiter=",", header=",".join(table), comments="")
+    assert main(["fit", str(path), "--unit", "uT", *size, "-v", "-o", str(cal)]) in (0, 3)
+    texts = [*capsys.readouterr()]
+    assert main(["fit", str(path), "--unit", "uT", *size, "-v"]) in (0, 3)
+    texts += [*capsys.readouterr()]
+    for target in ("c", "px4", "ardupilot", "ros"):
+        out = tmp_path / f"cal.{target}"
+        made = ["export", str(cal), "--to", target, "--allow-lossy", "--force", "-o", str(out)]
+        assert main(made) == 0
+        texts += [out.read_text(), *capsys.readouterr()]
+        assert main(["verify-export", str(out), str(cal)]) == 0
+        texts += [*capsys.readouterr()]
+    for ending in ("txt", "md", "html"):
+        out = tmp_path / f"report.{ending}"
+        assert main(["report", str(cal), "-o", str(out)]) == 0
+        texts.append(
+            re.sub(r"<style.*?</style>", "", out.read_text(encoding="utf-8"), flags=re.DOTALL)
+        )
+    texts += [entry.label for entry in mp.load(cal).entries]
+    for text in texts:
+        assert not of_a_magnetometer(text), (of_a_magnetometer(text), text)
+    out = tmp_path / "zh.txt"
+    assert main(["report", str(cal), "--language", "zh", "-o", str(out)]) == 0
+    assert not FOREIGN_CHINESE.findall(out.read_text(encoding="utf-8"))
+
+
+def healthy(n, seed, sd=0.3):
+    log = wave(n, seed, sd=sd)
+    return np.column_stack([log[name] for name in NAMES])
+
+
+def found_in(values, unit="uT", **options):
+    cal = mp.calibrate(dict(zip(NAMES, values.T, strict=True)), unit=unit, **options)
+    return {f.code: f for f in cal.findings if f.level != "note"}
+
+
+def test_a_disturbance_is_found_with_its_rows():
+    """Iron near one direction adds 5 % there."""
+    values = healthy(3000, 21)
+    away = values - HARD
+    along = away / np.linalg.norm(away, axis=1)[:, None]
+    near = along @ np.array([0.0, 0.6, 0.8]) > np.cos(np.radians(25.0))
+    values[near] += 0.05 * away[near]
+    found = found_in(values, exclude="none")["disturbance"]
+    assert "larger than elsewhere" in found.text
+    inside = [near[int(label) - 1] for label in found.rows]
+    assert len(inside) >= 5
+    assert np.mean(inside) > 0.8
+
+
+def test_moving_iron_is_found_with_the_row():
+    values = healthy(3000, 22)
+    values[1500:] += [1.5, 0.0, -1.5]  # [µT]
+    found = found_in(values, exclude="none")["moving-iron"]
+    assert abs(int(found.rows[0]) - 1500) <= 300
+    assert 0.03 < float(re.search(r"by ([\d.]+) % of the field", found.text)[1]) / 100 < 0.06
+
+
+def test_size_gap_and_saturation():
+    assert "field-size" in found_in(3.0 * healthy(1000, 23))
+    values = healthy(3000, 24)
+    half = found_in(values[values[:, 2] > HARD[2] - 5.0])
+    gap = half["sphere-gap"]
+    assert re.search(r"\(.*, -1\.0\)|\(0\.0, 0\.0, -1\.0\)", gap.action)
+    cut = values.copy()
+    cut[:, 0] = np.minimum(cut[:, 0], 35.0)
+    assert found_in(cut)["saturated"].level == "error"
+
+
+def test_a_healthy_wave_has_no_finding_of_its_own():
+    """Each of the four is asked at .2 %, so that of 20 logs hardly one shows any."""
+    own = {"disturbance", "moving-iron", "field-size", "sphere-gap", "saturated"}
+    assert sum(bool(own & found_in(healthy(2000, seed)).keys()) for seed in range(20)) <= 1
