@@ -34,7 +34,7 @@ from multipos.finding import refuse_unfit
 from multipos.sensor.inverse import read_nominal
 
 # In the order of the documentation; the first that recognises a file reads it back.
-TARGETS: tuple[Target, ...] = (C, ROS_MAGNETOMETER, ROS, PX4, ARDUPILOT, IMUCAL, KALIBR, INAV)
+TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, ROS_MAGNETOMETER, IMUCAL, KALIBR, INAV)
 # Of the names that accelerometers have too.
 _MAGNETOMETERS: tuple[Target, ...] = (PX4_MAGNETOMETER, ARDUPILOT_MAGNETOMETER)
 TargetName = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav", "ros"]
