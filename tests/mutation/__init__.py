@@ -1,0 +1,1 @@
+"""How many lines changed on purpose the tests catch: `python -m tests.mutation [ROOM …]`."""

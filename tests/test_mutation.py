@@ -1,0 +1,46 @@
+"""The programme that changes lines on purpose: its changes are code, and are of what computes."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tests.mutation.__main__ import draw
+from tests.mutation.changes import changes_of
+
+SOURCE = '''
+def deviation(x: list[float], known: bool = True) -> float:
+    """Return it."""
+    if not known and len(x) < 2:
+        raise ValueError(f"{len(x) + 1} are needed")
+    mean = sum(x) / len(x)
+    return 1.25 * (sum(each**2 for each in x) - mean) + scale(mean, x)
+'''
+
+
+def test_what_computes_is_changed_and_what_speaks_is_not(tmp_path):
+    path = tmp_path / "deviation.py"
+    path.write_text(SOURCE)
+    found = {(change.before, change.after) for change in changes_of(path)}
+    assert ("sum(x) / len(x)", "sum(x) * len(x)") in found
+    assert ("1.25", "1.875") in found
+    assert ("len(x) < 2", "len(x) >= 2") in found
+    assert ("not known and len(x) < 2", "not known or len(x) < 2") in found
+    assert ("each ** 2", "each * 2") in found
+    assert ("scale(mean, x)", "scale(x, mean)") in found
+    assert ("sum((each ** 2 for each in x)) - mean", "sum((each ** 2 for each in x))") in found
+    assert not any("+ 1" in before for before, _ in found)
+
+
+@pytest.mark.parametrize("room", ["bias_stability", "exports"])
+def test_every_change_is_code(room, tmp_path):
+    (changes,) = draw([room], 20, 1).values()
+    assert len(changes) == 20
+    for change in changes:
+        copy = tmp_path / change.path
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(Path(change.path).read_bytes())
+        change.apply(tmp_path)
+        assert ast.dump(ast.parse(copy.read_bytes())) != ast.dump(
+            ast.parse(Path(change.path).read_bytes())
+        )
