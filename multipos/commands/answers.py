@@ -32,6 +32,7 @@ NEGATIVE = 3  # exit status: written and printed, but the verdict is negative
 FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "json": ((".json",), "JSON"),
     "table": ((".csv",), "the table"),
+    "parquet": ((".parquet",), "the table in Parquet"),
     "figure": ((".svg", ".png", ".pdf"), "the figure"),
     "html": ((".html",), "a page"),
     "paper": ((".pdf",), "the page on paper"),

@@ -6,10 +6,10 @@ from functools import cache
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, names, numbers
-from multipos.compensation.applying import apply_log
+from multipos.compensation.applying import apply_log, digits_written
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
-from multipos.files.tables import Column, format_csv, read_table
+from multipos.files.tables import Column, format_csv, read_table, to_parquet
 from multipos.files.trees import json_table, read_schema
 from multipos.files.whole import Content
 from multipos.finding import Findings, in_order
@@ -18,7 +18,7 @@ from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "data", "beside")
-OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("json", "text"))
+OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("parquet", "json", "text"))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -78,9 +78,14 @@ def run(arguments: argparse.Namespace) -> Answer:
         with file_progress([arguments.data], "applying") as applied.progress:
             yield from applied
 
+    def parts() -> Iterator[Mapping[str, Column]]:
+        with file_progress([arguments.data], "applying") as applied.progress:
+            yield from applied.parts()
+
     return _answer(
         arguments,
         table,
+        parts,
         columns,
         lambda: in_order((*log.left_out, *applied.findings)),
         lambda: _compensated(applied.rows, applied.beyond, applied.noise),
@@ -104,9 +109,11 @@ def _correct(arguments: argparse.Namespace) -> Answer:
         parameters_only=arguments.parameters_only,
         outside=arguments.outside,
     )
+    digits = digits_written({*columns} - {*table.columns})
     return _answer(
         arguments,
-        lambda: format_csv(columns, table.delimiter),
+        lambda: format_csv(columns, table.delimiter, digits),
+        lambda: [columns],
         lambda: columns,
         lambda: columns.findings,
         lambda: _compensated(table.rows, int(sum(columns["outside"])), columns.noise),
@@ -117,6 +124,7 @@ def _correct(arguments: argparse.Namespace) -> Answer:
 def _answer(
     arguments: argparse.Namespace,
     table: Callable[[], Content],
+    parts: Callable[[], Iterable[Mapping[str, Column]]],
     columns: Callable[[], Mapping[str, Column]],
     findings: Callable[[], Findings],
     sentence: Callable[[], str],
@@ -131,7 +139,7 @@ def _answer(
         sentence=sentence,
         text=table if arguments.output is None else str,
         json=json,
-        forms={"table": table, "text": table},
+        forms={"table": table, "text": table, "parquet": lambda: to_parquet(parts())},
         findings=findings,
         verbatim=arguments.output is None,
     )

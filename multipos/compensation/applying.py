@@ -42,9 +42,10 @@ the readings, and p'(cov p)⁻¹p is χ² on M − K degrees of freedom where no
 that an output has failed, not which one.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -54,7 +55,7 @@ from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncert
 from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import take_in
-from multipos.files.tables import Column, Source, Table, format_csv, read_table
+from multipos.files.tables import Column, Source, Table, format_csv, format_rows, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece, called_as
@@ -67,9 +68,11 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import has_other_solutions, sensed_axes, sensitivities
-from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest
+from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt
 from multipos.uncertainty.validity import applied, unseen_covariance
 
+_TOGETHER = 1 << 12  # rows, whose arrays stay in the processor's cache
+_DIGITS = 4  # of an uncertainty in text
 FAULT_LEVEL = 1e-3  # share of sound readings that are called a fault
 
 
@@ -139,6 +142,17 @@ def add_columns(
     beside: Calibration | None = None,
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
+    if table.rows > 2 * _TOGETHER:
+        starts = range(0, table.rows, _TOGETHER)
+        some = [_rows_of(table, start) for start in starts]
+        how: dict[str, Any] = {
+            "tilt": tilt,
+            "uncertainty": uncertainty,
+            "outside": outside,
+            "beside": beside,
+        }
+        parts = [add_columns(calibration, part, **how) for part in some]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
     terms = [term for _, term in calibration.model.keys]
     environment = {
@@ -218,13 +232,25 @@ def find_turn(calibration: Calibration, beside: Calibration | None) -> Findings:
     return (Finding("triads-turned", "warning", text, action),)
 
 
+def _rows_of(table: Table, start: int) -> Table:
+    """Return some rows of a table, as many as are worked on together."""
+    rows = slice(start, start + _TOGETHER)
+    columns = {name: column[rows] for name, column in table.columns.items()}
+    lines = None if table.lines is None else table.lines[rows]
+    count = min(_TOGETHER, table.rows - start)
+    return replace(table, columns=columns, rows=count, lines=lines, first=table.first + start)
+
+
 def _tilts(
     calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array | None
 ) -> dict[str, Array]:
     """Return the tilt of each axis at rest, with its uncertainties where the noise is known."""
     axes = list(sensed_axes(calibration.model))
-    found = tilt_at_rest(calibration, rest, environment)
-    tilts = _by_axis("tilt_{}_deg", axes, np.degrees(found.tilt))
+    if len(axes) == 3:
+        angle = triad_tilt(rest, calibration.sign)
+    else:
+        angle = tilt_at_rest(calibration, rest, environment).tilt
+    tilts = _by_axis("tilt_{}_deg", axes, np.degrees(angle))
     if noise is not None:  # what is a tilt at all does not depend on what is asked for
         unseen = unseen_covariance(calibration, rest[:, axes], environment)
         sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
@@ -356,6 +382,12 @@ class AppliedLog:
             if not self.beyond or self.outside != "refuse":
                 yield self._text(piece, added)
 
+    def parts(self) -> Iterator[dict[str, Column]]:
+        """Yield all columns piece by piece."""
+        texts = [name for name in self.log.columns if name not in self.log.numeric]
+        for piece, added in self._applied(self.log.numeric, texts):
+            yield {**{name: piece.table.columns[name] for name in self.log.columns}, **added}
+
     def columns(self) -> dict[str, Column]:
         """Return all columns at once; what is added to them is computed piece by piece."""
         found: dict[str, list[Array]] = {}
@@ -367,11 +399,13 @@ class AppliedLog:
             **{name: np.concatenate(all_) for name, all_ in found.items()},
         }
 
-    def _applied(self, carried: Sequence[str]) -> Iterator[tuple[Piece, dict[str, Array]]]:
+    def _applied(
+        self, carried: Sequence[str], texts: Sequence[str] = ()
+    ) -> Iterator[tuple[Piece, dict[str, Array]]]:
         """Yield pieces with what is added to them; under 'refuse' the error comes at the end."""
         self.rows = self.beyond = 0
         first = None
-        for piece in self.log.read(self._needed, carried):
+        for piece in self.log.read(self._needed, carried, texts):
             if self.uncertainty is not None and self.rows == 0:
                 self.samples = self.uncertainty.find_samples(piece.table, self.log.columns)
             added = add_columns(
@@ -408,13 +442,19 @@ class AppliedLog:
     def _text(self, piece: Piece, added: Mapping[str, Array]) -> str:
         if piece.lines is None:
             columns = {name: piece.table.columns[name] for name in self.log.numeric}
-            return format_csv({**columns, **added}).partition("\n")[2]
+            return format_rows({**columns, **added}, digits=digits_written(added))
         lines = piece.lines()
         if not self.log.delimiter:
             lines = [",".join(line.split()) for line in lines]
-        beside = format_csv(added, self._delimiter).partition("\n")[2].split("\n")
-        rows = zip(lines, beside, strict=False)  # the last line break leaves one more, empty
-        return "".join([f"{line}{self._delimiter}{cells}\n" for line, cells in rows])
+        text = format_rows(added, self._delimiter, digits_written(added))
+        beside = text.splitlines(keepends=True)
+        mark = repeat(self._delimiter)
+        return "".join(chain.from_iterable(zip(lines, mark, beside, strict=False)))
+
+
+def digits_written(added: Iterable[str]) -> dict[str, int]:
+    """Return the significant digits of uncertainties in CSV; other numbers keep all of theirs."""
+    return {name: _DIGITS for name in added if name.startswith(("u_", "U_"))}
 
 
 def apply_log(

@@ -29,7 +29,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Table
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
@@ -216,9 +216,7 @@ class ReadingUncertainty:
         inverse, by_parameter = sensitivities(c.model, c.parameters, full, environment)
         gradient = (inverse @ by_parameter).reshape(-1, len(c.parameters))
         rows = self.budget.rows
-        variance: list[Array] = [
-            np.einsum("qp,pr,qr->q", gradient, row.added, gradient) for row in rows
-        ]
+        variance: list[Array] = [quadratic(gradient, row.added) for row in rows]
         dof = [row_dof(row, gradient) for row in rows]
         own: Array = (inverse**2 * sd[:, None, :] ** 2).reshape(-1, sd.shape[1])
         scatter = [i for i, row in enumerate(rows) if row.evaluation == "A"]

@@ -13,7 +13,7 @@ import io
 import itertools
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
+from multipos.files.decimals import format_numbers
 from multipos.files.encodings import UTF_16, decoded
 from multipos.files.handed import (
     ARROW,
@@ -37,9 +38,10 @@ from multipos.files.handed import (
 from multipos.files.pipes import Pipe, is_pipe, rereadable
 from multipos.files.spelling import control_characters, visible
 from multipos.files.whole import read_bytes, reading, write_text
-from multipos.files.workbooks import ZIP, workbook_text
+from multipos.files.workbooks import ZIP, require_extra, workbook_text
 
 _LONGEST = 100  # characters of a number, in an array of cells
+_FEW = 1000  # rows, up to which cells are written one by one
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
@@ -409,23 +411,45 @@ def _fault(cell: str, decimal_comma: bool) -> str:
     return f"'{cell}' is not finite; a finite number is needed there, or leave the row out."
 
 
-def format_csv(columns: Mapping[str, Column], delimiter: str = ",") -> str:
+def format_csv(
+    columns: Mapping[str, Column], delimiter: str = ",", digits: Mapping[str, int] | None = None
+) -> str:
     """Return columns as CSV text; numbers keep all their digits, NaN is an empty cell.
 
-    With semicolons between the cells, numbers get decimal commas.
+    With semicolons between the cells, numbers get decimal commas. Columns of which `digits` says
+    so have as many significant ones.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, delimiter=delimiter, lineterminator="\n")
     writer.writerow(columns)
+    if any(len(column) for column in columns.values()):
+        stream.write(format_rows(columns, delimiter, digits))
+    return stream.getvalue()
+
+
+def format_rows(
+    columns: Mapping[str, Column], delimiter: str = ",", digits: Mapping[str, int] | None = None
+) -> str:
+    """Return the rows of `format_csv`, without its header."""
+    asked = digits or {}
+    arrays = [c for c in columns.values() if isinstance(c, np.ndarray) and c.dtype.kind in "fiub"]
+    if len(arrays) == len(columns) and (asked or len(arrays[0]) > _FEW):
+        return format_numbers(arrays, delimiter, [asked.get(name) for name in columns])
     lists = []
-    for column in columns.values():
+    for name, column in columns.items():
+        if name in asked:
+            text = format_numbers([np.asarray(column)], delimiter, [asked[name]])
+            lists.append(text.splitlines())
+            continue
         cells = column.tolist() if isinstance(column, np.ndarray) else list(column)
         if any(isinstance(cell, float) for cell in cells):
             cells = ["" if cell != cell else repr(cell) for cell in cells]
             if delimiter == ";":
                 cells = [cell.replace(".", ",") for cell in cells]
         lists.append(cells)
-    writer.writerows(zip(*lists, strict=True))
+    stream = io.StringIO()
+    rows = zip(*lists, strict=True)
+    csv.writer(stream, delimiter=delimiter, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
@@ -452,3 +476,54 @@ def write_table(path: str | os.PathLike[str], columns: Source) -> None:
     ['angle,volt', '0.0,0.012', '90.0,']
     """
     write_text(path, format_csv(read_table(columns).columns))
+
+
+def to_parquet(parts: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
+    """Yield the parts of a table as a Parquet file, a row group each; all numbers are whole.
+
+    Raises
+    ------
+    MultiposError
+        `pyarrow` is not installed.
+    """
+    require_extra("Parquet", "a format", "pyarrow", "parquet")
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    stream, writer = io.BytesIO(), None
+    for part in parts:
+        group = pa.table({name: pa.array(_as_objects(column)) for name, column in part.items()})
+        if writer is None:
+            writer = parquet.ParquetWriter(pa.PythonFile(_Passing(stream), mode="w"), group.schema)
+        writer.write_table(group)
+        yield _taken(stream)
+    if writer is not None:
+        writer.close()
+    yield _taken(stream)
+
+
+def _as_objects(column: Column) -> Column:
+    """Return texts as Python's, which repeat and are kept once."""
+    is_text = isinstance(column, np.ndarray) and column.dtype.kind == "U"
+    return column.astype(object) if is_text else column  # type: ignore[union-attr]
+
+
+class _Passing(io.RawIOBase):
+    """What is written goes to a stream that is emptied in between, and has no places of its own."""
+
+    def __init__(self, stream: io.BytesIO) -> None:
+        self._stream = stream
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, raw: Any) -> int:
+        return self._stream.write(raw)
+
+
+def _taken(stream: io.BytesIO) -> bytes:
+    """Return what is in a stream, and empty it."""
+    raw = stream.getvalue()
+    stream.seek(0)
+    stream.truncate()
+    return raw

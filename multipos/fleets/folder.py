@@ -5,7 +5,6 @@ station's name: the positions where they are, as a scheme (.csv), and how well t
 budget (.toml).
 """
 
-import io
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -17,7 +16,7 @@ from typing import Any
 from multipos.errors import MultiposError
 from multipos.files.pipes import is_folder
 from multipos.files.spelling import visible
-from multipos.files.tables import format_csv
+from multipos.files.tables import format_csv, to_parquet
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import Content, Pieces, make_folder, written
 from multipos.fleets.fleet import SCHEMA, Fleet
@@ -134,7 +133,9 @@ def has_corrections(fleet: Fleet) -> bool:
 
 
 def _table_of(fleet: Fleet) -> Pieces:
-    return to_parquet(fleet.calibrations) if has_parquet() else _csv_pieces(fleet.calibrations)
+    return (
+        to_parquet(_parts(fleet.calibrations)) if has_parquet() else _csv_pieces(fleet.calibrations)
+    )
 
 
 def _parts(columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -149,45 +150,6 @@ def _csv_pieces(columns: Mapping[str, Any]) -> Iterator[str]:
     for number, part in enumerate(_parts(columns)):
         text = format_csv(part)
         yield text.partition("\n")[2] if number else text
-
-
-def to_parquet(columns: Mapping[str, Any]) -> Iterator[bytes]:
-    """Yield columns as a Parquet file, row group by row group; texts that repeat are kept once."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    stream, writer = io.BytesIO(), None
-    for part in _parts(columns):
-        texts = {name: part[name].astype(object) for name in part if part[name].dtype.kind == "U"}
-        group = pa.table({name: pa.array(column) for name, column in {**part, **texts}.items()})
-        if writer is None:
-            writer = parquet.ParquetWriter(pa.PythonFile(_Passing(stream), mode="w"), group.schema)
-        writer.write_table(group)
-        yield _taken(stream)
-    if writer is not None:
-        writer.close()
-    yield _taken(stream)
-
-
-class _Passing(io.RawIOBase):
-    """What is written goes to a stream that is emptied in between, and has no places of its own."""
-
-    def __init__(self, stream: io.BytesIO) -> None:
-        self._stream = stream
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, raw: Any) -> int:
-        return self._stream.write(raw)
-
-
-def _taken(stream: io.BytesIO) -> bytes:
-    """Return what is in a stream, and empty it."""
-    raw = stream.getvalue()
-    stream.seek(0)
-    stream.truncate()
-    return raw
 
 
 def read_summary(source: str | os.PathLike[str]) -> dict[str, Any]:

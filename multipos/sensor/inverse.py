@@ -237,6 +237,9 @@ def parameter_jacobian(
 
 def inverses(jacobian: Array) -> Array:
     """Return J^+ (n, K, M) of J (n, M, K): the inverse where it is one, as pinv takes longer."""
+    if len(jacobian) > 1 and (jacobian == jacobian[0]).all():  # of a linear model
+        one = inverses(jacobian[:1])
+        return np.broadcast_to(one, (len(jacobian), *one.shape[1:]))
     if jacobian.shape[1] == jacobian.shape[2]:
         try:
             return np.asarray(np.linalg.inv(jacobian))

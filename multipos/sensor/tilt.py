@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import (
@@ -174,18 +174,20 @@ def force_uncertainty(
     from_parameters: Array = inverse @ by_parameter
     n, k, m = inverse.shape
     spread = np.broadcast_to(noise, (n, m)) ** 2
-    result: Array = from_parameters @ calibration.covariance @ from_parameters.transpose(0, 2, 1)
+    flat = from_parameters.reshape(-1, from_parameters.shape[2])
+    moved = (flat @ calibration.covariance).reshape(from_parameters.shape)
+    result: Array = moved @ from_parameters.transpose(0, 2, 1)
     result += (inverse * spread[:, None, :]) @ inverse.transpose(0, 2, 1)
     effective = np.zeros((n, k))
     for output, part in enumerate(model.slices):
         own, block = from_parameters[:, :, part], calibration.covariance[part, part]
-        share = np.einsum("nkp,pq,nkq->nk", own, block, own)
+        share = quadratic(own, block)
         share += inverse[:, :, output] ** 2 * spread[:, [output]]
         effective += share**2 / (calibration.dof[output] or math.nan)
     shared = model.output_of == len(model.outputs)  # what several outputs tell together
     if shared.any():
         own, block = from_parameters[:, :, shared], calibration.covariance[np.ix_(shared, shared)]
-        effective += np.einsum("nkp,pq,nkq->nk", own, block, own) ** 2 / calibration.dof.sum()
+        effective += quadratic(own, block) ** 2 / calibration.dof.sum()
     if unseen is not None:
         result += unseen
     total = np.einsum("nkk->nk", result)
@@ -261,11 +263,12 @@ def triad_tilt_u(force: Array, covariance: Array) -> Array:
         # Nearly upright, the direction of the level part is noise: its worst one is taken.
         upright = level <= np.sqrt(np.trace(across, axis1=1, axis2=2))
         away = force[:, others] / np.where(level > 0.0, level, 1.0)[:, None]
-        _, vectors = np.linalg.eigh(np.where(np.isfinite(across), across, 0.0))
-        away = np.where(upright[:, None], vectors[:, :, -1], away)
+        if upright.any():
+            steep = across[upright]
+            away[upright] = np.linalg.eigh(np.where(np.isfinite(steep), steep, 0.0))[1][:, :, -1]
         gradient[:, others] = -force[:, [i]] * away
         gradient /= square[:, None]
-        variance = np.einsum("ni,nij,nj->n", gradient, covariance, gradient)
+        variance = np.einsum("nij,ni,nj->n", covariance, gradient, gradient)
         result[:, i] = np.sqrt(np.maximum(variance, 0.0))
     return result
 

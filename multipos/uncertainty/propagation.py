@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
-from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.arrays import LARGEST, Array, quadratic
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
@@ -152,9 +152,7 @@ class Evaluation(Result, Drawn, Tabular):
             Combined standard uncertainty, and its degrees of freedom by eq. (2).
         contributions : (rows, q) array
         """
-        variance = np.array(
-            [np.einsum("qp,pr,qr->q", gradient, row.added, gradient) for row in self.rows]
-        )
+        variance = np.array([quadratic(gradient, row.added) for row in self.rows])
         contributions = np.sqrt(np.maximum(variance, 0.0))
         dof = np.array([row_dof(row, gradient) for row in self.rows])
         u = np.sqrt(np.sum(contributions**2, axis=0))
@@ -190,8 +188,12 @@ def welch_satterthwaite(contributions: ArrayLike, dof: ArrayLike) -> Array:
 
 def row_dof(row: Row, gradient: Array) -> Array:
     """Degrees of freedom of a row for derived quantities: the fewest of what it is made of."""
-    used = (gradient != 0.0) & (np.diag(row.added) > 0.0)
-    return np.asarray(np.min(np.where(used, row.dof, np.inf), axis=1))
+    held = np.flatnonzero(np.diag(row.added) > 0.0)
+    dof = np.broadcast_to(row.dof, len(row.added))[held]
+    used = gradient[:, held] != 0.0
+    if len(dof) and (dof == dof[0]).all():
+        return np.where(used.any(axis=1), dof[0], np.inf)
+    return np.asarray(np.min(np.where(used, dof, np.inf), axis=1, initial=np.inf))
 
 
 def evaluate_budget(

@@ -156,7 +156,7 @@ WRITTEN = {
     "fit": {".json", ".txt", ".svg", ".png", ".pdf"},
     "average": {".csv", ".json", ".txt"},
     "calibrate": {".json", ".txt"},
-    "apply": {".csv", ".json", ".txt"},
+    "apply": {".csv", ".json", ".parquet", ".txt"},
     "check": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
     "regress": {".json", ".txt", ".svg", ".png", ".pdf"},
@@ -189,6 +189,7 @@ BEGINNINGS = {
     ".png": b"\x89PNG",
     ".pdf": b"%PDF",
     ".html": b"<!DOCTYPE html>",
+    ".parquet": b"PAR1",
 }
 
 
