@@ -84,5 +84,6 @@ def _largest_expanded(c: Calibration) -> tuple[float, float]:
 
 
 def share(size: float) -> str:
-    """Return a share in percent, a small one in ppm."""
-    return f"{100.0 * size:.2g} %" if size >= 1e-3 else f"{1e6 * size:.2g} ppm"
+    """Return a share in percent, a small one in ppm, to two digits."""
+    factor, unit = (100.0, "%") if size >= 1e-3 else (1e6, "ppm")
+    return f"{float(f'{factor * size:.2g}'):g} {unit}"

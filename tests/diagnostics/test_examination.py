@@ -59,7 +59,7 @@ def test_doubts_come_first_wherever_a_calibration_is_shown():
     content = build_content(cal)
     for page in (plain_report(content), markdown_report(content), html_report(content)):
         verdict, finding, first = map(
-            page.index, ("not fit for use", "has the same reading", "Results")
+            page.index, ("not fit for use", "has the same reading", "Residuals")
         )
         assert verdict < finding < first
     assert "本校准结果不可使用" in plain_report(build_content(cal, language="zh"))
