@@ -16,6 +16,7 @@ _SHORTEST = -5  # decimal exponents below this are written as such
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _RATIO = 0.01  # ratios below are read in ppm
 _RARE = 1e-4
+_ROUNDING = 1e-13  # an uncertainty below, in a unit that people read, is that of the arithmetic
 _PREFIXES = {"k": 3, "": 0, "m": -3, "µ": -6, "n": -9}
 _SMALLEST = {"g": -6, "V": -9, "A": -9, "rad": -6, "m": -6}  # exponents that people still read
 
@@ -126,7 +127,7 @@ def fixed(value: float, decimals: int, *, signed: bool = False) -> str:
 
 def decimals_of(u: float) -> int | None:
     """Return the decimals that two digits of an uncertainty need; None where it has none."""
-    if not (math.isfinite(u) and u > 0.0):
+    if not (math.isfinite(u) and u > _ROUNDING):
         return None
     return max(0, 1 - math.floor(math.log10(float(f"{u:.1e}"))))
 

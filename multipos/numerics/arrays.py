@@ -108,6 +108,8 @@ def resolution(values: Array) -> float:
 def quadratic(vectors: Array, matrix: Array) -> Array:
     """Return g'Ag (...) of vectors g (..., p) and one symmetric A (p, p), by what of A is not 0."""
     used = np.flatnonzero(matrix.any(axis=0))
+    if not len(used):
+        return np.zeros(vectors.shape[:-1])
     kept = np.ascontiguousarray(vectors[..., used]).reshape(-1, len(used))
     along = kept @ matrix[np.ix_(used, used)]
     return np.asarray(np.einsum("np,np->n", along, kept).reshape(vectors.shape[:-1]))
