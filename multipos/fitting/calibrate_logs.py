@@ -261,10 +261,10 @@ def fit_rests(
         if model is None and assumed and _both_sides(readings.values):
             stated = {} if budget is None else read_budget(budget).tables
             text = (
-                f"{len(readings)} rests cannot carry cross terms: bias and scale factor of each "
-                "output are fitted, and U allows for cross terms of 1 %"
+                f"{len(readings)} rests near the faces cannot separate cross terms: bias and "
+                "scale factor of each output are fitted, and U allows for cross terms of 1 %"
             )
-            action = "Record nine rests or more, edges and corners among them, to fit cross terms."
+            action = "Record four more rests with edges and corners up, to fit cross terms."
             reduced = Finding("reduced-model", "warning", text, action)
             noted = replace(readings, findings=(*readings.findings, reduced))
             options["model"] = Formula("1 + own")
