@@ -423,11 +423,11 @@ def stability_text(found: Stability) -> str:
     factor = MICRO_G.get(found.unit, 1.0)
     unit = "µg" if found.unit in MICRO_G else found.unit
     parts = [
-        _records(found),
         _laws(found, factor, unit),
         _warm_up_text(found, factor, unit),
         _temperature(found, factor, unit),
         _repeats(found, factor, unit),
+        _records(found),
     ]
     return "\n\n".join(filter(None, parts)) + "\n"
 

@@ -10,9 +10,10 @@ from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
 from multipos.verification.comparison import (
     Comparison,
+    changes_text,
     compare,
     comparison_sentence,
-    comparison_text,
+    runs_text,
 )
 from multipos.verification.regression_comparison import RegressionComparison
 
@@ -56,7 +57,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
     return Answer(
         sentence=lambda: comparison_sentence(plain(found.to_dict())),
-        text=lambda: _text(found),
+        text=lambda: _text(found)[0],
+        detail=lambda: _text(found)[1],
         json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},
         findings=lambda: found.findings,
@@ -76,8 +78,12 @@ def _combined(found: Comparison | RegressionComparison) -> dict[str, Callable[[]
     return {} if combined is None else {"json": lambda: to_json(combined.to_dict())}
 
 
-def _text(found: Comparison | RegressionComparison) -> str:
-    return str(found) if isinstance(found, RegressionComparison) else comparison_text(found)
+def _text(found: Comparison | RegressionComparison) -> tuple[str, str]:
+    """Return the table that is asked for, and what explains."""
+    if isinstance(found, RegressionComparison):
+        return str(found), ""
+    changes = changes_text(found)
+    return (changes, runs_text(found)) if changes else (runs_text(found), "")
 
 
 def _figure(found: Comparison | RegressionComparison) -> Any:

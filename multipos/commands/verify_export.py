@@ -4,6 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.exports.parts import load_parts
+from multipos.exports.target import Verification
 from multipos.exports.targets import verify_export
 from multipos.files.trees import to_json
 
@@ -42,7 +43,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
     return Answer(
         sentence=lambda: found.sentence,
-        text=lambda: str(found),
+        text=lambda: found.in_short if isinstance(found, Verification) else str(found),
+        detail=lambda: found.by_position if isinstance(found, Verification) else "",
         json=lambda: to_json(found.to_dict()),
         findings=lambda: found.findings,
     )

@@ -197,10 +197,8 @@ def worth_text(found: Worth) -> str:
     header = ["up x", "up y", "up z", "u falls by %"]
     if parameter is not None:
         header.append("to")
-    what = parameter or "all parameters"
     drift = f"the model absorbs {100.0 * found.drift_absorbed:.0f} % of a drift along the rows"
-    parts = [f"worth of one more position, for {what}", table(header, rows, left=0), drift]
-    return "\n\n".join([*parts, *_way_to_target(found)]) + "\n"
+    return "\n\n".join([table(header, rows, left=0), drift, *_way_to_target(found)]) + "\n"
 
 
 def _way_to_target(found: Worth) -> list[str]:

@@ -176,28 +176,37 @@ class Verification(Result):
         return result
 
     def __str__(self) -> str:
-        small, unit = 1e3, "mg"
-        if self.field.magnetic:
-            small, unit = (1.0, self.field.unit) if self.field.unit else (100.0, "%")
+        return f"{self.in_short}\n\n{self.by_position}\n"
+
+    @property
+    def in_short(self) -> str:
+        """What is left of the calibration's own readings, in a line or two."""
+        small, unit = self._unit
+        largest = f"rms {small * self.rms:.4g} {unit}, largest {small * self.max:.4g} {unit}"
+        own = f"{small * self.calibration_rms:.4g} {unit}"
+        said = f"The consumer ({self.target}) leaves of the calibration's own readings {largest}"
+        said += f"; the calibration itself leaves {own}."
+        if self.foreign:
+            said += "\nThe file is not what export writes of this calibration; it was run as is."
+        return said
+
+    @property
+    def by_position(self) -> str:
+        """What is left at every position, as a table."""
+        small, unit = self._unit
         header = ["position", *(f"{axis} [{unit}]" for axis in self.axes)]
         rows = [
             [label, *(f"{small * value:+.4g}" for value in row)]
             for label, row in zip(self.positions, self.residuals.tolist(), strict=True)
         ]
-        largest = f"rms {small * self.rms:.4g} {unit}, largest {small * self.max:.4g} {unit}"
-        lines = [
-            f"What the consumer ({self.target}) leaves of the calibration's own readings:",
-            "",
-            table(header, rows),
-            "",
-            f"{largest}; the calibration itself leaves {small * self.calibration_rms:.4g} {unit}",
-        ]
-        if self.difference is not None:
-            difference = f"{self.difference:.2g} {self.field.unit}".rstrip()
-            lines.append(f"largest difference from multipos apply: {difference}")
-        if self.foreign:
-            lines.append("the file is not what export writes of this calibration; it was run as is")
-        return "\n".join(lines) + "\n"
+        return table(header, rows)
+
+    @property
+    def _unit(self) -> tuple[float, str]:
+        """What residuals are multiplied by for people, and their unit then."""
+        if not self.field.magnetic:
+            return 1e3, "mg"
+        return (1.0, self.field.unit) if self.field.unit else (100.0, "%")
 
 
 @dataclass(frozen=True)

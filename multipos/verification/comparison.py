@@ -30,7 +30,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.numbers import number, p_in_words, table, uncertain
+from multipos.files.numbers import (
+    beside,
+    number,
+    p_in_words,
+    plain_number,
+    readable_unit,
+    table,
+    uncertain,
+)
 from multipos.files.spelling import spread
 from multipos.files.trees import read_schema
 from multipos.finding import Finding, Findings, in_order
@@ -431,7 +439,12 @@ def _loaded(run: Run) -> Calibration | Regression | Regressions:
 
 
 def comparison_text(found: Comparison) -> str:
-    """Return a comparison as text: whether they agree, what changed, then run by run."""
+    """Return a comparison as text: what changed, then run by run."""
+    return "\n\n".join(filter(None, (changes_text(found), runs_text(found)))) + "\n"
+
+
+def runs_text(found: Comparison) -> str:
+    """Return the parameters run by run, and how stable the biases are."""
     lines = [
         f"{i}  {file}  ({c.created})"
         for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
@@ -439,7 +452,6 @@ def comparison_text(found: Comparison) -> str:
     model = found.calibrations[0].model
     stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
-        *_changes(found),
         "\n".join(lines),
         _parameter_table(found),
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
@@ -447,39 +459,53 @@ def comparison_text(found: Comparison) -> str:
         _verdict(found),
         *([] if found.combined is None else [f"combined\n{found.combined}"]),
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(parts)
 
 
-def _changes(found: Comparison) -> list[str]:
-    """Return the table of changes between the first and the last."""
+def changes_text(found: Comparison) -> str:
+    """Return the table of changes between the first and the last; nothing where there is none."""
     if found.largest is None:
-        return []
+        return ""
     header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
     rows = []
     units = found.calibrations[0].model.units
+    largest = {  # rows of one unit keep one
+        unit: max(
+            max(abs(each.change), each.U)
+            for other, each in zip(units, found.changes, strict=True)
+            if other == unit
+        )
+        for unit in set(units)
+    }
     for unit, each in zip(units, found.changes, strict=True):
         rate = each.per_year
+        factor, shown = readable_unit(largest[unit], unit)
         rows.append(
             [
                 each.name,
-                unit,
-                *(number(each.change, 3), number(each.U, 2), number(each.En, 2)),
-                *(("", "") if rate is None else (number(rate.value, 3), number(rate.U, 2))),
-                _limit_in_words(each.limit),
+                shown,
+                *_beside(factor, each.change, each.U),
+                number(each.En, 2),
+                *(("", "") if rate is None else _beside(factor, rate.value, rate.U)),
+                _limit_in_words(each.limit, factor),
                 {True: "yes", False: "NO", None: ""}[each.within],
                 each.due or "",
             ]
         )
     kept = [i for i in range(len(header)) if i < 5 or any(row[i] for row in rows)]
-    shown = [[row[i] for i in kept] for row in rows]
-    return [table([header[i] for i in kept], shown, left=2)]
+    return table([header[i] for i in kept], [[row[i] for i in kept] for row in rows], left=2)
 
 
-def _limit_in_words(limit: float | tuple[float | None, float | None] | None) -> str:
+def _beside(factor: float, value: float, U: float) -> tuple[str, str]:
+    """Return a value and its U times a factor, to the two digits of U."""
+    return beside(factor * value, factor * U, factor * U)
+
+
+def _limit_in_words(limit: float | tuple[float | None, float | None] | None, factor: float) -> str:
     if isinstance(limit, tuple):
-        low, high = ("" if side is None else number(side, 3) for side in limit)
+        low, high = ("" if side is None else plain_number(factor * side) for side in limit)
         return f"{low} … {high}"
-    return "" if limit is None else number(limit, 3)
+    return "" if limit is None else plain_number(factor * limit)
 
 
 def _parameter_table(found: Comparison) -> str:
