@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.finding import Finding, Level
-from multipos.logs.rest_means import Counts, RestMean
+from multipos.logs.rest_means import Counts, RestMean, is_one_code
 from multipos.logs.rests import Rest, Survey
 from multipos.logs.samples import Kept, Samples
 from multipos.numerics.arrays import Array, median
@@ -177,6 +177,9 @@ def _output_faults(
     noisy = each.sd[j] >= _NOISY * resolution
     if noisy and each.longest[j] >= max(_STUCK, each.n / 10):
         add("stuck", "warning", f"'{output}' repeats one value {each.longest[j]} times")
+    if is_one_code(each)[j] and resolution > 0.0:
+        text = f"all samples of '{output}' are one code; u is resolution/sqrt(12)"
+        add("quantized", "note", text)
     if usual > 0.0 and each.sd[j] > _UNSTEADY * usual:
         text = f"'{output}' has {each.sd[j] / usual:.1f} times the usual noise; its u includes it"
         add("unsteady", "note", text)

@@ -33,6 +33,7 @@ from multipos.logs.faults import (
     find_faults,
     find_stuck,
 )
+from multipos.logs.rest_means import with_rounding
 from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog, found_so_far, would_take
 from multipos.numerics.arrays import Array
@@ -360,7 +361,9 @@ def _settled(chosen: Sequence[Chosen]) -> list[Chosen]:
     rates = [each.log.rate for each in chosen]
     rate = [1.0 if None in rates else (each or 1.0) for each in rates]
     lengths = np.array([each.still.found.n for each in chosen]) / rate
-    found = settle_together([each.still.found for each in chosen], lengths)
+    resolution = np.fmin.reduce([each.log.survey.resolution for each in chosen])
+    settled = settle_together([each.still.found for each in chosen], lengths)
+    found = [with_rounding(each, resolution) for each in settled]
     return [
         each._replace(still=replace(each.still, found=new))
         for each, new in zip(chosen, found, strict=True)
@@ -422,6 +425,10 @@ _OF_RESTS = {
     "unsteady": ("are noisier than usual; their u includes it", ""),
     "in-motion": ("are partly in motion", "State their rows again, or record them again."),
     "motion-at-edge": ("contain motion at the beginning or end", "State fewer rows of them."),
+    "quantized": (
+        "are one code in an output; their u is resolution/sqrt(12)",
+        "Record more digits.",
+    ),
     "stuck": ("repeat one value", "Check the sensor and its resolution."),
     "time-gap": ("have gaps in their time", "Check the logger."),
 }

@@ -44,7 +44,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -134,6 +134,7 @@ _COSINES = np.cos(np.pi * np.outer(np.arange(_BLOCKS) + 0.5, np.arange(1, COSINE
 _PARTS = ((64, 80.0), (32, 40.0), (16, 20.0), (8, 11.6), (4, 4.2))
 _SETTLES = -0.45  # slope of ln σ² below which the mean settles; white noise has −1(.17)
 _RISES = 0.1  # slope over short times, above which noise has a memory; flicker has 0
+_ROUNDED = 0.1  # of u, from which rounding counts
 _WALKS = 0.6  # slope over long times, above which it is more than a memory
 
 
@@ -190,7 +191,26 @@ class RestMean(Result):
         """Number of independent samples with the same uncertainty of the mean."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = (self.sd / self.u) ** 2
-        return np.asarray(np.where(self.u > 0.0, ratio, self.n))
+        return np.asarray(np.where((self.u > 0.0) & (self.sd > 0.0), ratio, self.n))
+
+
+def with_rounding(found: RestMean, resolution: Array) -> RestMean:
+    """Return a rest with what rounding to steps q adds to u of its mean.
+
+    That is q/√12 of samples that are all one code; noise of variance σ² = s² − q²/12 averages the
+    rounding out, to exp(−2π²σ²/q²) of it.
+    """
+    q = np.where(resolution > 0.0, resolution, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        noise = np.nan_to_num(np.maximum((found.sd / q) ** 2 - 1.0 / 12.0, 0.0))
+    rounding = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * noise)
+    raised = rounding > _ROUNDED * found.u
+    return replace(found, u=np.where(raised, np.hypot(found.u, rounding), found.u))
+
+
+def is_one_code(found: RestMean) -> NDArray[np.bool_]:
+    """Tell of which outputs (M,) all samples of a rest are equal."""
+    return np.asarray((found.longest >= found.n) & (found.n > 1))
 
 
 def rest_means(sums: Sequence[RestSum]) -> list[RestMean]:
