@@ -305,7 +305,7 @@ def test_conventions_differ_in_the_odd_terms():
     assert_array_equal(gravity.reference, -UP14)
     assert not texts(force)
     (said,) = texts(gravity)
-    assert "every own-axis scale factor is negative under the convention gravity" in said
+    assert "every scale factor is negative under the convention gravity" in said
     assert "--convention specific-force" in said
 
 

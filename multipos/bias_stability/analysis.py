@@ -418,15 +418,16 @@ def _find(
 ) -> Findings:
     said = [found for each in raw for found in each.findings]
     if steady:
-        text = f"{steady[0]}: the temperature never changes, so it is not used"
+        text = f"{steady[0]}: the temperature is constant and not used"
         said.append(Finding("constant-temperature", "note", text))
     said += [found for each in raw for found in _movements(each)]
     shortest = min(each.samples / each.rate for each in raw)
     for name, found in outputs.items():
         said += _unsettled(name, found, shortest)
     if 1 < len(raw) < _LEAST:
-        text = f"{len(raw)} records say little about how the zero repeats; take at least {_LEAST}"
-        said.append(Finding("few-repeats", "note", text))
+        text = f"{len(raw)} records determine turn-on repeatability poorly"
+        action = f"Record at least {_LEAST} switch-ons."
+        said.append(Finding("few-repeats", "note", text, action))
     return in_order(said)
 
 
@@ -435,10 +436,10 @@ def _unsettled(name: str, found: OutputStability, shortest: float) -> list[Findi
     if found.warm_up is None or not found.warm_up.settled_after > shortest:
         return []
     text = (
-        f"{name}: the warm-up settles after {found.warm_up.settled_after:.0f} s only, but a record "
-        f"ends at {shortest:.0f} s; record longer"
+        f"{name}: warm-up takes {found.warm_up.settled_after:.0f} s, but a record ends at "
+        f"{shortest:.0f} s"
     )
-    return [Finding("warm-up-unsettled", "warning", text, outputs=(name,))]
+    return [Finding("warm-up-unsettled", "warning", text, "Record longer.", outputs=(name,))]
 
 
 def _movements(record: RawRecord) -> list[Finding]:
@@ -451,9 +452,9 @@ def _movements(record: RawRecord) -> list[Finding]:
         when = (found.block + 0.5) * record.length / record.rate
         more = f", the largest of {found.count} movements" if found.count > 1 else ""
         text = (
-            f"{record.source}: {name} jumps by {found.jump:.2g} near {when:.0f} s{more}, which "
-            "neither noise nor warm-up makes: it was moved or knocked, and noise, drift and zero "
-            "hold that; leave this part out"
+            f"{record.source}: {name} jumps by {found.jump:.2g} near {when:.0f} s{more}, as if "
+            "moved or knocked; noise, drift and bias include it"
         )
-        said.append(Finding("jump", "warning", text, outputs=(name,)))
+        action = "Remove this part of the record."
+        said.append(Finding("jump", "warning", text, action, outputs=(name,)))
     return said

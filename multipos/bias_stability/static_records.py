@@ -132,7 +132,7 @@ def _rate(samples: Samples) -> float:
 def _dropped(samples: Samples) -> list[Finding]:
     if not samples.dropped:
         return []
-    text = f"{samples.dropped} of {samples.log_rows} rows are bad and left out"
+    text = f"{samples.dropped} of {samples.log_rows} rows are bad and were omitted"
     return [Finding("dropped-rows", "note", text)]
 
 
@@ -256,5 +256,5 @@ class _Gaps:
     def findings(self) -> list[Finding]:
         if not self._count:
             return []
-        text = f"the time has {self._count} gaps; samples are taken as if evenly spaced"
-        return [Finding("time-gap", "warning", text)]
+        text = f"the time has {self._count} gaps; samples are taken as evenly spaced"
+        return [Finding("time-gap", "warning", text, "Check the logger.")]

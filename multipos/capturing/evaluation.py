@@ -276,8 +276,14 @@ def _unreachable(plan: SessionPlan, calibration: Calibration | None, poses: list
     far = [name for name, ratio in zip(named, ratios.tolist(), strict=True) if ratio > 1.0]
     if not far:
         return ()
-    text = _out_of_reach(", ".join(far), float(ratios.max()), count, known=further is not None)
-    return (Finding("target-out-of-reach", "warning", text),)
+    times = f"{float(ratios.max()):.2g} times the target"
+    more = f"after {count} more poses all over the sphere"
+    action = "Hold poses longer, in a quieter place, or raise the target."
+    if further is not None:
+        more = f"after the last {count} positions of the scheme" if count else "at its end"
+        action = "Use a scheme with more positions, or raise the target."
+    text = f"the target of {', '.join(far)} is out of reach: U would be {times} {more}"
+    return (Finding("target-out-of-reach", "warning", text, action),)
 
 
 def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
@@ -285,25 +291,6 @@ def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
     done = {pose.position for pose in poses}
     left = [i for i, label in enumerate(scheme.names) if label not in done]
     return scheme.up[left]
-
-
-def _out_of_reach(names: str, ratio: float, count: int, *, known: bool) -> str:
-    if not known:
-        return (
-            f"the target of {names} is out of reach: {count} more poses, all over the sphere, "
-            f"would still leave U at {ratio:.3g} times the target; hold poses for longer, in a "
-            "quieter place, or raise the target"
-        )
-    way_out = "take a scheme with more positions, or raise the target"
-    if not count:
-        return (
-            f"the target of {names} was not reached: at the end of the scheme U is {ratio:.3g} "
-            f"times the target; {way_out}"
-        )
-    return (
-        f"the target of {names} is out of reach: all that is left of the scheme, {count} more, "
-        f"would still leave U at {ratio:.3g} times the target; {way_out}"
-    )
 
 
 def model_of(plan: SessionPlan, outputs: tuple[str, ...], unit: str) -> Model:

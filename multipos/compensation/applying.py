@@ -651,5 +651,5 @@ def find_outside(beyond: int, rows: int) -> Findings:
     """Return a warning of rows beyond what was calibrated, where there are any."""
     if not beyond:
         return ()
-    text = f"{beyond} of {rows} rows are outside what was calibrated"
-    return (Finding("outside", "warning", text),)
+    text = f"{beyond} of {rows} rows are outside the calibrated range, where U may not hold"
+    return (Finding("outside", "warning", text, "Calibrate over a wider range."),)

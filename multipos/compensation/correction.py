@@ -124,10 +124,12 @@ def correct(
         noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
         u, U = predict_uncertainty(regression, used, place, sd)
         added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
-        text = f"u_… and U_… hold the noise of one row: {noise}"
+        text = f"u_… and U_… include the noise of one row: {noise}"
         raised = (Finding("reading-noise", "note", text),)
     if target is None:
-        text = f"no column '{regression.response}' to correct: predicted only"
+        text = (
+            f"there is no column '{regression.response}' to correct; only predictions are written"
+        )
         raised = (Finding("predicted-only", "note", text), *raised)
     raised = (*raised, *notes, *find_outside(int(beyond.sum()), table.rows))
     added["outside"] = beyond.astype(np.int64)

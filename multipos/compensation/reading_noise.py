@@ -47,10 +47,7 @@ from multipos.uncertainty.validity import unseen_covariance
 _ENOUGH = 20  # rows that tell samples from positions
 _NEIGHBOURS = 0.05  # [g], by which samples that follow each other differ at most, mostly
 _ONE_SD = 0.6827  # of differences are smaller than one standard deviation
-_NOTHING = (
-    "nothing is left of the calibration to tell the noise of a reading, so u_… stay empty; "
-    "state it with --reading-sd, or leave it out with --parameters-only"
-)
+_NOTHING = "the calibration has no residuals to estimate the noise of a reading from; u_… are empty"
 _TELLING = 2.0  # times the noise of an averaged reading is no chance
 
 
@@ -188,13 +185,14 @@ class ReadingUncertainty:
         """Which noise it is."""
         sd = self.noise.sd
         if np.isnan(sd).any():
-            return (Finding("no-noise", "warning", _NOTHING),)
+            action = "State it with --reading-sd, or omit it with --parameters-only."
+            return (Finding("no-noise", "warning", _NOTHING, action),)
         size = ""
         if sd.any():
             pairs = zip(self.calibration.outputs, sd.tolist(), strict=True)
             unit = self.calibration.model.unit
             size = f" ({', '.join(f'{name} {each:.3g}' for name, each in pairs)} {unit})"
-        text = f"u_… and U_… hold the noise of one reading: {self.noise.text}{size}"
+        text = f"u_… and U_… include the noise of one reading: {self.noise.text}{size}"
         return (Finding("reading-noise", "note", text),)
 
     def of_force(
@@ -256,8 +254,8 @@ class ReadingUncertainty:
             return ()
         listed = ",".join(f"{each:.2g}" for each in step.tolist())
         text = (
-            "the rows look like single samples, which scatter more than the averaged readings of "
-            "the calibration: u_… and U_… are too small for them; state the noise of a sample "
-            f"with --reading-sd (from row to row they scatter by {listed})"
+            f"rows look like single samples (noise {listed}), noisier than the means of the "
+            "calibration; u_… and U_… are too small"
         )
-        return (Finding("single-samples", "warning", text),)
+        action = "State the noise of a sample with --reading-sd."
+        return (Finding("single-samples", "warning", text, action),)

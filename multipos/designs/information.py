@@ -257,10 +257,10 @@ def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> Finding
     if not orientation_sd or reading_sd != 1.0:
         return ()
     text = (
-        f"--orientation-sd {orientation_sd:g} is weighed against a reading of standard uncertainty "
-        "1 g, where it hardly counts; give --reading-sd in g (at a scale factor of 1 per g)"
+        f"the standard uncertainty of a reading is taken as 1 g, so --orientation-sd "
+        f"{orientation_sd:g} hardly counts"
     )
-    return (Finding("orientation-unweighed", "warning", text),)
+    return (Finding("orientation-unweighed", "warning", text, "State --reading-sd in g."),)
 
 
 def inform(rows: Blocks, weights: Array | None = None) -> Blocks:

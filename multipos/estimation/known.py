@@ -85,16 +85,16 @@ _UNSUPPORTED = Finding(
     "unequal-pool",
     "warning",
     (
-        "residual variances of the outputs differ (Bartlett's test at 5 "
-        "%), so one pooled variance is not supported by the data"
+        "residual variances of the outputs differ (Bartlett's test at 5 %); with one pooled "
+        "variance U of the noisiest is too small"
     ),
-    "Leave out --pool.",
+    "Fit without --pool.",
 )
 _NOTHING_LEFT = Finding(
     "no-dof",
     "warning",
-    "as many terms as readings: nothing is left to estimate the uncertainty from",
-    "Give --reading-sd or more positions.",
+    "as many terms as readings: there are no residuals to estimate the uncertainty from",
+    "State --reading-sd, or add positions.",
 )
 
 
@@ -732,7 +732,7 @@ def overstated(claim: NoiseTest) -> Findings:
     """Return a warning where the residuals of all outputs are far below the stated noise."""
     if claim.chi2 >= chi2_quantile(1.0 - REJECTED, claim.dof):
         return ()
-    seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} degrees of freedom)"
+    seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} dof)"
     text = f"residuals are smaller than the stated noise implies {seen}; U is probably too large"
     return (Finding("overstated-noise", "warning", text, "State a smaller --reading-sd."),)
 

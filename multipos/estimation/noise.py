@@ -60,12 +60,24 @@ from multipos.sensor.inverse import parameter_jacobian
 _DETERMINED = 2.0  # factor to either side within which an orientation error is called determined
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
+_NO_UNCERTAINTY = Finding(
+    "no-dof",
+    "warning",
+    "as many unknowns as equations: there are no residuals to estimate the uncertainty from",
+    "State --reading-sd, or add positions.",
+)
+_NO_ORIENTATION_SD = Finding(
+    "no-dof",
+    "warning",
+    "as many unknowns as equations: there are no residuals to estimate the orientation sd from",
+    "State --orientation-sd in degrees, or add positions.",
+)
 _INSEPARABLE = Finding(
     "inseparable",
     "warning",
     (
-        "these positions cannot separate orientation errors from noise: "
-        "--orientation-sd auto found none, and U takes all scatter as noise"
+        "orientation errors and noise cannot be separated at these positions; U takes all "
+        "residuals as noise"
     ),
     "State --orientation-sd in degrees, or add positions (18 or more).",
 )
@@ -106,12 +118,8 @@ def estimate_noise(
         Whether the size of the orientation sd is to be estimated.
     """
     if nu <= 0 and (estimate_sd or not stated):
-        words = (
-            "orientation sd from; state it, or give more positions"
-            if stated
-            else "uncertainty from; give --reading-sd or more positions"
-        )
-        return problem, optimum, NoiseEstimate(np.nan, 0.0, findings=(_no_dof(words),))
+        found = _NO_ORIENTATION_SD if stated else _NO_UNCERTAINTY
+        return problem, optimum, NoiseEstimate(np.nan, 0.0, findings=(found,))
     if estimate_sd:
         return _both(problem, optimum, nu, stated)
     if stated:
@@ -120,11 +128,6 @@ def estimate_noise(
         return _with_orientation_errors(problem, optimum, nu)
     unstated = np.ones(problem.values.shape)
     return problem, optimum, NoiseEstimate(optimum.point.objective / nu, nu, unstated=unstated)
-
-
-def _no_dof(words: str) -> Finding:
-    text = f"as many unknowns as equations: nothing is left to estimate the {words}"
-    return Finding("no-dof", "warning", text)
 
 
 def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
@@ -138,8 +141,8 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
         # the stated orientation sds are then a lower bound as well
         unit, found = _find(first, start, nu, both=True, least=True)
         text = (
-            "no noise alone explains the residuals: positions were off by more "
-            f"than was stated, some {_widest(unit.problem):.2g} degrees"
+            f"residuals suggest orientation errors of {_widest(unit.problem):.2g} degrees (1 "
+            "sigma), more than stated; U includes them"
         )
         noise = _noise_of(unit.problem, found, stated=True)
         orientation_sd = unit.problem.orientation_sd
@@ -159,7 +162,7 @@ def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> F
     first = _least_noise(problem, optimum)
     unit, found = _find(first, resume(first, optimum), nu, both=False, stated=False)
     noise = _noise_of(unit.problem, found, stated=False)
-    estimated = Finding("estimated-noise", "note", f"estimated: {_noise_in_words(noise)}")
+    estimated = Finding("estimated-noise", "note", f"estimated {_noise_in_words(noise)}")
     noise = replace(noise, findings=(estimated,))
     return unit.problem, unit.optimum, noise
 
@@ -182,12 +185,12 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
     low, high = (sd * float(np.sqrt(end / found.factor[0])) for end in ends)
     determined = high <= _DETERMINED**2 * low
     words = (
-        f"orientation error {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
+        f"orientation errors of {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
         if determined
-        else f"orientation error not determined (68 %: {low:.2g} to {high:.2g} degrees)"
+        else f"orientation errors of {low:.2g} to {high:.2g} degrees (68 %)"
     )
     assert noise.components is not None
-    text = f"estimated together: {_noise_in_words(noise)}, {words}"
+    text = f"estimated {_noise_in_words(noise)} and {words}"
     noise = replace(
         noise,
         orientation_sd=unit.problem.orientation_sd,
@@ -397,10 +400,11 @@ def _noise_in_words(noise: NoiseEstimate) -> str:
     assert noise.components is not None
     reading, excess = noise.components.reading_sd, noise.components.rest_to_rest
     if reading is not None:
-        return f"reading noise {reading.value:.3g} (to {100.0 * reading.u / reading.value:.0f} %)"
+        unsure = f"uncertain by {100.0 * reading.u / reading.value:.0f} %"
+        return f"reading noise of {reading.value:.2g} ({unsure})"
     assert excess is not None
     value = next(iter(excess.values())).value
-    return f"scatter from position to position {value:.3g} beside the stated noise"
+    return f"excess noise of {value:.2g} from position to position"
 
 
 def _widest(problem: Problem) -> float:
@@ -424,8 +428,7 @@ def estimate_tied_noise(
     for _ in range(_ROUNDS):
         dof = _degrees(problem, optimum)
         if dof.min() <= 0.0:
-            words = "uncertainty from; give --reading-sd or more positions"
-            noise = NoiseEstimate(np.nan, 0.0, findings=(_no_dof(words),))
+            noise = NoiseEstimate(np.nan, 0.0, findings=(_NO_UNCERTAINTY,))
             return problem, optimum, noise, np.zeros(m)
         square = np.sum(optimum.point.residuals**2, axis=0)
         if not problem.exact.all():

@@ -103,8 +103,8 @@ def judge_robustly(
 
 def aside_finding(label: str, misfit: float) -> Finding:
     """Return the warning about a position that is set aside."""
-    text = f"position {label} is set aside: it does not fit by {misfit:.3g} times the noise"
-    return Finding("set-aside", "warning", text, rows=(label,))
+    text = f"position {label} was set aside: its residual is {misfit:.3g} times the noise"
+    return Finding("set-aside", "warning", text, "Measure it again.", rows=(label,))
 
 
 def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:

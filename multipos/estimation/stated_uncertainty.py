@@ -71,14 +71,14 @@ def shrink_variances(readings: Readings) -> Readings:
         return replace(readings, u=u)
     few = np.mean(readings.dof < _FEW, axis=0) > 0.5
     text = (
-        f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: they are "
-        "drawn towards what they have in common, and U is larger for it"
+        f"stated uncertainties of readings have as few as {least:.2g} dof: their variances were "
+        "pooled in part, which U includes"
     )
     if readings.samples is not None and few.any():
         u = np.where(few, _by_samples(readings.u, readings.dof, readings.samples), u)
         text = (
-            f"the readings' uncertainties have as few as {least:.2g} degrees of freedom: rests "
-            "count by their numbers of samples, and U follows from the residuals"
+            f"stated uncertainties of readings have as few as {least:.2g} dof: rests are weighted "
+            "by their numbers of samples, and U follows from residuals"
         )
     found = Finding("few-dof", "note", text)
     return replace(readings, u=u, findings=(*readings.findings, found))

@@ -157,10 +157,10 @@ def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Fi
     assert isinstance(model, ExpressionModel)
     fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)
     if not fixed:
-        said = "no rotation of the case is free: the model itself says where its axes lie"
+        said = "no rotation of the case is free: the model itself fixes its axes"
         return problem, (Finding("free-rotation", "note", said),)
     names = ", ".join(f"`{name}` of {output} at {value:g}" for output, name, value in fixed)
-    said = f"a rotation of the case is free in this model; it is fixed by holding {names}"
+    said = f"a rotation of the case is free in this model; it was fixed by holding {names}"
     return replace(problem, model=hold(model, fixed)), (Finding("free-rotation", "note", said),)
 
 
@@ -346,8 +346,8 @@ def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: 
             "scale-bias",
             "warning",
             (
-                f"`{model.names[i]}` is too large by about {size:.2g}, as noise "
-                "moves the estimated positions along the sphere (sigma^2/g^2)"
+                f"`{model.names[i]}` is too large by about {size:.2g}, as noise biases the "
+                "estimated orientations (sigma^2/g^2)"
             ),
             "Average longer.",
         )

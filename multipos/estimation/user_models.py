@@ -328,7 +328,7 @@ def _curvature_bias(
             "warning",
             (
                 f"`{name}` is too {'large' if off > 0.0 else 'small'} by about "
-                f"{abs(off):.2g}, as the model bends within its uncertainty"
+                f"{abs(off):.2g}, as the model is nonlinear within its uncertainty"
             ),
             "Average longer, or add positions.",
         )

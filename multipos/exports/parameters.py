@@ -109,8 +109,8 @@ def parameter_target(
             )
             found = [Finding("lossy", "warning", left), *found]
         if calibration.convention == "gravity":
-            turned = "the force is turned from gravity to specific force"
-            found.append(Finding("convention-turned", "note", f"{turned}, which {name} works in"))
+            said = f"the sign of the force is that of specific force, which {name} uses"
+            found.append(Finding("convention-turned", "note", said))
         return Exported(name, text, findings=in_order(found))
 
     def read_file(file: GivenFile, calibration: Calibration) -> Verification:

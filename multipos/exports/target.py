@@ -248,8 +248,8 @@ def find_strange(path: str, difference: float, allowed: float, field: Field = GR
     if difference <= allowed:
         return ()
     text = (
-        f"{path}: differs from this calibration by {f'{difference:.2g} {field.unit}'.rstrip()}, "
-        "so it was exported from another or changed since."
+        f"{path} differs from this calibration by {f'{difference:.2g} {field.unit}'.rstrip()}: it "
+        "was exported from another, or changed since"
     )
     return (Finding("export-differs", "error", text, "Export again."),)
 

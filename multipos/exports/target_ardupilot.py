@@ -64,17 +64,15 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Fi
     bad += [n for n, v in zip(names[3:], values[3:], strict=True) if not low <= v <= high]
     findings = []
     if bad:
-        text = f"{', '.join(bad)} beyond what ArduPilot accepts"
-        findings.append(Finding("beyond-target", "warning", text))
+        text = f"{', '.join(bad)} exceed what ArduPilot accepts"
+        action = "Check the unit and the convention."
+        findings.append(Finding("beyond-target", "warning", text, action))
     found: list[tuple[str, float | int]] = list(zip(names, values, strict=True))
     number = "" if instance == 1 else instance
     sensor = f"INS_ACC{number}_ID"
     if wish.device_id is None:
-        text = (
-            f"the file names no sensor, and ArduPilot asks for a calibration until {sensor} is "
-            "saved as its ID; give that with --device-id"
-        )
-        findings.append(Finding("no-device-id", "warning", text))
+        text = f"{sensor} is missing; ArduPilot will ask for a calibration"
+        findings.append(Finding("no-device-id", "warning", text, "Add --device-id."))
     else:
         found.insert(0, (sensor, wish.device_id))
     thermal = ""

@@ -361,7 +361,7 @@ def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -
         if codes
         else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
     )
-    text = f"{path}: {what}, so it was exported from another regression or changed since."
+    text = f"{path}: {what}; it was exported from another regression, or changed since"
     return (Finding("export-differs", "error", text, "Export again."),)
 
 

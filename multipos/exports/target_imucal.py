@@ -56,7 +56,7 @@ def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Findi
         "cal_type": "Ferraris",
         "_format_version": _FORMAT,
     }
-    text = "the gyroscope is left as it is: imucal needs its part to be there"
+    text = "the gyroscope part is the identity, as imucal requires one"
     return to_json(content), [Finding("gyroscope-unchanged", "note", text)]
 
 

@@ -74,8 +74,8 @@ def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Findi
     if calibration.nominal is not None:
         return "\n".join(lines) + "\n", []
     text = (
-        f"1G of the flight controller is taken to be {counts} counts; where its driver has "
-        "another, the forces are off by the ratio"
+        f"1 g of the flight controller is taken as {counts} counts; forces are wrong by the ratio "
+        "if its driver uses another number"
     )
     return "\n".join(lines) + "\n", [Finding("assumed-counts", "note", text)]
 

@@ -39,8 +39,8 @@ _BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
 _NO_NOISE = Finding(
     "no-noise-density",
     "warning",
-    "no noise densities, which Kalibr needs: give the result of multipos stability with "
-    "--stability, or write them in",
+    "the file lacks the noise densities that Kalibr needs",
+    "Add the result of multipos stability with --stability.",
 )
 
 
@@ -52,11 +52,9 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Fi
     findings = []
     upper = np.abs(response[np.triu_indices(3, 1)])
     if (upper > 0.0).any():
-        text = (
-            "M is full, in the axes of the case; that of Kalibr itself is lower triangular, in "
-            "the axes of the accelerometer: fit --unknown-orientation gives those"
-        )
-        findings.append(Finding("full-matrix", "note", text))
+        text = "M is full, in case axes; Kalibr's own is lower triangular, in accelerometer axes"
+        action = "Fit with --unknown-orientation for accelerometer axes."
+        findings.append(Finding("full-matrix", "note", text, action))
     noise: list[str] = []
     if wish.stability is None:
         findings.append(_NO_NOISE)

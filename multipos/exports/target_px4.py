@@ -85,7 +85,7 @@ def _thermal(
 
 
 def _without_id(instance: int) -> Finding:
-    text = f"CAL_ACC{instance}_ID is missing; PX4 will ignore the file."
+    text = f"CAL_ACC{instance}_ID is missing; PX4 will ignore the file"
     return Finding("no-device-id", "warning", text, "Add --device-id.")
 
 

@@ -117,10 +117,10 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
     if not along or max(along) >= 0.0:
         return c
     other = next(name for name in CONVENTIONS if name != c.convention)
-    how = "of the other sign than --axes says" if down else "negative"
+    how = "of the opposite sign to --axes" if down else "negative"
     text = (
-        f"every own-axis scale factor is {how} under the convention {c.convention}; "
-        f"the readings look like {other}"
+        f"every scale factor is {how} under the convention {c.convention}; readings look like "
+        f"{other}"
     )
     found = Finding("convention", "warning", text, f"Fit with --convention {other}.")
     diagnostics = replace(c.diagnostics, findings=(*c.diagnostics.findings, found))
@@ -162,9 +162,9 @@ def _parity(term: Term, axes: set[str]) -> float:
     return -1.0 if odd % 2 else 1.0
 
 
-_TIED = "the listed directions leave no rotation of the case to choose"
+_TIED = "the listed directions fix the orientation of the case"
 _SPARE = 3  # degrees of freedom of a robust fit: at two of six faces U held 6 to 48 %
-_ROLLED = "the rolls of open angle say which rotation of the case is free, if any"
+_ROLLED = "the rolls of open angle fix the orientation of the case"
 
 
 class FitOptions(TypedDict, total=False):
@@ -554,7 +554,7 @@ def calibrate_at(
     tied = _TIED if stated_up.listed.any() else stated_up.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
         text = f"--gauge {options.gauge} has no effect: {tied}"
-        unused = Finding("gauge-unused", "warning", text)
+        unused = Finding("gauge-unused", "warning", text, "Omit --gauge.")
         readings = replace(readings, findings=(*readings.findings, unused))
     estimator = choose_estimator(options, stated_up)
     if options.robust is not None and stated_up.exact:
@@ -729,7 +729,7 @@ def _with_reading_sd(readings: Readings, reading_sd: ArrayLike) -> Readings:
     u = spread_reading_sd(reading_sd, readings.values.shape)
     findings = readings.findings
     if readings.u is not None or readings.covariance is not None:
-        text = "the readings' own uncertainties are ignored, --reading-sd is used"
+        text = "stated uncertainties of the readings are ignored; --reading-sd is used"
         findings += (Finding("u-ignored", "note", text),)
     return replace(readings, u=u, dof=None, covariance=None, findings=findings)
 

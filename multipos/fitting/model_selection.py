@@ -26,8 +26,8 @@ from multipos.sensor.model import Model
 OPTIMISTIC = Finding(
     "selected-terms",
     "note",
-    "the terms were chosen stepwise by the readings that also test them: the uncertainties of the "
-    "terms kept are too small, and what was left out is taken as zero",
+    "terms were chosen stepwise by the readings that test them: U of the terms kept is too small, "
+    "and omitted terms are taken as zero",
 )
 
 

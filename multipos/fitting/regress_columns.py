@@ -91,10 +91,7 @@ def find_in_choice(
         text = "no intercept: F and R² are about zero, not about the mean, dof n − k"
         said.append(Finding("no-intercept", "note", text))
     if plan.method != "full":
-        text = (
-            "the terms were chosen by the same data that test them: F and p of the chosen model "
-            "are optimistic"
-        )
+        text = "terms were chosen by the data that test them: F and p of the model are optimistic"
         action = "" if validation else "Check it by blocks of time with --cross-validate."
         said.append(Finding("selected-terms", "note", text, action))
     if hysteresis is not None and not hysteresis["significant"]:
@@ -102,7 +99,7 @@ def find_in_choice(
         text = (
             f"heating and cooling do not differ (p = {p:.2g}): one model for both"
             if p == p
-            else "too few independent rows to tell heating from cooling: one model for both"
+            else "too few independent rows to separate heating from cooling: one model for both"
         )
         said.append(Finding("one-branch", "note", text))
     for where, segment in _named(segments):
@@ -116,15 +113,17 @@ def find_in_segments(segments: Sequence[Segment]) -> Findings:
     for where, segment in _named(segments):
         robust = segment.robust
         if segment.dof[0] > 0 and segment.dof[1] == 0:
-            text = f"{where}: as many terms as rows, nothing is left to test it with"
-            found.append(Finding("no-redundancy", "warning", text))
+            text = f"{where}: as many terms as rows, so there are no residuals to test it"
+            action = "Add rows, or drop terms."
+            found.append(Finding("no-redundancy", "warning", text, action))
         apart = robust is None or robust.kind == "cluster" or robust.n_effective == segment.n
         if robust is not None and not apart:
             text = (
-                f"{where}: neighbouring rows are correlated ({robust.lag_one:.2f}); {segment.n} "
-                f"rows are worth about {robust.n_effective:.3g}, see F_robust"
+                f"{where}: noise of neighbouring rows is correlated ({robust.lag_one:.2f}); "
+                f"{segment.n} rows equal about {robust.n_effective:.3g} independent ones"
             )
-            found.append(Finding("time-correlated", "warning", text))
+            action = "Judge terms by F_robust."
+            found.append(Finding("time-correlated", "warning", text, action))
     return tuple(found)
 
 
@@ -154,9 +153,9 @@ def find_imbalance(balance: Balance | None) -> Findings:
     outside, points = int(balance.outside.sum()), len(balance.at)
     text = (
         f"in thermal balance (rate 0) {outside} of {points} points over {balance.variable} are "
-        "outside what was measured"
+        "outside the data; predictions there are extrapolated"
     )
-    return (Finding("balance", "warning", text, "Add soaks there to the programme."),)
+    return (Finding("balance", "warning", text, "Add soaks at these temperatures."),)
 
 
 def find_switch_on(data: Data) -> tuple[Finding, ...]:
@@ -172,19 +171,19 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
     said = []
     k, nu = segment.dof
     if k == 0:
-        text = f"{where}: no term is supported by the data, the model is the mean alone"
+        text = f"{where}: no term is supported by the data; the model is the mean alone"
         said.append(Finding("mean-only", "warning", text))
     elif nu > 0 and not segment.significant:
-        text = f"{where} means nothing: F = {segment.F:.3g} is below {segment.F_critical:.4g}"
+        text = f"{where} is not significant: F = {segment.F:.3g} is below {segment.F_critical:.3g}"
         said.append(Finding("not-significant", "warning", text, p=segment.p))
     if segment.left_out:
         names = ", ".join(one.term for one in segment.left_out[:_MOST_NAMED])
         more = len(segment.left_out) - _MOST_NAMED
         names += f" and {more} more" if more > 0 else ""
-        text = f"{where}: {names} left out: what it varies there is too little, or cancels"
+        text = f"{where}: {names} omitted, as the columns hardly vary there, or cancel"
         said.append(Finding("left-out", "note", text))
     if segment.collinear:
-        text = f"{where}: {', '.join(segment.collinear)} cannot be told from the terms in the model"
+        text = f"{where}: {', '.join(segment.collinear)} cannot be separated from the model"
         said.append(Finding("collinear-terms", "note", text))
     robust = segment.robust
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
@@ -192,11 +191,11 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
         said.append(Finding("not-robust", "warning", text, p=robust.p))
         if robust.kind != "cluster" and robust.n_effective == segment.n:
             text = (
-                f"{where}: {segment.n} rows cannot tell slow noise beside white noise from white "
-                f"noise alone: F (p = {segment.p:.2g}) stands if theirs is white, F_robust if it "
-                "is as slow as they leave open; more rows, or several runs, tell"
+                f"{where}: {segment.n} rows cannot separate white from slow noise: F (p = "
+                f"{segment.p:.2g}) holds for white, F_robust for the slowest possible"
             )
-            said.append(Finding("slow-or-white", "warning", text))
+            action = "Record more rows, or several runs."
+            said.append(Finding("slow-or-white", "warning", text, action))
     return said
 
 
@@ -277,7 +276,7 @@ def settle_edges(
         return given, ()
     edges = _find_edges(plan, data, variable, min_rows)
     if not edges:
-        text = f"no edge in {variable} is worth its coefficients: one segment"
+        text = f"no edge in {variable} improves the model enough: one segment"
         return (), (Finding("one-segment", "note", text),)
     return edges, ()
 

@@ -327,7 +327,7 @@ def _find_failed(units: Units) -> Findings:
         return ()
     first = failed[0]
     text = (
-        f"{len(failed)} of {len(units)} units failed, first {units.unit[first]}: "
+        f"{len(failed)} of {len(units)} units have no calibration, first {units.unit[first]}: "
         f"{units.reasons[first]}"
     )
     return (Finding("failed-units", "warning", text),)

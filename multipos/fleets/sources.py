@@ -281,8 +281,8 @@ def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str
     if not again:
         return ()
     more = f" and {len(again) - _SHOWN} more" if len(again) > _SHOWN else ""
-    text = f"equal files are counted once, left out: {', '.join(again[:_SHOWN])}{more}."
-    return (Finding("repeated-file", "warning", text, "Take the copies out of the folder."),)
+    text = f"identical files were counted once; omitted: {', '.join(again[:_SHOWN])}{more}"
+    return (Finding("repeated-file", "warning", text, "Remove the copies from the folder."),)
 
 
 def _drop_foreign(read: list[Table | MultiposError | None]) -> dict[int, Table]:

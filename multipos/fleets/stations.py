@@ -179,8 +179,8 @@ def find_off(station: Mapping[str, Any]) -> Findings:
     size, what, axis, u = max(off)
     more = f", and {len(off) - 1} more" if len(off) > 1 else ""
     text = (
-        f"station {station['station']}: its {what} is off by {size:.2g} degrees about {axis} "
-        f"(u {u:.1g}){more}"
+        f"{what} of station {station['station']} is off by {size:.2g} degrees about {axis} "
+        f"(u = {u:.2g}){more}"
     )
     return (Finding("station", "warning", text, "Correct the fixture, or use its correction."),)
 

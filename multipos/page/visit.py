@@ -268,7 +268,7 @@ def _with_unit(readings: Readings) -> Readings:
     whole = bool((readings.values == np.round(readings.values)).all())
     for unit, one in _ONE_G.items():
         if abs(size / one - 1.0) < _NEAR and not (whole and one != 1.0):
-            text = f"the unit is taken to be {unit}, since gravity reads {size:.3g}"
+            text = f"the unit is taken as {unit}, as gravity reads {size:.3g}"
             findings = (*readings.findings, Finding("likely-unit", "note", text))
             return replace(readings, unit=unit, findings=findings)
     return replace(readings, unit="count") if whole else readings

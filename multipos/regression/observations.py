@@ -400,8 +400,8 @@ def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, Findings
             return name, ()
         values = table.number(name, empty=True)
         if not (np.diff(values[np.isfinite(values)]) < 0.0).any():
-            return name, (Finding("time-column", "note", f"time is column '{name}'"),)
-    text = "no time column: neighbouring rows are taken in the order in which they stand"
+            return name, (Finding("time-column", "note", f"column '{name}' is the time"),)
+    text = "no time column: rows are taken as consecutive in the order of the table"
     return None, (Finding("no-time-column", "note", text),)
 
 
@@ -504,7 +504,7 @@ def _complete(table: Table, columns: Mapping[str, Array], drop: bool) -> tuple[R
     if len(rows) == table.rows:
         raise MultiposError(f"{table.source}: every row has an empty cell ({counted}).")
     text = (
-        f"{len(rows)} of {table.rows} rows dropped for an empty cell ({counted}; rows "
+        f"{len(rows)} of {table.rows} rows were omitted for an empty cell ({counted}; rows "
         f"{_listed(rows)})"
     )
     return np.setdiff1d(np.arange(table.rows), rows), (Finding("dropped-rows", "note", text),)

@@ -321,6 +321,6 @@ def at_bounds(model: Model, parameters: Array) -> Findings:
         reach = _INSIDE * (width if np.isfinite(width) else max(abs(value), 1.0))
         for word, end in (("low", q.low), ("high", q.high)):
             if abs(value - end) <= reach:
-                text = f"`{name}` ended at its bound, {word} = {end:g}: the readings ask for more"
-                said.append(Finding("at-bound", "warning", text))
+                text = f"`{name}` is at its bound, {word} = {end:g}; the best fit may lie beyond"
+                said.append(Finding("at-bound", "warning", text, "Widen the bound."))
     return tuple(said)

@@ -387,14 +387,14 @@ def _unused(mounted: Iterable[Mounting]) -> list[Finding]:
     for one in mounted:
         row = int(one.roll.rows[0]) + 1
         if not np.isfinite(one.head).all():
-            text = f"some readings of the roll about {one.roll.axis} have no `{HEAD}`: unused"
-            said.append(Finding("head-unused", "warning", text))
+            text = f"readings of the roll about {one.roll.axis} lack `{HEAD}`; it is not used"
+            said.append(Finding("head-unused", "warning", text, f"Complete `{HEAD}`."))
         elif len(one.head) < _FEWEST:
             text = (
-                f"reading {row}: `{HEAD}` does not turn with the angle of the roll about "
-                f"{one.roll.axis}, one way or the other: unused"
+                f"reading {row}: `{HEAD}` does not follow the angle of the roll about "
+                f"{one.roll.axis}; it is not used"
             )
-            said.append(Finding("head-unused", "warning", text))
+            said.append(Finding("head-unused", "warning", text, f"Correct `{HEAD}`."))
     return said
 
 
@@ -622,7 +622,7 @@ def find_in_rolls(calibration: Calibration) -> list[Finding]:
                 "360 degrees without a position; bias, scale and cross terms are "
                 "poorly separated there"
             ),
-            "Take positions over the whole turn.",
+            "Take positions over the full circle.",
         )
         for roll in rolls
         if not roll.spans_a_turn
@@ -633,11 +633,11 @@ def find_in_rolls(calibration: Calibration) -> list[Finding]:
     for shift in table_errors(calibration).zero_shifts:
         if shift.p < _SHIFTED:
             text = (
-                f"the zero of {shift.output} shifted by {shift.value:.3g} {shift.unit} between the "
-                f"rolls in {rolls[0].plane} and {shift.plane}; the stated uncertainties leave that "
-                "out unless it is in the covariance of the readings (state_bench)"
+                f"the bias of {shift.output} shifted by {shift.value:.2g} {shift.unit} between the "
+                f"rolls in {rolls[0].plane} and {shift.plane}; U excludes it"
             )
-            said.append(Finding("zero-shift", "warning", text, outputs=(shift.output,), p=shift.p))
+            named, action = (shift.output,), "State the shift of the bench with state_bench."
+            said.append(Finding("zero-shift", "warning", text, action, outputs=named, p=shift.p))
     return said
 
 

@@ -63,8 +63,8 @@ _IN_S = "stability"  # the table of a budget that sessions show by themselves
 _PLAIN = Finding(
     "unequal-sessions",
     "note",
-    "the sessions do not all state their uncertainty, or state correlated readings: each was "
-    "fitted again with equal weights, and U follows from how they differ",
+    "sessions state no uncertainty of their readings, or correlated ones: each was fitted again "
+    "with equal weights, and U follows from their differences",
 )
 
 

@@ -350,8 +350,9 @@ def _compare(
         judged = judge_repeats(found, values, 1.0 - confidence)
     findings = () if same else (*find_repeats(found), *judged.findings)
     if len(found) < _LEAST and not same:
-        text = f"{len(found)} repeats say little about stability; calibrate at least {_LEAST} times"
-        findings += (Finding("few-repeats", "note", text),)
+        text = f"{len(found)} repeats determine stability poorly"
+        action = f"Calibrate at least {_LEAST} times."
+        findings += (Finding("few-repeats", "note", text, action),)
     return Comparison(
         calibrations=found,
         files=files,

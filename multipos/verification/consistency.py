@@ -168,8 +168,8 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
         p_equal = bartlett((family.variances * family.dof)[estimated], family.dof[estimated])
         if p_equal < _UNEQUAL:
             text = (
-                f"the scatter of {family.name} differs between the repeats (Bartlett's test at "
-                "1 %), so judging all by its mean is not supported by the data"
+                f"the noise of {family.name} differs between repeats (Bartlett's test at 1 %); "
+                "the test of their agreement takes its mean"
             )
             unequal.append(Finding("unequal-repeats", "warning", text, p=p_equal))
     statistic, dof, p_total, test = judge_together(outcome, _WORDS)

@@ -128,8 +128,8 @@ def check_regression(
         numbers[inside],
     )
     text = (
-        f"{int(outside.sum())} of {table.rows} rows are outside what the regression was fitted to "
-        "and are not counted"
+        f"{int(outside.sum())} of {table.rows} rows are outside the range of the regression and "
+        "were not counted"
     )
     return Check(
         quantity=r.response,
@@ -166,10 +166,10 @@ def _find_in_run(r: Regression, whole: Agreement) -> Findings:
     """Return that the run as a whole does not agree, and what a switch-on has to do with it."""
     if not whole.p < RATE:
         return ()
-    text = f"the run disagrees with the regression: p = {whole.p:.2g} by the whole run"
-    action = "Find what differs: mounting, ageing, or a chamber run of another kind."
+    text = f"the run disagrees with the regression beyond chance (p = {whole.p:.2g})"
+    action = "Find what differs: mounting, ageing, or the temperature profile."
     if r.run is None:
-        text += "; without --run it has no variance for the switch-on, so another one is denied"
+        text += "; without --run it has no variance between switch-ons"
         action = "Fit several switch-ons with --run."
     return (Finding("run-disagrees", "warning", text, action, outputs=(r.response,), p=whole.p),)
 

@@ -163,8 +163,9 @@ def compare_regressions(
     findings = find_repeated_regressions(runs)
     findings = (*findings, *_find_lonely(terms))
     if not consistent and not all(r.run for run in runs for r in run):
-        text = "a regression of one switch-on does not know the zero of the next; fit several with "
-        findings += (Finding("turn-on", "warning", f"{text}--run"),)
+        text = "the change of bias from one switch-on to the next is not in U"
+        action = "Fit several switch-ons with --run."
+        findings += (Finding("turn-on", "warning", text, action),)
     return RegressionComparison(
         files=tuple(files),
         created=tuple(run[0].created for run in runs),
@@ -179,7 +180,7 @@ def _find_lonely(terms: Sequence[ComparedTerm]) -> Findings:
     lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
     if not lonely:
         return ()
-    text = f"not in every repeat, and not judged: {', '.join(lonely)}"
+    text = f"{', '.join(lonely)}: not in every repeat, thus not tested"
     return (Finding("lonely-terms", "note", text),)
 
 

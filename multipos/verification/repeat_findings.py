@@ -90,10 +90,10 @@ def _repeated_run(what: str, found: Sequence[Array]) -> Finding | None:
         "repeated-runs",
         "warning",
         (
-            f"the {what} of runs {first} and {second} are the same to the last "
-            "digit: a run that is given twice is no repeat"
+            f"the {what} of runs {first} and {second} are identical: one run is not a repeat of "
+            "itself"
         ),
-        "Leave one of them out.",
+        "Remove one of them.",
     )
 
 
@@ -110,10 +110,10 @@ def _different_sensors(found: Sequence[Calibration]) -> Finding | None:
         "different-sensors",
         "warning",
         (
-            f"runs {pair[0] + 1} and {pair[1] + 1} look like two sensors and "
-            f"not one: {said}, which no sensor drifts"
+            f"runs {pair[0] + 1} and {pair[1] + 1} are probably of two sensors: {said}, more than "
+            "a sensor drifts"
         ),
-        "Check which unit each file is of, and the order and unit of its columns.",
+        "Check the sensor of each file, and the order and unit of its columns.",
     )
 
 
@@ -128,16 +128,16 @@ def _apart(a: Calibration, b: Calibration) -> tuple[float, str]:
     for i, output in enumerate(a.outputs):
         ratio = float(size_b[i] / size_a[i])
         change = abs(math.log(ratio))
-        words = f"{output} responds {ratio:.4g} times as much"
+        words = f"{output} is {ratio:.4g} times as sensitive"
         found.append((change, unsure[i, 0], _SCALE, words))
         for j, other in enumerate(a.outputs[:i]):
             turned = _angle(b, i, j) - _angle(a, i, j)
-            words = f"{other} and {output} are by {math.degrees(turned):+.2g} degrees further apart"
+            words = f"the angle of {other} and {output} changed {math.degrees(turned):+.2g} degrees"
             found.append((abs(turned), unsure[i, 1] + unsure[j, 1], _ANGLE, words))
     for output, zero in _zeros(a):
         i = a.outputs.index(output)
         moved = (zeros[output] - zero) / float(size_a[i])
-        words = f"the zero of {output} lies {moved:+.2g} g away"
+        words = f"the bias of {output} changed by {moved:+.2g} g"
         found.append((abs(moved), unsure[i, 2], _ZERO, words))
     beyond = [(size / limit, words) for size, U, limit, words in found if size > U]
     return max(beyond, default=(0.0, ""))

@@ -300,11 +300,11 @@ def _of_plane(found: Mapping[str, TumbleCoefficient], c: Calibration) -> Finding
         return ()
     axis, degrees = c.model.axes[0], math.degrees(math.atan(lean))
     text = (
-        f"the input axis of {c.outputs[0]} leans by {degrees:.3g} degrees from {axis}: K1 and the "
-        f"terms of higher order are those along {axis} and not its own; look at roll_axis, at "
-        "where the angle is zero, and at --axes"
+        f"the input axis of {c.outputs[0]} is {degrees:.2g} degrees from {axis}: K1 and the terms "
+        f"of higher order are those along {axis}"
     )
-    return (Finding("wrong-plane", "warning", text, outputs=c.outputs),)
+    action = "Check roll_axis, the angle that is zero, and --axes."
+    return (Finding("wrong-plane", "warning", text, action, outputs=c.outputs),)
 
 
 def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]:
@@ -316,11 +316,11 @@ def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]
             "part-of-a-turn",
             "warning",
             (
-                f"the {len(roll.distinct)} angles in plane {roll.plane} do not span "
-                f"a turn, {np.degrees(roll.gap):.4g} of 360 degrees are empty: no "
-                "harmonics, valid for these angles only"
+                f"the {len(roll.distinct)} angles in plane {roll.plane} leave "
+                f"{np.degrees(roll.gap):.4g} of 360 degrees empty: no harmonics; results hold for "
+                "these angles only"
             ),
-            "Leave no gap wider than 180 degrees.",
+            "Measure without a gap wider than 180 degrees.",
         )
         for roll in rolls
     ]
@@ -335,8 +335,8 @@ def _find_repeats(rolls: tuple[Roll, ...]) -> list[Finding]:
             listed = ", ".join(f"{angle:g}" for angle in twice[:6])
             more = f" and {len(twice) - 6} more" if len(twice) > 6 else ""
             text = (
-                f"plane {roll.plane}: the angles {listed}{more} degrees are there more than once; "
-                "least squares takes every reading, the harmonics are of their means"
+                f"plane {roll.plane}: the angles {listed}{more} degrees are repeated; least "
+                "squares uses every reading, harmonics use means"
             )
             said.append(Finding("repeated-angles", "note", text))
     return said

@@ -164,7 +164,7 @@ def test_a_target_in_reach_is_not_denied(folder):
 
 def test_a_scheme_that_is_too_short_for_a_target_says_so(folder):
     path = log_bench.write_csv(folder / "edges.csv", log_bench.columns_of(scheme="edges-12"))
-    for limit, said in ((8, "all that is left of the scheme, 4 more"), (12, "was not reached")):
+    for limit, said in ((8, "after the last 4 positions of the scheme"), (12, "at its end")):
         session, state = state_after(path, "edges-12", ["bias=1e-5"], limit)
         if limit == 12:
             session.finish()

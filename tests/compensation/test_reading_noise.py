@@ -148,7 +148,7 @@ def test_a_calibration_without_residuals_tells_no_noise():
     one = {"ax": [0.05], "ay": [0.02], "az": [0.99]}
     found = mp.apply(bare, one, uncertainty=True)
     assert np.isnan(found["u_f_x"]).all()
-    assert any("state it with --reading-sd" in text for text in texts(found))
+    assert any("State it with --reading-sd" in text for text in texts(found))
 
 
 def still(rng, n, sd):
@@ -161,7 +161,7 @@ def test_single_samples_are_told_from_means(cal):
     samples = still(rng, 400, 20 * SD)
     says = texts(mp.apply(cal, samples, uncertainty=True))
     assert "look like single samples" in says[0]
-    said = float(says[0].split("scatter by ")[1].split(",")[0])
+    said = float(says[0].split("(noise ")[1].split(",")[0])
     assert said == pytest.approx(20 * SD, rel=0.15)  # of 400 differences
     quiet = (
         mp.apply(cal, still(rng, 400, SD), uncertainty=True),  # as averaged readings scatter
@@ -182,7 +182,7 @@ def test_the_command_says_which_noise(cal, tmp_path, capsys, monkeypatch):
     assert status == 0
     assert json.loads(out)["noise"] == "that of an averaged reading of the calibration"
     said = " ".join(each["text"] for each in json.loads(out)["findings"])
-    assert "hold the noise of one reading: that of an averaged reading" in said
+    assert "include the noise of one reading: that of an averaged reading" in said
     assert "look like single samples" in said
     options = ["--uncertainty", "--reading-sd", "0.04", "--json"]
     status, out, _ = run(capsys, "apply", "cal.json", "log.csv", *options)
@@ -212,7 +212,7 @@ def test_a_regression_has_the_noise_of_its_rows():
     assert found.to_dict()["noise"] == found.noise == "what the regression left of its own rows"
     new = mp.correct(fitted, {"t": [1.0, 2.0]}, uncertainty=True)
     assert list(new) == ["t", "predicted", "u_predicted", "U_predicted", "outside"]
-    assert "no column 'y' to correct: predicted only" in texts(new)[0]
+    assert "there is no column 'y' to correct; only predictions are written" in texts(new)[0]
 
 
 def test_rows_of_samples_are_told_of_models_of_ones_own_too():

@@ -653,4 +653,4 @@ def test_worth_refuses_what_it_cannot_tell():
 def test_an_orientation_sd_beside_a_whole_g_warns():
     status, _, err = command("schemes", "faces-6", "--orientation-sd", "0.1")
     assert status == 0
-    assert "give --reading-sd in g" in err
+    assert "State --reading-sd in g" in err

@@ -14,7 +14,6 @@ from multipos.reports.sections import Translator
 ROOT = Path(__file__).resolve().parents[2]
 PUT_IN = "7"  # where a text has a number or a name
 FILES = [p for p in sorted((ROOT / "multipos").rglob("*.py")) if "Finding(" in p.read_text("utf-8")]
-FILES_OF_FITS = [path for path in FILES if path.parent.name == "diagnostics"]
 
 
 def generated() -> ModuleType:
@@ -50,7 +49,7 @@ def test_what_is_kept_of_a_code_is_of_one_that_there_is():
         assert set(tomllib.loads((ROOT / "docs" / name).read_text("utf-8"))) <= codes
 
 
-SHOWN = [(m.codes, [*m.texts, *m.actions]) for m in PROGRAM.messages(FILES_OF_FITS, PUT_IN)]
+SHOWN = [(m.codes, [*m.texts, *m.actions]) for m in MADE]
 
 
 @pytest.mark.parametrize("texts", [t for _, t in SHOWN], ids=[codes[0] for codes, _ in SHOWN])
@@ -58,7 +57,7 @@ def test_every_text_of_a_finding_has_a_chinese_one(texts):
     words = Translator("zh")
     for text in texts:
         assert len(text) <= 160, text
-        if text == PUT_IN:  # made elsewhere, of what a run of a check has moved
+        if not re.search("[a-z]", text):  # made elsewhere, of what a run of a check has moved
             continue
         said = words.message(text)
         assert re.search(r"[\u4e00-\u9fff]", said), text

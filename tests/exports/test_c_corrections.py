@@ -204,7 +204,7 @@ def test_rows_of_the_fit_are_replayed(tmp_path, capsys):
     assert main(["verify-export", str(c), str(reg)]) == 1
     assert "where export writes" in capsys.readouterr().err
     assert main(["verify-export", str(c), str(reg), "--run-foreign-code"]) == 3
-    assert "exported from another regression or changed since" in capsys.readouterr().err
+    assert "exported from another regression, or changed since" in capsys.readouterr().err
 
 
 def test_time_that_does_not_rise_leaves_the_state(tmp_path):

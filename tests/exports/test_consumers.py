@@ -254,7 +254,7 @@ def test_kalibr_takes_the_stability_of_this_sensor():
 def test_inav_in_whole_numbers_by_its_law(tmp_path):
     cal = fitted("count", 2048 / G, model="1 + own", noise=1e-3)
     exported = mp.export(cal, "inav")
-    assert "1G of the flight controller is taken to be 2048 counts" in texts(exported)[0]
+    assert "1 g of the flight controller is taken as 2048 counts" in texts(exported)[0]
     held = dict(re.findall(r"^set (\w+) = (-?\d+)$", exported.text, re.MULTILINE))
     zero, gain = (
         np.array([int(held[f"acc{kind}_{axis}"]) for axis in "xyz"]) for kind in ("zero", "gain")

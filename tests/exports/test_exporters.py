@@ -318,7 +318,7 @@ def test_force_is_turned_for_consumers():
     gravity = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"), convention="gravity")
     same = mp.fit(mp.Readings(readings.values, up=-up, unit="m/s^2"))
     one, two = (export(cal, "ros-imu-calib") for cal in (gravity, same))
-    assert "turned from gravity" in texts(one)[0]
+    assert "that of specific force" in texts(one)[0]
     lines = [line for line in one.text.splitlines() if line.startswith("SM")]
     other = [line for line in two.text.splitlines() if line.startswith("SM")]
     np.testing.assert_allclose(json.loads(lines[0][4:]), json.loads(other[0][4:]), rtol=1e-9)
@@ -328,7 +328,7 @@ def test_arducopter_limits_are_named():
     up = mp.read_scheme("faces-6").up
     cal = mp.fit(mp.Readings(9.8 * up + 5.0, up=up, unit="m/s^2"), model="1 + own")
     (note,) = texts(export(cal, "ardupilot", device_id=2753036))
-    assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z beyond what ArduPilot accepts" in note
+    assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z exceed what ArduPilot accepts" in note
 
 
 # --- verify-export
@@ -377,7 +377,7 @@ def test_a_file_that_differs_is_a_negative_verdict(tmp_path, capsys):
     out, error = capsys.readouterr()
     assert out
     assert error.startswith("multipos: not fit for use: ")
-    assert "so it was exported from another or changed since. Export again." in error
+    assert "it was exported from another, or changed since. Export again." in error
 
 
 def test_verify_without_a_compiler(tmp_path, monkeypatch):

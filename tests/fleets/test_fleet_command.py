@@ -329,7 +329,7 @@ def test_a_bad_file_in_a_folder_is_a_failed_unit_and_a_copy_is_left_out(tmp_path
     os.mkfifo(lot / "pipe.csv")
     out = tmp_path / "out"
     assert main(["fleet", str(lot), "-o", str(out)]) == 0
-    assert "equal files are counted once" in capsys.readouterr().err
+    assert "identical files were counted once" in capsys.readouterr().err
     with (out / "units.csv").open(encoding="utf-8") as stream:
         rows = {row["unit"]: row for row in csv.DictReader(stream)}
     bad = {
@@ -371,7 +371,7 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
     )
     off = {station["station"]: station["findings"] for station in found["stations"]}
     assert [each["code"] for each in off["B"]] == ["station"]
-    assert "position 3 is off by 0." in off["B"][0]["text"]
+    assert "position 3 of station B is off by 0." in off["B"][0]["text"]
     assert off["B"][0] in found.to_dict()["findings"]
 
 

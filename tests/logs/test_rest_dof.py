@@ -147,7 +147,7 @@ def test_the_file_carries_degrees_of_freedom_and_the_rest_says_few(tmp_path):
     np.testing.assert_array_equal(read.dof, found.readings.dof)
     assert read.outputs == ("ax", "ay", "az")
     few = mp.fit(read, scheme="faces-6")
-    assert any("count by their numbers of samples" in note for note in texts(few))
+    assert any("weighted by their numbers of samples" in note for note in texts(few))
     same = mp.Readings(read.values, up=up, u=few.readings.u, outputs=read.outputs)
     assert (few.parameter_dof < mp.fit(same).parameter_dof).all()
     saved = tmp_path / "cal.json"

@@ -65,7 +65,7 @@ def test_a_sensor_made_to_fall_is_not_sent_to_the_other_convention():
     with pytest.warns(mp.CalibrationWarning, match="is negative under .* look like g"):
         mp.fit(given)
     assert texts(mp.fit(given, axes="-x,-y,-z")) == ()
-    with pytest.warns(mp.CalibrationWarning, match="of the other sign than --axes says"):
+    with pytest.warns(mp.CalibrationWarning, match="of the opposite sign to --axes"):
         mp.fit(given, axes="-x,-y,-z", convention="gravity")
 
 

@@ -380,7 +380,7 @@ def test_few_repeats_are_said(capsys, tmp_path):
         c.save(tmp_path / f"{i}.json")
     files = [str(tmp_path / "0.json"), str(tmp_path / "1.json")]
     assert main(["compare", *files, "-v"]) == 0
-    assert "calibrate at least 4 times" in capsys.readouterr().err
+    assert "Calibrate at least 4 times" in capsys.readouterr().err
 
 
 def test_what_cannot_be_compared():
@@ -469,8 +469,8 @@ def test_what_differs_most_between_two_sensors_is_said_first_of_all(tmp_path, ca
     told = mp.compare(first, second)
     finding, _ = told.findings
     assert (finding.code, finding.level) == ("different-sensors", "warning")
-    assert "ay responds 1.099 times" in finding.text
-    assert finding.text.startswith("runs 1 and 2 look like")
+    assert "ay is 1.099 times" in finding.text
+    assert finding.text.startswith("runs 1 and 2 are probably")
     assert told.to_dict()["findings"][0] == finding.to_dict()
     assert texts(told)[0].startswith(finding.text)
     files = [str(tmp_path / "first.json"), str(tmp_path / "second.json")]
@@ -495,7 +495,7 @@ def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
     good = run_of(np.zeros(3), np.eye(3), rng)
     told = mp.compare(good, run_of(np.zeros(3), np.diag([1.0, -1.0, 1.0]), rng))
     assert codes(told)[0] == "sign"
-    assert told.findings[0].text.startswith("run 2: 'ay' falls")
+    assert told.findings[0].text.startswith("run 2: 'ay' decreases")
     page = tmp_path / "compared.md"
     mp.report(told, page)
     assert "**Not fit for use: " in page.read_text("utf-8")

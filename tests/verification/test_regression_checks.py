@@ -103,7 +103,7 @@ def test_rows_outside_are_not_counted_and_said():
     assert found.verdict == "pass"
     assert found.summary()["before"]["maximum"] < 0.1
     assert texts(found) == (
-        "1 of 60 rows are outside what the regression was fitted to and are not counted",
+        "1 of 60 rows are outside the range of the regression and were not counted",
     )
     later["temperature"][:] = 90.0
     with pytest.raises(MultiposError, match="all 60 rows are outside"):

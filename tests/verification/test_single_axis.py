@@ -251,7 +251,7 @@ def test_zero_shift_between_planes_is_seen():
     found = mp.tumble({"E": values}, scheme="roll-z-12+roll-y-12", unit="V")
     (shift,) = found.table_errors.zero_shifts
     assert abs(shift.value - 2e-5) < 4 * shift.u
-    assert any("the zero of E shifted" in line for line in texts(found))
+    assert any("the bias of E shifted" in line for line in texts(found))
 
 
 def test_json_of_the_interface(tmp_path, capsys):
@@ -300,7 +300,7 @@ def test_angles_that_do_not_span_a_turn_tell_what_they_can():
     assert abs(told["K2"].value - (0.003 - 0.005 / 2.5)) < 1.5e-4 + told["K2"].U
     assert not found.harmonics
     assert any("`delta_o` hides behind the others" in text for text in found.unidentifiable)
-    said = [text for text in texts(found) if "do not span a turn, 300 of 360" in text]
+    said = [text for text in texts(found) if "leave 300 of 360" in text]
     assert said
     assert "plane xy" in said[0]
 
@@ -309,7 +309,7 @@ def test_repeated_angles_are_said(tmp_path, capsys):
     angles = np.append(np.arange(0.0, 361.0, 30.0), 90.0)
     path = roll_file(tmp_path / "r.csv", angles, np.cos(np.radians(angles)) + 1e-6 * angles**2)
     assert cli.main(["tumble", path, "-v"]) == 0
-    assert "the angles 0, 90 degrees are there more than once" in capsys.readouterr().err
+    assert "the angles 0, 90 degrees are repeated" in capsys.readouterr().err
 
 
 def test_one_angle_again_and_again_tells_nothing(tmp_path, capsys):
@@ -356,4 +356,4 @@ def test_an_input_axis_that_leans_from_where_it_is_said_to_be(lean, told):
     for text, finding in zip(texts(found), found.findings, strict=False):
         assert text.startswith(finding.text)
     if lean == 20.0:
-        assert "leans by 20 degrees from x" in found.findings[0].text
+        assert "is 20 degrees from x" in found.findings[0].text
