@@ -90,7 +90,7 @@ def _write_px4(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, lis
     ]
     said = []
     if wish.device_id is None:
-        text = f"CAL_MAG{instance}_ID is missing; PX4 will ignore the file."
+        text = f"CAL_MAG{instance}_ID is missing; PX4 will ignore the file"
         said.append(Finding("no-device-id", "warning", text, "Add --device-id."))
     else:
         found.insert(0, (f"CAL_MAG{instance}_ID", wish.device_id, _INT32))
@@ -115,11 +115,12 @@ def _write_ardupilot(calibration: Calibration, law: Law, wish: Wish) -> tuple[st
     bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
     said = []
     if bad:
-        text = f"{', '.join(bad)} beyond what ArduPilot accepts"
-        said.append(Finding("beyond-target", "warning", text))
+        text = f"{', '.join(bad)} exceed what ArduPilot accepts"
+        action = "Check the unit and the axes."
+        said.append(Finding("beyond-target", "warning", text, action))
     sensor = f"COMPASS_DEV_ID{'' if instance == 1 else instance}"
     if wish.device_id is None:
-        text = f"{sensor} is missing; ArduPilot asks for a calibration until it is the device's."
+        text = f"{sensor} is missing; ArduPilot will ask for a calibration"
         said.append(Finding("no-device-id", "warning", text, "Add --device-id."))
     else:
         found.insert(0, (sensor, wish.device_id))
