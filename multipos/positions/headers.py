@@ -387,6 +387,9 @@ def unit_of_outputs(
     return asked
 
 
+SOAKS = ("soak", "run", "cycle", "chamber")  # beside a temperature: labels of stays at one
+
+
 def is_environment(name: str) -> bool:
     """Tell whether a column is about the surroundings by its name."""
     surroundings = ("temperature", "time", "approach", "head_deg")  # the last, of a dividing head

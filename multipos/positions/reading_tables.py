@@ -33,6 +33,7 @@ from multipos.positions.headers import (
     MAGNETIC_UNITS,
     OF_SURROUNDINGS,
     RESERVED,
+    SOAKS,
     NameParts,
     component,
     find_column,
@@ -355,9 +356,14 @@ def _refuse_text(
 
 
 def _may_be_output(name: str, table: Table) -> bool:
-    if name in RESERVED or is_environment(name):
+    if name in RESERVED or is_environment(name) or _is_soak(name, table):
         return False
     return not any(_stands_beside(name, prefix, table) for prefix in ("u", "dof", "sd"))
+
+
+def _is_soak(name: str, table: Table) -> bool:
+    """Tell whether a column is a label of soaks: by its name, beside a temperature."""
+    return name.casefold() in SOAKS and "temperature" in table
 
 
 def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
@@ -375,6 +381,12 @@ def _environment(
     for name in table.columns:
         if name in used:
             columns[name] = table.number(name, largest=LARGEST)
+            continue
+        if _is_soak(name, table) and name not in outputs:  # numbered as they come
+            labels = {label: i for i, label in enumerate(dict.fromkeys(table.text(name)))}
+            columns[name.casefold()] = np.array(
+                [float(labels[label]) for label in table.text(name)]
+            )
             continue
         if not is_environment(name) or name in outputs:
             continue

@@ -42,6 +42,7 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
+from multipos.positions.headers import SOAKS
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
@@ -49,7 +50,6 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import parameter_name
 
 COLUMN = "temperature"
-LABELS = ("soak", "run", "cycle", "chamber")  # columns that tell soaks apart
 _POINTS = 101
 _SOAK = 2.0  # [degC], by which neighbouring rows of one soak may differ
 _FEWEST = 3  # soaks
@@ -226,7 +226,7 @@ def soaks_of(readings: Readings) -> NDArray[np.intp] | None:
 
     By a column that is a label, else by temperature (`find_soaks`).
     """
-    for name in LABELS:
+    for name in SOAKS:
         if name in readings.environment:
             numbers = np.unique(readings.environment[name], return_inverse=True)[1]
             return _enough(numbers.astype(np.intp))

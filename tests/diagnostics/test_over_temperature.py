@@ -6,7 +6,7 @@ import pytest
 import multipos as mp
 from multipos.diagnostics.model_error import judge_soaks
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.temperature import find_soaks
+from multipos.sensor.temperature import find_soaks, soaks_of
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
 MODEL = "1 + x + y + z + temperature + temperature*own"
@@ -124,3 +124,22 @@ def test_how_the_zero_repeats_is_in_u_once(stated):
     )
     assert plain.u[0] > 3e-4  # a tenth of what soaks differ by, at least, over five soaks
     assert told.u[0] == pytest.approx(max(plain.u[0], stated), rel=0.02)
+
+
+def test_a_column_says_which_rows_are_a_soak():
+    """Two soaks at every temperature: by temperature alone five, by their labels ten."""
+    level, up = np.repeat(np.arange(10), 6), np.tile(read_scheme("faces-6").up, (10, 1))
+    rng = np.random.default_rng(5)
+    values = (
+        up + (1e-3 * rng.standard_normal((10, 3)))[level] + 1e-5 * rng.standard_normal(up.shape)
+    )
+    order = rng.permutation(60)  # rows in no order, so that temperature shows levels alone
+    table = {"soak": np.array([f"S{k}" for k in level]), "temperature": 20.0 * (level // 2)}
+    table |= dict(zip(("Ux", "Uy", "Uz"), values.T, strict=True))
+    table |= dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    table = {name: column[order] for name, column in table.items()}
+    c = mp.fit(table, model=MODEL)
+    assert c.outputs == ("Ux", "Uy", "Uz")
+    assert len(np.unique(soaks_of(c.readings))) == 10
+    bare = mp.fit({n: column for n, column in table.items() if n != "soak"}, model=MODEL)
+    assert len(np.unique(soaks_of(bare.readings))) == 5
