@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.80665  # g_n [m/s²], exact by definition
+MICRO_G = {"g": 1e6, "mg": 1e3, "m/s^2": 1e6 / STANDARD_GRAVITY}  # [µg]
 
 # WGS 84: equatorial gravity [m/s²], Somigliana's k, e², semi-major axis [m], flattening, m.
 _GAMMA_E = 9.7803253359

@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 
 from multipos.bias_stability.allan import degrees_of_freedom, octaves, starts
 from multipos.bias_stability.stability_result import (
-    MICRO_G,
     Estimate,
     OutputStability,
     Spread,
@@ -66,6 +65,7 @@ from multipos.numerics.quantiles import check_confidence, coverage_factor
 from multipos.numerics.series import require_rate
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
+from multipos.units import MICRO_G
 
 _FAR = 8.0  # standard deviations: of normal noise once in 1e15
 _ALONE = 4.0  # times what is before and after

@@ -46,10 +46,9 @@ from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import Array
 from multipos.results import Drawn, Result, Tabular, plain
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import MICRO_G
 
 # What a unit of the readings is in µg, where it is one of acceleration.
-MICRO_G = {"g": 1e6, "mg": 1e3, "m/s^2": 1e6 / STANDARD_GRAVITY}
 
 
 @dataclass(frozen=True, eq=False)

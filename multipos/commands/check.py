@@ -10,7 +10,7 @@ from multipos.finding import Findings, errors_of
 from multipos.plots.check import check_figure
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.reports.sheets import check_sentence, check_text, run_conclusions
+from multipos.reports.check_text import check_sentence, check_text, run_conclusions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.checks import RUN, average_run, check

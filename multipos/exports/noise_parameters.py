@@ -17,10 +17,10 @@ References
 .. [2] ROS, ``sensor_msgs/Imu``.
 """
 
-from multipos.bias_stability.stability_result import MICRO_G, Stability
+from multipos.bias_stability.stability_result import Stability
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.target import Exported
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import MICRO_G, STANDARD_GRAVITY
 
 NOISE_TARGETS = ("kalibr", "ros")
 

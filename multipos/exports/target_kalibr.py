@@ -18,7 +18,7 @@ import re
 
 import numpy as np
 
-from multipos.bias_stability.stability_result import MICRO_G, Stability
+from multipos.bias_stability.stability_result import Stability
 from multipos.errors import MultiposError
 from multipos.exports.laws import LINEAR, Correction, Law, in_metres
 from multipos.exports.parameters import (
@@ -31,7 +31,7 @@ from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import MICRO_G, STANDARD_GRAVITY
 
 _ROW = r"\[[^\]\n]*\]"
 _M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)

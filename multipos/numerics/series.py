@@ -2,6 +2,8 @@
 
 They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine,
 by SciPy where it is installed; `scipy.signal`, which has them too, takes half a second to import.
+Of few rows, as a session has them, they are a product with that matrix's inverse, for SciPy takes
+longer to import than such a fit.
 
 Sample rates that a log may have.
 """
@@ -11,6 +13,8 @@ from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
+
+_FEW = 128  # rows
 
 
 def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
@@ -23,6 +27,8 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
     first : (n,) array of bool, optional
         Rows where a run begins, beside the first.
     """
+    if len(w) <= _FEW:
+        return np.asarray((_powers(len(w), a, first) @ w.reshape(len(w), -1)).reshape(w.shape))
     try:
         from scipy.linalg.lapack import dtbtrs
     except ImportError:
@@ -31,6 +37,14 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
     bands[1, :-1] = -a if first is None else np.where(first[1:], 0.0, -a)
     z, _ = dtbtrs(bands, w.reshape(len(w), -1), uplo="L", diag="U")
     return np.asarray(z.reshape(w.shape))
+
+
+def _powers(n: int, a: float, first: NDArray[np.bool_] | None) -> Array:
+    """Return a^(k−j) for j up to k in one run, else 0: the inverse of the two diagonals (n, n)."""
+    run = np.zeros(n) if first is None else np.cumsum(first)
+    apart = np.subtract.outer(np.arange(n), np.arange(n))
+    together = (apart >= 0) & (run[:, None] == run)
+    return np.where(together, a ** np.maximum(apart, 0), 0.0)
 
 
 def _recur_by_rows(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:

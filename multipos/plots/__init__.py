@@ -5,38 +5,55 @@ the same bytes for the same drawing. Open `style` first, where both stand. This 
 as it is: users draw on axes of their own.
 """
 
-from multipos.plots.calibration import (
-    compensated_error,
-    draw_budget,
-    draw_coverage,
-    draw_errors,
-    draw_residuals,
-    draw_size_residuals,
-    nominal_error,
-    size_residuals,
-    variance_shares,
-)
-from multipos.plots.check import check_figure, draw_check
-from multipos.plots.runs import draw_runs, runs_figure
-from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
-from multipos.plots.stability import draw_allan, draw_zero, stability_figure
-from multipos.plots.style import new_figure, render, to_svg
-from multipos.plots.temperature import (
-    calibration_figure,
-    draw_balance,
-    draw_correction,
-    draw_curve,
-    draw_path,
-    regression_figure,
-)
-from multipos.plots.tumble import (
-    draw_harmonics,
-    draw_residual_harmonics,
-    draw_rolls,
-    draw_signal,
-    tumble_figure,
-)
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
+if TYPE_CHECKING:
+    from multipos.plots.calibration import (
+        compensated_error,
+        draw_budget,
+        draw_coverage,
+        draw_errors,
+        draw_residuals,
+        draw_size_residuals,
+        size_residuals,
+        variance_shares,
+    )
+    from multipos.plots.check import check_figure, draw_check
+    from multipos.plots.runs import draw_runs, runs_figure
+    from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
+    from multipos.plots.stability import draw_allan, draw_zero, stability_figure
+    from multipos.plots.style import new_figure, render, to_svg
+    from multipos.plots.temperature import (
+        calibration_figure,
+        draw_balance,
+        draw_correction,
+        draw_curve,
+        draw_path,
+        regression_figure,
+    )
+    from multipos.plots.tumble import (
+        draw_harmonics,
+        draw_residual_harmonics,
+        draw_rolls,
+        draw_signal,
+        tumble_figure,
+    )
+    from multipos.sensor.calibration import nominal_error
+
+# Read when first used: what draws one figure need not know the others' results.
+_FILES = {
+    "calibration": "compensated_error draw_budget draw_coverage draw_errors draw_residuals "
+    "draw_size_residuals nominal_error size_residuals variance_shares",
+    "check": "check_figure draw_check",
+    "runs": "draw_runs runs_figure",
+    "schemes": "design_figure draw_efficiency draw_scheme schemes_figure",
+    "stability": "draw_allan draw_zero stability_figure",
+    "style": "new_figure render to_svg",
+    "temperature": "calibration_figure draw_balance draw_correction draw_curve draw_path "
+    "regression_figure",
+    "tumble": "draw_harmonics draw_residual_harmonics draw_rolls draw_signal tumble_figure",
+}
 __all__ = [
     "calibration_figure",
     "check_figure",
@@ -73,3 +90,10 @@ __all__ = [
     "tumble_figure",
     "variance_shares",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for file, names in _FILES.items():
+        if name in names.split():
+            return getattr(import_module(f"multipos.plots.{file}"), name)
+    raise AttributeError(f"module 'multipos.plots' has no attribute '{name}'")

@@ -9,7 +9,7 @@ import numpy as np
 from multipos.files.numbers import readable_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
-from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.numerics.terms import COMPONENTS
 from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
 from multipos.plots.style import (
     COLOURS,
@@ -19,10 +19,10 @@ from multipos.plots.style import (
     name_series,
     scale_by_powers,
 )
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
-from multipos.sensor.inverse import nominal_force, sensitivities
+from multipos.sensor.inverse import sensitivities
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import vector_uncertainty
 
@@ -127,49 +127,6 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     axes.set_ylabel("error")
     _name_positions(axes, c.readings.labels)
     name_series(axes, 2)
-
-
-def nominal_error(calibration: Calibration) -> Array:
-    """Return the size (n,) [g] of the error by the nominal conversion of the calibration.
-
-    Where it has none, by one nominal scale factor without bias: 1 for readings in g, else the mean
-    own-axis one. Of an unknown orientation it is what lies along up: across, the error is against
-    an orientation that the fit itself chose.
-    """
-    if calibration.estimator is Estimator.UNKNOWN:
-        up = directions(calibration.reference)
-        return np.asarray(np.abs(np.einsum("ni,ni->n", nominal_errors(calibration), up)))
-    return np.asarray(np.linalg.norm(_nominal_off(calibration), axis=1))
-
-
-def nominal_errors(calibration: Calibration) -> Array:
-    """Return that error (n, 3) [g] by case axis; the mean of the outputs that sense an axis."""
-    off, axes = _nominal_off(calibration), calibration.model.axes
-    if calibration.nominal is not None:
-        axes = tuple(axis for axis in COMPONENTS if axis in axes)
-    error = np.zeros(calibration.reference.shape)
-    for i, axis in enumerate(COMPONENTS):
-        columns = [place for place, one in enumerate(axes) if one == axis]
-        if columns:
-            error[:, i] = off[:, columns].mean(axis=1)
-    return error
-
-
-def _nominal_off(c: Calibration) -> Array:
-    """Return the nominal error of every output, or of every axis that a nominal conversion has."""
-    if c.nominal is not None:
-        sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
-        return np.asarray(
-            nominal_force(c.model, c.readings.values, c.nominal) - c.reference[:, sensed]
-        )
-    own = [
-        c.parameters[c.model.keys.index((output, linear_term(axis)))]
-        for output, axis in zip(c.outputs, c.model.axes, strict=True)
-        if (output, linear_term(axis)) in c.model.keys
-    ]
-    scale = 1.0 if c.model.unit == c.field.unit or not own else float(np.mean(own))
-    axes = [COMPONENTS.index(axis) for axis in c.model.axes]
-    return np.asarray(c.readings.values / scale - c.reference[:, axes])
 
 
 def compensated_error(calibration: Calibration) -> Array:

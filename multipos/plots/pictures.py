@@ -18,10 +18,10 @@ from multipos.files.numbers import in_unit, number, readable_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
-from multipos.plots.calibration import nominal_errors, size_residuals
+from multipos.plots.calibration import size_residuals
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, nominal_errors
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multipos.bias_stability.allan import FLICKER
-from multipos.bias_stability.stability_result import MICRO_G, Stability
+from multipos.bias_stability.stability_result import Stability
 from multipos.files.numbers import SUPERSCRIPT
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
+from multipos.units import MICRO_G
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

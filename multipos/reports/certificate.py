@@ -19,6 +19,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
 from multipos.files.trees import read_toml
 from multipos.finding import Findings, errors_of, in_order, serious
+from multipos.reports.check_text import check_sentence
 from multipos.reports.evidence import (
     check_section,
     correlation_section,
@@ -42,7 +43,6 @@ from multipos.reports.sensor_result import (
     signature_section,
 )
 from multipos.reports.sentences import calibration_sentence
-from multipos.reports.sheets import check_sentence
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget

@@ -12,11 +12,12 @@ from multipos.diagnostics.criticism import fourier_residuals
 from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit, largest_rows, number, plain_number
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import compensated_error, nominal_error, size_residuals
+from multipos.plots.calibration import compensated_error, size_residuals
 from multipos.plots.check import draw_check, errors_apart
 from multipos.plots.pictures import residual_picture
 from multipos.plots.temperature import draw_curve, temperature_curves
 from multipos.plots.tumble import draw_harmonics, draw_rolls
+from multipos.reports.check_text import check_sheets, run_conclusions
 from multipos.reports.quantities import column
 from multipos.reports.sections import (
     LONG_TABLE,
@@ -28,8 +29,8 @@ from multipos.reports.sections import (
     draw_svg,
 )
 from multipos.reports.sensor_result import readings_table
-from multipos.reports.sheets import Sheet, check_sheets, run_conclusions, table_error_sheets
-from multipos.sensor.calibration import Calibration
+from multipos.reports.sheets import Sheet, table_error_sheets
+from multipos.sensor.calibration import Calibration, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.files.numbers import largest_rows
-from multipos.plots.style import new_figure, to_svg
 from multipos.sensor.gravity import GRAVITY, Field, worded, worded_chinese
 
 Language = Literal["en", "zh"]
@@ -133,6 +132,9 @@ class Section:
 
 def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
     """Return a figure of so many axes as SVG with its words translated."""
+    # Imported here: a sentence on the screen needs no figure.
+    from multipos.plots.style import new_figure, to_svg
+
     figure, axes = new_figure(rows, width=_WIDTH, height=height)
     draw(axes)
     return to_svg(figure, tr.label)

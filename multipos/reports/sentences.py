@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.bias_stability.stability_result import MICRO_G
 from multipos.files.numbers import in_unit
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
-from multipos.plots.calibration import nominal_error
 from multipos.reports.sections import Translator
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import Nominal
+from multipos.units import MICRO_G
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 _PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G

@@ -2,23 +2,13 @@
 
 A sheet is a title, a header and rows. Commands print it, and `multipos.reports.documents` puts it
 into a report of any form and language.
-
-What checks say: as sheets of text (`multipos.reports.sheets`), and as plain text of them.
 """
 
-import math
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from multipos.files.numbers import (
     chance,
-    decimals_of,
-    fixed,
-    in_unit,
-    largest_rows,
     number,
-    p_in_words,
     plain_number,
     readable_unit,
     table,
@@ -26,8 +16,6 @@ from multipos.files.numbers import (
 )
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors, ZeroShift
-from multipos.verification.agreement import agreement_in_words
-from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
 class Sheet(NamedTuple):
@@ -115,195 +103,3 @@ def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:
     factor, unit = readable_unit(max(abs(shift.value), shift.U), shift.unit)
     known = uncertain(factor * shift.value, factor * shift.u)
     return known, plain_number(factor * shift.U, 2), unit
-
-
-def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
-    """Return the summary and the errors of positions, all or the largest; or by segment."""
-    if found.segments:
-        return [_by_segment(found)]
-    return [_by_axis(found), _by_position(found, whole=whole)]
-
-
-def _by_axis(found: Check) -> Sheet:
-    scales = _scales(found)
-    header = [
-        "axis",
-        *_headers(scales, "max", "rms"),
-        "linearity before [%]",
-        "after [%]",
-        f"largest U [{scales['after'][1]}]",
-        "verdict",
-    ]
-    rows = []
-    for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
-        s = found.summary(axis)
-        linear = [plain_number(s[when]["linearity_percent"], 2) for when in scales]
-        rows.append(
-            [
-                axis or "all",
-                *_scaled(s, scales),
-                *linear,
-                _longest(s, scales),
-                s["verdict"] or "-",
-            ]
-        )
-    return Sheet("Errors before and after compensation", header, rows)
-
-
-_Scales = dict[str, tuple[float, str]]
-
-
-def _scales(found: Check) -> _Scales:
-    """Return factor and unit of errors before, and of errors and U after."""
-    sizes = {"before": np.abs(found.before), "after": np.maximum(np.abs(found.after), found.U)}
-    largest = {
-        when: float(np.max(size[found.counted & np.isfinite(size)], initial=0.0))
-        for when, size in sizes.items()
-    }
-    return {when: readable_unit(size, found.unit) for when, size in largest.items()}
-
-
-def _headers(scales: _Scales, *words: str) -> list[str]:
-    return [_united(f"{word} {when}", scales[when][1]) for word in words for when in scales]
-
-
-def _united(word: str, unit: str) -> str:
-    return f"{word} [{unit}]" if unit else word
-
-
-def _scaled(summary: dict[str, Any], scales: _Scales) -> list[str]:
-    """Return largest and rms error before and after, in their units."""
-    return [
-        plain_number(summary[when][key] * factor)
-        for key in ("maximum", "rms")
-        for when, (factor, _) in scales.items()
-    ]
-
-
-def _longest(summary: dict[str, Any], scales: _Scales) -> str:
-    return plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
-
-
-def _by_position(found: Check, *, whole: bool) -> Sheet:
-    scales = _scales(found)
-    (before, unit), (after, unit_after) = scales["before"], scales["after"]
-    header = ["position"]
-    for axis in found.axes:
-        header += [_united(axis, readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
-        header += [f"after [{unit_after}]", "U"]
-    largest = after * np.max(np.where(np.isfinite(found.U), found.U, 0.0), axis=0)
-    digits = [decimals_of(U) for U in largest.tolist()]
-    rows = []
-    sizes = np.abs(found.after).max(axis=1).tolist()
-    shown = list(range(len(sizes))) if whole else largest_rows(sizes)
-    for row in shown:
-        cells = [found.positions[row]]
-        for column in np.arange(len(found.axes)):
-            cells += [f"{found.reference[row, column]:.6g}"]
-            cells += [_signed(before * found.before[row, column])]
-            error, U = after * found.after[row, column], after * found.U[row, column]
-            cells += _error_cells(error, U, digits[column])
-        rows.append([*cells, worst(found.verdicts[row]) or "-"])
-    title = "Every position"
-    if len(shown) < len(found.positions):
-        title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
-    return Sheet(title, [*header, "verdict"], rows)
-
-
-def _by_segment(found: Check) -> Sheet:
-    """Return the summary of a regression's check: one row for each segment that has rows."""
-    scales = _scales(found)
-    header = [
-        "segment",
-        "rows",
-        *_headers(scales, "max", "rms"),
-        _united("largest U", scales["after"][1]),
-        "verdict",
-    ]
-    rows = []
-    for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
-        s = found.summary(segment=name)
-        counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
-        known = np.isfinite(s["after"]["largest_U"])
-        rows.append(
-            [
-                name or "all",
-                str(int(counted.sum())),
-                *_scaled(s, scales),
-                _longest(s, scales) if known else "-",
-                s["verdict"] or "-",
-            ]
-        )
-    return Sheet("Errors before and after correction", header, rows)
-
-
-def check_text(found: Check) -> str:
-    """Return the check as plain text."""
-    sheets = check_sheets(found)
-    text = "\n".join(f"{s.title}\n{'-' * len(s.title)}\n{s}\n" for s in sheets)
-    said = []
-    if found.limit is not None:
-        count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
-        counted = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
-        said.append(
-            f"{found.verdict} against {in_unit(found.limit, found.unit)} with U "
-            f"({100 * found.confidence:g} %) as guard band: {counted}"
-        )
-    return text + ("\n" + "\n".join(said) + "\n" if said else "")
-
-
-def run_conclusions(found: Check) -> list[str]:
-    """Return the verdict of a run as a whole, and whether it agrees with the calibration."""
-    said = []
-    if found.limit is not None:
-        said.append(
-            f"the run as a whole: {found.run_verdict}; it fails where an error is beyond the limit "
-            f"by more than the U of all {int(found.counted.sum())} together"
-        )
-    whole = found.consistency
-    if whole is not None and np.isfinite(whole.statistic):
-        agrees = "consistent" if whole.p >= 1.0 - found.confidence else "NOT consistent"
-        largest = found.summary()["after"]["largest_En"]
-        said.append(
-            f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En {largest:.2f}"
-        )
-    return said
-
-
-def _signed(value: float) -> str:
-    return "-" if np.isnan(value) else ("+" if value > 0.0 else "") + plain_number(value)
-
-
-def _error_cells(error: float, U: float, decimals: int | None) -> tuple[str, str]:
-    """Return an error and its U to the same digits, two of the largest U."""
-    if decimals is None or not (np.isfinite(error) and np.isfinite(U)):
-        return _signed(error), plain_number(U, 2)
-    return fixed(error, decimals, signed=True), f"{U:.{decimals}f}"
-
-
-def check_sentence(found: Check) -> str:
-    """Return pass, fail or indeterminate, with the largest error, its U and the limit."""
-    errors = np.where(found.counted & np.isfinite(found.after), np.abs(found.after), -1.0)
-    row, column = np.unravel_index(int(np.argmax(errors)), errors.shape)
-    error, U = float(errors[row, column]), float(found.U[row, column])
-    if error < 0.0:
-        return "Fail: the calibration gives no value at any position."
-    largest = f"largest error {in_unit(error, found.unit)}"
-    if math.isfinite(U):
-        largest += f" (U {in_unit(U, found.unit)})"
-    where = f" at position {found.positions[row]}"
-    if found.limit is None:
-        whole = found.consistency
-        agrees = ""
-        if whole is not None and math.isfinite(whole.p):
-            word = "agrees" if whole.p >= 1.0 - found.confidence else "disagrees"
-            agrees = f"; the run {word} with the calibration ({p_in_words(whole.p)})"
-        rms = found.summary()["after"]["rms"]
-        return f"Errors of {in_unit(rms, found.unit)} rms, {largest}{where}{agrees}."
-    limit = in_unit(found.limit, found.unit)
-    open_ = int(np.sum(found.verdicts == "indeterminate"))
-    if found.verdict == "indeterminate":
-        many = f"{open_} of {int(found.counted.sum())} errors"
-        return f"Indeterminate: {largest}{where}; with U, {many} may exceed the limit of {limit}."
-    verdict = "Pass" if found.verdict == "pass" else "Fail"
-    return f"{verdict}: {largest}{where} against a limit of {limit}."

@@ -36,7 +36,8 @@ from multipos.plots.style import figure_of, new_figure, to_svg
 from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
-from multipos.reports.sheets import check_sheets, check_text, run_conclusions, table_errors_text
+from multipos.reports.check_text import check_sheets, check_text, run_conclusions
+from multipos.reports.sheets import table_errors_text
 from multipos.reports.tumble_text import tumble_text, tumbles_text
 from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration, parameter_rows

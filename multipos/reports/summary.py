@@ -12,7 +12,7 @@ from multipos.files.numbers import largest_rows, number, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sentences import calibration_sentence
 from multipos.reports.sheets import installation_sheets, table_error_sheets
-from multipos.sensor.calibration import Calibration, parameter_rows
+from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.turntable import has_rolls, table_errors
@@ -103,9 +103,6 @@ def _checks(calibration: Calibration) -> str:
     left = f"{c.rms:.3e} {unit}" if math.isfinite(c.rms) else no_force
     lines = [f"rms of what is left after compensation: {left}"]
     if c.nominal is not None:
-        # Imported here, for who states no conversion shall not wait for what draws it.
-        from multipos.plots.calibration import nominal_error
-
         before = nominal_error(c)
         rms = math.sqrt(float(before @ before) / len(before))
         said = f"(reading - {c.nominal.bias:g})/{c.nominal.scale:g}"

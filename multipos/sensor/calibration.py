@@ -26,6 +26,8 @@ from multipos.files.whole import write_text
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.rotations import directions
+from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import Drawn, Result, data_frame
@@ -42,7 +44,7 @@ from multipos.sensor.found import (
     add_scatter,
 )
 from multipos.sensor.gravity import MAGNETIC, Field
-from multipos.sensor.inverse import Nominal
+from multipos.sensor.inverse import Nominal, nominal_force
 from multipos.sensor.model import Model, paper_symbol
 
 _SHOWN = 6  # rows set aside that a sentence names
@@ -537,3 +539,46 @@ def force_residuals(calibration: Calibration) -> tuple[Array, Array]:
     scale = np.linalg.norm(J, axis=2)
     u = np.sqrt(np.mean((calibration.sd_of_readings / scale) ** 2, axis=1))
     return np.asarray(off), np.asarray(u)
+
+
+def nominal_error(calibration: Calibration) -> Array:
+    """Return the size (n,) [g] of the error by the nominal conversion of the calibration.
+
+    Where it has none, by one nominal scale factor without bias: 1 for readings in g, else the mean
+    own-axis one. Of an unknown orientation it is what lies along up: across, the error is against
+    an orientation that the fit itself chose.
+    """
+    if calibration.estimator is Estimator.UNKNOWN:
+        up = directions(calibration.reference)
+        return np.asarray(np.abs(np.einsum("ni,ni->n", nominal_errors(calibration), up)))
+    return np.asarray(np.linalg.norm(_nominal_off(calibration), axis=1))
+
+
+def nominal_errors(calibration: Calibration) -> Array:
+    """Return that error (n, 3) [g] by case axis; the mean of the outputs that sense an axis."""
+    off, axes = _nominal_off(calibration), calibration.model.axes
+    if calibration.nominal is not None:
+        axes = tuple(axis for axis in COMPONENTS if axis in axes)
+    error = np.zeros(calibration.reference.shape)
+    for i, axis in enumerate(COMPONENTS):
+        columns = [place for place, one in enumerate(axes) if one == axis]
+        if columns:
+            error[:, i] = off[:, columns].mean(axis=1)
+    return error
+
+
+def _nominal_off(c: Calibration) -> Array:
+    """Return the nominal error of every output, or of every axis that a nominal conversion has."""
+    if c.nominal is not None:
+        sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
+        return np.asarray(
+            nominal_force(c.model, c.readings.values, c.nominal) - c.reference[:, sensed]
+        )
+    own = [
+        c.parameters[c.model.keys.index((output, linear_term(axis)))]
+        for output, axis in zip(c.outputs, c.model.axes, strict=True)
+        if (output, linear_term(axis)) in c.model.keys
+    ]
+    scale = 1.0 if c.model.unit == c.field.unit or not own else float(np.mean(own))
+    axes = [COMPONENTS.index(axis) for axis in c.model.axes]
+    return np.asarray(c.readings.values / scale - c.reference[:, axes])

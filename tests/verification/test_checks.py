@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
-from multipos.reports.sheets import check_text
+from multipos.reports.check_text import check_text
 from multipos.verification.checks import _expanded
 from multipos.verification.verdicts import judge_errors
 

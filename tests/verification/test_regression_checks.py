@@ -14,7 +14,7 @@ import multipos as mp
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
-from multipos.reports.sheets import check_text
+from multipos.reports.check_text import check_text
 
 
 def chamber(seed, n=80, noise=1e-3):
