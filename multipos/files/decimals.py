@@ -105,9 +105,9 @@ def _shortest(a: Array, e: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray
     a1, p1 = t - (t - a), s - (s - power)
     a2, p2 = a - a1, power - p1
     low = ((a1 * p1 - high) + a1 * p2 + a2 * p1) + a2 * p2
-    floor = np.floor(low)
-    part = low - floor
-    below = high.astype(np.int64) + floor.astype(np.int64)
+    down = np.floor(low)
+    part = low - down
+    below = high.astype(np.int64) + down.astype(np.int64)
     half = 0.5 * np.spacing(a) * power
     whole = below + (part > 0.5)
     sure = np.abs(part - 0.5) > _DOUBT
