@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -93,13 +94,13 @@ def parameter_target(
     offset_alone : bool
         Whether it takes the offset and no matrix.
     """
-    form = {"thermal": thermal, "tesla": tesla, "offset_alone": offset_alone}
+    of_target = partial(reduce_to, thermal=thermal, tesla=tesla, offset_alone=offset_alone)
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
         check_inputs(calibration, name, thermal=thermal)
         metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
-        law = reduce_to(calibration, formula, name, allow_lossy=wish.allow_lossy, **form)
+        law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
             called = _CALLED.get(name, name)
@@ -118,7 +119,7 @@ def parameter_target(
         if (stated := _NOMINAL.search(file.text)) is not None:
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
         check_inputs(calibration, name, thermal=thermal)
-        expected = reduce_to(calibration, formula, name, allow_lossy=True, **form)
+        expected = of_target(calibration, formula, name, allow_lossy=True)
         metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file

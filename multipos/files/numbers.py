@@ -18,7 +18,15 @@ _RATIO = 0.01  # ratios below are read in ppm
 _RARE = 1e-4
 _ROUNDING = 1e-13  # an uncertainty below, in a unit that people read, is that of the arithmetic
 _PREFIXES = {"k": 3, "": 0, "m": -3, "µ": -6, "n": -9}
-_SMALLEST = {"g": -6, "V": -9, "A": -9, "rad": -6, "m": -6}  # exponents that people still read
+_SMALLEST = {
+    "T": -9,
+    "G": -3,
+    "g": -6,
+    "V": -9,
+    "A": -9,
+    "rad": -6,
+    "m": -6,
+}  # exponents that people still read
 
 
 def uncertain(value: float, u: float) -> str:
@@ -66,7 +74,7 @@ def readable_unit(size: float, unit: str) -> tuple[float, str]:
 
 def pretty_unit(unit: str) -> str:
     """Return a unit as it is printed: V/g² and not V/g^2, °C and not degC."""
-    unit = re.sub(r"\bdeg(C?)\b", r"°\1", unit)
+    unit = re.sub(r"\bdeg(C?)\b", r"°\1", re.sub(r"\buT\b", "µT", unit))
     return re.sub(r"(?<=[A-Za-z])\^(\d)(?!\d)", lambda m: m[1].translate(SUPERSCRIPT), unit)
 
 
@@ -77,7 +85,7 @@ def _scaled_unit(size: float, unit: str) -> tuple[float, str]:
         below = f"/{rest}" if rest else ""
         small = 0.0 < size < _RATIO
         return (1e6, f"ppm{below}") if small else (1.0, f"1{below}")
-    found = re.fullmatch("([kmuµn]?)(g|V|A|rad)", head)
+    found = re.fullmatch("([kmuµn]?)(g|V|A|rad|T|G)", head)
     own, base = (found[1], found[2]) if found else ("", head)
     if base not in _SMALLEST or (base == "m" and not per.startswith("s^2")):
         return 1.0, unit

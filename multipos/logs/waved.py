@@ -211,7 +211,8 @@ def worth_keeping(values: Array) -> tuple[NDArray[np.intp], int]:
     rows = ((np.arange(count) + 0.5) * n / count).astype(np.intp)
     square = _squares_of(away[rows])
     sizes = np.bincount(square)
-    cap = int(max(_OVER * median(sizes[sizes > 0].astype(np.float64)), _FEWEST))
+    usual = float(median(sizes[sizes > 0].astype(np.float64)))
+    cap = max(int(_OVER * usual), _FEWEST)
     order = np.argsort(square, kind="stable")
     kept = []
     for own in np.split(order, np.cumsum(sizes)[:-1]):

@@ -32,10 +32,12 @@ from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import pose_words
+from multipos.positions.headers import component
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings
 from multipos.reports.documents import report
 from multipos.reports.sections import Language, Translator
+from multipos.reports.sentences import calibration_sentence
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, force_residuals
 from multipos.sensor.calibration_file import load
@@ -98,6 +100,7 @@ class Visit:
     def _show(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
         """Return everything that the page shows of the calibration."""
         calibration = self._made()
+        tr = Translator(tr.language, calibration.field)
         findings = [
             {
                 **finding.to_dict(),
@@ -264,6 +267,8 @@ def _with_unit(readings: Readings) -> Readings:
     """Return readings in the unit that they show, where none is stated."""
     if readings.unit != "reading" or readings.values.shape[1] != 3:
         return readings
+    if all(component(name).magnetic for name in readings.outputs):
+        return readings
     size = float(np.median(np.linalg.norm(readings.values, axis=1)))
     whole = bool((readings.values == np.round(readings.values)).all())
     for unit, one in _ONE_G.items():
@@ -302,6 +307,8 @@ def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
         "free": tr("hand-held positions"),
         "log": tr("rests of the log"),
     }
+    if calibration.field.magnetic:
+        return calibration_sentence(calibration, tr)
     said = tr(
         "Calibrated from {count} {kind}: what is left after compensation is {rms} mg rms.",
         count=str(len(calibration.readings)),

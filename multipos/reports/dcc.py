@@ -72,7 +72,7 @@ Lab = Mapping[str, str]
 
 
 def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
-    """Return the certificate as XML.
+    """Return the certificate as XML, of accelerometers.
 
     Parameters
     ----------
@@ -88,6 +88,11 @@ def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
         The laboratory has not said what the schema needs, the fields named as `section.key`, or
         the coverage factor is below one.
     """
+    if calibration.field.magnetic:
+        raise MultiposError(
+            "the certificate as XML is written of accelerometers; report a magnetometer as .html, "
+            ".pdf, .md or .txt."
+        )
     lab = content.lab
     _require(lab)
     _require_coverage(calibration)

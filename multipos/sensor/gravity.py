@@ -117,6 +117,8 @@ class Field:
 # What is said of force in the sentences of all sensors, and what that is of a magnetic field; the
 # option --force, names in braces and what stands in quotes stay.
 _WORDS = (
+    (r"output of ([\w.{}]+) at zero specific force", r"hard iron of \1"),
+    (r"of bias", "of hard iron"),
     (r"specific force", "field"),
     (r"at rest in one gravity", "in one field"),
     (r"beside gravity", "of another size"),

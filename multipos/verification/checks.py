@@ -430,7 +430,7 @@ def _check_run(
         U_family = errors(sharper)[4]
     return Check(
         quantity="tilt" if tilt else "force",
-        unit="deg" if tilt else "g",
+        unit="deg" if tilt else calibration.field.printed,
         axes=tuple(COMPONENTS[i] for i in axes),
         positions=data.labels,
         reference=reference,

@@ -43,6 +43,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors
 from multipos.results import Keyed
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.gravity import in_tesla
 from multipos.uncertainty.propagation import evaluate_budget
 
 YEAR = 365.25 * 86400.0  # s
@@ -262,6 +263,8 @@ def _in_unit(value: float, unit: str, name: str, c: Calibration) -> float:
     )
     factor = _OF_G.get(unit) if name.startswith("bias_") else None
     factor = _RELATIVE.get(unit) if factor is None else factor
+    if factor is None and name.startswith("bias_") and in_tesla(unit) and in_tesla(own):
+        return value * (in_tesla(unit) or 1.0) / (in_tesla(own) or 1.0)
     if factor is None:
         known = ", ".join(dict.fromkeys((own, *_RELATIVE, *(_OF_G if name[:4] == "bias" else ()))))
         raise UsageError(f"--limits: '{unit}' is no unit of {name}; give one of {known}.")

@@ -23,6 +23,7 @@ from multipos.finding import Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, ModelText
 from multipos.positions.attitudes import Convention
+from multipos.positions.headers import field_of_outputs
 from multipos.positions.orientations import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
@@ -184,6 +185,10 @@ def tumble(
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
     refuse_open_rolls(data)
+    if field_of_outputs(data.outputs, data.unit, None, field) == "magnetic":
+        raise UsageError(
+            "a tumble is of accelerometers in gravity; `multipos fit` takes the rolls."
+        )
     own = _axes(data, axes)
     conditions: dict[str, Any] = {
         "gravity": gravity,

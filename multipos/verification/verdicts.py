@@ -73,6 +73,7 @@ from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import Columns, Drawn, Result, data_frame
 from multipos.sensor.calibration import Calibration
@@ -314,7 +315,7 @@ CHECK = Fields(
         "input": INPUT,
         "calibration": ANY_TEXT,
         "quantity": Text(("force", "tilt")),
-        "unit": Text(("g", "deg")),
+        "unit": Text(("g", "deg", "1", *MAGNETIC_UNITS)),
         "limit": Maybe(POSITIVE),
         "confidence": SHARE,
         "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
