@@ -448,7 +448,7 @@ def test_noisy_data_do_better_than_the_classical_fit(n, sd, ratio):
 def test_coverage_of_a_thousand_sensors(noise):
     """Own generator: 12 to 200 positions, hard iron to 40 µT, soft iron to 10 %; 94 to 96 %."""
     rng = np.random.default_rng(42)
-    hits = []
+    hits, refused = [], 0
     for _ in range(1000):
         n = int(np.exp(rng.uniform(np.log(12), np.log(200))))
         u = directions(n, int(rng.integers(1 << 30)))
@@ -459,13 +459,18 @@ def test_coverage_of_a_thousand_sensors(noise):
         stated = {} if noise == "equal" else {"reading_sd": sd}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            cal = mp.fit(dict(zip(NAMES, table.T, strict=True)), unit="uT", **stated)
+            try:
+                cal = mp.fit(dict(zip(NAMES, table.T, strict=True)), unit="uT", **stated)
+            except mp.RankError:  # twelve directions drawn at random, too near to a cone
+                refused += 1
+                continue
         lower = np.linalg.qr(SIZE * soft.T)[1].T
         lower *= np.sign(np.diag(lower))
         for (output, term), value, U in zip(cal.model.keys, cal.parameters, cal.U, strict=True):
             row = NAMES.index(output)
             truth = hard[row] if str(term) == "1" else lower[row, "xyz".index(str(term))]
             hits.append(abs(value - truth) <= U)
+    assert refused <= 5, refused
     assert 0.94 <= np.mean(hits) <= 0.96, np.mean(hits)
 
 
