@@ -50,7 +50,7 @@ def drawn(found: dict[str, dict[str, float]]) -> "Figure":
             colour, mark, filled = OURS.get(
                 program, (style.COLOURS[1], THEIRS.get(program, "x"), False)
             )
-            told = "multipos, told more" if program in OURS and not filled else program
+            label = "multipos, as advised" if program in OURS and not filled else program
             axes.plot(
                 error,
                 row,
@@ -58,9 +58,9 @@ def drawn(found: dict[str, dict[str, float]]) -> "Figure":
                 color=colour,
                 markersize=6,
                 fillstyle="full" if filled else "none",
-                label=None if told in named else told,
+                label=None if label in named else label,
             )
-            named.add(told)
+            named.add(label)
     style.scale_by_powers(axes, "x")
     axes.set_yticks(range(len(found)), list(found))
     axes.invert_yaxis()

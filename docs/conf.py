@@ -1,6 +1,7 @@
 """Sphinx settings: `sphinx-build -W docs docs/_build/html`."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import multipos
@@ -40,6 +41,18 @@ myst_heading_anchors = 3
 math_eqref_format = "({number})"
 
 
+# What a command says in sentences wraps on a narrow screen, where tables are scrolled.
+SENTENCE = re.compile(r'<span class="go">((?:(?!  |</span>).){40,})</span>')
+WRAPPED = ".sentence {display: inline-block; max-width: 100%; white-space: pre-wrap}"
+
+
+def wrap_sentences(app, pagename, templatename, context, doctree):
+    """Mark long lines of output that are sentences, answers and messages, to be wrapped."""
+    if body := context.get("body"):
+        context["body"] = SENTENCE.sub(r'<span class="go sentence">\1</span>', body)
+        context["body"] += f"<style>{WRAPPED}</style>"
+
+
 def write_page(app, error):
     """Put the page that `docs/howto/page.md` embeds beside the built pages."""
     if error is None and app.builder.name == "html":
@@ -49,4 +62,5 @@ def write_page(app, error):
 
 
 def setup(app):
+    app.connect("html-page-context", wrap_sentences)
     app.connect("build-finished", write_page)

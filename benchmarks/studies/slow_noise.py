@@ -19,7 +19,7 @@ def main() -> None:
     n, pitch = 400, 600
     starts = 8 * n + pitch * np.arange(12)
     total = int(starts[-1]) + 9 * n
-    walk = np.cumsum(1.2e-5 * rng.standard_normal((total, 3)), axis=0)
+    walk = np.cumsum(4e-5 * rng.standard_normal((total, 3)), axis=0)
     truth = np.array([walk[s - 7 * n - n // 2 : s + 8 * n + n // 2].mean(axis=0) for s in starts])
     samples = walk + 1e-3 * rng.standard_normal((total, 3))
     for start, force in zip(starts, up, strict=True):

@@ -1,0 +1,57 @@
+"""Examples of messages, as tests make them: `python docs/examples.py [TEST …]`.
+
+The tests are run (those of findings, logs, regressions and exports where none is named), and of
+each code the shortest sentence with a number is kept in `examples.toml`, which `generated.py` shows
+beside what the code's sentences are made of. Codes that no test made keep their example.
+"""
+
+import json
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from multipos import finding
+
+DOCS = Path(__file__).resolve().parent
+TESTS = ("diagnostics", "logs", "regression", "exports", "verification", "bias_stability")
+HEAD = "# What findings said in tests, a code each: written by docs/examples.py.\n\n"
+
+
+class Listener:
+    """Hears every finding that is made while tests run."""
+
+    def __init__(self) -> None:
+        self.heard: dict[str, set[str]] = {}
+
+    def pytest_configure(self, config: pytest.Config) -> None:
+        make = finding.Finding.__init__
+
+        def heard(self_: finding.Finding, *parts: object, **named: object) -> None:
+            make(self_, *parts, **named)  # type: ignore[arg-type]
+            self.heard.setdefault(self_.code, set()).add(self_.text)
+
+        finding.Finding.__init__ = heard  # type: ignore[method-assign]
+
+
+def main() -> None:
+    listener = Listener()
+    tests = sys.argv[1:] or [str(DOCS.parent / "tests" / name) for name in TESTS]
+    pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *tests], plugins=[listener])
+    path = DOCS / "examples.toml"
+    examples = tomllib.loads(path.read_text("utf-8"))
+    for code, texts in listener.heard.items():
+        shown = [text for text in texts if re.search(r"\d", text)] or list(texts)
+        examples[code] = min(shown, key=lambda text: (len(text), text))
+    lines = (
+        f"{code} = {json.dumps(text, ensure_ascii=False)}\n"
+        for code, text in sorted(examples.items())
+        if re.fullmatch(r"[a-z-]+", code)
+    )
+    path.write_text(HEAD + "".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
