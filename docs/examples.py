@@ -15,6 +15,10 @@ import pytest
 
 from multipos import finding
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import generated  # noqa: E402  # beside this file
+
 DOCS = Path(__file__).resolve().parent
 TESTS = ("diagnostics", "logs", "regression", "exports", "verification", "bias_stability")
 HEAD = "# What findings said in tests, a code each: written by docs/examples.py.\n\n"
@@ -42,13 +46,15 @@ def main() -> None:
     pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *tests], plugins=[listener])
     path = DOCS / "examples.toml"
     examples = tomllib.loads(path.read_text("utf-8"))
+    files = (DOCS.parent / "multipos").rglob("*.py")
+    codes = {code for made in generated.messages(files, "…") for code in made.codes}
     for code, texts in listener.heard.items():
         shown = [text for text in texts if re.search(r"\d", text)] or list(texts)
         examples[code] = min(shown, key=lambda text: (len(text), text))
     lines = (
         f"{code} = {json.dumps(text, ensure_ascii=False)}\n"
         for code, text in sorted(examples.items())
-        if re.fullmatch(r"[a-z-]+", code)
+        if code in codes
     )
     path.write_text(HEAD + "".join(lines), encoding="utf-8")
 
