@@ -17,7 +17,7 @@ from multipos import finding
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import generated  # noqa: E402  # beside this file
+import generated  # beside this file
 
 DOCS = Path(__file__).resolve().parent
 TESTS = ("diagnostics", "logs", "regression", "exports", "verification", "bias_stability")
