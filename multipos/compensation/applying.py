@@ -55,7 +55,15 @@ from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncert
 from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import take_in
-from multipos.files.tables import Column, Source, Table, format_csv, format_rows, read_table
+from multipos.files.tables import (
+    Column,
+    Source,
+    Table,
+    format_csv,
+    format_rows,
+    read_table,
+    safe_rows,
+)
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece, called_as
@@ -446,6 +454,7 @@ class AppliedLog:
         lines = piece.lines()
         if not self.log.delimiter:
             lines = [",".join(line.split()) for line in lines]
+        lines = safe_rows(lines, self._delimiter)
         text = format_rows(added, self._delimiter, digits_written(added))
         beside = text.splitlines(keepends=True)
         mark = repeat(self._delimiter)

@@ -7,6 +7,7 @@ of a terminal, begin a line of its own in a parameter file or end a comment; her
 escape that JSON has for it, ``\u001b``, so that in JSON it stays the same character.
 """
 
+import re
 import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
@@ -121,6 +122,30 @@ def visible_lines(text: str) -> str:
     return "".join(
         escaped(mark) if mark not in "\n\t" and _is_control(mark) else mark for mark in text
     )
+
+
+# Behind a sign, by which a spreadsheet takes a cell for a formula: a number, a signed axis.
+_SIGNED = re.compile(r"[+-](?:[\d.,]+(?:[eE][+-]?\d+)?|inf|nan|[xyzXYZ](?: \w+)?)")
+_NUMBER = r"[\d.]+(?:[eE][+-]?\d+)?[\"']?\s*(?:[,;]|$)"
+_RISKY = re.compile(rf"(?:^|[,;])\s*[\"']?(?:[=@]|[+-](?!{_NUMBER}))", re.MULTILINE)
+_CONTROLS = re.compile(f"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029{_TURNS}\ud800-\udfff]")
+
+
+def is_risky(lines: str) -> bool:
+    """Tell whether cells may hold what moves a terminal or what a spreadsheet runs."""
+    return _CONTROLS.search(lines) is not None or _RISKY.search(lines) is not None
+
+
+def as_cell(text: str) -> str:
+    """Return text as a cell of CSV: controls as escapes, an apostrophe before a formula."""
+    shown = visible(text)
+    runs = shown[:1] in ("=", "@") or (shown[:1] in ("+", "-") and not _SIGNED.fullmatch(shown))
+    return f"'{shown}" if runs else shown
+
+
+def of_cell(text: str) -> str:
+    """Return what `as_cell` made a cell of, but for escapes."""
+    return text[1:] if text[:1] == "'" and as_cell(text[1:]) == text else text
 
 
 def one_line(text: str) -> str:

@@ -36,7 +36,7 @@ from multipos.files.handed import (
     unpack,
 )
 from multipos.files.pipes import Pipe, is_pipe, rereadable
-from multipos.files.spelling import control_characters, visible
+from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
 from multipos.files.whole import read_bytes, reading, write_text
 from multipos.files.workbooks import ZIP, require_extra, workbook_text
 
@@ -78,8 +78,21 @@ class Table:
         return self.delimiter == ";"
 
     def text(self, name: str) -> tuple[str, ...]:
-        """Return a column as labels; whole numbers lose a trailing ``.0``."""
-        return tuple(_label(cell) for cell in self.columns[name])
+        """Return a column as labels; whole numbers lose a trailing ``.0``.
+
+        Raises
+        ------
+        MultiposError
+            A label has a control character, which a terminal would obey.
+        """
+        labels = tuple(of_cell(_label(cell)) for cell in self.columns[name])
+        for row, label in enumerate(labels):
+            if control_characters(label):
+                raise MultiposError(
+                    f"{self.where(row, name)}: '{visible(label)}' has a control character; write "
+                    "it without."
+                )
+        return labels
 
     def number(
         self, name: str, *, empty: bool = False, largest: float = math.inf
@@ -416,8 +429,9 @@ def format_csv(
 ) -> str:
     """Return columns as CSV text; numbers keep all their digits, NaN is an empty cell.
 
-    With semicolons between the cells, numbers get decimal commas. Columns of which `digits` says
-    so have as many significant ones.
+    Text is escaped, and what a spreadsheet would run gets an apostrophe, which `Table.text` takes
+    off. With semicolons between the cells, numbers get decimal commas. Columns of which `digits`
+    says so have as many significant ones.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, delimiter=delimiter, lineterminator="\n")
@@ -446,11 +460,25 @@ def format_rows(
             cells = ["" if cell != cell else repr(cell) for cell in cells]
             if delimiter == ";":
                 cells = [cell.replace(".", ",") for cell in cells]
+        else:
+            cells = [as_cell(cell) if isinstance(cell, str) else cell for cell in cells]
         lists.append(cells)
     stream = io.StringIO()
     rows = zip(*lists, strict=True)
     csv.writer(stream, delimiter=delimiter, lineterminator="\n").writerows(rows)
     return stream.getvalue()
+
+
+def safe_rows(lines: list[str], delimiter: str) -> list[str]:
+    """Return rows of CSV with their cells as `format_csv` writes text, the rest untouched."""
+    if not is_risky("\n".join(lines)):
+        return lines
+    stream = io.StringIO()
+    writer = csv.writer(stream, delimiter=delimiter, lineterminator="\n")
+    writer.writerows(
+        [as_cell(cell) for cell in row] for row in csv.reader(lines, delimiter=delimiter)
+    )
+    return stream.getvalue().split("\n")[:-1]
 
 
 def write_table(path: str | os.PathLike[str], columns: Source) -> None:

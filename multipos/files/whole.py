@@ -133,9 +133,7 @@ def check_place(path: str | os.PathLike[str]) -> None:
     MultiposError
     """
     with _writing(path):
-        folder = _draft(path).target.parent
-        if not folder.is_dir():
-            raise FileNotFoundError(None, f"there is no folder {folder}")
+        _draft(path).target.parent.stat()
 
 
 def _draft(path: str | os.PathLike[str]) -> _Draft:

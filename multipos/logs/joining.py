@@ -276,7 +276,7 @@ def choose(found: Sequence[StillLog], only: tuple[str, ...] | None) -> list[Chos
     known = dict.fromkeys(each.label for each in result)
     strange = [label for label in only if label not in known]
     if strange:
-        raise MultiposError(f"--only names '{strange[0]}', but the rests are {', '.join(known)}.")
+        raise MultiposError(f"--only names '{strange[0]}', but the rests are {listed(known, 12)}.")
     return [each for each in result if each.label in only]
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
 from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
@@ -89,11 +90,13 @@ def name_columns(
             )
         header = given
     names = tuple(name or str(i + 1) for i, name in enumerate(header or [""] * width))
-    for i, name in enumerate(names):
-        if name in names[:i]:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
             raise MultiposError(
                 f"{source}: column '{name}' appears twice; rename one or give --columns."
             )
+        seen.add(name)
     return names
 
 
@@ -165,7 +168,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
         raise MultiposError(f"{log.source}: no numeric column can be an output; see --columns.")
     if len(chosen) > 3:
         raise UsageError(
-            f"{log.source}: {len(chosen)} columns could be outputs: {', '.join(chosen)}; name "
+            f"{log.source}: {len(chosen)} columns could be outputs: {listed(chosen, 12)}; name "
             "them with --outputs."
         )
     return Outputs(chosen, _find_choice(chosen, names, by))
@@ -185,9 +188,10 @@ def _by_name(names: Sequence[str], kinds: dict[str, NameParts]) -> tuple[str, ..
 
 def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -> None:
     stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
+    numeric = frozenset(log.numeric)
     for name in log.columns:
         kind = kinds[name]
-        if name not in log.numeric and kind.axis >= 0 and kind.stem.casefold() in stems:
+        if name not in numeric and kind.axis >= 0 and kind.stem.casefold() in stems:
             raise MultiposError(
                 f"{log.source}: column '{name}' is an output by its name, but holds no number in "
                 "its first rows; correct it, or name the outputs with --outputs."
@@ -207,10 +211,11 @@ def _refuse_without_gravity(
 
 
 def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Findings:
-    others = [name for name in names if name not in chosen]
+    known = frozenset(chosen)
+    others = [name for name in names if name not in known]
     if others:
         text = (
-            f"outputs are {', '.join(chosen)}, by {by}; {', '.join(others)} "
+            f"outputs are {', '.join(chosen)}, by {by}; {listed(others, 12)} "
             f"{'is not used' if len(others) == 1 else 'are not used'}"
         )
         return (Finding("outputs-by-name", "note", text),)

@@ -29,6 +29,8 @@ from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, open_text
 
+_WIDE, _LINES = 1 << 22, 4  # bytes of a head that may hold only so many lines
+
 
 def open_log(
     source: "Source | Log", *, columns: Names | None = None, outputs: Names | None = None
@@ -110,7 +112,7 @@ def _is_utf8(head: bytes) -> bool:
     try:
         head.decode()
     except UnicodeDecodeError as error:
-        return len(head) == HEAD and error.start > HEAD - 4  # it may end inside a letter
+        return len(head) >= HEAD and error.start > len(head) - 4  # it may end inside a letter
     return True
 
 
@@ -118,6 +120,11 @@ def _read_head(path: os.PathLike[str]) -> bytes:
     try:
         with Path(path).open("rb") as stream:
             head = stream.read(HEAD)
+            while len(head) % HEAD == 0 and 0 < len(head) < _WIDE and head.count(b"\n") < _LINES:
+                more = stream.read(HEAD)  # of thousands of columns
+                if not more:
+                    break
+                head += more
     except FileNotFoundError:
         raise MultiposError(f"{path}: no such file; check the path of the log.") from None
     except OSError as error:

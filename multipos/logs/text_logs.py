@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import of_cell
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import read_dates, require_dates
@@ -333,7 +334,7 @@ class _Text:
 def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
     lines = _decode(path, _one_line_end(head)).split("\n")
-    if len(head) == HEAD and len(lines) > 1:
+    if len(head) >= HEAD and len(lines) > 1:
         lines = lines[:-1]  # its last line may be cut
     layout = find_layout(str(path), lines)
     named = name_header(str(path), layout.header, layout.width, given)
@@ -572,7 +573,8 @@ def _parse(text: _Text, rows: Rows, first: int, wanted: _Wanted) -> Table:
     if not text.dates.isdisjoint(wanted.numbers) or wanted.texts:
         return _parse_slowly(text, rows, table, wanted)
     try:
-        index = [text.columns.index(name) for name in wanted.numbers]
+        places = {name: place for place, name in enumerate(text.columns)}
+        index = [places[name] for name in wanted.numbers]
         columns = dict(zip(wanted.numbers, _fast(text, rows, index), strict=True))
         if all(np.isfinite(columns[name]).all() for name in wanted.names):
             return replace(table, columns=columns)
@@ -589,7 +591,7 @@ def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: _Wanted) -> Tab
         place = text.columns.index(name)
         return [row[place] for row in cells]
 
-    parsed: dict[str, Column] = {name: column(name) for name in wanted.texts}
+    parsed: dict[str, Column] = {n: [*map(of_cell, column(n))] for n in wanted.texts}
     for name in wanted.optional:
         if name not in wanted.names:
             is_date = name in text.dates
@@ -671,7 +673,7 @@ def _decode(path: os.PathLike[str], block: bytes) -> str:
     try:
         text = block.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
-        if len(block) == HEAD and error.start > HEAD - 4:  # the head may end inside a letter
+        if len(block) >= HEAD and error.start > len(block) - 4:  # the head may end inside a letter
             return _decode(path, block[: error.start])
         raise MultiposError(
             f"{path}: byte 0x{block[error.start]:02x} is not UTF-8; save the log as UTF-8 text."

@@ -119,6 +119,7 @@ class NameParts(NamedTuple):
     magnetic: bool = False
 
 
+@lru_cache(1 << 16)  # asked of every column many times
 def component(name: str) -> NameParts:
     """Return a name cut into its parts."""
     found = _COMPONENT.fullmatch(name)

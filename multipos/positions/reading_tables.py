@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.spelling import Names, quoted, require_columns, split_names
+from multipos.files.spelling import Names, listed, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
@@ -108,7 +108,8 @@ def read_readings(
     table = in_celsius(table, _used(units, names, environment), findings)
     spread = _orientation_sd(table)
     # what is an output is no position, whatever its name
-    others = {name: column for name, column in table.columns.items() if name not in names}
+    outputs_only = frozenset(names)
+    others = {n: column for n, column in table.columns.items() if n not in outputs_only}
     free = with_angles(replace(table, columns=others))
     rolls = read_open_rolls(free, findings)
     oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
@@ -296,20 +297,21 @@ def _used(units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str])
 
 def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tuple[str, ...]:
     """Return the candidates that hold numbers and are no companions of an average."""
-    text = [name for name in candidates if table.is_text(name)]
+    text = dict.fromkeys(name for name in candidates if table.is_text(name))
     numeric = tuple(name for name in candidates if name not in text)
     if not numeric:
         raise MultiposError(
             f"{table.source}: no numeric column can be an output; "
             f"the columns are {quoted(table.columns)}."
         )
-    beside = _averaged_along(numeric, table)  # which `average` itself has written: no word
+    beside = frozenset(_averaged_along(numeric, table))  # as `average` writes them: no word
     left = tuple(name for name in numeric if name not in beside)
     kinds = {name: component(name) for name in candidates}
     chosen = _of_acceleration(left, kinds)
-    _refuse_text(table, chosen, text, kinds)
+    _refuse_text(table, chosen, list(text), kinds)
     findings += _unused(f"column '{name}' holds text and" for name in text)
-    findings += _find_others(chosen, [name for name in left if name not in chosen])
+    used = frozenset(chosen)
+    findings += _find_others(chosen, [name for name in left if name not in used])
     return chosen
 
 
@@ -320,7 +322,7 @@ def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
         whose = "is not used" if len(others) == 1 else "are not used"
     else:
         whose = "belongs to another sensor" if len(others) == 1 else "belong to other sensors"
-    text = f"outputs are {', '.join(chosen)}, by their names; {', '.join(others)} {whose}"
+    text = f"outputs are {', '.join(chosen)}, by their names; {listed(others, 12)} {whose}"
     return [Finding("outputs-by-name", "note", text)]
 
 

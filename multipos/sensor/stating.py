@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from multipos.errors import UsageError
 from multipos.files.records import LONGEST
-from multipos.files.spelling import Names, split_names
+from multipos.files.spelling import Names, listed, split_names
 from multipos.numerics.terms import (
     COMPONENTS,
     NAMED,
@@ -111,7 +111,7 @@ def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
         return named
     if len(outputs) > 3:
         raise UsageError(
-            f"{len(outputs)} columns could be outputs: {', '.join(outputs)}; name them with "
+            f"{len(outputs)} columns could be outputs: {listed(outputs, 12)}; name them with "
             "--outputs, or say with --axes which axis each one senses."
         )
     return COMPONENTS[: len(outputs)]

@@ -594,15 +594,38 @@ def test_labels_do_not_reach_the_terminal_as_commands(place, here, capsys):
     assert not set("\x1b\x9b\u202e") & set(err)
 
 
-def test_a_table_for_other_programs_stays_as_it_is(red, capsys):
-    _, out, _ = run(capsys, "apply", "cal.json", red)
-    assert out.splitlines()[1].startswith(RED)
-
-
-def test_a_terminal_gets_escapes_in_tables_too(red, capsys, monkeypatch):
-    monkeypatch.setattr(type(sys.stdout), "isatty", lambda self: True)
+def test_tables_for_other_programs_have_escapes_too(red, here, capsys):
     _, out, _ = run(capsys, "apply", "cal.json", red)
     assert out.splitlines()[1].startswith(r"\u001b[31m\u009b\u202ered")
+    text = (here / red).read_text(encoding="utf-8").replace("position,", "unit,")
+    (here / "fleet.csv").write_text(text, encoding="utf-8")
+    scheme = ("simulate", "cal.json", "--scheme", red, "-o", "o.csv")
+    for command in (scheme, ("fleet", "fleet.csv", "--unit-column", "unit", "-o", "o")):
+        status, out, err = run(capsys, *command)
+        assert (status, out) == (1, "")
+        assert r"'\u001b[31m\u009b\u202ered' has a control character" in err
+
+
+@pytest.mark.parametrize(
+    ("label", "cell"),
+    [
+        ("=1+1", "'=1+1"),
+        ("+cmd|x", "'+cmd|x"),
+        ("-2+3", "'-2+3"),
+        ("-x+y()", "'-x+y()"),
+        ("@SUM(1)", "'@SUM(1)"),
+        *((plain, plain) for plain in ("+X up", "-x", "-3", "+1.5e3", "-0.5", "a=b", "'", "it's")),
+    ],
+)
+def test_no_spreadsheet_runs_a_label(here, capsys, label, cell):
+    (here / "six.csv").write_text(SIX.replace("\n1,", f"\n{label},"), encoding="utf-8")
+    run(capsys, "fit", "six.csv", "-o", "cal.json")
+    for command in ("simulate cal.json --scheme six.csv", "apply cal.json six.csv"):
+        _, out, _ = run(capsys, *command.split())
+        assert out.splitlines()[1].partition(",")[0] == cell
+        (here / "again.csv").write_text(out)
+        found = mp.read_readings("again.csv", outputs="ax,ay,az").labels
+        assert found[0] == label
 
 
 def test_a_terminal_without_latin_letters_gets_json_escapes(here, monkeypatch):
