@@ -293,7 +293,7 @@ def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, optio
     c = mp.fit(mp.Readings(values, unit="g", positions=given.labels), **options)
     quantity = read_budget(TABLES).quantities[name]
     # gravity acts through the calibration's own
-    c = replace(c, gravity=c.gravity._replace(u=1e-5))
+    c = replace(c, model=replace(c.model, field=replace(c.field, u=1e-5)))
     effects = parameter_effects(c, estimator_gain(c), quantity)
     step = {"gravity": 1e-2, "level": 1e-2, "temperature": 1e-1, "resolution": 1e-4}.get(name, 1e-3)
     components = {"resolution": (0, 40, 100), "level": (0, 1)}.get(name, (0,))

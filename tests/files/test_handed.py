@@ -80,8 +80,8 @@ FORMS = {
     "lazy frame": lambda _: Lazy(),
     "pyarrow": lambda _: arrow(),
     "record batch": lambda _: arrow().to_batches()[0],
-    "Arrow C stream": lambda _: Stream(),
-    "interchange": lambda _: Interchange(),
+    "Arrow C stream": lambda _: pytest.importorskip("pyarrow") and Stream(),
+    "interchange": lambda _: pytest.importorskip("pyarrow") and Interchange(),
     "polars": lambda _: pytest.importorskip("polars").DataFrame(COLUMNS).lazy(),
     "StringIO": lambda _: io.StringIO(TEXT),
     "BytesIO": lambda _: io.BytesIO(TEXT.encode()),
@@ -150,6 +150,8 @@ def test_arrays_are_named_by_outputs():
     ],
 )
 def test_what_is_no_table_is_said(name, content, message, tmp_path):
+    if name.endswith(".parquet"):
+        pytest.importorskip("pyarrow")
     path: Path = written(name, content)(tmp_path)
     with pytest.raises(mp.MultiposError, match=message):
         mp.fit(path)

@@ -94,7 +94,7 @@ def test_an_outlier_is_judged_by_its_own_stated_uncertainty():
     leverage = np.full((40, 1), 0.1)
     found = find_outliers(residuals, leverage, [36.0], ["ax"], labels, sd, **ONE)
     assert [text.partition(":")[0] for text in found] == ["position 3"]
-    assert "ax is off by 8, " in found[0]
+    assert "ax deviates by 8, " in found[0]
     assert not any(
         "position 3:" in t
         for t in find_outliers(residuals, leverage, [36.0], ["ax"], labels, **ONE)
@@ -111,7 +111,7 @@ def test_limit_of_an_outlier_by_hand(r, named):
     residuals[4] = -r * math.sqrt(0.6)  # of leverage 0.4
     found = find_outliers(residuals, np.full((10, 1), 0.4), [6.0], ["a"], list("0123456789"), **ONE)
     assert len(found) == named
-    assert all("position 4: a is off by -1.81, 2.3 times" in text for text in found)
+    assert all("position 4: a deviates by -1.81, 2.3 times" in text for text in found)
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_an_error_among_rows_alike_is_an_outlier_still():
     for _ in range(100):
         noise = rng.standard_normal((24, 3))
         noise[3, 1] += 11.0
-        named += any(text.startswith("position 3: b is off by") for text in found_in(X, noise))
+        named += any(text.startswith("position 3: b deviates by") for text in found_in(X, noise))
     assert named >= 95  # of a rate of 99 %, once in a thousand fewer
 
 
@@ -154,7 +154,7 @@ def test_rows_that_state_their_noise_are_alike():
     sd = np.repeat(np.resize([10.0, 1.0, 1.0], 24)[:, None], 3, axis=1)
     noise = sd * rng.standard_normal((24, 3))
     noise[4, 1] += 14.0
-    assert [text.partition(" is")[0] for text in found_in(design_of(24), noise, sd)] == [
+    assert [text.partition(" deviates")[0] for text in found_in(design_of(24), noise, sd)] == [
         "position 4: b"
     ]
     assert found_in(design_of(24), noise) == ()
