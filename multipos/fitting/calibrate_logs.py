@@ -206,20 +206,22 @@ def rests_or_rows(
         As for `calibrate`.
     """
     known = ("sections", "label_column", "scheme", "only")
-    if field == "gravity" or any(options.get(name) is not None for name in known):
-        return average(*logs, **_with_outputs(logs, field, unit, options))
-    opened = [open_log(source, columns=options.get("columns")) for source in spread(logs)]
     given = options.get("outputs")
+    columns = options.get("columns")
+    # Once: what comes from an open file can be read no second time.
+    opened = [open_log(source, columns=columns, outputs=given) for source in spread(logs)]
+    if field == "gravity" or any(options.get(name) is not None for name in known):
+        return average(*opened, **_with_outputs(opened, field, unit, options))
     names = None if given is None else split_names(given, "--outputs")
     each = [magnetic_outputs(log, names, field, unit) for log in opened]
     first = each[0] if each else None
     if first is None or any(outputs != first for outputs in each):
-        return average(*logs, **options)
+        return average(*opened, **options)
     signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
     values, environment = read_rows(opened, first, signed=signed, drop_bad=drop_bad)
     if not moves(values):
         try:
-            found = average(*logs, **{**options, "outputs": first})
+            found = average(*opened, **{**options, "outputs": first})
         except MultiposError:  # no rests: the rows are what there is
             found = None
         if found is not None and holds_most(found, len(values)):
@@ -228,13 +230,12 @@ def rests_or_rows(
 
 
 def _with_outputs(
-    logs: Sequence[Any], field: str | None, unit: str | None, options: dict[str, Any]
+    opened: Sequence[Log], field: str | None, unit: str | None, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the options with the magnetometer's outputs, where --field asks for that sensor."""
     if field != "magnetic" or options.get("outputs") is not None:
         return options
-    log = open_log(spread(logs)[0], columns=options.get("columns"))
-    return {**options, "outputs": magnetic_outputs(log, None, field, unit)}
+    return {**options, "outputs": magnetic_outputs(opened[0], None, field, unit)}
 
 
 def fit_rests(

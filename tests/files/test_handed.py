@@ -123,6 +123,13 @@ def test_in_every_function(form, tmp_path):
     assert list(mp.fit_many(given(), unit_column="position")["unit"]) == list(COLUMNS["position"])
 
 
+def test_a_log_in_an_open_file_is_calibrated():
+    log = dict(mp.simulate_log(CAL, "faces-corners-14", sample_sd=1e-3, seed=1))
+    text = pd.DataFrame(log).to_csv(index=False)
+    found, expected = mp.calibrate(io.StringIO(text)), mp.calibrate(log)
+    np.testing.assert_array_equal(found.parameters, expected.parameters)
+
+
 def test_arrays_are_named_by_outputs():
     values = np.column_stack([TABLE[name] for name in OUTPUTS])
     up = np.column_stack([TABLE[f"up_{axis}"] for axis in "xyz"])
