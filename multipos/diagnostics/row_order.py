@@ -278,8 +278,7 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
             given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
             place[units], p[row, units], score[row, units] = _judge(plan, test, *given)
         step[row] = test.family.steps[place]
-    if whole.all():
-        _judge_slow(plan, e, score[-1], p[-1])
+    _judge_slow(plan, e, whole, score[-1], p[-1])
     codes = (*(test.family.code for test in plan.tests), SLOW)
     wholly = np.array([*(test.family.wholly for test in plan.tests), False])
     return Shown(codes, score, p, step, wholly)
@@ -526,8 +525,8 @@ def _correlation(n: int) -> float:
     return min(max(1.0 - 5.0 / n, 0.5), 0.95)
 
 
-def _judge_slow(plan: Plan, e: Array, score: Array, p: Array) -> None:
-    """Fill in S and p (B,) of slow noise, of unit e (n, M, B)."""
+def _judge_slow(plan: Plan, e: Array, whole: NDArray[np.bool_], score: Array, p: Array) -> None:
+    """Fill in S and p (B,) of slow noise, of unit e (n, M, B), of units that are whole (B,)."""
     if plan.slow is None:
         return
     n = len(e)
@@ -536,9 +535,8 @@ def _judge_slow(plan: Plan, e: Array, score: Array, p: Array) -> None:
     T = np.einsum("ncb,ncb->b", w, 2.0 * before - w)
     mean, sd, skewness = plan.slow
     k = 8.0 / skewness**2
-    level = LEVEL / plan.codes
-    limit = mean + sd * (chi2_quantile(1.0 - level, k) - k) / math.sqrt(2.0 * k)
-    units = np.flatnonzero(limit < T)
+    limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
+    units = np.flatnonzero((limit < T) & whole)
     if not len(units):
         return
     score[units] = _slow_gains(plan, e[:, :, units]) - math.log(plan.freedom)
@@ -598,6 +596,8 @@ def slow_score(c: Calibration) -> float:
     plan, e, _ = residuals_in_order(c)
     if plan is None:
         return -math.inf
+    if plan.slow is None:  # of many misfits: what their own test found
+        return math.inf
     gains = _slow_gains(plan, e[plan.order][:, :, None])
     return float(gains[0]) - math.log(plan.freedom)
 
