@@ -17,11 +17,11 @@ from multipos.files.numbers import (
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.quantities import (
     leaning_quantities,
+    parameter_cells,
     quantity_rows,
-    with_u,
 )
 from multipos.reports.sections import LONG_TABLE, PageTable, Section, Translator
-from multipos.sensor.calibration import Calibration, Parameter
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
@@ -67,7 +67,12 @@ def _equation(c: Calibration, tr: Translator) -> str:
 
 def _parameter_table(c: Calibration, tr: Translator) -> PageTable:
     """Return every parameter; the column of symbols only where there are any."""
-    rows = [_parameter_row(c[output, str(term)], tr) for output, term in c.model.keys]
+    entries = [c[output, str(term)] for output, term in c.model.keys]
+    cells = parameter_cells(entries)
+    rows = [
+        (p.name, p.symbol or "", tr.message(p.label), *row, plain_number(p.k, 3), number(p.dof))
+        for p, row in zip(entries, cells, strict=True)
+    ]
     header = ("Parameter", "Symbol", "Meaning", "Value", "u", "U", "Unit", "k", "dof")
     symbols = any(row[1] for row in rows)
     keep = [i for i in range(len(header)) if symbols or i != 1]
@@ -85,17 +90,6 @@ def _surest(c: Calibration) -> tuple[int, ...]:
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.abs(c.parameters) / c.u
     return tuple(sorted(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE)))
-
-
-def _parameter_row(p: Parameter, tr: Translator) -> tuple[str, ...]:
-    return (
-        p.name,
-        p.symbol or "",
-        tr.message(p.label),
-        *with_u(p.value, p.u, p.U, p.unit),
-        plain_number(p.k, 3),
-        number(p.dof),
-    )
 
 
 def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:

@@ -3,7 +3,7 @@
 A row has one unit, by the larger of value and U; a column of numbers of one unit has one as well.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sections import Translator
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.uncertainty.propagation import Evaluation
 from multipos.units import unit_per
@@ -98,9 +98,27 @@ def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
     return rows
 
 
-def with_u(value: float, u: float, U: float, unit: str) -> tuple[str, str, str, str]:
-    """Return a value, its u and its U to the digits of u, and the unit of all three."""
-    factor, shown = readable_unit(float(np.nanmax([abs(value), U, 0.0], initial=0.0)), unit)
+def parameter_cells(entries: Iterable[Parameter]) -> list[tuple[str, str, str, str]]:
+    """Return value, u, U and unit of parameters; biases have one unit, scale factors have one."""
+    given = list(entries)
+    sizes: dict[tuple[str, str], float] = {}
+    for p in given:
+        kind = p.unit, p.name.partition("_")[0]
+        sizes[kind] = max(sizes.get(kind, 0.0), _size(p.value, p.U))
+    return [
+        with_u(p.value, p.u, p.U, p.unit, sizes[p.unit, p.name.partition("_")[0]]) for p in given
+    ]
+
+
+def _size(value: float, U: float) -> float:
+    return float(np.nanmax([abs(value), U, 0.0], initial=0.0))
+
+
+def with_u(
+    value: float, u: float, U: float, unit: str, size: float | None = None
+) -> tuple[str, str, str, str]:
+    """Return a value, its u and its U to the digits of u, and the unit of all three, by `size`."""
+    factor, shown = readable_unit(_size(value, U) if size is None else size, unit)
     decimals = decimals_of(factor * u)
     value_cell, U_cell = beside(factor * value, factor * u, factor * U)
     return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown

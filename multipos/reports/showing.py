@@ -11,21 +11,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from html import escape
+from types import UnionType
 from typing import Any
 
 import numpy as np
 
-from multipos.bias_stability.stability_result import Stability, stability_text
-from multipos.designs.assessment import Schemes, scheme_rows, schemes_text
-from multipos.designs.designing import Design, design_text
-from multipos.designs.prospects import Worth, worth_text
+from multipos.bias_stability.stability_result import Stability, stability_sentence, stability_text
+from multipos.designs.assessment import Schemes, scheme_rows, schemes_sentence, schemes_text
+from multipos.designs.designing import Design, design_sentence, design_text
+from multipos.designs.prospects import Worth, worth_sentence, worth_text
 from multipos.errors import UsageError
 from multipos.files.numbers import number
 from multipos.files.spelling import visible
-from multipos.finding import NOT_FIT, Findings, errors_of
+from multipos.finding import NOT_FIT, Findings, errors_of, serious
 from multipos.fleets.fleet import Fleet
 from multipos.fleets.fleet_text import fleet_sentence, fleet_text
-from multipos.logs.averages import Averages, averages_text
+from multipos.logs.averages import Averages, averages_sentence, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
 from multipos.plots.check import check_panels
 from multipos.plots.fleets import draw_histogram
@@ -36,15 +37,23 @@ from multipos.plots.style import figure_of, new_figure, to_svg
 from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
-from multipos.reports.check_text import check_sheets, check_text, run_conclusions
+from multipos.regression.regression import Regression, Regressions, regression_sentence
+from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
+from multipos.reports.quantities import parameter_cells
+from multipos.reports.sentences import calibration_sentence
 from multipos.reports.sheets import table_errors_text
-from multipos.reports.tumble_text import tumble_text, tumbles_text
-from multipos.results import Columns, Result
-from multipos.sensor.calibration import Calibration, parameter_rows
+from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
+from multipos.results import Columns, Result, plain
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.turntable import TableErrors
-from multipos.verification.comparison import Comparison, comparison_text
+from multipos.verification.comparison import (
+    Comparison,
+    changes_text,
+    comparison_sentence,
+    comparison_text,
+)
 from multipos.verification.regression_comparison import RegressionComparison
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles
@@ -69,6 +78,21 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
 }
 
 
+_SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
+    Averages: averages_sentence,
+    Calibration: calibration_sentence,
+    Check: check_sentence,
+    Comparison | RegressionComparison: lambda found: comparison_sentence(plain(found.to_dict())),
+    Design: design_sentence,
+    Fleet: lambda found: fleet_sentence(found.summary),
+    Regression | Regressions: regression_sentence,
+    Schemes: schemes_sentence,
+    Stability: stability_sentence,
+    Tumble | Tumbles: tumble_sentence,
+    Worth: worth_sentence,
+}
+
+
 def show_text(found: Result) -> str:
     """Return a result as its command prints it; one that no command prints as a line a field."""
     if isinstance(found, Fleet):
@@ -86,7 +110,10 @@ def show_html(found: Result | Columns) -> str:
     """Return a result as a notebook shows it."""
     if isinstance(found, Columns):
         return _columns(found)
-    parts = [f"<p><strong>{type(found).__name__}</strong></p>", *_findings(found), _body(found)]
+    say = next((say for kind, say in _SENTENCES.items() if isinstance(found, kind)), None)
+    said = "" if say is None else f" {_text(say(found))}"
+    head = f"<p><strong>{type(found).__name__}</strong>{said}</p>"
+    parts = [head, *_findings(found), _body(found)]
     panels = _panels(found)
     if panels:
         figure = to_svg(figure_of(panels))
@@ -162,24 +189,26 @@ _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
 
 
 def _findings(found: Result) -> list[str]:
-    """Return findings as a list, that it is not fit for use before."""
+    """Return errors and warnings as a list, that it is not fit for use before."""
     findings: Findings = getattr(found, "findings", ())
-    lines = "".join(f"<li>{_text(str(each))}</li>" for each in findings)
-    head = [f"<p><strong>{NOT_FIT}</strong></p>"] if errors_of(findings) else []
+    lines = "".join(f"<li>{_text(str(each))}</li>" for each in serious(findings))
+    said = errors_of(findings) and not isinstance(found, tuple(_SENTENCES))
+    head = [f"<p><strong>{NOT_FIT}</strong></p>"] if said else []
     return [*head, *([f"<ul>{lines}</ul>"] if lines else [])]
 
 
 def _body(found: Result) -> str:
     """Return the table of a result, or its summary."""
     if isinstance(found, Calibration):
-        return (
-            _table(*parameter_rows(found), left=3)
-            + f"<p>rms {number(found.rms, 3)} {found.field.printed} after compensation</p>"
-        )
+        cells = parameter_cells(found.entries)
+        rows = [(p.name, *row) for p, row in zip(found.entries, cells, strict=True)]
+        return _table(("parameter", "value", "u", "U", "unit"), rows)
     if isinstance(found, Check):
         sheet = check_sheets(found)[0]
         said = "".join(f"<p>{_text(line)}</p>" for line in run_conclusions(found))
         return _table(sheet.header, sheet.rows) + said
+    if isinstance(found, Comparison) and found.changes:
+        return f"<pre>{_text(changes_text(found))}</pre>"
     if isinstance(found, Schemes):
         return _table(*scheme_rows(found.schemes))
     if (

@@ -1,5 +1,6 @@
 """Results that show themselves: HTML of every type, figures, tables and correlated numbers."""
 
+import re
 import sys
 from html.parser import HTMLParser
 
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 from test_results import RESULTS, calibrated, checked, sensor, tumbled, tumbled_all
 
 import multipos as mp
+from multipos.files.numbers import in_unit
 from multipos.results import Columns, Drawn, Result
 
 VOID = {"meta", "link", "br", "img", "input", "use", "path", "rect"}
@@ -71,15 +73,23 @@ def test_doubts_come_first_and_nothing_is_markup():
     cal = mp.fit(mp.Readings(up * [1.0, 0.0, 1.0] + 1e-3, outputs=names, up=up, unit="g"))
     words = seen(cal)
     finding = cal.diagnostics.findings[0].text[:20]
-    assert words.index("not fit for use") < words.index(finding) < words.index("bias_")
+    assert words.index("Not fit for use") < words.index(finding) < words.index("bias_")
     assert "<b>" not in cal._repr_html_()
     assert seen(checked()).startswith("Check")
 
 
 def test_a_calibration_shows_parameters_rms_and_one_figure():
     words = seen(calibrated())
-    assert all(name in words for name in calibrated().names)
-    assert "rms" in words
+    found = calibrated()
+    assert all(name in words for name in found.names)
+    assert re.search(f"rms error .*{in_unit(found.rms, 'g')}", words)
+    table = {row[0]: row for row in re.findall(r"(\w+_\w+) (\S+) (\S+) (\S+) (\S+)", words)}
+    _, value, _, U, unit = table["bias_ax"]
+    factor = {"mg": 1e3, "µg": 1e6}[unit]
+    assert float(value) == pytest.approx(factor * found["bias_ax"].value, abs=0.02 * float(U))
+    assert float(U) == pytest.approx(factor * found["bias_ax"].U, rel=0.05)
+    assert f"largest error {in_unit(np.abs(checked().after).max(), 'g')}" in seen(checked())
+    assert " parameters agree with the first" in seen(mp.compare(calibrated(1), calibrated(2)))
     assert calibrated()._repr_html_().count("<svg") == 1
 
 
