@@ -287,8 +287,8 @@ def _cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:
                 break
     if not cut:
         return []
-    rows = ", ".join(f"{first} to {last}" for _, first, last in cut)
-    text = f"{quoted([output for output, _, _ in cut])} is saturated in rows {rows}"
+    listed = ", ".join(f"{first} to {last}" for _, first, last in cut)
+    text = f"{quoted([output for output, _, _ in cut])} is saturated in rows {listed}"
     action = "Record again in a wider range, or farther from iron."
     names = tuple(output for output, _, _ in cut)
     return [Finding("saturated", "error", text, action, outputs=names)]
