@@ -311,9 +311,13 @@ def loss_text(calibration: Calibration, law: Law, target: str) -> str:
     kept = build_model(law.formula, calibration.outputs, calibration.model.axes).names
     gone = [name for name in calibration.names if name not in kept]
     listed = ", ".join(gone[:9]) + (f" and {len(gone) - 9} more" if len(gone) > 9 else "")
+    field = calibration.field
+    grown = f"{1e3 * calibration.rms:.3g} to {1e3 * law.rms:.3g} mg"
+    if field.magnetic:
+        grown = f"{field.shown(calibration.rms)} to {field.shown(law.rms)}"
     return (
         f"{target} cannot express {listed}: the rms of what is left after compensation grows from "
-        f"{calibration.field.shown(calibration.rms)} to {calibration.field.shown(law.rms)}"
+        f"{grown}"
     )
 
 
