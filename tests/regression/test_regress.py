@@ -1,6 +1,7 @@
 """`multipos regress`: certified digits, published F, segments, branches, and what it refuses."""
 
 import json
+import math
 
 import hald
 import nist
@@ -16,11 +17,12 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import to_json
 from multipos.numerics.least_squares import solve
-from multipos.numerics.quantiles import f_quantile
+from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import parse_terms
 from multipos.regression.correlation import time_order
 from multipos.regression.hysteresis import compare_branches
 from multipos.regression.observations import Data
+from multipos.regression.prediction import predict_uncertainty
 
 
 def write(path, columns):
@@ -682,3 +684,15 @@ def test_as_many_terms_as_rows_is_a_finding():
         "no-redundancy",
         "turn-on",
     ]
+
+
+def test_u_of_a_stated_noise_by_hand():
+    """A mean of n rows with s², and a stated noise: Welch and Satterthwaite, JCGM 100 G.4.1."""
+    y = np.array([1.0, 2.0, 4.0, 5.0])  # mean 3, s² = 10/3 on 3 degrees of freedom
+    table = {"x": np.array([0.0, 1.0, 2.0, 3.0]), "y": y}
+    fitted = mp.regress(table, response="y", variables="x", terms="1")
+    own, noise = 10.0 / 3.0 / 4.0, 0.5**2
+    u, U = predict_uncertainty(fitted, {"x": np.ones(1)}, np.zeros(1, int), np.full(1, 0.5))
+    assert u == pytest.approx(math.sqrt(own + noise), rel=1e-12)
+    dof = 3.0 * ((own + noise) / own) ** 2  # 5.07: t of 5 and of 5.1 differ by .5 %
+    assert U / u == pytest.approx(coverage_factor(0.95, dof), rel=5e-3)

@@ -95,6 +95,9 @@ def test_nothing_wrong_inside_the_region_in_thermal_balance(seed, free):
         assert "temperature_rate^2" in left
     for row in model.to_dict()["balance"]:
         assert set(row) == {"temperature", "predicted", "U", "outside"}
+    said = next(line for line in str(model).splitlines() if line.startswith("balance"))
+    predicted = model.balance.predicted[still]
+    assert f"{predicted.min():.4g} to {predicted.max():.4g}" in said
 
 
 def test_a_term_varies_by_its_share_of_the_table():
