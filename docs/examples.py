@@ -49,8 +49,10 @@ def main() -> None:
     files = (DOCS.parent / "multipos").rglob("*.py")
     codes = {code for made in generated.messages(files, "…") for code in made.codes}
     for code, texts in listener.heard.items():
-        shown = [text for text in texts if re.search(r"\d", text)] or list(texts)
-        examples[code] = min(shown, key=lambda text: (len(text), text))
+        said = [text for text in texts if " " in text and "/" not in text.split()[0]]
+        shown = [text for text in said if re.search(r"\d", text)] or said
+        if shown:
+            examples[code] = min(shown, key=lambda text: (len(text), text))
     lines = (
         f"{code} = {json.dumps(text, ensure_ascii=False)}\n"
         for code, text in sorted(examples.items())
