@@ -266,7 +266,8 @@ def stability(
         report = None if progress is None else _share(progress, i, len(given))
         raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
     _check_alike(raw)
-    return _complete(raw, model, unit or ("reading" if model is None else "g"), confidence)
+    own = "reading" if model is None else model.field.printed
+    return _complete(raw, model, unit or own, confidence)
 
 
 def _share(progress: Progress, i: int, count: int) -> Progress:

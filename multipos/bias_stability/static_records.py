@@ -151,7 +151,8 @@ def _outputs(log: Log, wanted: RecordOptions, time_column: str | None) -> Output
 def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, ...]:
     if calibration is None:
         return raw
-    return tuple(f"f_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
+    symbol = calibration.field.symbol
+    return tuple(f"{symbol}_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
 
 
 def _temperature(log: Log, wanted: RecordOptions, samples: Samples) -> slice:

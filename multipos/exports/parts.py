@@ -40,7 +40,8 @@ class Correction:
         """Compensated columns, as `apply` names them."""
         if self.calibration is None:
             return ()
-        return tuple(f"f_{COMPONENTS[i]}" for i in sensed_axes(self.calibration.model))
+        symbol = self.calibration.field.symbol
+        return tuple(f"{symbol}_{COMPONENTS[i]}" for i in sensed_axes(self.calibration.model))
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:

@@ -67,6 +67,13 @@ def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> li
     for (name, unit), value, sd, nu in found:
         k = coverage_factor(c.confidence, nu)
         quantities.append(Quantity(name, unit, value, sd, k * sd, k))
+    if c.field.magnetic:  # hard iron is the offset of the readings, in their unit
+        zero = [c[output, "1"] for output in c.outputs]
+        rows = slice(len(zero), 2 * len(zero))
+        quantities[rows] = [
+            Quantity(old.name, p.unit, p.value, p.u, p.U, p.k)
+            for old, p in zip(quantities[rows], zero, strict=True)
+        ]
     return quantities
 
 

@@ -491,3 +491,29 @@ def test_coverage_of_waved_logs_whose_noise_is_correlated(rho):
             truth = HARD[row] if str(term) == "1" else lower[row, "xyz".index(str(term))]
             hits.append(abs(value - truth) <= U)
     assert 0.93 <= np.mean(hits) <= 0.97, np.mean(hits)
+
+
+def test_a_report_gives_hard_iron_in_the_unit_of_the_readings(tmp_path):
+    rows, _ = readings(sd=0.05)
+    cal = mp.fit(rows, unit="uT")
+    mp.report(cal, tmp_path / "report.md")
+    (cells,) = [
+        line.split("|")
+        for line in (tmp_path / "report.md").read_text().splitlines()
+        if line.startswith("| Hard iron of mx")
+    ]
+    assert cells[4].strip() == "µT"
+    assert abs(float(cells[2]) - HARD[0]) < 3.0 * cal["bias_mx"].u
+
+
+def test_noise_of_a_static_record_is_in_the_unit_of_the_field():
+    rows, u = readings()
+    cal = mp.fit({**rows, **listed(u)}, unit="uT", field_size=SIZE)
+    rng = np.random.default_rng(0)
+    still = HARD + SIZE * directions(1)[0] @ SOFT.T + 0.3 * rng.normal(size=(2000, 3))
+    record = {"time": 0.02 * np.arange(2000), **dict(zip(NAMES, still.T, strict=True))}
+    found = mp.stability(record, calibration=cal)
+    assert tuple(found.outputs) == ("b_x", "b_y", "b_z")
+    assert found.unit == "uT"
+    # white noise of sd s at f Hz is s/√f per √Hz, over the scale of x
+    assert_allclose(found.outputs["b_x"].white_noise.value, 0.3 / np.sqrt(50.0), rtol=0.15)
