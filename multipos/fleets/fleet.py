@@ -26,7 +26,7 @@ from multipos.files.pipes import is_there
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
-from multipos.finding import Finding, Findings, in_order
+from multipos.finding import Finding, Findings, in_order, read_findings
 from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.fleets.fit_many import averaging_options, fit_units, with_rests
 from multipos.fleets.gauge import describe_gauge
@@ -43,7 +43,7 @@ from multipos.fleets.quality import (
     proportion,
 )
 from multipos.fleets.sources import Averaging, read_rows
-from multipos.fleets.stations import describe_stations, find_off
+from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
 from multipos.fleets.workers import Engine, open_engine
 from multipos.results import Columns, Drawn, Result, plain
@@ -307,7 +307,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "drift": find_drift(units, counted),
         "gauge": _gauge(units, limits),
     }
-    off = [found for station in stations for found in find_off(station)]
+    off = [found for station in stations for found in read_findings(station)]
     found = in_order((*_find_failed(units), *off, *units.notes))
     summary["findings"] = [each.to_dict() for each in found]
     verdicts = Columns(

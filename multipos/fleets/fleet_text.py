@@ -1,5 +1,6 @@
 """A fleet as the command prints it."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,6 @@ from multipos.files.numbers import (
     table,
     uncertain,
 )
-from multipos.fleets.stations import is_off
 
 _REASONS = 3  # that the first line names
 _SHOWN = 10  # outliers, causes and moves that are listed
@@ -104,13 +104,16 @@ def station_rows(found: Mapping[str, Any]) -> Rows:
         )
         for each in found["stations"]
     ]
-    off = [
-        ", ".join(f"level {axis}" for axis in turned if is_off((each["level_deg"] or {}).get(axis)))
-        for each in found["stations"]
-    ]
+    off = ["; ".join(map(_off, each.get("findings", ()))) for each in found["stations"]]
     if any(off):
         header, rows = (*header, "off"), [(*row, said) for row, said in zip(rows, off, strict=True)]
     return header, rows
+
+
+def _off(said: Mapping[str, Any]) -> str:
+    """Return what is off of a station, without its name."""
+    what, _, size = str(said["text"]).partition(" is off by ")
+    return f"{re.split(' (?:of|at) station ', what)[0]} by {size.partition(' (u')[0]}"
 
 
 def _uncertain(figure: Mapping[str, float] | None) -> str:

@@ -19,7 +19,13 @@ shows under listed references are A (1 + [ω]×), so that
     ω_j = axial vector of the antisymmetric part of A⁻¹ A_j.                                (2)
 
 A station's shift is that of the bias. Both are against the mean of all stations, since nothing in
-a fleet tells what these have in common.
+a fleet shows what these have in common.
+
+All levels and shifts of all stations, m in number, are one test at 1 %: one is off where
+
+    |value| > u t_{1 − .01/2m}(ν),    ν units less stations,                                (5)
+
+and where it matters: a level from 0.02°, a shift from a tenth of what units differ by.
 
 Fixtures of stations: the angle of every position, and the correction that it asks for.
 
@@ -47,12 +53,14 @@ from multipos.finding import Finding, Findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.unit_results import Units
 from multipos.numerics.arrays import Array, median
+from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.sensor.model import Model
 
 _OFF = 0.1  # [deg] from which a station is said to be off,
 _CLEAR = 5.0  # where it is so many times its u
+_ALARM, _LEVEL, _OF_UNITS = 0.01, 0.02, 0.1  # of eq. (5); [deg], and of what units differ by
 FEWEST = 10  # units that a correction rests on: of fewer it adds as much doubt as it takes away
 
 
@@ -153,36 +161,80 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
         }
         for place, name in enumerate(names)
     ]
+    figures = [figure for each in described for _, _, figure in _figures(each) if figure]
+    dof = max(int(counted.sum()) - len(names), 1)
+    k = coverage_factor(1.0 - _ALARM / max(len(figures), 1), float(dof))
+    unit = "" if units.model is None else f" {units.model.unit}"
     return [
-        each | {"findings": [found.to_dict() for found in find_off(each)]} for each in described
+        each | {"findings": [found.to_dict() for found in find_off(each, k, unit)]}
+        for each in described
     ]
 
 
-def find_off(station: Mapping[str, Any]) -> Findings:
-    """Return a warning of a station whose level, or a position of it, is off.
+def _figures(station: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, float] | None]]:
+    """Return what is compared of a station, eq. (5): kind, axis or output, value and u."""
+    return [
+        (kind, name, figure)
+        for kind in ("level_deg", "shift")
+        for name, figure in (station[kind] or {}).items()
+    ]
+
+
+def find_off(station: Mapping[str, Any], k: float, unit: str) -> Findings:
+    """Return warnings of a station whose level or zero, or a position of it, is off.
 
     Parameters
     ----------
     station : mapping
         As of `describe_stations`.
+    k : float
+        Standard uncertainties beyond which a level or a shift is off, eq. (5).
+    unit : str
+        Of the readings.
     """
-    named = [("level", station["level_deg"] or {})]
-    named += [(f"position {each['position']}", each) for each in station["positions_deg"]]
-    off = [
-        (abs(each[axis]["value"]), what, axis, each[axis]["u"])
-        for what, each in named
-        for axis in COMPONENTS
-        if is_off(each.get(axis))
-    ]
-    if not off:
-        return ()
-    size, what, axis, u = max(off)
-    more = f", and {len(off) - 1} more" if len(off) > 1 else ""
-    text = (
-        f"{what} of station {station['station']} is off by {size:.2g} degrees about {axis} "
-        f"(u = {u:.2g}){more}"
-    )
-    return (Finding("station", "warning", text, "Correct the fixture, or use its correction."),)
+    name, found = station["station"], []
+    root = float(np.sqrt(station["units"]))
+    angles: list[tuple[float, str, str, float, tuple[str, ...]]] = []
+    shifts: list[tuple[float, str, Mapping[str, float]]] = []
+    for kind, what, figure in _figures(station):
+        if figure is None or abs(figure["value"]) <= k * figure["u"]:
+            continue
+        size, u = abs(figure["value"]), figure["u"]
+        if kind == "level_deg" and size >= _LEVEL:
+            angles.append((size, "level", what, u, ()))
+        elif kind == "shift" and size >= _OF_UNITS * root * u:
+            shifts.append((size / u, what, figure))
+    for each in station["positions_deg"]:
+        angles += [
+            (
+                abs(each[axis]["value"]),
+                f"position {each['position']}",
+                axis,
+                each[axis]["u"],
+                (str(each["position"]),),
+            )
+            for axis in COMPONENTS
+            if is_off(each.get(axis))
+        ]
+    if angles:
+        size, what, axis, u, rows = max(angles, key=lambda each: each[0])
+        more = f", and {len(angles) - 1} more" if len(angles) > 1 else ""
+        text = (
+            f"{what} of station {name} is off by {size:.2g} degrees about {axis} "
+            f"(u = {u:.2g}){more}"
+        )
+        action = "Correct the fixture, or use its correction."
+        found.append(Finding("station", "warning", text, action, rows=rows))
+    if shifts:
+        _, what, figure = max(shifts, key=lambda each: each[0])
+        more = f", and {len(shifts) - 1} more" if len(shifts) > 1 else ""
+        text = (
+            f"zero of {what} at station {name} is off by {figure['value']:.2g}{unit} "
+            f"(u = {figure['u']:.2g}){more}"
+        )
+        action = "Look for what moves it there: supply, temperature, warm-up."
+        found.append(Finding("station", "warning", text, action, outputs=(what,)))
+    return tuple(found)
 
 
 def is_off(angle: Mapping[str, float] | None) -> bool:

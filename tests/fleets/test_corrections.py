@@ -162,3 +162,20 @@ def test_a_nest_is_that_of_its_station_in_whatever_order_a_file_keeps_their_name
     assert abs(off["S0"]) < 0.01
     whole = mp.fleet(table, **apart)["stations"]
     assert [each["positions_deg"] for each in found] == [each["positions_deg"] for each in whole]
+
+
+def test_levels_and_zeros_of_stations_are_one_test_at_one_percent():
+    apart = {"unit_column": "unit", "station_column": "station"}
+
+    def off(**options):
+        found = mp.fleet(line(30, stations=3, scheme="faces-corners-14", **options), **apart)
+        stations = found.summary["stations"]
+        return {s["station"]: [f["text"] for f in s["findings"]] for s in stations}
+
+    # of 40 good lines of 18 figures each .4 on average; more than 3 has a chance of one in 1,000
+    assert sum(any(off(seed=seed).values()) for seed in range(40)) <= 3
+    level, shift = np.zeros((3, 3)), np.zeros((3, 3))
+    level[1, 0], shift[2, 1] = np.radians(1.0), 0.02
+    said = off(seed=1, level=level, shift=shift)
+    assert "degrees about x" in said["S1"][0]
+    assert said["S2"][0].startswith("zero of ay at station S2 is off by ")
