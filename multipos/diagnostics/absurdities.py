@@ -135,11 +135,14 @@ def _sticks_out(repair: Repair, before: View) -> bool:
     by_chance = outputs * float(np.sum(np.log(np.clip(share, 1e-12, 1.0))))
     if math.log(repair.tried) + by_chance < math.log(_ALPHA):
         return False
+    if repair.code == "flipped-row" and len(rows) == 1 and float(share[0]) < _NEGATED:
+        return False  # a reading that lost its sign lost that of its bias too
     mine = float((square / left)[rows].max())
     rest = max(float(square.sum()) - mine, 1e-30) / (dof - 1)
     return f_tail(mine / rest, float(outputs), float(outputs * (dof - 1))) < _STICKS_OUT
 
 
+_NEGATED = 0.05  # twice the bias, over the 2 g by which a negated reading is off
 _OF_USE = 10.0  # [g], rms of a fit beyond which its size says nothing
 _SUSPICIOUS = 0.02  # residual sd as a share of the signal, or terms beyond the linear ones
 _ROUNDING = 1e-12  # likewise, where readings are exact

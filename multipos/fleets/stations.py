@@ -165,10 +165,36 @@ def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str
     dof = max(int(counted.sum()) - len(names), 1)
     k = coverage_factor(1.0 - _ALARM / max(len(figures), 1), float(dof))
     unit = "" if units.model is None else f" {units.model.unit}"
+    beyond = _beyond(described, k)
     return [
-        each | {"findings": [found.to_dict() for found in find_off(each, k, unit)]}
-        for each in described
+        each | {"findings": [found.to_dict() for found in find_off(each, mine, unit)]}
+        for each, mine in zip(described, beyond, strict=True)
     ]
+
+
+def _beyond(described: Sequence[Mapping[str, Any]], k: float) -> list[set[tuple[str, str]]]:
+    """Return the figures of each station, by kind and name, that are off, eq. (5).
+
+    One that is off moves the mean of all, and with it the others: it is left out before they are
+    looked at, where there are three stations or more.
+    """
+    beyond: list[set[tuple[str, str]]] = [set() for _ in described]
+    for kind, name, _ in _figures(described[0]):
+        figures = [(each[kind] or {}).get(name) for each in described]
+        if any(figure is None for figure in figures):
+            continue
+        value = np.array([figure["value"] for figure in figures if figure])
+        z = np.array([figure["u"] for figure in figures if figure]) * k
+        left = list(range(len(value)))
+        while left:
+            far = left[int(np.argmax(np.abs(value[left]) / np.maximum(z[left], 1e-300)))]
+            if abs(value[far]) <= z[far]:
+                break
+            beyond[far].add((kind, name))
+            left.remove(far)
+            if len(described) > 2 and left:
+                value[left] -= value[left].mean()
+    return beyond
 
 
 def _figures(station: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, float] | None]]:
@@ -180,15 +206,15 @@ def _figures(station: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, fl
     ]
 
 
-def find_off(station: Mapping[str, Any], k: float, unit: str) -> Findings:
+def find_off(station: Mapping[str, Any], beyond: set[tuple[str, str]], unit: str) -> Findings:
     """Return warnings of a station whose level or zero, or a position of it, is off.
 
     Parameters
     ----------
     station : mapping
         As of `describe_stations`.
-    k : float
-        Standard uncertainties beyond which a level or a shift is off, eq. (5).
+    beyond : set of (kind, name)
+        The levels and shifts that are off, eq. (5).
     unit : str
         Of the readings.
     """
@@ -197,7 +223,7 @@ def find_off(station: Mapping[str, Any], k: float, unit: str) -> Findings:
     angles: list[tuple[float, str, str, float, tuple[str, ...]]] = []
     shifts: list[tuple[float, str, Mapping[str, float]]] = []
     for kind, what, figure in _figures(station):
-        if figure is None or abs(figure["value"]) <= k * figure["u"]:
+        if figure is None or (kind, what) not in beyond:
             continue
         size, u = abs(figure["value"]), figure["u"]
         if kind == "level_deg" and size >= _LEVEL:

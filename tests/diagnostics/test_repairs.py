@@ -106,3 +106,15 @@ def test_readings_so_coarse_that_nothing_is_left_raise_no_warning_of_numpy():
         warnings.simplefilter("error", RuntimeWarning)
         warnings.simplefilter("ignore", mp.CalibrationWarning)
         mp.fit(mp.Readings(values, up=up), orientation_sd=0.01)
+
+
+@pytest.mark.parametrize("scheme", ["faces-6", "faces-corners-14", "fibonacci-24"])
+def test_a_reading_that_lost_its_sign_is_a_flipped_row_though_its_bias_is_negated_too(scheme):
+    up = mp.read_scheme(scheme).up
+    rng = np.random.default_rng(2)
+    values = 0.02 + up @ (np.eye(3) + 0.005 * rng.standard_normal((3, 3))).T
+    values += 2e-4 * rng.standard_normal(up.shape)
+    values[3] *= -1.0
+    with pytest.warns(mp.CalibrationWarning, match="upside down"):
+        c = mp.fit(mp.Readings(values, up=up, unit="g"))
+    assert [f.rows for f in c.findings if f.code == "flipped-row"] == [("4",)]
