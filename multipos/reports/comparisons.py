@@ -26,6 +26,7 @@ from multipos.files.records import (
     ANY_TEXT,
     FIGURE,
     P_VALUE,
+    AnyOf,
     Fields,
     Flag,
     Listed,
@@ -49,10 +50,22 @@ from multipos.reports.sections import (
 )
 from multipos.reports.sensor_result import sessions_section
 from multipos.sensor.calibration_file import from_dict
-from multipos.verification.comparison import comparison_sentence
+from multipos.verification.comparison import change_rows, comparison_sentence
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)
+_CHANGE = Fields(
+    {
+        "name": ANY_TEXT,
+        "change": FIGURE,
+        "U": FIGURE,
+        "En": FIGURE,
+        "per_year": Maybe(Fields({"value": FIGURE, "U": FIGURE})),
+        "limit": Maybe(AnyOf((ANY_NUMBER, Listed(Maybe(ANY_NUMBER), 2)))),
+        "within": Maybe(Flag()),
+        "due": Maybe(ANY_TEXT),
+    }
+)
 _CALIBRATIONS = Fields(
     {
         "calibrations": _RUNS,
@@ -81,7 +94,8 @@ _CALIBRATIONS = Fields(
         "test": ANY_TEXT,
         "consistent": Flag(),
     },
-    FINDINGS,
+    FINDINGS
+    | {"changes": Listed(_CHANGE), "largest": Maybe(Fields({"name": ANY_TEXT, "En": FIGURE}))},
 )
 _REGRESSIONS = Fields(
     {
@@ -176,6 +190,13 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     paragraphs: list[str] = []
     if "parameters" not in found:
         return Section(tr("Result"), tuple(paragraphs))
+    header, rows = change_rows(found)
+    changes = PageTable(
+        tr("Changes between the first and the last"),
+        tuple(map(tr, header)),
+        tuple(map(tuple, rows)),
+        left=2,
+    )
     if found["p"] is not None:
         paragraphs.append(
             f"{tr(found['test'])}: {number(found['statistic'])}, {p_in_words(found['p'])}"
@@ -200,7 +221,9 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
             ),
         ),
     )
-    return Section(tr("Result"), tuple(paragraphs), (picture,) if biases else ())
+    return Section(
+        tr("Result"), tuple(paragraphs), (picture,) if biases else (), (changes,) if rows else ()
+    )
 
 
 def _less_mean(entry: Mapping[str, Any]) -> tuple[Array, Array]:

@@ -263,7 +263,10 @@ class Comparison(Result, Drawn):
             "p": self.p_total,
             "test": self.test,
             "consistent": self.consistent,
-            "changes": [plain(each) for each in self.changes],
+            "changes": [
+                plain(each) | {"per_year": each.per_year and plain(each.per_year._asdict())}
+                for each in self.changes
+            ],
             "largest": self.largest and {"name": self.largest.name, "En": self.largest.En},
             "drift_per": self.per,
             "drift_times": self.times,
@@ -465,45 +468,51 @@ def runs_text(found: Comparison) -> str:
 
 def changes_text(found: Comparison) -> str:
     """Return the table of changes between the first and the last; nothing where there is none."""
-    if found.largest is None:
-        return ""
+    header, rows = change_rows(plain(found.to_dict()))
+    return table(header, rows, left=2) if rows else ""
+
+
+def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the changes that the JSON of `compare` has; empty without any."""
     header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
-    rows = []
-    units = found.calibrations[0].model.units
-    largest = {  # rows of one unit keep one
-        unit: max(
-            max(abs(each.change), each.U)
-            for other, each in zip(units, found.changes, strict=True)
-            if other == unit
-        )
-        for unit in set(units)
-    }
-    for unit, each in zip(units, found.changes, strict=True):
-        rate = each.per_year
+    rows, changes = [], found.get("changes") or ()
+    units = {each["name"]: each["unit"] for each in found["parameters"]}
+    largest: dict[str, float] = {}  # rows of one unit keep one
+    for each in changes:
+        unit = units.get(each["name"], "")
+        size = max(abs(_or_nan(each["change"])), _or_nan(each["U"]))
+        largest[unit] = max(largest.get(unit, 0.0), size)
+    for each in changes:
+        rate, unit = each["per_year"], units.get(each["name"], "")
         factor, shown = readable_unit(largest[unit], unit)
         rows.append(
             [
-                each.name,
+                each["name"],
                 shown,
-                *_beside(factor, each.change, each.U),
-                number(each.En, 2),
-                *(("", "") if rate is None else _beside(factor, rate.value, rate.U)),
-                _limit_in_words(each.limit, factor),
-                {True: "yes", False: "NO", None: ""}[each.within],
-                each.due or "",
+                *_beside(factor, each["change"], each["U"]),
+                number(each["En"], 2),
+                *(("", "") if rate is None else _beside(factor, rate["value"], rate["U"])),
+                _limit_in_words(each["limit"], factor),
+                {True: "yes", False: "NO", None: ""}[each["within"]],
+                each["due"] or "",
             ]
         )
     kept = [i for i in range(len(header)) if i < 5 or any(row[i] for row in rows)]
-    return table([header[i] for i in kept], [[row[i] for i in kept] for row in rows], left=2)
+    return [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
 
 
-def _beside(factor: float, value: float, U: float) -> tuple[str, str]:
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _beside(factor: float, value: float | None, U: float | None) -> tuple[str, str]:
     """Return a value and its U times a factor, to the two digits of U."""
-    return beside(factor * value, factor * U, factor * U)
+    size = factor * _or_nan(U)
+    return beside(factor * _or_nan(value), size, size)
 
 
-def _limit_in_words(limit: float | tuple[float | None, float | None] | None, factor: float) -> str:
-    if isinstance(limit, tuple):
+def _limit_in_words(limit: float | Sequence[float | None] | None, factor: float) -> str:
+    if isinstance(limit, Sequence):
         low, high = ("" if side is None else plain_number(factor * side) for side in limit)
         return f"{low} … {high}"
     return "" if limit is None else plain_number(factor * limit)

@@ -42,7 +42,7 @@ def test_the_report_says_what_moved_and_every_value(compared, tmp_path, capsys):
         assert text.index("do not agree") < text.index("Moved beyond chance")
         mp.report(compared, tmp_path / f"p.{ending}")
         assert (tmp_path / f"p.{ending}").read_text("utf-8") == text
-    (line,) = (row for row in text.splitlines() if row.startswith("bias_ay"))
+    _, line = (row for row in text.splitlines() if row.startswith("bias_ay"))
     unit = line.split()[1]
     values = [float(cell.replace("−", "-")) for cell in line.split()[2:6]]
     place = compared.calibrations[0].names.index("bias_ay")

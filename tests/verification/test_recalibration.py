@@ -90,6 +90,7 @@ def test_the_due_date_is_where_rate_and_u_reach_the_limit(files, tmp_path):
     years = (date.fromisoformat(each.due) - date(2026, 1, 1)).days / 365.25
     reached = each.change + (each.per_year.value + each.per_year.U) * years
     assert reached == pytest.approx(each.limit, abs=(each.per_year.value + each.per_year.U) / 300)
+    assert found.to_dict()["changes"][0]["per_year"] == each.per_year._asdict()
     (tmp_path / "l.csv").write_text("name,lsl,usl\nbias_ax,,0.03\nscale_ax,2,3\n", encoding="utf-8")
     by_value = {each.name: each for each in mp.compare(*paths, limits=tmp_path / "l.csv").changes}
     assert by_value["bias_ax"].limit == (None, 0.03)
