@@ -155,7 +155,7 @@ def _signals_raise() -> Iterator[list[int]]:
 # What the parts are for that a small installation leaves out.
 _PARTS = {
     "scipy": "this",
-    "casadi": "a model of one's own",
+    "casadi": "a user-defined model",
     "matplotlib": "a figure",
     "jinja2": "an HTML report",
     "markupsafe": "an HTML report",

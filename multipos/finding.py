@@ -153,7 +153,7 @@ def refuse_unfit(findings: Iterable[Finding], what: str) -> None:
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         raise MultiposError(
             f"{what} is refused, as the calibration is not fit for use: {found[0].text}{more}; "
-            "or export it as it is with --force, and the file says so."
+            "or export it as it is with --force, and the file states it."
         )
 
 

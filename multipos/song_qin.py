@@ -174,7 +174,7 @@ def _remarks(found: Demonstration) -> str:
         f"contrast. On y it is a residual pattern of +-{pattern * 1e3:.2f} mg "
         f"(s = {float(c.residual_sd[1]) * 1e3:.1f} mg), and with one\n"
         f"degree of freedom (k = {p_bias.k:.2f}) the bias a_y0 = {p_bias.value * 1e3:.2f} mg "
-        f"carries U = {p_bias.U * 1e3:.0f} mg.\n\n"
+        f"has U = {p_bias.U * 1e3:.0f} mg.\n\n"
         "The paper's text lists positions 4 and 6 in the other order than its table 1; the table\n"
         "agrees with the equations and is used here.\n"
     )

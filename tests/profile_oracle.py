@@ -14,7 +14,7 @@ orientations fitted anew with the others, at the noise of the fit; where a state
 k² is multiplied by F_min/ν. Where variances were estimated ν is the parameter's own, by
 Satterthwaite.
 
-Profiles of a model of one's own at known orientations, with exact second derivatives.
+Profiles of a user-defined model at known orientations, with exact second derivatives.
 
 With residuals r_k = y_k − h_k(p), weights w_k of the fit and priors b about m, a parameter is held
 at t and
@@ -265,7 +265,7 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
 
 
 def _own_sd(c: Calibration, index: int) -> Array:
-    """Return the sd of every reading (n, M) by which a model of one's own was weighed."""
+    """Return the sd of every reading (n, M) by which a user-defined model was weighed."""
     if c.noise is None:
         return np.broadcast_to(c.residual_sd, c.residuals.shape)
     root = np.sqrt(c.noise)

@@ -377,7 +377,7 @@ def test_full_quadratic_always_answers_with_the_formula_to_use(scheme):
     if scheme == "fibonacci-200":
         assert formula == "1 + x + y + z + x^2 + y^2 + x*y + x*z + y*z"
         (named,) = error.combinations
-        assert named == "`bias_ax` cannot be told from `quad_ax + square_ax_y + square_ax_z`"
+        assert named == "`bias_ax` cannot be separated from `quad_ax + square_ax_y + square_ax_z`"
 
 
 def test_full_quadratic_of_two_inputs_can_be_separated():
@@ -391,7 +391,7 @@ def test_full_quadratic_of_two_inputs_can_be_separated():
 @pytest.mark.parametrize(
     ("model", "scheme", "words"),
     [
-        ("own-cubic", "faces-6", "`scale_ax` cannot be told from `cubic_ax`"),
+        ("own-cubic", "faces-6", "`scale_ax` cannot be separated from `cubic_ax`"),
         ("linear", "roll-x-24", "`scale_ax` has no effect at these positions"),
         ("ieee", "faces-6", "6 readings cannot determine the 8 terms of ax"),
         ("linear", "roll-x-3", "3 readings cannot determine the 4 terms of ax"),

@@ -283,11 +283,11 @@ def _check_options(
     confidence: float,
 ) -> None:
     if calibration is not None and outputs is not None:
-        raise UsageError("--outputs names raw columns, but --calibration knows its own; drop one.")
+        raise UsageError("--outputs names raw columns, but --calibration has its own; drop one.")
     if calibration is not None and unit is not None:
         raise UsageError("--unit is of raw outputs, but with --calibration they are in g; drop it.")
     if time_column is not None and rate is not None:
-        raise UsageError("--time-column and --rate both tell the time; give one.")
+        raise UsageError("--time-column and --rate both state the time; give one.")
     if rate is not None:
         require_rate(rate)
     check_confidence(confidence)

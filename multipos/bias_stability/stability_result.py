@@ -465,7 +465,7 @@ def _warm_up_text(found: Stability, factor: float, unit: str) -> str:
         for name, each in found.outputs.items()
         if each.warm_up is not None
     ]
-    header = ["warm-up", f"amplitude [{unit}]", "time constant [s]", "settled after [s]"]
+    header = ["warm-up", f"amplitude [{unit}]", "time constant [s]", "warm-up [s]"]
     return table(header, rows) if rows else ""
 
 

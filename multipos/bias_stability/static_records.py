@@ -118,12 +118,12 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
 def _rate(samples: Samples) -> float:
     if samples.rate is None:
         raise MultiposError(
-            f"{samples.log.source}: no column tells the time, so nothing tells how long a sample "
-            "takes; name it with --time-column, or give --rate."
+            f"{samples.log.source}: no column is a time, so the duration of a sample is unknown; "
+            "name one with --time-column, or give --rate."
         )
     if samples.rows < _FEWEST:
         raise MultiposError(
-            f"{samples.log.source}: {samples.rows} samples say nothing about stability; a record "
+            f"{samples.log.source}: {samples.rows} samples are too few for stability; a record "
             f"needs at least {_FEWEST}, and hours for its slow part."
         )
     return samples.rate

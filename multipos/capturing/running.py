@@ -245,7 +245,7 @@ def make_reading(
     """Return how the rows are read, checked."""
     check_time_unit(time_unit)
     if time_column is not None and rate is not None:
-        raise UsageError("--time-column and --rate both tell the time; give one.")
+        raise UsageError("--time-column and --rate both state the time; give one.")
     if threshold is not None and not 0.0 < threshold < float("inf"):
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
     named = None if outputs is None else split_names(outputs, "--outputs")

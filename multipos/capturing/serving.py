@@ -229,7 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself, on this machine, is let in")
             return False
         if self.headers.get("Transfer-Encoding"):
-            self._refuse(HTTPStatus.LENGTH_REQUIRED, "say the length of the body")
+            self._refuse(HTTPStatus.LENGTH_REQUIRED, "state the length of the body")
             return False
         length = self.headers.get("Content-Length", "0")
         if not length.isdecimal() or int(length) > _LARGEST_BODY:

@@ -32,14 +32,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--with",
         dest="beside",
         metavar="ACCEL.json",
-        help="of a magnetometer: add heading_deg by the accelerometer beside it, at rest",
+        help="of a magnetometer: add heading_deg by the accelerometer of the same case, at rest",
     )
     add("--uncertainty", action="store_true", help="add the uncertainties u_f_x, U_f_x, …")
     add(
         "--reading-sd",
         type=numbers,
         metavar="SD[,SD,SD]",
-        help="noise of one reading for them, where no u_<output> column of the data tells it",
+        help="noise of one reading for them, where no u_<output> column of the data states it",
     )
     add("--parameters-only", action="store_true", help="leave the noise of the reading out of them")
     add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")

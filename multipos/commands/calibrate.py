@@ -38,7 +38,7 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
 INPUTS = ("logs", "sections", "scheme", "budget", "stability")
 OUTPUT = Output(
     "CAL.json",
-    "write the calibration to CAL.json, and exports beside it",
+    "write the calibration to CAL.json, and exports to the same folder",
     "json",
     ("text",),
     beside=_beside,

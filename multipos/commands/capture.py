@@ -53,7 +53,8 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
 INPUTS = ("scheme", "budget", "stability")
 OUTPUT = Output(
     "READINGS.csv",
-    "write the poses that count to READINGS.csv, and beside it the calibration, its report, the "
+    "write the poses that count to READINGS.csv, and to the same folder the calibration, its "
+    "report, the "
     "exports, and the rows of a source that is no log as they come",
     "table",
     ("json",),

@@ -44,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.0,
         metavar="SD",
-        help="standard uncertainty of a reading (default 1); in g beside --orientation-sd",
+        help="standard uncertainty of a reading (default 1); in g with --orientation-sd",
     )
     add(
         "--move-time",

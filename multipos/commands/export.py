@@ -128,7 +128,7 @@ def check_targets(arguments: argparse.Namespace) -> None:
         if value not in (None, False):
             _require_owner(option, arguments.to)
     if arguments.to and arguments.output in (None, STDOUT):
-        raise UsageError("--to writes files beside CAL.json; name it with -o.")
+        raise UsageError("--to writes files into the folder of CAL.json; name it with -o.")
 
 
 def _require_owner(option: str, asked: Sequence[str]) -> None:

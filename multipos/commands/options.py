@@ -109,7 +109,7 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         metavar="s|ms|us|ns",
         help="unit of the time (default: by the column's name or steps)",
     )
-    add("--rate", type=float, metavar="HZ", help="sample rate, where no column tells the time")
+    add("--rate", type=float, metavar="HZ", help="sample rate, where no column is a time")
     add(
         "--drop-bad",
         action="store_true",
@@ -166,7 +166,7 @@ def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:
         action="extend",
         default=[],
         metavar="TARGET",
-        help=f"export beside {beside}, for the targets that multipos export --help lists",
+        help=f"export to the folder of {beside}, for the targets that multipos export --help lists",
     )
     add_export_options(parser)
 
@@ -201,13 +201,13 @@ def add_export_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--allow-lossy",
         action="store_true",
-        help="let go of terms that the target cannot express, and say what that costs",
+        help="drop terms that the target cannot express, and state what that costs",
     )
     add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
     add(
         "--force",
         action="store_true",
-        help="export what is not fit for use all the same; the file says so",
+        help="export what is not fit for use all the same; the file states it",
     )
     add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
     add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")

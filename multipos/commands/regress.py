@@ -24,7 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "data",
         nargs="+",
         metavar="DATA.csv",
-        help="table with a row per reading; of several each is a run, as if --run told them apart",
+        help="table with a row per reading; of several each is a run, as with --run",
     )
     add(
         "--response",
@@ -75,7 +75,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         "--cross-validate",
         type=int,
         metavar="K",
-        help="check by leaving out K blocks of time in turn",
+        help="check by leaving out each of K blocks of time",
     )
 
 
@@ -85,7 +85,11 @@ def _add_segments(group: argparse._ArgumentGroup) -> None:
     add("--min-rows", type=int, metavar="N", help="fewest rows of a segment that auto finds")
     add("--free", action="store_true", help="each segment by itself, with jumps at the edges")
     add("--continuous", action="store_true", help="no jump at the edges (default)")
-    add("--branches", metavar="RATE", help="heating and cooling apart, where they differ")
+    add(
+        "--branches",
+        metavar="RATE",
+        help="separate models for heating and cooling, where they differ",
+    )
 
 
 def _add_time(group: argparse._ArgumentGroup) -> None:
@@ -98,7 +102,7 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
         help="width of the smoothed derivative, in the unit of time (default 20 rows)",
     )
     add("--causal", action="store_true", help="rates from past rows only, as the exported C has")
-    add("--run", metavar="COLUMN", help="what tells one switch-on from another")
+    add("--run", metavar="COLUMN", help="column that numbers the switch-ons")
     add(
         "--robust",
         default="hac",

@@ -52,10 +52,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="CAL.json|REG.json|COMPARE.json|FLEET",
         help="calibration or regression to report, or what compare or fleet wrote",
     )
-    add("--data", metavar="DATA.csv", help="the rows of a regression or fleet, where not beside it")
+    add(
+        "--data",
+        metavar="DATA.csv",
+        help="the rows of a regression or fleet, where not in its folder",
+    )
     add("--unit", metavar="ID", help="of a fleet: the report of this unit's own calibration")
     add("--station", metavar="S", help="where that unit was at several")
-    add("--lab", metavar="FILE", help="TOML file of what only the laboratory knows")
+    add("--lab", metavar="FILE", help="TOML file of administrative data of the laboratory")
     add(
         "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
     )

@@ -31,7 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="DEG",
-        help="placement error per axis [degrees]",
+        help="orientation error per axis [degrees]",
     )
     add(
         "--temperature",

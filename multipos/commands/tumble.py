@@ -20,7 +20,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--outputs", type=names, metavar="A,…", help="columns that are outputs")
     add("--axes", type=names, metavar="x,…", help="input axis of each (of one output x)")
     add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
-    add("--model", metavar="M", help="model or formula (default: ieee-odd, less what is hidden)")
+    add(
+        "--model",
+        metavar="M",
+        help="model or formula (default: ieee-odd, less what is unidentifiable)",
+    )
     add_conditions(parser)
     add("--reading-sd", type=numbers, metavar="SD", help="standard uncertainty of a reading")
 

@@ -29,7 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--run-foreign-code",
         action="store_true",
-        help="compile and run C that is not what export writes of CAL.json: it does what it says",
+        help="compile and run C that is not what export writes of CAL.json, whatever it does",
     )
 
 

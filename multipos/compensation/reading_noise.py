@@ -166,7 +166,7 @@ def _stated_columns(
     missing = [name for name in names if name not in columns]
     if given and missing:
         raise MultiposError(
-            f"{source}: column {quoted(missing)} is missing beside {quoted(given)}; "
+            f"{source}: column {quoted(missing)} is missing next to {quoted(given)}; "
             "give it for every output or for none."
         )
     return names if given else ()

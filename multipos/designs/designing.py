@@ -365,8 +365,8 @@ def _check_count(setting: Setting, positions: int, included: int) -> None:
     if positions - included > _MOST:
         raise UsageError(
             f"--positions {positions} asks for {positions - included} new positions, of which at "
-            f"most {_MOST} are searched for; take a design of fewer and repeat it, which tells as "
-            "much per reading."
+            f"most {_MOST} are searched for; repeat a design of fewer, which is as precise per "
+            "reading."
         )
 
 

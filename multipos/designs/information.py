@@ -217,7 +217,7 @@ def make_setting(
         return Setting(model, **own)
     if not 0.0 <= math.radians(orientation_sd) <= _AS_UNKNOWN * reading_sd:
         raise UsageError(
-            "--orientation-sd must be 0 or more, in degrees, and beside a reading of standard "
+            "--orientation-sd must be 0 or more, in degrees, and with a reading of standard "
             f"uncertainty {reading_sd:g} g below {math.degrees(_AS_UNKNOWN * reading_sd):.0e}, got "
             f"{orientation_sd}; "
             "for unknown orientations give --unknown-orientation."

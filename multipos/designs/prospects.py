@@ -213,7 +213,7 @@ def _way_to_target(found: Worth) -> list[str]:
         return [missed]
     reached = (
         f"{found.further_positions} further positions reach the target; the next ones, "
-        "in the order of their worth:"
+        "in the order of their gain:"
     )
     steps = [
         [str(i + 1), *(f"{value:.6f}" for value in row)]
@@ -231,7 +231,7 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if model.environment:
         raise MultiposError(
             f"the model has column '{model.environment[0]}', which a position does not set; "
-            "the worth of positions is known for models of specific force only."
+            "the gain of positions is available for models of specific force only."
         )
     unknown = calibration.estimator is Estimator.UNKNOWN
     sd = np.ones(len(model.outputs)) if unknown else calibration.residual_sd

@@ -162,5 +162,5 @@ def moving_iron(c: Calibration) -> Finding | None:
     said = f"{100.0 * size:.2g} % of the field" if scale is None else c.field.shown(scale * size)
     label = c.readings.labels[row]
     text = f"hard iron changes by {said} about row {label} ({p_in_words(p)})"
-    action = "Fix what moved beside the sensor (cable, battery, screw), and record again."
+    action = "Fix what moved near the sensor (cable, battery, screw), and record again."
     return Finding("moving-iron", "warning", text, action, rows=(label,), p=p)

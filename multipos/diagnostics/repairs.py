@@ -428,8 +428,8 @@ def refuse_drowned(readings: Readings) -> None:
     row, column = divmod(int(size.argmax()), size.shape[1])
     raise MultiposError(
         f"{readings.source or 'the readings'}: position {readings.labels[row]}: "
-        f"{readings.outputs[column]} is {largest:.3g}, beside which no digit is left of the other "
-        f"readings, of {typical:.3g} as a rule; leave such rows out, or look at the file."
+        f"{readings.outputs[column]} is {largest:.3g}, next to which other readings lose all "
+        f"digits, of {typical:.3g} as a rule; leave such rows out, or look at the file."
     )
 
 

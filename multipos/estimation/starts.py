@@ -327,7 +327,7 @@ def _require_above_noise(problem: Problem, start: State, optimum: Optimum) -> No
         helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
     ]
     raise RankError(
-        f"{rank} of {len(limit)} parameters can be told from the noise: "
+        f"{rank} of {len(limit)} parameters can be separated from the noise: "
         f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
         f"{position_words(best)}, or drop those terms.",
         rank=rank,
@@ -347,8 +347,8 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
     relative = spread / max(scale * float(np.linalg.norm(problem.reference[0])), 1e-300)
     if relative > _SPREAD:
         raise MultiposError(
-            f"the readings scatter by {100.0 * relative:.0f} % about the ellipsoid that fits them "
-            "best; they do not come from positions at rest in one gravity. Turn the sensor to "
+            f"the readings deviate by {100.0 * relative:.0f} % from the best ellipsoid; they do "
+            "not come from positions at rest in one gravity. Turn the sensor to "
             "different positions and hold it still."
         )
 

@@ -398,7 +398,7 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
     held = _held(model, _chosen(moved, _upper_first(model, slopes, force), least))
     if held and gauge != "lower":
         raise UsageError(
-            "--gauge symmetric is one of polynomial models; a model of one's own is fixed by "
+            "--gauge symmetric is one of polynomial models; a user-defined model is fixed by "
             "parameters that are held, --gauge lower."
         )
     return held

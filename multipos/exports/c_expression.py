@@ -105,7 +105,7 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
     except MultiposError:
         steps = _newton_steps(calibration, single)
         lines, library = _write_step(calibration, None, single)
-        how, library = f"{steps} steps of Newton's; NAN where they do not settle", True
+        how, library = f"{steps} steps of Newton's; NAN where they do not converge", True
         start += f", moved = {literal(0.0, single)}"
         settled = literal(_SETTLED[single], single)
         ends = [f"moved < {settled} ? {axis} : NAN" for axis in axes]

@@ -182,10 +182,9 @@ class Verification(Result):
     def in_short(self) -> str:
         """What is left of the calibration's own readings, in a line or two."""
         small, unit = self._unit
-        largest = f"rms {small * self.rms:.4g} {unit}, largest {small * self.max:.4g} {unit}"
-        own = f"{small * self.calibration_rms:.4g} {unit}"
-        said = f"The consumer ({self.target}) leaves of the calibration's own readings {largest}"
-        said += f"; the calibration itself leaves {own}."
+        rms, largest = f"{small * self.rms:.3g} {unit}", f"{small * self.max:.3g} {unit}"
+        said = f"Residual error with the {self.target} file: {rms} rms, largest {largest} "
+        said += f"(calibration: {small * self.calibration_rms:.3g} {unit} rms)."
         if self.foreign:
             said += "\nThe file is not what export writes of this calibration; it was run as is."
         return said

@@ -160,10 +160,7 @@ def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> N
 
 def difference_of(raw: bytes, own: bytes) -> str:
     """Return how a file differs from what export writes, and what to do about it."""
-    way = (
-        "; export again, or compile and run it as it stands with --run-foreign-code, which does "
-        "whatever it says."
-    )
+    way = "; export again, or compile and run it with --run-foreign-code, whatever it does."
     if raw.replace(b"\r\n", b"\n") == own:
         return (
             f"its lines end in CR LF, and in nothing else it differs from what export writes{way}"

@@ -96,7 +96,7 @@ def _write_px4(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, lis
         found.insert(0, (f"CAL_MAG{instance}_ID", wish.device_id, _INT32))
     lines = [
         *(f"# {line}" for line in (*origin(calibration), *_turned(calibration, law))),
-        "# corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG beside it",
+        "# corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it",
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
         *(f"1\t1\t{name}\t{value!r}\t{kind}" for name, value, kind in found),
@@ -126,7 +126,7 @@ def _write_ardupilot(calibration: Calibration, law: Law, wish: Wish) -> tuple[st
         found.insert(0, (sensor, wish.device_id))
     lines = [
         *(f"# {line}" for line in (*origin(calibration), *_turned(calibration, law))),
-        "# corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI beside it",
+        "# corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
         *(f"{name},{value!r}" for name, value in found),
     ]
     return "\n".join(lines) + "\n", said

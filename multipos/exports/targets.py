@@ -166,7 +166,7 @@ def _check_correction(target: Target, tilt: bool, output_unit: Unit | None, fixe
     if fixed:
         raise UsageError("--fixed is of a calibration; a correction takes --float.")
     if tilt:
-        raise UsageError("--tilt is of a calibration alone; a correction tells no angles.")
+        raise UsageError("--tilt is of a calibration alone; a correction has no angles.")
     if output_unit is not None:
         raise UsageError("--output-unit is of a calibration alone; a regression has its own.")
     if target is not C:

@@ -52,7 +52,7 @@ def unpack_text(path: os.PathLike[str]) -> Unpacked:
     found = decoded(Path(path).read_bytes())
     if found is None:
         raise MultiposError(
-            f"{path}: the text is not UTF-8, nor by what it says UTF-16, GB 18030 or Windows-1252; "
+            f"{path}: the text is not UTF-8, nor by its marks UTF-16, GB 18030 or Windows-1252; "
             "save it as UTF-8."
         )
     return Unpacked(str(path), io.BytesIO(found[0].encode()), Path(str(path)).suffix)

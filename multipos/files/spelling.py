@@ -36,7 +36,7 @@ def split_names(given: Names, option: str = "") -> tuple[str, ...]:
             raise TypeError(f"{where}a name must be text, got {part!r}.")
     names = tuple(part.strip() for part in parts)
     if not names or not all(names):
-        raise UsageError(f"{where}'{','.join(parts)}' names nothing beside a comma.")
+        raise UsageError(f"{where}'{','.join(parts)}' names nothing next to a comma.")
     return names
 
 

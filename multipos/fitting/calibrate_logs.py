@@ -274,7 +274,7 @@ def fit_rests(
         if free or not assumed:
             raise
         raise RankError(
-            f"{error} Where you know how the sensor stood, say so with --scheme.",
+            f"{error} Name the positions with --scheme if they are known.",
             rank=error.rank,
             parameters=error.parameters,
             combinations=error.combinations,

@@ -696,7 +696,7 @@ def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
     """
     if isinstance(model, ExpressionModel) or DRIFT in model.environment:
         raise UsageError(
-            "--drift adds a term `drift` to a formula; write it into a model of one's own, or give "
+            "--drift adds a term `drift` to a formula; write it into a user-defined model, or give "
             "the column of that name another one."
         )
     time, n = readings.environment.get("time"), len(readings)

@@ -83,7 +83,9 @@ def check_options(
     _check_each(gauge, robust, confidence, level_sd)
     estimate = orientation_sd == "auto"
     if estimate and robust is not None:
-        raise UsageError("--orientation-sd auto and --robust cannot judge the same residuals.")
+        raise UsageError(
+            "--orientation-sd auto and --robust cannot be estimated from the same residuals."
+        )
     given = {
         "--closed-form": closed_form,
         "--unknown-orientation": unknown_orientation,

@@ -121,7 +121,7 @@ def _room(folder: Path | None) -> Iterator[Path]:
 
 def _no_room(place: object, error: OSError) -> MultiposError:
     return MultiposError(
-        f"{place}: rows of a unit stand apart, and a copy of them cannot be kept there: "
+        f"{place}: rows of a unit are not contiguous, and a copy of them cannot be kept there: "
         f"{error.strerror or error}; make room, or sort the tables by unit."
     )
 

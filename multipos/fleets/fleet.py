@@ -139,7 +139,7 @@ def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
         there = next((path for path in places if is_there(path)), None)
         if there is None:
             raise MultiposError(
-                f"the table {each['file']} of this fleet is not beside it; give it with --data."
+                f"the table {each['file']} of this fleet is not in its folder; give it with --data."
             )
         tables.append(there)
     return tables

@@ -360,7 +360,7 @@ def _require_units(tables: Sequence[Table], unit: Labels, column: str) -> None:
 def _without(table: Table, names: set[str | None]) -> Table:
     columns = {name: column for name, column in table.columns.items() if name not in names}
     if not columns:
-        raise MultiposError(f"{table.source}: no column is left beside the unit's.")
+        raise MultiposError(f"{table.source}: there is no column but the unit's.")
     return replace(table, columns=columns)
 
 

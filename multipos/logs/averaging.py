@@ -161,11 +161,11 @@ def _check_options(
     if not sources:
         raise TypeError("average needs a log.")
     if time_column is not None and rate is not None:
-        raise UsageError("--time-column and --rate both tell the time; give one.")
+        raise UsageError("--time-column and --rate both state the time; give one.")
     if threshold is not None and not 0.0 < threshold < np.inf:
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
     if sections is not None and label_column is not None:
-        raise UsageError("--sections and --label-column both tell the positions; give one.")
+        raise UsageError("--sections and --label-column both state the positions; give one.")
     if sections is not None and len(sources) > 1:
         raise UsageError("--sections are rows of one log, but several are given.")
 

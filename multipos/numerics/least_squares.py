@@ -378,7 +378,7 @@ def _refuse(
     combinations = name_combinations(found.null, names, rows=rows)
     raise DependentColumnsError(
         f"{found.rank} of {found.parameters} parameters can be separated: "
-        f"{'; '.join(combinations)}. Add {rows} that tell them apart, or drop a term.",
+        f"{'; '.join(combinations)}. Add {rows} that separate them, or drop a term.",
         rank=found.rank,
         parameters=found.parameters,
         combinations=combinations,

@@ -603,8 +603,8 @@ def all_subsets(
     allowed &= size < triangle.rows
     if not allowed.any():
         raise MultiposError(
-            f"every subset of the terms takes up all that the rows tell ({triangle.rows} beside "
-            "what runs take), so that nothing is left to compare them by; give more rows, or "
+            f"every subset of the terms uses all that the rows determine ({triangle.rows} after "
+            "that of runs), so there are no residuals to compare them by; give more rows, or "
             "fewer runs."
         )
     index = index[allowed]

@@ -141,7 +141,7 @@ def name_combinations(
     --------
     >>> import numpy as np
     >>> name_combinations(np.array([[-1.0], [1.0], [1.0]]), ["bias", "cos²", "sin²"])
-    ('`bias` cannot be told from `cos² + sin²`',)
+    ('`bias` cannot be separated from `cos² + sin²`',)
     """
     return tuple(_sentence(v, names, rows) for v in np.asarray(null, dtype=np.float64).T)
 
@@ -156,7 +156,7 @@ def _sentence(v: Array, names: Sequence[str], rows: str) -> str:
     if (len(right), right[0]) < (len(left), left[0]):
         left, right = right, left
     v = v / v[left[0]]
-    return f"`{_sum(v, left, names)}` cannot be told from `{_sum(-v, right, names)}`"
+    return f"`{_sum(v, left, names)}` cannot be separated from `{_sum(-v, right, names)}`"
 
 
 def _sum(v: Array, used: NDArray[np.intp], names: Sequence[str]) -> str:

@@ -343,7 +343,7 @@ def split_terms(formula: str, text: str) -> list[str]:
     """Return the terms of a formula as they are written; `text` is the model in messages."""
     parts = [part.strip() for part in formula.split("+")]
     if any(not part for part in parts):
-        raise UsageError(f"model '{text}': a term is missing beside a '+'.")
+        raise UsageError(f"model '{text}': a term is missing next to a '+'.")
     return parts
 
 

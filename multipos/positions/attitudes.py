@@ -115,9 +115,7 @@ def _form(table: Table) -> str | None:
     if not found:
         if "yaw_deg" not in table:
             return None
-        raise MultiposError(
-            f"{table.source}: 'yaw_deg' needs 'roll_deg' and 'pitch_deg' beside it."
-        )
+        raise MultiposError(f"{table.source}: 'yaw_deg' needs 'roll_deg' and 'pitch_deg' as well.")
     if len(found) > 1:
         raise MultiposError(
             f"{table.source}: the orientation is given as {' and as '.join(found)}; keep one."

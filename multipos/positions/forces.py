@@ -110,14 +110,14 @@ def read_reference_u(table: Table, force: Array | None) -> Array | None:
     missing = [name for name in REFERENCE_U if name not in present]
     if missing:
         raise MultiposError(
-            f"{table.source}: column '{missing[0]}' is missing beside '{present[0]}'; give the "
+            f"{table.source}: column '{missing[0]}' is missing next to '{present[0]}'; give the "
             "uncertainty of all three components, 0 where one is exact."
         )
     u = np.column_stack([table.number(name, empty=True, largest=LARGEST) for name in REFERENCE_U])
     known = np.zeros(len(u), dtype=bool) if force is None else known_rows(force)
     _refuse_cells(table, np.asarray(u < 0.0), "negative; a standard uncertainty is 0 or more")
     empty = np.isnan(u) & known[:, None]
-    _refuse_cells(table, empty, "empty beside a known force; write 0 where it is exact")
+    _refuse_cells(table, empty, "empty for a known force; write 0 where it is exact")
     return np.nan_to_num(u)
 
 

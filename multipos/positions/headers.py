@@ -382,7 +382,7 @@ def unit_of_outputs(
     if kinds and kinds[0] != asked and kinds[0] != unit_of(asked):
         first = next(iter(written))
         raise MultiposError(
-            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit says "
+            f"{table.source}: the header gives column '{first}' in {kinds[0]}, and --unit states "
             f"{stated}; correct one, or leave --unit away."
         )
     return asked

@@ -139,7 +139,7 @@ def gather_open_rolls(
         if axis[first.setdefault(label, row)] != axis[row]:
             raise MultiposError(
                 f"position '{labels[row]}': group '{label}' has rolls of open angle about one axis "
-                "beside other positions; rolls of one group share the inclination of one axis, so "
+                "and other positions; rolls of one group share the inclination of one axis, so "
                 "give the others a group of their own."
             )
         cone[row] = number.get(label, -1)

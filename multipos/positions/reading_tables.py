@@ -170,7 +170,8 @@ def _of_magnetic_field(
     wrong = [n for n in attitudes.COLUMNS if n in kept and n not in attitudes.UP]
     if wrong:
         raise MultiposError(
-            f"{table.source}: column {quoted(sorted(wrong))} says where up is, which is not where "
+            f"{table.source}: column {quoted(sorted(wrong))} states where up is, which is not "
+            "where "
             "a magnetic field points; give its direction as b_x, b_y, b_z, or leave it out."
         )
     forms = [form for form in (OF_FIELD, FORCE) if all(name in kept for name in form)]
@@ -417,7 +418,7 @@ def _beside(
     missing = [name for name in names if name not in table]
     if missing:
         raise MultiposError(
-            f"{table.source}: column {quoted(missing)} is missing beside {quoted(present)}; "
+            f"{table.source}: column {quoted(missing)} is missing next to {quoted(present)}; "
             "give it for every output or for none."
         )
     return np.column_stack([nonnegative_column(table, name, zero=prefix == "sd") for name in names])

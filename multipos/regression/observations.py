@@ -535,8 +535,8 @@ def check_columns(
         for other in variables[:i]:
             if _same(data.columns[other], column, constant):
                 raise MultiposError(
-                    f"{source}: columns '{other}' and '{name}' say the same, one is the other "
-                    "in another unit; leave one out."
+                    f"{source}: columns '{other}' and '{name}' are the same in two units; leave "
+                    "one out."
                 )
 
 

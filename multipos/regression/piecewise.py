@@ -462,7 +462,7 @@ def _fit(
     except RankError as error:
         said = "; ".join(error.combinations) or str(error)
         raise RankError(
-            f"{where}: {said}; drop a term, give rows that tell them apart, or use --stepwise.",
+            f"{where}: {said}; drop a term, give rows that separate them, or use --stepwise.",
             rank=error.rank,
             parameters=error.parameters,
             combinations=error.combinations,

@@ -246,8 +246,8 @@ def _judged(r: Regression) -> list[str]:
     if r.cross_validation is not None:
         found = r.cross_validation
         lines.append(
-            f"unseen     rms {found['rms']:.4g}, R² {number(found['r2'])} "
-            f"over {found['blocks']} blocks of time left out in turn"
+            f"validation rms {found['rms']:.4g}, R² {number(found['r2'])} "
+            f"over {found['blocks']} blocks of time, each left out once"
         )
     return lines
 

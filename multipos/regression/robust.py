@@ -72,7 +72,7 @@ def within_runs(design: Array, data: Data, where: str = "") -> tuple[Array, Data
     labels, run, count = np.unique(data.run, return_inverse=True, return_counts=True)
     if len(labels) < 2:
         raise MultiposError(
-            f"{where or 'the table'} has rows of one run only, which cannot tell what runs differ "
+            f"{where or 'the table'} has rows of one run only, which cannot show what runs differ "
             "by; move the edge, give more runs, or leave out --run."
         )
     both = np.column_stack([design, data.response])

@@ -150,7 +150,7 @@ def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dic
             continue
         if section not in LAB_FIELDS or not isinstance(table, Mapping):
             raise MultiposError(
-                f"{where}: unknown section [{section}]; a report knows {', '.join(LAB_FIELDS)} "
+                f"{where}: unknown section [{section}]; a report has {', '.join(LAB_FIELDS)} "
                 "and [[equipment]]."
             )
         for key, value in table.items():
@@ -173,7 +173,7 @@ def _read_equipment(entries: Any, where: str) -> dict[str, str]:
         )
         if unknown or not isinstance(entry, Mapping):
             raise MultiposError(
-                f"{where}, [[equipment]]: unknown key '{unknown[0]}'; each piece takes "
+                f"{where}, [[equipment]]: unknown key '{unknown[0]}'; each entry takes "
                 f"{', '.join(EQUIPMENT)}."
             )
         said |= {f"equipment.{place}.{key}": str(value) for key, value in entry.items()}

@@ -253,8 +253,8 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         for entry in found["parameters"]
     )
     finite = tr(
-        "Each parameter in every run. p is the chance of as much scatter, by what the runs claim; "
-        "drift is the slope over the runs, judged alone by its own p."
+        "Each parameter in every run. p is the probability of such differences by the stated "
+        "uncertainties; drift is the slope over the runs, with its own p."
     )
     table = PageTable(tr("Parameters by run"), header, rows, left=2)
     return Section(tr("Parameters"), (finite,), tables=(table,))

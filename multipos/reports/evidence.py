@@ -219,9 +219,9 @@ def rolls_section(c: Calibration, tr: Translator) -> Section:
                 "series of the readings."
             ),
             tr(
-                "What the rolls tell of the turntable: the zero of its encoder and two harmonics "
+                "Errors of the turntable from the rolls: the zero of its encoder and two harmonics "
                 "of its circle, estimated together with the sensor. Each names the terms of a "
-                "sensor that would look the same; where the model holds them it cannot be told."
+                "sensor that would look the same; where the model has them it is not identifiable."
             ),
         ),
         tuple(figures),

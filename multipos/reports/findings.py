@@ -40,9 +40,9 @@ def parameters_section(c: Calibration, tr: Translator) -> Section:
             _equation(c, tr),
             tr(
                 "U = k u is the expanded uncertainty for a coverage probability of {percent} %, "
-                "with k from Student's t at the effective degrees of freedom (dof). It says how "
-                "well the coefficients of this model are known. Whether the model is right is "
-                "outside it; the residuals and checks below speak of that.",
+                "with k from Student's t at the effective degrees of freedom (dof). It is the "
+                "uncertainty of the coefficients of this model. Whether the model is right is "
+                "outside it; see the residuals and checks below.",
                 percent=f"{100.0 * c.confidence:g}",
             ),
         ),
@@ -99,7 +99,7 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
             "Every input quantity enters by what it does to the parameters through this estimator "
             "at these positions. Quantities marked as common are systematic: they are the same at "
             "all positions and in repeated calibrations. What stands in brackets is independent at "
-            "every position, so the scatter of the residuals holds it already and it is not "
+            "every position, so the residual noise holds it already and it is not "
             "added again."
         )
     ]
@@ -142,7 +142,7 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
 def _treatment(row: Row, tr: Translator) -> str:
     """Return what becomes of a quantity: added, unless the scatter holds it."""
     if row.contained.all():
-        return tr("in the scatter")
+        return tr("in the residuals")
     return tr("added")
 
 
@@ -208,16 +208,16 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
         )
         if allowed
         else tr(
-            "The calibration holds within what was applied, up to {size} {unit}. Beyond, "
-            "terms that the positions cannot show may grow without limit.",
+            "The calibration holds within what was applied, up to {size} {unit}. Beyond, omitted "
+            "terms may grow without limit.",
             size=f"{seen.largest:.4g}",
             unit=c.field.unit,
         ),
     ]
     if hidden:
         without = tr(
-            "These positions cannot show {terms}: between the directions that were applied such "
-            "terms act, and U leaves them out.",
+            "{terms} cannot be determined from these positions and is not included in U between "
+            "them.",
             terms=", ".join(hidden),
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
@@ -225,13 +225,15 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
             tr(
-                "No static positions at all can tell the sum of the squares of x, y and z from a "
+                "No static positions can separate the sum of the squares of x, y and z from a "
                 "bias: at rest it is one."
             )
         )
     if c.readings.forced.any():
         printed = seen.in_words(sensed_axes(c.model))
-        paragraphs.append(tr("Forces that were applied beside gravity: {range}.", range=printed))
+        paragraphs.append(
+            tr("Forces that were applied in addition to gravity: {range}.", range=printed)
+        )
     header = ("Quantity", "At", "rms u", "worst u", "U", "Unit", "k", "Worst direction")
     return Section(
         tr("Compensated force and tilt"),

@@ -48,7 +48,8 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         tables += tests
         paragraphs.append(
             tr(
-                "A small p says that chance alone would rarely do the same: that a term is needed, "
+                "A small p means that chance alone would rarely do the same: that a term is "
+                "needed, "
                 "or that residuals follow the angle of the roll. With many tests in a table a few "
                 "small p are expected."
             )

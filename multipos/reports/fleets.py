@@ -38,9 +38,9 @@ _ROUNDING = 1e-9  # [deg]
 _DRAWN = 6  # parameters, those with limits first
 _SHOWN = 24  # units of a table; fleet.json has all
 _EXPLAINED = (
-    "Numbers of the line are those of units that were fitted and are fit for use.",
+    "Statistics cover units with a valid fit.",
     (
-        "sd holds what the measurement adds, 'sd of units' does not. Cpk is taken with the spread "
+        "'sd' includes measurement noise; 'sd of units' does not. Cpk is taken with the spread "
         "within stations, Ppk with that of all units, 'true' with the measurement removed; in "
         "brackets 95 % intervals."
     ),
@@ -95,13 +95,13 @@ def _answer(found: Mapping[str, Any], tr: Translator) -> str:
 
 _STATIONS = (
     "Level is the rotation that turns a station's listed references into its true ones, shift its "
-    "zero, both against the mean of all stations, which a fleet cannot tell. Their standard "
-    "uncertainty holds what units differ by, as units are allotted to stations at random."
+    "zero, both against the mean of all stations, which a fleet cannot determine. Their standard "
+    "uncertainty includes the variation of units, as units are allotted to stations at random."
 )
 _GAUGE = (
     "Units whose positions came again at several stations: repeatability is what trials of one "
-    "unit at one station differ by, reproducibility what stations do beside it, in all units alike "
-    "or in each otherwise, in brackets the interval of both together. Share is that of both in "
+    "unit at one station differ by, reproducibility what stations add, equally in all units or "
+    "not, in brackets the interval of both together. Share is that of both in "
     "all that measured units differ by; 'of limits' is six times both over the width of the limits."
 )
 _WHICH = "name of the unit"  # a parameter has a unit of another kind
@@ -115,8 +115,8 @@ _RISKS = (
     "risk); shares of all units."
 )
 _FIXTURES = (
-    "By how much every position of a nest is turned, from what units leave in common; a turn "
-    "that all positions share is not seen. From ten units on, stations/NAME.csv lists the "
+    "Rotation of every position of a fixture, from the common residuals of units; a rotation "
+    "common to all positions is not identifiable. From ten units on, stations/NAME.csv lists the "
     "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
 )
 

@@ -81,7 +81,7 @@ def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
     """Return how far each output leans to the others; without what the gauge has fixed."""
     return [
         Quantity(
-            tr("Output on {i} leans to {j}", i=pair[0], j=pair[1]),
+            tr("Output on {i}, tilt to {j}", i=pair[0], j=pair[1]),
             "deg",
             angle["value"],
             angle["u"],

@@ -136,8 +136,8 @@ def _rows_of_fit(
 def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     """Say what a user must know before relying on it."""
     first = tr(
-        "The response {response} was described over {n} rows in {count} segments; beyond the "
-        "limits in the tables a polynomial says nothing.",
+        "The response {response} was described over {n} rows in {count} segments; valid only "
+        "within the ranges in the tables.",
         response=r.response,
         n=str(r.n),
         count=str(len(r.segments)),
@@ -147,25 +147,26 @@ def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
     if between is not None:
         sentences.append(
             tr(
-                "{runs} switch-ons were told apart by '{column}': U holds the zero of the next.",
+                "{runs} switch-ons are separated by '{column}'; U includes the change of bias to "
+                "the next.",
                 runs=str(between.runs),
                 column=str(r.run),
             )
         )
     worth = [
-        tr("{worth} of {n}", worth=f"{s.robust.n_effective:.3g}", n=str(s.n))
+        tr("{rows} of {n}", rows=f"{s.robust.n_effective:.3g}", n=str(s.n))
         for s in r.segments
         if s.robust is not None
     ]
     if worth:
-        said = "Rows are correlated in time and worth fewer: {worth}, by segment."
-        sentences.append(tr(said, worth=tr.listed(worth)))
+        said = "Noise of rows is correlated in time; independent rows: {rows}, by segment."
+        sentences.append(tr(said, rows=tr.listed(worth)))
     if r.rates and not r.causal:
         sentences.append(tr("Rates need rows that come later: for a device fit it with --causal."))
     if r.cross_validation is not None:
-        said = "On blocks of time left out in turn the error is {rms} rms."
+        said = "On blocks of time, each left out once, the error is {rms} rms."
         sentences.append(tr(said, rms=f"{r.cross_validation['rms']:.3g}"))
-    return Section(of("What to know"), paragraphs=tuple(sentences))
+    return Section(of("Notes"), paragraphs=tuple(sentences))
 
 
 def _tests(r: Regression, of: Titled, tr: Translator) -> Section:

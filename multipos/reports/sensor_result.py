@@ -70,8 +70,9 @@ def _picture(c: Calibration, tr: Translator) -> Figure:
     return Figure(
         tr("Errors at all positions, before and after compensation"),
         tr(
-            "The two halves of the sphere of up vectors. Arrows are errors across, rings errors "
-            "along the up vector, filled where they point out; each picture has a scale of its own."
+            "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
+            "errors along the up vector, filled where they point out; each picture has a scale of "
+            "its own."
         ),
         lambda: error_picture(c, tr.label),
     )
@@ -177,8 +178,9 @@ def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Sect
                 files=tr.listed(sessions.files),
             ),
             tr(
-                "U is that of the next session beside these parameters: it holds how the sessions "
-                "differ, mounting and switch-on among it, on {dof} degrees of freedom, and what "
+                "U is that of the next session against these parameters: it includes how the "
+                "sessions differ, mounting and switch-on among it, on {dof} degrees of freedom, "
+                "and what "
                 "all sessions share, such as gravity.",
                 dof=f"{np.min(c.parameter_dof):.3g}",
             ),

@@ -58,7 +58,7 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
                 error.quantity.replace("_", " "),
                 uncertain(error.value_deg or 0.0, error.u_deg or 0.0)
                 if known
-                else "cannot be told",
+                else "not identifiable",
                 plain_number(error.U_deg, 2),
                 ", ".join(error.confounded_with) or "nothing",
             ]
@@ -95,7 +95,10 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
 def table_errors_text(found: TableErrors) -> str:
     """Return what the rolls tell of the turntable as plain text."""
     sheets = table_error_sheets(found)
-    return "\n\n".join(f"{sheet.title}\n{sheet}" for sheet in sheets) or "no roll tells of a table"
+    return (
+        "\n\n".join(f"{sheet.title}\n{sheet}" for sheet in sheets)
+        or "no roll determines table errors"
+    )
 
 
 def _shift_cells(shift: ZeroShift) -> tuple[str, str, str]:

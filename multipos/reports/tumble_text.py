@@ -132,7 +132,7 @@ def _hidden_section(found: Tumble) -> _Sections:
         hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
     if hidden:
         text = "\n".join(f"- {line}" for line in hidden)
-        return [("What the points cannot tell", text)]
+        return [("Not identifiable from these points", text)]
     return []
 
 
@@ -181,13 +181,13 @@ def _beside_section(
         for which, entry in entries.items()
     ]
     header = ["coefficient", "value(u)", "U", "unit"]
-    text = f"errors of the table are beyond chance (p = {found.beside.p:.1g}); beside them\n"
+    text = f"errors of the table are beyond chance (p = {found.beside.p:.1g}); in addition\n"
     if not rows:
-        text += "no coefficient can be told: state the bench (state_bench)"
+        text += "no coefficient is identifiable: state the bench (state_bench)"
         return [("Beside the table", text)]
     several = any(outputs)
     text += table(["output", *header] if several else header, rows)
-    leaning = "what is not listed leans on the table's errors and has no U: state the bench"
+    leaning = "what is not listed is correlated with table errors and has no U: state the bench"
     return [("Beside the table", f"{text}\n{leaning}")]
 
 

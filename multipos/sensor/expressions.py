@@ -296,7 +296,7 @@ class ExpressionModel(Model):
     def with_gauge(self, gauge: Gauge | RollGauge) -> "Model":
         """Refuse: `multipos.estimation.user_models` finds what fixes such a model."""
         raise UsageError(
-            f"a model of one's own has no gauge '{gauge}'; what a rotation leaves free of it is "
+            f"a user-defined model has no gauge '{gauge}'; what a rotation leaves free of it is "
             "held, parameter by parameter."
         )
 

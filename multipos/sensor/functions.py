@@ -74,7 +74,7 @@ def _separated(
     columns = tuple(a.name for a in arguments if a.name in known)
     parameters = [a for a in arguments if a.name not in (*COMPONENTS, "own", *columns)]
     if not parameters:
-        raise UsageError("the model's function has no parameter to fit beside x, y, z and own.")
+        raise UsageError("the model's function has no parameter to fit other than x, y, z and own.")
     return columns, parameters
 
 

@@ -121,7 +121,7 @@ _WORDS = (
     (r"of bias", "of hard iron"),
     (r"specific force", "field"),
     (r"at rest in one gravity", "in one field"),
-    (r"beside gravity", "of another size"),
+    (r"in addition to gravity", "of another size"),
     (r"(?:local )?gravity reads", "the field reads"),
     (r"respond to gravity", "respond to the field"),
     (r"in gravity", "in the magnetic field"),

@@ -86,7 +86,7 @@ def _build(
         used.append(tuple(shared.index(n) for n in mine))
     names = [*(n for part in own for n in part), *shared]
     if not names:
-        raise parsed.fault(f"{parsed.where}: no parameter to fit beside x, y, z and own.")
+        raise parsed.fault(f"{parsed.where}: no parameter to fit other than x, y, z and own.")
     return ExpressionModel(
         parsed.text,
         outputs,

@@ -112,7 +112,7 @@ def default_axes(outputs: Sequence[str], axes: Names | None) -> tuple[str, ...]:
     if len(outputs) > 3:
         raise UsageError(
             f"{len(outputs)} columns could be outputs: {listed(outputs, 12)}; name them with "
-            "--outputs, or say with --axes which axis each one senses."
+            "--outputs, or state with --axes which axis each one senses."
         )
     return COMPONENTS[: len(outputs)]
 

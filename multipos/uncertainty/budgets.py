@@ -81,7 +81,7 @@ def resolve(where: str, table: Any, beside: str) -> dict[str, Any]:
         raise MultiposError(f"{where}: write it as a table, such as [stability] and file = …")
     if "file" in table:
         if len(table) > 1:
-            raise MultiposError(f"{where}: 'file' says it all; leave out the others.")
+            raise MultiposError(f"{where}: 'file' states everything; leave out the others.")
         return _from_file(where, table["file"], beside)
     _check_numbers(where, table)
     return {"dof": math.inf, **table}
@@ -118,7 +118,7 @@ def _from_file(where: str, name: Any, beside: str) -> dict[str, Any]:
     found = load_stability(Path(beside).parent / name)
     if not found.run_to_run:
         raise MultiposError(
-            f"{where}: {name} is of one record, which says nothing about how the zero repeats; "
+            f"{where}: {name} is of one record, which does not determine turn-on repeatability; "
             "give stability several, a switch-on each."
         )
     spreads = {f"{_SIZE}{name}": spread.sd for name, spread in found.run_to_run.items()}
@@ -277,7 +277,7 @@ def read_budget(source: "BudgetSource | Budget") -> Budget:
 
 def _quantity(where: str, name: str, table: Any) -> Quantity:
     if name not in KINDS:
-        raise MultiposError(f"{where}: no such quantity; a budget knows {', '.join(KINDS)}.")
+        raise MultiposError(f"{where}: no such quantity; a budget has {', '.join(KINDS)}.")
     if not isinstance(table, Mapping):
         raise MultiposError(f"{where}: write it as a table, such as [{name}] and below it u = …")
     if name == "stability":
@@ -333,7 +333,7 @@ def _from_step(
 ) -> dict[str, Any]:
     """Return the size of a resolution from its whole step."""
     if set(spread) - {"dof"}:
-        raise MultiposError(f"{where}: 'step' says the size already; leave out the others.")
+        raise MultiposError(f"{where}: 'step' states the size already; leave out the others.")
     step = _number(where, settings, "step")
     return {"half_width": step / 2.0, "distribution": "rectangular"}
 
@@ -373,7 +373,7 @@ def _law(where: str, spread: Mapping[str, Any]) -> str:
 
 def _coverage_factor(where: str, spread: Mapping[str, Any], suffix: str, expanded: float) -> float:
     if "k" not in spread:
-        raise MultiposError(f"{where}: 'U{suffix}' needs its coverage factor 'k' beside it.")
+        raise MultiposError(f"{where}: 'U{suffix}' needs its coverage factor 'k'.")
     factor = _number(where, spread, "k")
     if not factor > 0.0:
         raise MultiposError(f"{where}: 'k' must be above 0, got {factor:g}.")

@@ -393,8 +393,9 @@ def simulate_budget(
 def _check_options(trials: int | None, digits: int) -> None:
     if trials is not None and not 100 <= trials <= _MOST:
         raise UsageError(
-            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million tell the ends of "
-            "an interval to three digits, beyond which it is the budget that is not known so well."
+            f"`trials` must lie between 100 and {_MOST}, got {trials}; a million determine the "
+            "ends of an interval to three digits, beyond which it is the budget that is not known "
+            "so well."
         )
     if digits not in (1, 2):
         raise UsageError(f"`digits` must be 1 or 2, got {digits}.")

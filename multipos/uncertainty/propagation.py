@@ -61,7 +61,7 @@ class Row(Result):
     common : bool
         Whether it is the same in every repeated calibration.
     contained : (p,) bool array
-        Where the scatter of the residuals holds it already, so that it is not added.
+        Where the residual noise holds it already, so that it is not added.
     sensitivity : (p,) array
         Of each parameter, per `unit`; the root sum of squares where the quantity has several
         independent components. NaN for the readings.
@@ -102,7 +102,7 @@ class Evaluation(Result, Drawn, Tabular):
     names : tuple of p str
         Of the parameters.
     cleared : Cleared
-        What common causes leave of the scatter of the residuals, which is the first rows.
+        What common causes leave of the residual noise, which is the first rows.
     """
 
     rows: tuple[Row, ...]
@@ -320,9 +320,9 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     rest = c.covariance - added if kept is None else kept
     dof = c.dof_of_outputs
     stated = bool(np.isinf(c.dof).all())
-    text = "noise of the readings, as stated" if stated else "scatter of the residuals"
+    text = "noise of the readings, as stated" if stated else "residual noise"
     if c.sessions is not None:
-        text = "scatter from session to session"
+        text = "variation from session to session"
     return [
         Row(
             quantity="readings" if c.sessions is None else "sessions",
@@ -361,7 +361,7 @@ def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
     factor, kept = c.model.per_parameter(by_output, by_output.mean(axis=1, keepdims=True))
     return replace(
         row,
-        text="scatter of the residuals but for common causes",
+        text="residual noise but for common causes",
         dof=row.dof * kept,
         covariance=row.covariance * np.outer(factor, factor),
     )

@@ -176,7 +176,7 @@ def _attitudes(c: Calibration, quantity: Quantity) -> Array:
     if rotation is None or not np.isfinite(rotation).all():
         raise MultiposError(
             f"[{quantity.name}] in the budget needs the heading of every position, which up "
-            "vectors and roll and pitch without yaw do not carry; give whole attitudes "
+            "vectors and roll and pitch without yaw do not have; give whole attitudes "
             "(direction, yaw_deg, a quaternion or roll_axis), or leave the table out."
         )
     return rotation
@@ -224,7 +224,7 @@ def _temperature_moves(c: Calibration, quantity: Quantity) -> Array:
     known = [key for key in ("bias_per_degC", "scale_per_degC") if key in quantity.settings]
     if not known:
         raise MultiposError(
-            "[temperature] in the budget: the model has no temperature terms; say what a degree "
+            "[temperature] in the budget: the model has no temperature terms; state what a degree "
             "does with 'bias_per_degC' or 'scale_per_degC'."
         )
     force = c.model.predict(c.parameters, c.reference, c.readings.environment)

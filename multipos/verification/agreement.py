@@ -101,8 +101,8 @@ class _Run(NamedTuple):
 
 _WORDS = Words(
     "chi-square of the run against its covariance",
-    "F of the run against the scatter of the calibration",
-    "F of the run against the scatter of each output, combined by Fisher's method",
+    "F of the run against the residual variance of the calibration",
+    "F of the run against the residual variance of each output, combined by Fisher's method",
 )
 
 

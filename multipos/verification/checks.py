@@ -148,8 +148,8 @@ def require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
     both = np.concatenate([forced, calibration.readings.forced])
     if calibration.gravity is None and both.any() and not both.all():
         raise MultiposError(
-            f"{data.source or 'the run'}: known forces are in standard g, and what that is in "
-            "local gravity the calibration does not know; fit it with --gravity or --latitude."
+            f"{data.source or 'the run'}: known forces are in standard g, and the calibration does "
+            "not state local gravity; fit it with --gravity or --latitude."
         )
 
 

@@ -131,7 +131,7 @@ def kept_coefficients(
     found = separability(design, least_norm=ZERO_NORM)
     if kept[:2] != [0, 1]:
         raise RankError(
-            f"{data.source or 'the readings'}: these points cannot tell K0 from K1 of "
+            f"{data.source or 'the readings'}: these points cannot separate K0 from K1 of "
             f"{data.outputs[0]}; give points with the input axis {axis} up and down, or leave the "
             "output out with --outputs.",
             rank=found.rank,
@@ -157,7 +157,7 @@ def _with_squares(said: tuple[str, ...], null: Array, names: Sequence[str]) -> t
     for sentence, v in zip(said, null.T, strict=True):
         both = v[p] != 0.0 and v[o] != 0.0 and not (null[p] - null[o]).any()
         result.append(
-            "of `Kpp` and `Koo` only the difference Kpp - Koo can be told, as "
+            "of `Kpp` and `Koo` only the difference Kpp - Koo is identifiable, as "
             "a_i^2 + a_p^2 + a_o^2 = 1: " + sentence
             if both
             else sentence
@@ -287,7 +287,7 @@ def poorly_separated(calibration: Calibration, axis: str) -> tuple[str, ...]:
             loss = 1.0 / math.sqrt(1.0 - rho**2)
             if loss > _WEAK:
                 said.append(
-                    f"`{one}` and `{other}` are told apart weakly: the u of each is {loss:.2g} "
+                    f"`{one}` and `{other}` are poorly separated: the u of each is {loss:.2g} "
                     "times what it would be if the other were known"
                 )
     return tuple(said)

@@ -140,8 +140,8 @@ def _require_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
         if c.estimator.exact != first.estimator.exact or c.field != first.field:
             what = "gravity" if c.field != first.field else "estimator"
             raise MultiposError(
-                f"{file}: its {what} is not that of {files[0]}; fit all sessions alike to combine "
-                "them."
+                f"{file}: its {what} is not that of {files[0]}; fit all sessions equally to "
+                "combine them."
             )
 
 

@@ -57,8 +57,8 @@ class Words(NamedTuple):
 
 _WORDS = Words(
     "chi-square of the repeats against their covariances",
-    "F of the repeats against their pooled scatter",
-    "F of the repeats against the pooled scatter of each output, combined by Fisher's method",
+    "F of the repeats against their pooled variance",
+    "F of the repeats against the pooled variance of each output, combined by Fisher's method",
 )
 
 
@@ -111,7 +111,7 @@ class Judgement:
             p_total=math.nan,
             consistent=not names,
             moved=names,
-            test="the readings are the same, so their noise cannot tell the methods apart: "
+            test="the readings are the same, so their noise cannot separate the methods: "
             "consistent where no parameter differs by more than its U",
         )
 

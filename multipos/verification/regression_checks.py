@@ -96,8 +96,8 @@ def check_regression(
     table, _ = as_fitted(r, read_table(data, what="run"))
     if r.response not in table:
         raise MultiposError(
-            f"{table.source}: no column '{r.response}', the response; a check needs to know the "
-            f"error of every row. The columns are {', '.join(table.columns)}."
+            f"{table.source}: no column '{r.response}', the response; a check needs the error of "
+            f"every row. The columns are {', '.join(table.columns)}."
         )
     found = correct(r, table, uncertainty=True)
     outside = np.asarray(found["outside"]).astype(bool)

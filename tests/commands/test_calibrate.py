@@ -110,8 +110,8 @@ def test_a_target_that_is_refused_is_named_and_no_other_is_written(path, tmp_pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--to", "c"], "--to writes files beside CAL.json; name it with -o."),
-        (["--to", "c", "-o", "-"], "--to writes files beside CAL.json"),
+        (["--to", "c"], "--to writes files into the folder of CAL.json; name it with -o."),
+        (["--to", "c", "-o", "-"], "--to writes files into the folder of CAL.json"),
         (["--to", "bash", "-o", "cal.json"], "imucal, kalibr, inav, got 'bash'"),
         (["--to", "c", "--name", "1x", "-o", "cal.json"], "1x"),
         (["--scheme", "faces", "-o", "cal.json"], "unknown scheme"),

@@ -35,7 +35,7 @@ def test_the_text_says_what_the_issue_is_about():
         "S_ay   is printed 1.002908508, which is -A_y1; the formula gives 1.002959754",
         "K_ay3  is off by 1.5e-08, because A_y4 was rounded to 1.003011 in print",
         "+-6.39 mg (s = 12.8 mg)",
-        "carries U = 81 mg",
+        "has U = 81 mg",
         "positions 4 and 6 in the other order than its table 1",
     ):
         assert said in text

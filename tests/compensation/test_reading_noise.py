@@ -107,7 +107,7 @@ def test_the_noise_of_the_data_comes_first(cal):
     assert mp.apply(cal, table).noise is None
     assert "noise" not in mp.apply(cal, table).to_dict()
     assert pickle.loads(pickle.dumps(own)).noise == own.noise
-    with pytest.raises(MultiposError, match="column 'u_az' is missing beside 'u_ax', 'u_ay'"):
+    with pytest.raises(MultiposError, match="column 'u_az' is missing next to 'u_ax', 'u_ay'"):
         mp.apply(cal, {k: v for k, v in beside.items() if k != "u_az"}, uncertainty=True)
     beside["u_ay"] = np.array([0.01, 0.01, 0.0, 0.01, 0.01])
     with pytest.raises(MultiposError, match=r"row 3, column 'u_ay'"):

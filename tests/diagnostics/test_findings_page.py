@@ -1,5 +1,6 @@
 """Every finding of the program is on its page, and its text has a Chinese one."""
 
+import ast
 import importlib.util
 import re
 import sys
@@ -71,3 +72,80 @@ def test_a_chinese_text_keeps_what_is_put_in():
         "0.5 g to 0.001 g"
     )
     assert said.startswith("位置 2, 5 的读数可能互换：交换后均方根由 0.5 g 降至 0.001 g")
+
+
+# STYLE, "Plain words": what only this package says. Options, names and keys are apart.
+PRIVATE = re.compile(
+    r"\b(told|tells?|worth|floors?|scatter(s|ed)?|claim(s|ed)?|den(y|ies|ied)|belie(f|ves?|ved)|"
+    r"placements?|leans?|nests?|wander(s|ed)?|wolf|weigh(s|ed)?|speaks?|in turn|sketch|appraisal|"
+    r"alike|unlike|apart|calm|absurd|looked|drawn|across|beside|judg(e|ed|ing)|pieces?|hidden|"
+    r"unseen|settles?|settled|says?|knows?|facing|stating|carry|carries|resume|repair|"
+    r"of one's own)\b"
+)
+NAMES = re.compile(r"\[\w+\]|--[\w-]+|`[^`]*`|\w*_\w*")
+# What new users had to read twice, as it was printed.
+RIDDLES = (
+    "does not fall as that of noise",
+    "independent samples only",
+    "drawn towards what they have in common",
+    "so that means do not settle",
+    "positions cannot show",
+    "lie across the force",
+    "far smaller than the stated noise",
+    "U leaves scale factors open",
+    "the outputs scatter unequally",
+    "the run as a whole: undecided",
+    "differs from soak to soak",
+    "it is as if this had moved",
+    "stands turned in its case",
+    "leaves of the calibration's own readings",
+    "the file names no sensor",
+    "of what one g does to the output",
+    "Numbers of the line are those",
+    "a polynomial says nothing",
+    "were not told apart",
+    "readings repeat worse than they claim",
+)
+
+
+def sentences() -> dict[str, str]:
+    """Return every text of the program with a space in it that is no docstring, by its place."""
+    found = {}
+    for path in sorted((ROOT / "multipos").rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        apart: set[int] = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.JoinedStr):
+                apart |= {id(part) for part in node.values}
+            if isinstance(node, ast.Expr):
+                apart.add(id(node.value))
+        for node in ast.walk(tree):
+            if id(node) in apart or not isinstance(node, ast.JoinedStr | ast.Constant):
+                continue
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            texts = [part.value if isinstance(part, ast.Constant) else PUT_IN for part in parts]
+            text = "".join(each for each in texts if isinstance(each, str))
+            if " " in text.strip():
+                found[f"{path.relative_to(ROOT)}:{node.lineno}"] = text
+    return found
+
+
+def test_no_sentence_of_the_program_has_private_words():
+    every = sentences()
+    assert len(every) > 2000
+    private = {
+        place: (word[0], text)
+        for place, text in every.items()
+        if (word := PRIVATE.search(NAMES.sub("", text)))
+    }
+    assert private == {}
+    left = [(riddle, text) for text in every.values() for riddle in RIDDLES if riddle in text]
+    assert left == []
+
+
+@pytest.mark.parametrize("made", MADE, ids=lambda made: made.codes[0])
+def test_an_action_is_one_sentence_with_its_full_stop(made):
+    for action in made.actions:
+        if re.search("[a-z]", action):
+            assert re.fullmatch(r"[A-Z`][^;]*[^.;]\.", action), action
+            assert ". " not in action

@@ -819,7 +819,7 @@ def repeated(scheme, times=4, sd=1e-5, off_deg=0.0):
     ("readings", "message"),
     [
         (repeated("roll-x-24", 1), "all positions lie on one circle"),
-        (repeated("faces-6"), "6 of 9 parameters can be told from the noise: `cross_ay_x`, "),
+        (repeated("faces-6"), "6 of 9 parameters can be separated from the noise: `cross_ay_x`, "),
         (repeated("dual-axis-48", 1), "`cross_ay_x` out of reach; add positions such as up "),
         (repeated("tumble-1", 24), "Turn the sensor to different positions"),
         (mp.Readings(np.zeros((24, 3))), "the readings of ax never change; turn the sensor"),

@@ -53,7 +53,7 @@ def test_text_lists_and_tuples_name_the_same(name):
     assert call(list(names)) == expected
     assert call(",".join(names)) == expected
     assert call(" " + " , ".join(names) + "\t") == expected
-    with pytest.raises(UsageError, match="names nothing beside a comma"):
+    with pytest.raises(UsageError, match="names nothing next to a comma"):
         call(",".join(names) + ",")
     with pytest.raises(TypeError, match="a name must be text, got 3"):
         call([*names[:-1], 3])
@@ -72,7 +72,7 @@ def test_schemes_and_runs_are_taken_one_by_one_or_as_one_list():
 def test_names_are_stripped_and_none_is_empty():
     assert split_names(" ax ,ay") == split_names(["ax ", "ay"]) == ("ax", "ay")
     for empty in ("", " ", "a,,b", ",", [], [""], ("a", " ")):
-        with pytest.raises(UsageError, match=r"^--only: '.*' names nothing beside a comma\.$"):
+        with pytest.raises(UsageError, match=r"^--only: '.*' names nothing next to a comma\.$"):
             split_names(empty, "--only")
 
 

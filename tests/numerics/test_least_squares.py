@@ -362,12 +362,12 @@ def sphere(n=20):
 def test_bias_and_squares_on_the_sphere():
     with pytest.raises(RankError) as caught:
         solve(sphere(), np.zeros(20), names=SPHERE, least_norm=1e-9)
-    sentence = "`bias_ax` cannot be told from `square_ax_x + square_ax_y + square_ax_z`"
+    sentence = "`bias_ax` cannot be separated from `square_ax_x + square_ax_y + square_ax_z`"
     assert caught.value.combinations == (sentence,)
     assert (caught.value.rank, caught.value.parameters) == (4, 5)
     assert str(caught.value) == (
         f"4 of 5 parameters can be separated: {sentence}. "
-        "Add positions that tell them apart, or drop a term."
+        "Add positions that separate them, or drop a term."
     )
 
 
@@ -380,7 +380,7 @@ def test_weights_do_not_hide_a_dependence(covariance):
     found = separability(sphere(), covariance=V)
     assert found.rank == 4
     assert found.condition == np.inf
-    with pytest.raises(RankError, match="`bias_ax` cannot be told from"):
+    with pytest.raises(RankError, match="`bias_ax` cannot be separated from"):
         solve(sphere(), np.zeros(20), covariance=V, names=SPHERE)
 
 
@@ -414,9 +414,9 @@ def test_dependences_are_named_in_the_units_of_the_coefficients(unit):
     assert (
         name_combinations(found.null, "abc")[0]
         in {
-            1.0: ("`a` cannot be told from `0.4 b + 0.4 c`",),
-            1e-12: ("`a` cannot be told from `0.4 b + 4e+11 c`",),
-            1e12: ("`a` cannot be told from `0.4 b + 4e-13 c`",),
+            1.0: ("`a` cannot be separated from `0.4 b + 0.4 c`",),
+            1e-12: ("`a` cannot be separated from `0.4 b + 4e+11 c`",),
+            1e12: ("`a` cannot be separated from `0.4 b + 4e-13 c`",),
         }[unit]
     )
 
@@ -427,10 +427,10 @@ def test_several_dependences_are_told_apart():
     found = separability(np.column_stack((a, b, a, np.zeros(15), -b, a)))
     assert found.rank == 2
     assert set(name_combinations(found.null, "abcdef")) == {
-        "`a` cannot be told from `c`",
-        "`a` cannot be told from `f`",
+        "`a` cannot be separated from `c`",
+        "`a` cannot be separated from `f`",
         "`d` has no effect at these positions",
-        "`b` cannot be told from `-e`",
+        "`b` cannot be separated from `-e`",
     }
 
 

@@ -201,7 +201,7 @@ def test_collinear_columns_stay_out_and_are_named():
     assert set(found.collinear) == {"a" if 2 in found.columns else "b", "c"}
     rss = residual_sums(compress(X, a), [0])
     assert all(np.isinf(rss[i]) for i in range(16) if i & 3 == 3 or i & 4)
-    with pytest.raises(MultiposError, match=r"cannot be told from"):
+    with pytest.raises(MultiposError, match=r"cannot be separated from"):
         select_backward(compress(X, a), names, Thresholds(), forced=[0])
 
 

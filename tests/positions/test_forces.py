@@ -180,7 +180,7 @@ def test_outputs_may_have_the_names_of_forces():
         ({"f_x": [1.0] * 20, "f_y": [0.0] * 20, "f_z": [0.0] * 20}, r"row 1, .*keep one of them"),
         ({"reference_u_x": [0.0] * 20}, r"'reference_u_y' is missing"),
         ({f"reference_u_{a}": [0.0] * 19 + [-1.0] for a in "xyz"}, r"row 20.*negative"),
-        ({f"reference_u_{a}": [np.nan] * 20 for a in "xyz"}, r"row 7.*empty beside a known force"),
+        ({f"reference_u_{a}": [np.nan] * 20 for a in "xyz"}, r"row 7.*empty for a known force"),
     ],
 )
 def test_what_is_refused(change, match):

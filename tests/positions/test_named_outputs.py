@@ -159,7 +159,9 @@ def test_a_unit_in_the_header_is_the_unit():
     cal = mp.fit(given)
     assert (cal.outputs, cal.model.unit) == (("ax", "ay", "az"), "g")
     assert mp.fit(given, unit="g") == cal
-    with pytest.raises(mp.MultiposError, match="header gives column 'ax' in g, and --unit says mg"):
+    with pytest.raises(
+        mp.MultiposError, match="header gives column 'ax' in g, and --unit states mg"
+    ):
         mp.fit(given, unit="mg")
     mixed = columns("ax (g)", "ay (g)", "az (mg)")
     with pytest.raises(mp.MultiposError, match="outputs differ in unit"):

@@ -122,7 +122,7 @@ def test_a_bad_cell_hurts_only_where_it_is_used():
         ({"ax": [1, 2], "sd_ax": [0, -1]}, "row 2, column 'sd_ax': -1 is not 0 or more"),
         ({"ax": [1, 2], "n": [10, 0]}, "row 2, column 'n': 0 is not above 0"),
         ({"ax": [1, 2], "orientation_sd_deg": [0, -1]}, "'orientation_sd_deg': -1 is not 0 or"),
-        ({"ax": [1], "ay": [2], "u_ay": [1]}, "column 'u_ax' is missing beside 'u_ay'"),
+        ({"ax": [1], "ay": [2], "u_ay": [1]}, "column 'u_ax' is missing next to 'u_ay'"),
         ({"name": ["a", "b"]}, "no numeric column can be an output"),
         ({"position": [1, 2], "temperature": [1, 2]}, "no numeric column can be an output"),
     ],

@@ -35,7 +35,7 @@ def test_report_of_a_regression(folder, capsys):
     # before and after against temperature and against time, and a path for each segment
     assert html.count("<svg") == 4
     for said in (
-        "What to know",
+        "Notes",
         "the next is not in U",
         "the model jumps at",
         "F_0.95",

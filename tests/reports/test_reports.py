@@ -133,14 +133,14 @@ def test_numbers_of_the_budget(calibration):
     section = build_content(calibration).sections[1]
     lines, contributions = section.tables
     assert [row[0] for row in lines.rows] == [
-        "scatter of the residuals but for common causes",
+        "residual noise but for common causes",
         "local gravity",
         "level of the table, two axes",
         "gain of the ADC or voltmeter",
         "orientation of each position",
     ]
     assert lines.rows[3][3:5] == ("5", "ppm")
-    assert lines.rows[4][7] == "in the scatter"
+    assert lines.rows[4][7] == "in the residuals"
     i = calibration.names.index("scale_ax")
     row = contributions.rows[i]
     budget = {r.quantity: r.contribution[i] for r in evaluate_budget(calibration).rows[1:]}

@@ -71,7 +71,7 @@ def test_formulas(formula, expected):
     ("formula", "message"),
     [
         ("", "a term is missing"),
-        ("1 + + x", "a term is missing beside a '\\+'"),
+        ("1 + + x", "a term is missing next to a '\\+'"),
         ("1 + x +", "a term is missing"),
         ("x - y", "cannot read 'x - y'"),
         ("2*x", "cannot read '2'"),

@@ -381,7 +381,7 @@ def test_fourier_view_finds_an_index_error():
     assert [(v["roll"], v["output"]) for v in views] == [("z", "ax"), ("z", "ay")]
     third = views[0]["harmonics"][2]
     assert (third["order"], third["cos"]) == (3, pytest.approx(1e-3, abs=1e-4))
-    assert third["p"] < 0.01  # the harmonic is in the scatter it is judged by
+    assert third["p"] < 0.01  # the harmonic is in the residuals it is judged by
     assert views[1]["harmonics"][2]["p"] > 0.01
 
 

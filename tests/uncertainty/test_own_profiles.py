@@ -1,4 +1,4 @@
-"""Budget, Monte Carlo and profiles of a model of one's own."""
+"""Budget, Monte Carlo and profiles of a user-defined model."""
 
 import numpy as np
 import profile_oracle as profiles

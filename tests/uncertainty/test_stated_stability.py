@@ -94,7 +94,7 @@ def one_run(folder):
 FAULTS = {
     "neither": ({}, "give 'file', or standard deviations by output"),
     "no table": (3, "write it as a table"),
-    "both": ({"file": "a.json", "dof": 3}, "'file' says it all"),
+    "both": ({"file": "a.json", "dof": 3}, "'file' states everything"),
     "unknown": ({"u": 1.0, "u_ax": 1.0}, "there is 'u'"),
     "no number": ({"u_ax": "x"}, "'u_ax' must be a number"),
     "negative": ({"u_ax": -1.0}, "'u_ax' must be a number of at least 0"),

@@ -395,7 +395,7 @@ def test_a_third_order_term_that_was_fitted_is_not_unseen():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[leveling]\nu_deg = 1", "[leveling]: no such quantity; a budget knows gravity, level"),
+        ("[leveling]\nu_deg = 1", "[leveling]: no such quantity; a budget has gravity, level"),
         ("[level]\nu = 1", "[level]: unknown key 'u'; it takes u_deg, U_deg, k"),
         ("[level]\n", "give one of 'u_deg', 'U_deg' with 'k', or 'half_width_deg'; there is none"),
         ("[gain]\nu = 1\nU = 2\nk = 2", "there is 'u' and 'U'"),
@@ -420,8 +420,8 @@ def test_a_third_order_term_that_was_fitted_is_not_unseen():
         ("[gravity]\nlatitude_deg = 95\nu = 1e-5", "`latitude` must lie between"),
         ("[index]\nu_deg = 1\nharmonics = 'a'", "'harmonics' must be whole numbers"),
         ("[index]\nu_deg = 1\naxis = 'w'", "'axis' must be x, y or z"),
-        ("[resolution]\nstep = 1\nu = 1", "'step' says the size already"),
-        ("[temperature]\nu = 1", "say what a degree does with 'bias_per_degC'"),
+        ("[resolution]\nstep = 1\nu = 1", "'step' states the size already"),
+        ("[temperature]\nu = 1", "state what a degree does with 'bias_per_degC'"),
         ("gain = 3", "write it as a table"),
         ("[gain", "not valid TOML"),
     ],

@@ -102,7 +102,7 @@ def test_the_zero_of_a_budget_is_not_added_again():
     assert one["scale_ax"].u > 9e-3
     rows = {row.quantity: row for row in evaluate_budget(one).rows}
     assert set(rows) == {"sessions", "gain"}
-    assert rows["sessions"].text == "scatter from session to session"
+    assert rows["sessions"].text == "variation from session to session"
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_on_the_command_line(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["combined"]["schema"] == "multipos/calibration/1"
     assert main(["report", str(out), "-o", str(tmp_path / "report.txt")]) == 0
-    assert "scatter from session to session" in (tmp_path / "report.txt").read_text()
+    assert "variation from session to session" in (tmp_path / "report.txt").read_text()
 
 
 def test_what_sessions_state_unlike_is_left_out():
