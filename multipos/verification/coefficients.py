@@ -26,6 +26,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import ZERO_NORM
+from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.separability import name_combinations, separability
@@ -212,6 +213,15 @@ def those_that_hold(
     if found is None or stated or not found.off:
         return plain
     return {name: beside.get(name) or _leaning(entry) for name, entry in plain.items()}
+
+
+def find_without_u(found: Mapping[str, TumbleCoefficient]) -> Findings:
+    """Say which coefficients have no U, and why."""
+    names = [name for name, entry in found.items() if math.isnan(entry.U)]
+    if not names:
+        return ()
+    text = f"no U of {', '.join(names)}: table errors, which residuals show, change them alike"
+    return (Finding("table", "warning", text, "Add a roll about another axis."),)
 
 
 def _leaning(entry: TumbleCoefficient) -> TumbleCoefficient:

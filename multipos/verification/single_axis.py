@@ -53,6 +53,7 @@ from multipos.verification.coefficients import (
     DEFAULT,
     TumbleCoefficient,
     coefficients_beside,
+    find_without_u,
     fitted_coefficients,
     formula_of,
     kept_coefficients,
@@ -258,14 +259,16 @@ def tumble_output(
     if table.beside is not None:
         beside = coefficients_beside(calibration, axis, table.beside)
     stated = calibration.readings.covariance is not None
+    held = those_that_hold(coefficients, beside, table.beside, stated=stated)
     findings = (
         *calibration.findings,
         *_of_plane(coefficients, calibration),
         *repeated,
         *strange_harmonics(residual),
+        *find_without_u(held),
     )
     return Tumble(
-        coefficients=those_that_hold(coefficients, beside, table.beside, stated=stated),
+        coefficients=held,
         calibration=calibration,
         rolls=rolls,
         harmonics=series(rolls, signal, sd if sd > rounding else None),

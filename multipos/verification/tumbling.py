@@ -35,6 +35,7 @@ from multipos.uncertainty.turntable import BesideTable, TableErrors, table_error
 from multipos.verification.coefficients import (
     TumbleCoefficient,
     coefficients_beside,
+    find_without_u,
     fitted_coefficients,
     roles,
     those_that_hold,
@@ -279,4 +280,7 @@ def _beside_all(
     """Return the tumble of an output with what all outputs together tell of the table."""
     plain = fitted_coefficients(one.calibration, axis)
     stated = one.calibration.readings.covariance is not None
-    return replace(one, coefficients=those_that_hold(plain, beside, found, stated=stated))
+    held = those_that_hold(plain, beside, found, stated=stated)
+    before = find_without_u(one.coefficients)
+    kept = (each for each in one.findings if each not in before)
+    return replace(one, coefficients=held, findings=in_order((*kept, *find_without_u(held))))

@@ -367,3 +367,15 @@ def test_an_input_axis_that_leans_from_where_it_is_said_to_be(lean, told):
         assert text.startswith(finding.text)
     if lean == 20.0:
         assert "is 20 degrees from x" in found.findings[0].text
+
+
+def test_coefficients_without_u_say_why():
+    """An encoder off by .02° at one roll: its sines do the same as K0 and K2."""
+    scheme = read_scheme("tumble-24")
+    angle = np.arctan2(scheme.up[:, 1], scheme.up[:, 0])
+    stood = angle + np.radians(0.02) * (np.sin(angle) + 0.5 * np.cos(2.0 * angle))
+    up = np.column_stack([np.cos(stood), np.sin(stood), np.zeros(24)])
+    values = output(up) + 1e-6 * np.random.default_rng(1).standard_normal(24)
+    found = mp.tumble({"E": values}, scheme="tumble-24", unit="V")
+    assert math.isnan(found["K0"].U)
+    assert any(line.startswith("no U of K0") for line in texts(found))
