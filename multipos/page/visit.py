@@ -23,10 +23,9 @@ from multipos.designs.designing import design
 from multipos.designs.prospects import worth
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.targets import TargetName, export
-from multipos.files.numbers import number
 from multipos.files.tables import write_table
 from multipos.files.whole import first_bytes
-from multipos.finding import Finding, errors_of, serious
+from multipos.finding import Finding, serious
 from multipos.fitting.calibrate_logs import calibrate
 from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
@@ -112,7 +111,7 @@ class Visit:
         return {
             "kind": self.kind,
             "unit": calibration.model.unit,
-            "sentence": _sentence(calibration, self.kind, tr),
+            "sentence": calibration_sentence(calibration, tr),
             "findings": findings,
             "parameters": [
                 {"name": p.name, "value": p.value, "u": p.u, "U": p.U, "unit": p.unit}
@@ -297,25 +296,6 @@ def _faces(readings: Readings) -> Array | None:
     up[np.arange(len(force)), axis] = np.sign(along)
     seen = {tuple(row) for row in up.tolist()}
     return up if len(seen) == 6 else None
-
-
-def _sentence(calibration: Calibration, kind: str, tr: Translator) -> str:
-    """Return the answer in one sentence: from what, how well it fits, and whether to use it."""
-    kinds = {
-        "known": tr("positions of known orientation"),
-        "six": tr("positions on six faces"),
-        "free": tr("hand-held positions"),
-        "log": tr("rests of the log"),
-    }
-    if calibration.field.magnetic:
-        return calibration_sentence(calibration, tr)
-    said = tr(
-        "Calibrated from {count} {kind}: what is left after compensation is {rms} mg rms.",
-        count=str(len(calibration.readings)),
-        kind=kinds[kind],
-        rms=number(1e3 * calibration.rms, 3),
-    )
-    return f"{tr('Not fit for use')}: {said}" if errors_of(calibration.findings) else said
 
 
 def _positions(calibration: Calibration) -> list[dict[str, Any]]:

@@ -98,7 +98,7 @@ def test_what_nobody_should_use_says_so_first(visit, tmp_path):
     (tmp_path / "bad.csv").write_text(bad)
     answer = calibrate(visit, "bad.csv", kind="known")
     assert answer["findings"][0]["level"] == "error"
-    assert answer["sentence"].startswith("Not fit for use: Calibrated from 6 positions")
+    assert answer["sentence"].startswith("Not fit for use: ax, ay, az calibrated from 6 ")
     assert "is not fit for use" in visit("download", form="c")["error"]
     made = visit("download", form="c", accept=True)["path"]
     assert "NOT" in (tmp_path / made).read_text().upper()
