@@ -32,7 +32,7 @@ from multipos.diagnostics.residuals import (
 )
 from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model
-from multipos.finding import Finding, errors_of, in_order
+from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import MAGNETIC, worded
 
@@ -67,6 +67,8 @@ _EXPLAINED = {
     "no-residuals": ("no-dof",),
     "no-signal": ("convention",),
     "outlier": _BY_ROWS,
+    "disturbance": ("missing-term", "scale-bias"),
+    "moving-iron": ("replaced", "drift", "time-correlated"),
     "flipped-row": _BY_ROWS,
     "missing-term": ("denied-noise",),
 }
@@ -84,7 +86,7 @@ def examine(calibration: Calibration) -> Calibration:
     found = _examined(calibration.relative).diagnostics
     own = tuple(ask(calibration) for ask in OF_FIELD)
     said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)
-    findings = in_order((*(each for each in own if each is not None), *said))
+    findings = without_explained((*(each for each in own if each is not None), *said))
     return replace(calibration, diagnostics=replace(found, findings=findings))
 
 
@@ -114,9 +116,13 @@ def _examined(calibration: Calibration) -> Calibration:
             replace(each, level="note") if _is_allowed_for(calibration, each.code) else each
             for each in every
         )
+    return replace(calibration, diagnostics=replace(before, findings=without_explained(every)))
+
+
+def without_explained(every: Sequence[Finding]) -> Findings:
+    """Return findings in order, less those that another of them explains."""
     explained_too = {code for each in every for code in _EXPLAINED.get(each.code, ())}
-    findings = in_order(each for each in every if each.code not in explained_too)
-    return replace(calibration, diagnostics=replace(before, findings=findings))
+    return in_order(each for each in every if each.code not in explained_too)
 
 
 def _is_allowed_for(c: Calibration, code: str) -> bool:

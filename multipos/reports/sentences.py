@@ -37,6 +37,8 @@ def counted_findings(findings: Iterable[Finding], tr: Translator = _ENGLISH) -> 
 
 def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
+    if c.field.magnetic and not tr.field.magnetic:
+        tr = Translator(tr.language, c.field)
     count = len(c.readings)
     kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
     kind = "reading" if c.field.magnetic else kind

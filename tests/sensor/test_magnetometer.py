@@ -332,7 +332,9 @@ def test_a_disturbance_is_found_with_its_rows():
     along = away / np.linalg.norm(away, axis=1)[:, None]
     near = along @ np.array([0.0, 0.6, 0.8]) > np.cos(np.radians(25.0))
     values[near] += 0.05 * away[near]
-    found = found_in(values, exclude="none")["disturbance"]
+    every = found_in(values)
+    assert set(every) == {"disturbance"}
+    found = every["disturbance"]
     assert "larger than elsewhere" in found.text
     inside = [near[int(label) - 1] for label in found.rows]
     assert len(inside) >= 5
@@ -342,7 +344,9 @@ def test_a_disturbance_is_found_with_its_rows():
 def test_moving_iron_is_found_with_the_row():
     values = healthy(3000, 22)
     values[1500:] += [1.5, 0.0, -1.5]  # [µT]
-    found = found_in(values, exclude="none")["moving-iron"]
+    every = found_in(values)
+    assert set(every) == {"moving-iron"}
+    found = every["moving-iron"]
     assert abs(int(found.rows[0]) - 1500) <= 300
     assert 0.03 < float(re.search(r"by ([\d.]+) % of the field", found.text)[1]) / 100 < 0.06
 
