@@ -194,8 +194,9 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Show a warning of Python, such as NumPy's of an overflow, as one line like our own."""
-    say(f"warning: {message} ({category.__name__} at {Path(filename).name} line {lineno})")
+    """Show a library's warning, such as NumPy's of an overflow, to who looks for faults alone."""
+    if os.environ.get("MULTIPOS_DEBUG"):
+        say(f"warning: {message} ({category.__name__} at {Path(filename).name} line {lineno})")
 
 
 def _parse(parser: argparse.ArgumentParser, argv: list[str]) -> argparse.Namespace | None:

@@ -153,9 +153,10 @@ def tell(findings: Iterable[Finding]) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line to stderr."""
+    """Print a line to stderr, where it can be written: what is on stdout stands by then."""
     if sys.stderr is not None:
-        print(f"multipos: {one_line(text)}", file=sys.stderr, flush=True)
+        with suppress(OSError):
+            print(f"multipos: {one_line(text)}", file=sys.stderr, flush=True)
 
 
 def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:

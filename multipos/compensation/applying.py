@@ -75,7 +75,11 @@ from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import worded
-from multipos.sensor.inverse import has_other_solutions, sensed_axes, sensitivities
+from multipos.sensor.inverse import (
+    has_other_solutions,
+    sensed_axes,
+    sensitivities,
+)
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt
 from multipos.uncertainty.validity import applied, unseen_covariance
 
@@ -161,6 +165,7 @@ def add_columns(
         }
         parts = [add_columns(calibration, part, **how) for part in some]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    require_response(calibration)
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
     terms = [term for _, term in calibration.model.keys]
     environment = {

@@ -73,8 +73,8 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
     found = fit_ellipsoids(values.T[None], crossed=crossed)
     if not found.change[0] > 1e-9:
         raise MultiposError(
-            "the readings of one output never change; turn the sensor so that every axis points "
-            "up, down and level."
+            "the readings of one output change by less than a part in 1e9 of what they are; turn "
+            "the sensor so that every axis points up, down and level, or take a large offset off."
         )
     if found.thickness[0] < _FLAT:
         raise MultiposError(

@@ -31,7 +31,7 @@ from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
-from multipos.sensor.inverse import read_nominal
+from multipos.sensor.inverse import read_nominal, require_response
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, ROS_MAGNETOMETER, IMUCAL, KALIBR, INAV)
@@ -129,6 +129,8 @@ def export(
     if fixed and (float or tilt or output_unit is not None):
         raise UsageError("--fixed has whole numbers of its own: no --float, --tilt, --output-unit.")
     _check_options(target, {name: value for name, value in others.items() if value is not None})
+    if first is not None:
+        require_response(first)
     if first is not None and not force:
         refuse_unfit(first.diagnostics.findings, f"the export to {to}")
     if regressions:

@@ -30,7 +30,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import GZIP, Unpacked
 from multipos.files.trees import read_json_value
 from multipos.files.whole import first_bytes, read_bytes
-from multipos.files.workbooks import require_extra
+from multipos.files.workbooks import broken, require_extra
 
 XZ = b"\xfd7zXZ\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
@@ -145,8 +145,10 @@ def read_arrow(path: str | os.PathLike[str]) -> dict[str, Any]:
         It is damaged, or `pyarrow` is not installed.
     """
     require_extra(path, "a Parquet or Feather file", "pyarrow", "parquet")
-    from pyarrow import ArrowException, feather, parquet
-
+    try:
+        from pyarrow import ArrowException, feather, parquet
+    except ImportError as error:
+        raise broken(path, error) from None
     reader = parquet if first_bytes(path, 4) == ARROW[0] else feather
     try:
         with Path(path).open("rb") as stream:

@@ -22,7 +22,11 @@ import weakref
 from pathlib import Path
 from typing import IO, BinaryIO
 
+from multipos.errors import MultiposError
+
 STDIN = "-"
+_PIECE = 1 << 16  # bytes
+_DEVICE, _MOST = 1 << 20, 1 << 32  # bytes of a device such as /dev/zero, and of a pipe
 GZIP = b"\x1f\x8b"
 
 
@@ -42,7 +46,7 @@ class Pipe(os.PathLike[str]):
             self._kept = weakref.finalize(self, _remove, path)
             try:
                 with os.fdopen(handle, "wb") as kept, _opened(self._source) as stream:
-                    shutil.copyfileobj(stream, kept)
+                    self._copy(stream, kept)
             except BaseException:
                 self.close()
                 raise
@@ -50,6 +54,21 @@ class Pipe(os.PathLike[str]):
         if found is None:
             raise OSError(errno.EPIPE, "the pipe has been read already")
         return str(found[2][0])
+
+    def _copy(self, stream: BinaryIO, kept: BinaryIO) -> None:
+        """Copy what comes, but for what has no end: a device, or more than can be."""
+        device = False
+        with contextlib.suppress(OSError):  # of a stream without a number
+            device = stat.S_ISCHR(os.fstat(stream.fileno()).st_mode) and not stream.isatty()
+        left = _DEVICE if device else _MOST
+        while piece := stream.read(_PIECE):
+            left -= len(piece)
+            if left < 0:
+                raise MultiposError(
+                    f"{self}: more than {(_DEVICE if device else _MOST) >> 20} MiB came, and no "
+                    "end; put what is wanted into a file."
+                )
+            kept.write(piece)
 
     def close(self) -> None:
         """Let go of what was kept."""

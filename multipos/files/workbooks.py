@@ -33,6 +33,15 @@ def require_extra(path: str | os.PathLike[str], kind: str, library: str, extra: 
         )
 
 
+def broken(path: str | os.PathLike[str], error: ImportError) -> MultiposError:
+    """Return what is said of a library that is installed and cannot be loaded."""
+    name = (error.name or "a library").partition(".")[0]
+    said = " ".join(str(error).split())[:100]
+    return MultiposError(
+        f"{path}: {name} is installed but cannot be loaded ({said}); install it again."
+    )
+
+
 def workbook_text(path: str | os.PathLike[str]) -> str:
     """Return a workbook's sheet as comma separated text.
 

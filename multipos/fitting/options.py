@@ -22,7 +22,8 @@ _CONTRADICT = {
         "--robust",
         "--stepwise",
     ),
-    "--unknown-orientation": ("--orientation-sd", "--level-sd"),
+    # Where orientations are unknown, outputs have one noise anyway.
+    "--unknown-orientation": ("--orientation-sd", "--level-sd", "--pool"),
 }
 
 
@@ -93,6 +94,7 @@ def check_options(
         "--level-sd": level_sd > 0.0,
         "--robust": robust is not None,
         "--stepwise": stepwise,
+        "--pool": pool,
     }
     _check_together([name for name, present in given.items() if present])
     return Options(

@@ -23,6 +23,7 @@ from multipos.logs.samples import Progress, Timing
 from multipos.logs.sensors import rows_of_sensor
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
+from multipos.numerics.series import require_rate
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme
@@ -160,6 +161,8 @@ def _check_options(
         raise UsageError(f"--signed takes the bits of a register, 2 to 32, got {signed}.")
     if not sources:
         raise TypeError("average needs a log.")
+    if rate is not None:
+        require_rate(rate)
     if time_column is not None and rate is not None:
         raise UsageError("--time-column and --rate both state the time; give one.")
     if threshold is not None and not 0.0 < threshold < np.inf:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.pipes import is_folder
-from multipos.files.workbooks import require_extra
+from multipos.files.workbooks import broken, require_extra
 
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
 _SLOWEST = 1e6  # bytes per second below which a reader no longer reads but turns in circles
@@ -73,7 +73,7 @@ def read_apart(
         "file": os.fspath(path),
     }
     parts = Path(path).iterdir() if is_folder(path) else [Path(path)]
-    limit = patience + sum(part.stat().st_size for part in parts) / _SLOWEST
+    limit = patience + sum(part.lstat().st_size for part in parts) / _SLOWEST
     with tempfile.TemporaryFile() as answers:
         try:
             done = subprocess.run(
@@ -98,6 +98,9 @@ def read_apart(
             raise MultiposError(f"{path}: {_why(done.returncode, done.stderr)}; write it again.")
         answers.seek(0)
         found = json.loads(answers.readline())
+        if "broken" in found:
+            name, said = found["broken"]
+            raise broken(path, ImportError(said, name=name))
         if "refused" in found:
             raise MultiposError(f"{path}: cannot read the log: {found['refused']}; write it again.")
         return {name: np.load(answers, allow_pickle=False) for name in found["names"]}
@@ -119,6 +122,9 @@ def answer(module: str, name: str, file: str) -> None:
         os.dup2(2, 1)  # what libraries print is no part of the answer
         try:
             found = {key: np.asarray(value) for key, value in reader(Path(file)).items()}
+        except ImportError as error:
+            _write_head(stream, {"broken": [error.name, first_line(error)]})
+            return
         except Exception as error:  # each format has exceptions of its own for a damaged file
             _write_head(stream, {"refused": first_line(error)})
             return

@@ -43,6 +43,7 @@ from multipos.positions.scheme import Scheme
 
 FARTHEST_DEG = 20.0
 _STEPS = 20
+_ROUNDED = 1e-9  # of a rate
 _SPREAD = 0.5  # [g] a scheme must move an axis by, to show its scale factor
 
 
@@ -276,7 +277,9 @@ def choose(found: Sequence[StillLog], only: tuple[str, ...] | None) -> list[Chos
     known = dict.fromkeys(each.label for each in result)
     strange = [label for label in only if label not in known]
     if strange:
-        raise MultiposError(f"--only names '{strange[0]}', but the rests are {listed(known, 12)}.")
+        raise MultiposError(
+            f"--only names '{strange[0]}', but the rests are {listed([*known], 12)}."
+        )
     return [each for each in result if each.label in only]
 
 
@@ -348,7 +351,7 @@ def complete(
         outputs=logs[0].outputs,
         rests=tuple(rests),
         scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
-        sample_rate=_common([log.rate for log in logs]),
+        sample_rate=_one_rate([log.rate for log in logs]),
         threshold=_common([log.threshold for log in logs]),
         findings=in_order((*left, *wrong, *unseen, *together, *_of_rests(rests), *general)),
         short=_short(logs),
@@ -505,6 +508,13 @@ def _by_log(logs: Sequence[StillLog], said: Callable[[StillLog], Findings]) -> F
     if len(logs) == 1:
         return said(logs[0])
     return tuple(found for log in logs for found in about(_name(log), said(log)))
+
+
+def _one_rate(rates: Sequence[float | None]) -> float | None:
+    """Return the rate that logs have in common, to the rounding of their times."""
+    known = [rate for rate in rates if rate is not None]
+    alike = len(known) == len(rates) and max(known) - min(known) <= _ROUNDED * max(known)
+    return known[0] if alike else None
 
 
 def _common(values: Sequence[float | None]) -> float | None:

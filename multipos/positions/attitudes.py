@@ -258,10 +258,12 @@ def _read_roll_pitch(table: Table) -> Attitudes:
 
 def _read_quaternion(table: Table) -> Attitudes:
     q = np.column_stack([table.number(name) for name in FORMS["quaternion"]])
-    square = np.einsum("ni,ni->n", q, q)
-    if (square == 0.0).any():
-        row = int(np.argmax(square == 0.0))
+    largest = np.abs(q).max(axis=1)
+    if (largest == 0.0).any():
+        row = int(np.argmax(largest == 0.0))
         raise MultiposError(f"{table.where(row, 'qw')}: the quaternion is zero; normalise it.")
+    q = np.ldexp(q, -np.frexp(largest)[1][:, None])  # exactly; of 1e160 the square is no number
+    square = np.einsum("ni,ni->n", q, q)
     w, x, y, z = q.T
     # Homogeneous form: exact for the quarter and third turns, whatever the length of q.
     case_to_level = np.array(

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.spelling import quoted
+from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source, Table
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
@@ -370,9 +370,9 @@ def orient(
             return _with_up(readings)
         _refuse_log(readings)
         raise MultiposError(
-            f"{readings.source or 'the readings'}: no orientation; give --scheme (a name or a "
-            "file) or orientation columns such as direction or up_x, up_y, up_z, or known forces "
-            "f_x, f_y, f_z."
+            f"{readings.source or 'the readings'}: no orientation{_meant(readings)}; give "
+            "--scheme (a name or a file) or orientation columns such as direction or up_x, up_y, "
+            "up_z, or known forces f_x, f_y, f_z."
         )
     given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
@@ -393,6 +393,16 @@ def orient(
         positions=positions,
         findings=findings,
     )
+
+
+def _meant(readings: Readings) -> str:
+    """Return what a column of text that is not used was meant to be called, in words."""
+    unused = [each.text for each in readings.findings if each.code == "unused-column"]
+    for name in (text.split("'")[1] for text in unused):
+        way = near(name, ("direction",)).rstrip(".?")
+        if way:
+            return f", and a column '{name}'{way}"
+    return ""
 
 
 def refuse_open_rolls(readings: Readings) -> None:

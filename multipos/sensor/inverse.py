@@ -28,7 +28,7 @@ averaged. It is what a calibration is compared with.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,9 @@ from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import LARGEST, Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.model import Model
+
+if TYPE_CHECKING:
+    from multipos.sensor.calibration import Calibration
 
 STEPS = 50  # quadratic convergence needs five; more means there is no solution
 XTOL = 1e-13  # [g], where a step is only rounding
@@ -283,6 +286,33 @@ def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | N
         known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
     force: Array = (raw - known) @ inverse.T
     return force
+
+
+def require_response(calibration: "Calibration") -> None:
+    """Refuse a calibration of which an output does not respond to its axis: a file may say so.
+
+    Raises
+    ------
+    MultiposError
+        A scale factor is zero, or scale factors and cross terms are a singular matrix.
+    """
+    model = calibration.model
+    flat = [model.names[i] for i in model.own_scales if calibration.parameters[i] == 0.0]
+    if flat:
+        raise MultiposError(
+            f"`{flat[0]}` is 0: the output does not respond to force, so that none can be found "
+            "from it; calibrate again."
+        )
+    if not model.has_all_linear:
+        return
+    linear = model.linear_part(calibration.parameters, calibration.mean_environment)
+    matrix = linear[:, [1 + axis for axis in sensed_axes(model)]]
+    scale = np.abs(matrix).max()
+    if not scale or np.linalg.matrix_rank(matrix / scale) < min(matrix.shape):
+        raise MultiposError(
+            "the scale factors and cross terms form a singular matrix, so no force can be found "
+            "from readings; calibrate again."
+        )
 
 
 class Nominal(NamedTuple):

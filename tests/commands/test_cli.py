@@ -538,6 +538,9 @@ def test_a_warning_of_python_is_one_line(capsys, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         assert cli.main(["fit"]) == 0
+        assert capsys.readouterr().err == ""
+        monkeypatch.setenv("MULTIPOS_DEBUG", "1")
+        assert cli.main(["fit"]) == 0
     err = capsys.readouterr().err
     assert re.fullmatch(
         r"multipos: warning: overflow encountered in scalar multiply \(RuntimeWarning at "

@@ -28,7 +28,7 @@ ESTIMATORS = listed(
     . --closed-form --robust=huber --pool --stepwise --drift --exclude=auto --level-sd=0.1
     --orientation-sd=0.5 --orientation-sd=auto --unknown-orientation --reading-sd=0.001
     --unknown-orientation+--gauge=symmetric --orientation-sd=0.5+--reading-sd=0.001
-    --robust=cauchy+--orientation-sd=0.5 --pool+--unknown-orientation --nominal=0,1
+    --robust=cauchy+--orientation-sd=0.5 --pool+--orientation-sd=0.5 --nominal=0,1
     """
 )
 FUNCTION = "a function"

@@ -18,6 +18,8 @@ from .running import PACKAGE, Limits, Run
 
 _FRAME = re.compile(rf'File "{re.escape(PACKAGE)}/([^"]+)", line (\d+),? in (\S+)')
 _WARNING = re.compile(r"^(\S+\.py):(\d+): (\w*Warning): (.*)$", re.MULTILINE)
+# As the command line itself shows them, to who looks for faults.
+_SHOWN_WARNING = re.compile(r"\((\w*Warning) at (\S+\.py) line \d+\)$", re.MULTILINE)
 # How the command line's last handler speaks of what it did not foresee.
 _LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception)\b")
 # In a line that is no comment, where a number stands in C or in a file of parameters.
@@ -53,6 +55,8 @@ def _process(case: Case, run: Run, limits: Limits) -> Iterator[str]:
         yield from _failure(case, run, stderr)
     else:
         yield from _success(case, run, stderr)
+    for category, file in _SHOWN_WARNING.findall(stderr):
+        yield f"warning: {category} at {file}"
     for file, line, category, text in _WARNING.findall(stderr):
         where = file.removeprefix(f"{PACKAGE}/") if file.startswith(PACKAGE) else Path(file).name
         yield f"warning: {category} at {where}:{line}: {text[:60]}"
