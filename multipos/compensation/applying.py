@@ -77,6 +77,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import (
     has_other_solutions,
+    require_response,
     sensed_axes,
     sensitivities,
 )
