@@ -71,6 +71,11 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
         The readings do not spread over three dimensions.
     """
     found = fit_ellipsoids(values.T[None], crossed=crossed)
+    if (np.ptp(values, axis=0) == 0.0).any():
+        raise MultiposError(
+            "the readings of one output never change; turn the sensor so that every axis points "
+            "up, down and level."
+        )
     if not found.change[0] > 1e-9:
         raise MultiposError(
             "the readings of one output change by less than a part in 1e9 of what they are; turn "
