@@ -36,10 +36,15 @@ class Ratio:
 
 
 def paired_ratio(
-    ours: Callable[[], object], peer: Callable[[], object], *, repeats: int = 25, inner: int = 20
+    ours: Callable[[], object],
+    peer: Callable[[], object],
+    *,
+    repeats: int = 25,
+    inner: int = 20,
+    timer: Callable[[], float] = time.perf_counter,
 ) -> list[float]:
     """Time two callables, `inner` calls at a time."""
-    a, b = timeit.Timer(ours), timeit.Timer(peer)
+    a, b = timeit.Timer(ours, timer=timer), timeit.Timer(peer, timer=timer)
     return _pairs(lambda: a.timeit(inner), lambda: b.timeit(inner), repeats)
 
 

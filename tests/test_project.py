@@ -47,6 +47,12 @@ def test_the_recipe_asks_for_what_the_package_asks_for():
     assert f"- {command[0]} = {command[1]}\n" in RECIPE
 
 
+def test_the_recipe_renders():
+    rattler = pytest.importorskip("rattler_build")
+    (variant,) = rattler.Stage0Recipe.from_file(ROOT / "conda/recipe.yaml").render()
+    assert str(variant.recipe.package.name) == "multipos"
+
+
 def test_classifiers_and_the_public_run_name_the_same_pythons():
     prefix = "Programming Language :: Python :: 3."
     named = [one.removeprefix(prefix) for one in PROJECT["classifiers"] if one.startswith(prefix)]
