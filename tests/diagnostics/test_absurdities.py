@@ -258,5 +258,5 @@ def test_a_reading_in_which_all_others_drown_leaves_no_result(known):
     values = sense(up)
     values[5, 2] = 1e17
     readings = mp.Readings(values, up=None if "unknown_orientation" in known else up)
-    with pytest.raises(mp.MultiposError, match=r"position 6: .* is 1e\+17, beside which no digit"):
+    with pytest.raises(mp.MultiposError, match=r"position 6: .* is 1e\+17, next to which"):
         mp.fit(readings, **known, reading_sd=1e-3)
