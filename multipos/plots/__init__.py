@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from multipos.plots.calibration import (
         compensated_error,
         draw_budget,
-        draw_coverage,
         draw_errors,
         draw_residuals,
         draw_size_residuals,
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 
 # Read when first used: what draws one figure need not know the others' results.
 _FILES = {
-    "calibration": "compensated_error draw_budget draw_coverage draw_errors draw_residuals "
+    "calibration": "compensated_error draw_budget draw_errors draw_residuals "
     "draw_size_residuals nominal_error size_residuals variance_shares",
     "check": "check_figure draw_check",
     "runs": "draw_runs runs_figure",
@@ -64,7 +63,6 @@ __all__ = [
     "draw_budget",
     "draw_check",
     "draw_correction",
-    "draw_coverage",
     "draw_curve",
     "draw_efficiency",
     "draw_errors",

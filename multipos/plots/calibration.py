@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.files.numbers import readable_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
-from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
 from multipos.plots.style import (
     COLOURS,
     HATCHES,
@@ -24,7 +22,6 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensitivities
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.validity import vector_uncertainty
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,25 +88,6 @@ def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":
     if c.estimator is Estimator.UNKNOWN:
         return [partial(draw_size_residuals, c)]
     return [partial(draw_residuals, c, output=output) for output in c.outputs]
-
-
-def draw_coverage(calibration: Calibration, axes: "Axes") -> None:
-    """Draw which way was up at every position on both hemispheres, and what they determine behind.
-
-    The colour is the standard uncertainty of compensated force as a vector, from the parameters,
-    for a sensor at rest; there is none where an output does not respond or nothing is left to find
-    u from. A number counts repeats, squares are known forces of whatever size.
-    """
-    c = calibration
-    up = c.sign * directions(c.reference)
-    if np.isfinite(c.rms) and np.isfinite(c.u).all():
-        u = vector_uncertainty(c, c.sign * everywhere())
-        factor, unit = readable_unit(float(u.max()), c.field.printed)
-        draw_map(factor * u, f"{worded('u of force', c.field)} [{unit}]", axes)
-    draw_frame(axes)
-    forced = c.readings.forced
-    for rows, marker in ((~forced, "o"), (forced, "s")):
-        draw_directions(up[rows], axes, marker)
 
 
 def draw_errors(calibration: Calibration, axes: "Axes") -> None:

@@ -270,17 +270,6 @@ def evaluate_sphere(
     return Sphere(**result)
 
 
-def vector_uncertainty(calibration: Calibration, force: Array) -> Array:
-    """Return the standard uncertainty (n,) [g] of compensated force as a vector, at forces (n, 3).
-
-    The root of the sum of the variances along all sensed axes.
-    """
-    gradient, extra = _sensitivity(calibration, force[:, list(sensed_axes(calibration.model))])
-    budget = evaluate_budget(calibration)
-    variances = [budget.combine(gradient[:, row])[0] ** 2 for row in range(gradient.shape[1])]
-    return np.asarray(np.sqrt(np.sum(variances, axis=0) + np.trace(extra, axis1=1, axis2=2)))
-
-
 def _sensitivity(c: Calibration, force: Array) -> tuple[Array, Array]:
     """Return d f/d p (n, K, p) of compensated force, and the covariance (n, K, K) of unseen terms.
 

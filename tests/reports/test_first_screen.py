@@ -122,8 +122,8 @@ def test_what_the_gauge_fixed_is_left_out(unknown):
     assert not any("Mounting" in name for name in names)
     text = plain_report(content)
     assert "Mounting, rotation" not in text
-    assert "Output on x leans to y" not in text
-    assert "Output on y leans to x" in text
+    assert "Output on x, tilt to y" not in text
+    assert "Output on y, tilt to x" in text
 
 
 def test_numbers_in_a_page():

@@ -105,7 +105,7 @@ def test_the_same_calibration_gives_the_same_bytes(six, ending, tmp_path):
 
 def test_numbers_of_the_parameters_table(six):
     table, installation = build_content(six).sections[0].tables
-    lean = {row[0]: row for row in installation.rows}["Output on x leans to y"]
+    lean = {row[0]: row for row in installation.rows}["Output on x, tilt to y"]
     assert lean[3] == "°"
     assert float(lean[1]) == pytest.approx(six.installation_deg["xy"]["value"], rel=0.01)
     row = table.rows[0]
@@ -382,40 +382,6 @@ def test_figures_take_an_axes_and_draw_on_nothing_else(calibration):
         assert draw(one) is None
         assert one.has_data()
     assert len(figure.axes) == 5
-
-
-@pytest.mark.parametrize("convention", ["specific-force", "gravity"])
-def test_the_map_of_positions_shows_the_worst_of_the_sphere(calibration, convention):
-    """At the poles, which the grid passes through, u of the vector by hand from the covariance."""
-    scheme = read_scheme("roll-y-12+roll-x-12")
-    readings = mp.Readings(calibration.readings.values, unit="g")
-    c = mp.fit(readings, scheme=scheme, convention=convention)
-    figure, (axes,) = plots.new_figure()
-    plots.draw_coverage(c, axes)
-    assert len(figure.axes) == 2  # and the bar of its colours
-    places = [line for line in axes.lines if len(line.get_xdata()) == 1]
-    assert len(places) == 12 + 12 - 2 + 4  # the rolls share z up and z down; ±x, ±y lie on both
-    up, down = (mesh.get_array()[0, 0] for mesh in axes.collections)
-    gain = np.array([[c[output, axis].value for axis in "xyz"] for output in c.outputs])
-    for sign, found in ((c.sign, up), (-c.sign, down)):
-        # outputs are fitted apart: the variance of output i at f is φ'C_iφ, φ = (1, f)
-        variance = []
-        for i in range(3):
-            part = slice(4 * i, 4 * i + 4)
-            phi = np.array([1.0, 0.0, 0.0, sign])
-            variance.append(phi @ evaluate_budget(c).covariance[part, part] @ phi)
-        inverse = np.linalg.inv(gain)
-        u = np.sqrt(np.trace(inverse @ np.diag(variance) @ inverse.T))
-        assert found == pytest.approx((1e6 if u < 1e-3 else 1e3) * u, rel=1e-9)
-
-
-def test_a_map_without_u_shows_positions_alone():
-    up = np.vstack([np.eye(3), np.full(3, -1.0 / np.sqrt(3.0))])
-    c = mp.fit(mp.Readings(up + 0.01, up=up, unit="g"))  # as many positions as parameters
-    figure, (axes,) = plots.new_figure()
-    plots.draw_coverage(c, axes)
-    assert len(figure.axes) == 1
-    assert not axes.collections
 
 
 def test_residuals_are_drawn_where_they_are(calibration):
