@@ -41,16 +41,24 @@ myst_heading_anchors = 3
 math_eqref_format = "({number})"
 
 
-# What a command says in sentences wraps on a narrow screen, where tables are scrolled.
+# Commands, and what they say in sentences, wrap on a narrow screen; tables are scrolled.
 SENTENCE = re.compile(r'<span class="go">((?:(?!  |</span>).){40,})</span>')
+COMMAND = re.compile(r'^((?:<div.*<pre>(?:<span></span>)?)?)(<span class="gp">.*)$', re.MULTILINE)
 WRAPPED = ".sentence {display: inline-block; max-width: 100%; white-space: pre-wrap}"
 
 
 def wrap_sentences(app, pagename, templatename, context, doctree):
-    """Mark long lines of output that are sentences, answers and messages, to be wrapped."""
+    """Mark commands, answers and messages, to be wrapped."""
     if body := context.get("body"):
-        context["body"] = SENTENCE.sub(r'<span class="go sentence">\1</span>', body)
+        body = SENTENCE.sub(r'<span class="go sentence">\1</span>', body)
+        context["body"] = COMMAND.sub(_wrapped, body)
         context["body"] += f"<style>{WRAPPED}</style>"
+
+
+def _wrapped(line):
+    if line[2].count("<span") != line[2].count("</span>"):  # a text goes on in the next line
+        return line[0]
+    return f'{line[1]}<span class="sentence">{line[2]}</span>'
 
 
 def write_page(app, error):
