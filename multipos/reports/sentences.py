@@ -10,6 +10,7 @@ from multipos.files.numbers import in_unit
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
+from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration, nominal_error
 from multipos.sensor.found import Estimator
@@ -45,11 +46,11 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
     parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
     if math.isfinite(c.rms):
-        before, after = _rms_before(c), c.field.shown(c.rms)
+        before, after = _rms_before(c), _shown(c, c.rms)
         said = ": rms error {before} before, {after} after" if before else ": rms error {after}"
         parts[0] += tr(said, before=before, after=after)
     bias, scale = _largest_expanded(c)
-    sizes = [tr("{size} of bias", size=c.field.shown(bias))] if math.isfinite(bias) else []
+    sizes = [tr("{size} of bias", size=_shown(c, bias))] if math.isfinite(bias) else []
     sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
     if sizes:
         percent = f"{100.0 * c.confidence:g}"
@@ -58,6 +59,13 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
         )
     head = tr("Not fit for use: ") if errors_of(c.findings) else ""
     return f"{head}{tr('; ').join([*parts, counted_findings(c.findings, tr)])}{tr('.')}"
+
+
+def _shown(c: Calibration, size: float) -> str:
+    """Return a size of force or field; of a field of unknown size in the unit of the readings."""
+    if c.field.unit or c.model.unit not in MAGNETIC_UNITS:
+        return c.field.shown(size)
+    return in_unit(size * float(np.linalg.norm(c.sensitivity, axis=1).mean()), c.model.unit)
 
 
 def _rms_before(c: Calibration) -> str:
