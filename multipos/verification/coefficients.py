@@ -220,7 +220,7 @@ def find_without_u(found: Mapping[str, TumbleCoefficient]) -> Findings:
     names = [name for name, entry in found.items() if math.isnan(entry.U)]
     if not names:
         return ()
-    text = f"no U of {', '.join(names)}: table errors, which residuals show, change them alike"
+    text = f"no U of {', '.join(names)}: table errors, which residuals show, change them equally"
     return (Finding("table", "warning", text, "Add a roll about another axis."),)
 
 
