@@ -372,6 +372,7 @@ def _fewer(out: int) -> int:
 
 
 _Left = list[tuple[Array, Array]]
+_TOGETHER = 1 << 20  # rows of sets whose residuals are there at a time
 
 
 def _trimmed(view: View, most: int) -> Array:
@@ -433,7 +434,10 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
 
 def _whole_is_beyond(view: View, sets: Mask, most: int) -> Mask:
     """Tell of which sets (B, n) the rows that are not kept are beyond chance, eq. (1) at j = 0."""
-    squares = _squares(_left_of(view, np.vstack([np.ones_like(sets[:1]), sets])))
+    every = np.vstack([np.ones_like(sets[:1]), sets])
+    some = max(1, _TOGETHER // sets.shape[1])  # sets, so that memory does not grow with the rows
+    parts = [every[i : i + some] for i in range(0, len(every), some)]
+    squares = np.concatenate([_squares(_left_of(view, part)) for part in parts])
     outs = np.sum(~sets, axis=1).tolist()
     pairs = zip(squares[1:] / squares[0], outs, strict=True)
     return np.array([_is_beyond(view, x, out, 0, most) for x, out in pairs], dtype=np.bool_)
