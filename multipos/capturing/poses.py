@@ -117,7 +117,8 @@ class Frame:
         """Return the forces (n, 3) that readings (n, M) show, in case axes, about 1 in size."""
         if self.calibration is not None:
             return self.calibration.compensate(means)
-        return np.asarray((means - self.centre)[:, list(self.order)] / self.size)
+        size = self.size or np.nan  # readings that are all the same show no direction
+        return np.asarray((means - self.centre)[:, list(self.order)] / size)
 
     def force_size(self, means: Array) -> Array:
         """Return the size (n,) of these forces."""
@@ -126,7 +127,8 @@ class Frame:
     def up(self, means: Array) -> Array:
         """Return the up vectors (n, 3) that readings (n, M) show, in the axes of the outputs."""
         force = self.sign * self.force(means)
-        return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
+        size = np.linalg.norm(force, axis=1, keepdims=True)
+        return np.asarray(force / np.where(size == 0.0, np.nan, size))
 
     def in_case(self, up: Array) -> Array:
         """Return up vectors (n, 3) in case axes."""

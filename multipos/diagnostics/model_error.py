@@ -200,9 +200,12 @@ def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
     if c.robust_weight is not None:
         return True
     kinds = [kind for kind in lacking(c) if kind.name in named]
-    root = np.broadcast_to(1.0 / c.sd_of_readings, c.residuals.shape)
-    phi = c.model.basis(c.reference, c.readings.environment)
+    with np.errstate(divide="ignore"):
+        root = np.broadcast_to(1.0 / c.sd_of_readings, c.residuals.shape)
     size = np.linalg.norm(c.sensitivity, axis=1)
+    if not (np.isfinite(root).all() and size.all()):  # no residuals, or no linear response
+        return False
+    phi = c.model.basis(c.reference, c.readings.environment)
     designs, added, largest, values = [], [], [], []
     for i, own in enumerate(c.model.columns):
         weight = root[:, [i]]

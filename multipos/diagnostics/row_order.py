@@ -415,8 +415,10 @@ class _Setting:
         self.calibration = c
         noise, S = c.noise, c.sensitivity
         level = noise is None or not np.ptp(noise.reshape(len(c.readings), -1), axis=0).any()
-        own = np.maximum(np.sqrt(np.einsum("mi,mi->m", S, S)), _ROUNDING * np.abs(S).max())
-        size = own / c.residual_sd
+        least = np.finfo(float).tiny ** 0.5  # of no linear response, and of exact readings
+        lowest = max(_ROUNDING * float(np.abs(S).max()), least)
+        own = np.maximum(np.sqrt(np.einsum("mi,mi->m", S, S)), lowest)
+        size = own / np.maximum(c.residual_sd, least)
         weight = np.exp2(np.rint(np.log2(size * (len(own) / size.sum()))))
         # cross terms of a few percent and sd by chance give the same plan
         self.slopes = np.rint(S / (_GRID * own)[:, None]) * (_GRID * weight)[:, None] + 0.0
