@@ -11,7 +11,6 @@ from typing import Any, Literal, get_args
 
 from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.noise_parameters import write_noise
 from multipos.exports.parts import Parts, split_parts
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish
 from multipos.exports.target_ardupilot import ARDUPILOT
@@ -26,7 +25,7 @@ from multipos.exports.target_magnetometer import (
     ROS_MAGNETOMETER,
 )
 from multipos.exports.target_px4 import PX4
-from multipos.exports.target_ros import ROS
+from multipos.exports.target_ros import ROS, write_noise
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes

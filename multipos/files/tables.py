@@ -25,7 +25,6 @@ from multipos.errors import MultiposError
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
 from multipos.files.decimals import format_numbers
-from multipos.files.encodings import UTF_16, decoded
 from multipos.files.handed import (
     ARROW,
     is_json,
@@ -35,7 +34,7 @@ from multipos.files.handed import (
     take_in,
     unpack,
 )
-from multipos.files.pipes import Pipe, is_pipe, rereadable
+from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
 from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
 from multipos.files.whole import read_bytes, reading, write_text
 from multipos.files.workbooks import ZIP, require_extra, workbook_text

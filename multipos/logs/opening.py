@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.encodings import unpack_text
 from multipos.files.handed import take_in
-from multipos.files.pipes import is_folder, rereadable
+from multipos.files.pipes import is_folder, rereadable, unpack_text
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
 from multipos.finding import Finding

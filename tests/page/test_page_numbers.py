@@ -9,7 +9,7 @@ import page_runtime
 import pytest
 
 import multipos as mp
-from multipos.page import runtime, wheel
+from multipos.page import runtime, site
 
 SCRIPT = """
 import { readFileSync } from "node:fs";
@@ -54,8 +54,8 @@ def test_the_runtime_gives_the_numbers_of_this_machine(tmp_path):
     (tmp_path / "ask.py").write_text(ASK)
     (tmp_path / "run.mjs").write_text(SCRIPT.replace("NUMPY", runtime.NUMPY))
     (tmp_path / "lock.json").write_text(json.dumps(runtime.LOCK))
-    (tmp_path / wheel.NAME).write_bytes(wheel.make_wheel())
-    places = [tmp_path / name for name in ("run.mjs", "lock.json", wheel.NAME)]
+    (tmp_path / site.NAME).write_bytes(site.make_wheel())
+    places = [tmp_path / name for name in ("run.mjs", "lock.json", site.NAME)]
     done = subprocess.run(
         ["node", places[0], folder, places[1], places[2], tmp_path],
         capture_output=True,

@@ -15,7 +15,7 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.page import runtime, site, wheel
+from multipos.page import runtime, site
 
 PACKAGE = Path(site.__file__).parents[1]
 SCRIPTS = [*(PACKAGE / "page").glob("*.js"), PACKAGE / "capturing" / "drawing.js"]
@@ -27,9 +27,9 @@ def made():
 
 
 def test_the_wheel_is_the_same_every_time_and_installs(tmp_path):
-    raw = wheel.make_wheel()
-    assert raw == wheel.make_wheel()
-    path = tmp_path / wheel.NAME
+    raw = site.make_wheel()
+    assert raw == site.make_wheel()
+    path = tmp_path / site.NAME
     path.write_bytes(raw)
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
     subprocess.run([*command, "--target", str(tmp_path / "site"), str(path)], check=True)
