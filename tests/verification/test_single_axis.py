@@ -324,7 +324,7 @@ def test_repeated_angles_are_said(tmp_path, capsys):
 
 def test_one_angle_again_and_again_tells_nothing(tmp_path, capsys):
     path = roll_file(tmp_path / "r.csv", [90.0] * 6, [0.1] * 6)
-    fails(capsys, ["tumble", path], 1, "cannot tell K0 from K1")
+    fails(capsys, ["tumble", path], 1, "cannot separate K0 from K1")
 
 
 def test_an_output_that_does_not_follow_the_angle(tmp_path, capsys):
@@ -349,7 +349,7 @@ def test_more_than_one_output_or_axis(capsys, tmp_path):
     fails(capsys, [*arguments, "--outputs", "A", "--axes", "x,y"], 2, "--axes takes one of")
     fails(capsys, [*arguments, "--outputs", "A", "--axes", "w"], 2, "--axes takes one of")
     three = [*arguments, "--axes", "x,z"]  # this roll leaves z level
-    fails(capsys, three, 1, "cannot tell K0 from K1 of B", "leave the output out")
+    fails(capsys, three, 1, "cannot separate K0 from K1 of B", "leave the output out")
     fails(capsys, [*arguments, "--outputs", "A", "--model", "1 + y"], 2, "no term x")
 
 
