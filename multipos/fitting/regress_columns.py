@@ -108,8 +108,8 @@ def find_in_choice(
 
 
 def find_in_segments(segments: Sequence[Segment]) -> Findings:
-    """Find segments that nothing tests, or whose rows are not apart."""
-    found = []
+    """Find segments that nothing tests, and rows whose noise is correlated, once for all."""
+    found, fewer = [], []
     for where, segment in _named(segments):
         robust = segment.robust
         if segment.dof[0] > 0 and segment.dof[1] == 0:
@@ -118,12 +118,16 @@ def find_in_segments(segments: Sequence[Segment]) -> Findings:
             found.append(Finding("no-redundancy", "warning", text, action))
         apart = robust is None or robust.kind == "cluster" or robust.n_effective == segment.n
         if robust is not None and not apart:
-            text = (
-                f"{where}: noise of neighbouring rows is correlated ({robust.lag_one:.2f}); "
-                f"{segment.n} rows equal about {robust.n_effective:.3g} independent ones"
-            )
-            action = "Judge terms by F_robust."
-            found.append(Finding("time-correlated", "warning", text, action))
+            fewer.append((segment.n, robust.n_effective, robust.lag_one))
+    if fewer:
+        rows, equal, lag = (list(each) for each in zip(*fewer, strict=True))
+        count = equal[0] if len(set(equal)) == 1 else sum(equal)  # one number is of all segments
+        text = (
+            f"noise of neighbouring rows is correlated ({max(lag):.2f}); {sum(rows)} rows equal "
+            f"about {count:.0f} independent ones"
+        )
+        action = "Judge terms by F_robust."
+        found.append(Finding("time-correlated", "warning", text, action))
     return tuple(found)
 
 

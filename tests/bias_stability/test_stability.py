@@ -305,7 +305,7 @@ def short():
 
 REFUSED = {
     "no log": ((), {}, UsageError, "needs one static record or more"),
-    "too short": ((short(),), {}, MultiposError, "50 samples say nothing about stability"),
+    "too short": ((short(),), {}, MultiposError, "50 samples are too few for stability"),
     "no time": (({"ax": np.arange(100.0)},), {}, MultiposError, "give --rate"),
     "no such output": ((short(),), {"outputs": "ay"}, MultiposError, "no column 'ay'"),
     "an empty name": ((short(),), {"time_column": ""}, MultiposError, "no column ''"),

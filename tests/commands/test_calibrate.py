@@ -157,7 +157,7 @@ def test_the_unit_is_what_gravity_shows(size, unit, log):
 
 def test_positions_that_cannot_tell_everything_ask_for_a_scheme():
     faces = columns_of(scheme="faces-6")
-    with pytest.raises(mp.RankError, match="how the sensor stood, say so with --scheme") as raised:
+    with pytest.raises(mp.RankError, match="Name the positions with --scheme") as raised:
         mp.calibrate(faces, model="linear")
     assert raised.value.parameters == 9
     assert mp.calibrate(faces, scheme="faces-6").estimator == "linear"
@@ -300,7 +300,7 @@ def test_wrong_labels(log):
         mp.average({**log, "where": labels}, label_column="where")
     with pytest.raises(mp.MultiposError, match="no column 'place'"):
         mp.average(log, label_column="place")
-    with pytest.raises(mp.UsageError, match="--sections and --label-column both tell"):
+    with pytest.raises(mp.UsageError, match="--sections and --label-column both state"):
         mp.average(log, label_column="where", sections={"a": {"start": 0, "end": 9}})
 
 

@@ -225,7 +225,7 @@ BAD = {
         table(),
         ("--orientation-sd", "auto", "--robust", "huber"),
         2,
-        "cannot judge the same",
+        "cannot be estimated from the same",
     ),
     "gauge": (table(), ("--unknown-orientation", "--gauge", "upper"), 2, "unknown gauge 'upper'"),
     "loss": (table(), ("--robust", "tukey"), 2, "--robust takes huber, soft-l1, cauchy"),

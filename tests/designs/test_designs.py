@@ -613,7 +613,7 @@ def test_design_writes_a_scheme_that_schemes_reads(tmp_path):
         (
             "design --model own-quadratic --positions 9 --candidates corners-8",
             1,
-            "told from `3 quad_ax`",
+            "separated from `3 quad_ax`",
         ),
         ("design --model full-quadratic --positions 24", 1, "no static positions can separate"),
         ("design --model linear --positions 6 --orientation-sd -1", 2, "must be 0 or more"),

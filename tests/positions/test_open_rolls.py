@@ -56,7 +56,7 @@ def test_an_axis_that_is_unknown_too_is_an_unknown_position():
         ({"roll_axis": ["x", "y", "x"], "group": ["a", "a", ""]}, "group 'a' has rolls of open"),
         (
             {"roll_axis": ["x", "x", "x"], "angle_deg": ["", "9", ""], "group": ["a", "a", ""]},
-            "position '2': group 'a' has rolls of open angle about one axis beside other",
+            "position '2': group 'a' has rolls of open angle about one axis and other",
         ),
         ({"roll_axis": ["q", "x", "x"]}, "'q' is not an axis"),
         (

@@ -114,5 +114,5 @@ def test_runs_and_several_responses(folder):
     found.save("both.json")
     assert main(["report", "both.json", "-o", "r.txt"]) == 0
     text = page("r.txt")
-    assert "3 switch-ons were told apart by 'run'" in text
+    assert "3 switch-ons are separated by 'run'" in text
     assert "Tests of other" in text
