@@ -191,7 +191,7 @@ def test_beyond_one_g_is_marked(calibration, six):
     (table,) = build_content(calibration).sections[2].tables
     assert [row[1] for row in table.rows if row[0] == "force along x"] == ["1 g", "2 g *", "5 g *"]
     said = build_content(six).sections[2].paragraphs  # six faces hide terms between them, too
-    assert any("U leaves them out" in text for text in said)
+    assert any("is not included in U between them" in text for text in said)
 
 
 def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
