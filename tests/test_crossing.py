@@ -13,6 +13,7 @@ from fuzzing import bases, crossing
 from multipos import cli
 
 STRIDE = 197  # prime to the lengths of the lists
+LINES = [line for line in crossing.COMMANDS if not any(word in line for word in crossing.SLOW)]
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +69,7 @@ SHARED = [
 
 
 def test_a_crossing_ends_as_promised(place):
-    lines = [line for line in crossing.COMMANDS if not any(word in line for word in crossing.SLOW)]
-    flags = {line: cycle(("", *crossing.flags(line.split()[0]))) for line in lines}
+    flags = {line: cycle(("", *crossing.flags(line.split()[0]))) for line in LINES}
     seen, faults = 0, []
     for words in (*SHARED, *crossing.KINDS[::STRIDE]):
         made = crossing.make(words)
@@ -79,7 +79,7 @@ def test_a_crossing_ends_as_promised(place):
             assert words not in SHARED
             continue
         Path(crossing.CALIBRATION).write_bytes(made)
-        for line in lines:
+        for line in LINES:
             asked = [*crossing.filled(line, words), *next(flags[line]).split()]
             faults += [(words, asked, fault) for fault in broken(asked)]
             seen += 1
@@ -104,7 +104,7 @@ def test_a_large_crossing_ends_as_promised(place, first):
         if made is None:
             continue
         Path(crossing.CALIBRATION).write_bytes(made)
-        for line in crossing.COMMANDS[first::4]:
+        for line in LINES[first::4]:
             for flag in ("", *crossing.flags(line.split()[0])):
                 asked = [*crossing.filled(line, words), *flag.split()]
                 faults += [(words, asked, fault) for fault in broken(asked)]
