@@ -7,7 +7,7 @@ scheme, or it is in the data and already in U.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, TypeAlias
 
 from multipos.errors import MultiposError, warn_of
@@ -95,9 +95,11 @@ Findings: TypeAlias = tuple[Finding, ...]
 def read_findings(content: Mapping[str, Any]) -> Findings:
     """Return the findings that a file holds under the keys `FINDINGS`."""
     if "findings" in content:
+        own = [each.name for each in fields(Finding)]  # a later version may say more
+        told = [{name: said[name] for name in own if name in said} for said in content["findings"]]
         return tuple(
             Finding(**{**said, "rows": tuple(said["rows"]), "outputs": tuple(said["outputs"])})
-            for said in content["findings"]
+            for said in told
         )
     found = [
         Finding(

@@ -123,3 +123,12 @@ def test_a_library_that_cannot_be_loaded_is_to_blame_and_not_the_log(tmp_path, m
     status, line = said(capsys, "average", path)
     assert status == 1
     assert "pyarrow is installed but cannot be loaded (no symbol); install it again" in line
+
+
+def test_a_finding_that_says_more_than_is_known_is_read(tmp_path, readings):
+    document = mp.fit(readings, model="own-quadratic").to_dict()
+    said = {"code": "x", "level": "note", "text": "t", "action": "", "rows": [], "outputs": []}
+    document["diagnostics"]["findings"] = [{**said, "p": None, "since": 1}]
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(document))
+    assert [each.code for each in mp.load(path).findings][:1] == ["x"]
