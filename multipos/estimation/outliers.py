@@ -156,7 +156,8 @@ def _off_line(
     left, response = fitted(kept)
     least = [_STEP * resolution(each) for each in y.T]
     rows = rows[(np.abs(left[rows]) > least).any(axis=1)]
-    off = np.linalg.norm(left[rows] / response, axis=1)
+    with np.errstate(over="ignore"):  # of an output that hardly responds it is infinite
+        off = np.linalg.norm(left[rows] / response, axis=1)
     return _outlying(views[-1], rows, off, left[rows], kept)
 
 
