@@ -61,6 +61,7 @@ from multipos.uncertainty.turntable import table_effects
 
 LEVEL = 0.01  # of all causes together
 _LEAST = 2  # rows before and after a change
+_FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size are a sign alone
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
@@ -474,7 +475,7 @@ def _planned(
     """Return the plan of families, with what whitens readings (n, M), or None of no residuals."""
     n, m = weight.shape
     nu = float(n - max(Q.shape[1] for _, Q in groups))
-    if nu < 1.0:
+    if nu < _FREE:
         return None
     codes = len({family.code for family in families}) + 1
     tests, weight = [], weight[order]

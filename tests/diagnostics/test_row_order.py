@@ -207,3 +207,12 @@ def test_axes_that_are_not_square_are_no_turn():
     up = mp.read_scheme("fibonacci-24").up
     noise = SD * np.random.default_rng(6).standard_normal((24, 3))
     assert not mp.fit(mp.Readings(up @ slanted.T + noise, up=up)).findings
+
+
+def test_one_degree_of_freedom_has_no_cause_of_time():
+    """Divided by their own size such residuals are signs, of which any cause makes one pattern."""
+    up, rng = mp.read_scheme("song-qin-6").up, np.random.default_rng(5)
+    for _ in range(20):
+        readings = mp.Readings(0.01 + up + 1e-3 * rng.standard_normal((6, 3)), up=up)
+        cal = mp.fit(readings, model="own-quadratic", pool=True)
+        assert not {"slipped", "settling"} & {found.code for found in cal.findings}
