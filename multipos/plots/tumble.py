@@ -7,7 +7,6 @@ import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
-from multipos.positions.harmonics import Harmonic, Roll, find_rolls, series
 from multipos.sensor.calibration import Calibration
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles
@@ -83,7 +82,7 @@ def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> No
 def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     """Draw the amplitudes of what the model of a tumble leaves, named ones marked by a star."""
     width = 0.8 / max(len(found.rolls), 1)
-    named = " ".join(each.text for each in found.findings)
+    strange = beyond_chance(found.residual_harmonics)
     for k, roll in enumerate(found.rolls):
         left = [h for h in found.residual_harmonics if h.plane == roll.plane]
         place = np.array([h.order for h in left]) + (k - (len(found.rolls) - 1) / 2.0) * width
@@ -98,7 +97,7 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
             label=f"plane {roll.plane}",
         )
         for x, h in zip(place.tolist(), left, strict=True):
-            if f"harmonic {h.order} in plane {h.plane} " in named:
+            if h in strange:
                 axes.annotate(
                     "*", (x, h.amplitude), ha="center", va="bottom", fontsize=9.0, color="#000000"
                 )

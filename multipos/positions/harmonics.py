@@ -289,9 +289,14 @@ def residual_series(
     return tuple(result)
 
 
+def beyond_chance(residual: Sequence[Harmonic]) -> list[Harmonic]:
+    """Return the residual harmonics beyond chance, of all those tested together."""
+    tested = [h for h in residual if h.p is not None]
+    return [h for h in tested if h.p is not None and h.p < _SIGNIFICANT / len(tested)]
+
+
 def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
-    """Name the residual harmonics beyond chance, of all those tested together."""
-    tested = [h.p for h in residual if h.p is not None]
+    """Name the residual harmonics beyond chance."""
     return [
         Finding(
             "harmonic-left",
@@ -303,8 +308,7 @@ def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
             "Check the table, or add a term to the model.",
             p=h.p,
         )
-        for h in residual
-        if h.p is not None and h.p < _SIGNIFICANT / len(tested)
+        for h in beyond_chance(residual)
     ]
 
 

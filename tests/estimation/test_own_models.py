@@ -157,7 +157,7 @@ def test_bounds_hold_and_are_said(tmp_path):
     assert_allclose(cal.u[:6], free.u[:6], rtol=1e-4)
     assert_allclose(cal["k_az"].value, 0.04, rtol=1e-6)
     (said,) = (s for s in texts(cal) if "bound" in s)
-    assert "`k_az` ended at its bound, high = 0.04" in said
+    assert "`k_az` is at its bound, high = 0.04" in said
 
 
 SATURATING_FILE = 'each = "b + s*own/(1 + k*own^2)"'

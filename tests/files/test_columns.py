@@ -47,7 +47,11 @@ def told(path):
             number = table.number(name, empty=True).tobytes()
         except MultiposError as error:
             number = str(error)
-        said[name] = (list(column), number, table.text(name), table.is_text(name))
+        try:
+            text = table.text(name)
+        except MultiposError as error:  # a control character
+            text = str(error)
+        said[name] = (list(column), number, text, table.is_text(name))
     return said
 
 

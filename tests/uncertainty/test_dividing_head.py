@@ -72,16 +72,16 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
     data, read = placed(ROLLS), np.tile(HEAD, 4)
     twice = replace(data, environment={"head_deg": 2.0 * read})
     assert find_head(twice) == ()
-    assert "does not turn with" in find_in_head(twice)[0].text
+    assert "does not follow the angle" in find_in_head(twice)[0].text
     wild = replace(data, environment={"head_deg": np.cumsum(np.arange(48.0) ** 2)})
     assert find_head(wild) == ()
-    assert "does not turn with" in find_in_head(wild)[0].text
+    assert "does not follow the angle" in find_in_head(wild)[0].text
     missing = replace(data, environment={"head_deg": np.where(read == 30.0, np.nan, read)})
     assert find_head(missing) == ()
     assert "have no `head_deg`" in find_in_head(missing)[0].text
     # a diagnosis ends no fit
     table = bench(sd=1e-6) | {"head_deg": 2.0 * read}
-    assert any("does not turn with" in text for text in texts(mp.tumble(table)))
+    assert any("does not follow the angle" in text for text in texts(mp.tumble(table)))
 
 
 def test_a_roll_the_other_way_tells_the_circle():

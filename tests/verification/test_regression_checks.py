@@ -216,7 +216,7 @@ def test_options_at_fault(files, capsys, options, status, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"error": None}, "no column 'error', the response; a check needs to know the error"),
+        ({"error": None}, "no column 'error', the response; a check needs the error"),
         ({"temperature": None}, "no column 'temperature', which this regression needs"),
         ({"error": np.append(np.nan, np.zeros(59))}, "row 1 (line 2), column 'error': the cell"),
         ({"temperature": np.full(60, 500.0)}, "all 60 rows are outside"),
