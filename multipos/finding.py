@@ -96,10 +96,12 @@ def read_findings(content: Mapping[str, Any]) -> Findings:
     """Return the findings that a file holds under the keys `FINDINGS`."""
     if "findings" in content:
         own = [each.name for each in fields(Finding)]  # a later version may say more
-        known = [{name: said[name] for name in own if name in said} for said in content["findings"]]
+        listed = [
+            {name: said[name] for name in own if name in said} for said in content["findings"]
+        ]
         return tuple(
             Finding(**{**said, "rows": tuple(said["rows"]), "outputs": tuple(said["outputs"])})
-            for said in known
+            for said in listed
         )
     found = [
         Finding(

@@ -78,7 +78,7 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
     assert "does not follow the angle" in find_in_head(wild)[0].text
     missing = replace(data, environment={"head_deg": np.where(read == 30.0, np.nan, read)})
     assert find_head(missing) == ()
-    assert "have no `head_deg`" in find_in_head(missing)[0].text
+    assert "lack `head_deg`" in find_in_head(missing)[0].text
     # a diagnosis ends no fit
     table = bench(sd=1e-6) | {"head_deg": 2.0 * read}
     assert any("does not follow the angle" in text for text in texts(mp.tumble(table)))
