@@ -28,8 +28,7 @@ def require_extra(path: str | os.PathLike[str], kind: str, library: str, extra: 
         there = False
     if not there:
         raise MultiposError(
-            f"{path}: {kind}, which {library} reads; install it with "
-            f"pip install 'multipos[{extra}]'."
+            f"{path}: {kind} needs {library}; install it with pip install 'multipos[{extra}]'."
         )
 
 

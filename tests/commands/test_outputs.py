@@ -206,6 +206,11 @@ def test_known_endings_are_written_as_what_they_are_or_refused(command, here, ca
             assert "pip install 'multipos[pdf]'" in err
             assert snapshot(here) == before
             continue
+        if (command, ending) == ("apply", ".parquet") and find_spec("pyarrow") is None:
+            assert (status, out) == (1, "")
+            assert "a Parquet file needs pyarrow; install it with pip install" in err
+            assert snapshot(here) == before
+            continue
         if ending in WRITTEN[command]:
             assert status == 0, err
             assert ending in said

@@ -56,7 +56,7 @@ def test_a_slope_that_differs_is_told_and_one_that_does_not_is_not():
 
 def test_a_run_for_every_row_leaves_no_subset_to_compare():
     each = {"x": np.arange(5.0), "y": np.arange(5.0) ** 2, "run": np.arange(5)}
-    with pytest.raises(MultiposError, match=r"takes up all that the rows tell .*fewer runs"):
+    with pytest.raises(MultiposError, match=r"uses all that the rows determine .*fewer runs"):
         mp.regress(each, response="y", variables="x", run="run", subsets=True)
 
 
