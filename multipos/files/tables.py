@@ -513,7 +513,7 @@ def to_parquet(parts: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
     MultiposError
         `pyarrow` is not installed.
     """
-    require_extra("the result", "a Parquet file", "pyarrow", "parquet")
+    require_extra("the result", "a Parquet file", "pyarrow", "parquet", "writes")
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -14,8 +14,10 @@ from multipos.files.pipes import Unpacked
 ZIP = b"PK\x03\x04"
 
 
-def require_extra(path: str | os.PathLike[str], kind: str, library: str, extra: str) -> None:
-    """Refuse a file whose library is not installed.
+def require_extra(
+    path: str | os.PathLike[str], kind: str, library: str, extra: str, does: str = "reads"
+) -> None:
+    """Refuse a file whose library, which reads or writes it, is not installed.
 
     Raises
     ------
@@ -28,7 +30,8 @@ def require_extra(path: str | os.PathLike[str], kind: str, library: str, extra: 
         there = False
     if not there:
         raise MultiposError(
-            f"{path}: {kind} needs {library}; install it with pip install 'multipos[{extra}]'."
+            f"{path}: {kind}, which {library} {does}; install it with "
+            f"pip install 'multipos[{extra}]'."
         )
 
 

@@ -208,7 +208,7 @@ def test_known_endings_are_written_as_what_they_are_or_refused(command, here, ca
             continue
         if (command, ending) == ("apply", ".parquet") and find_spec("pyarrow") is None:
             assert (status, out) == (1, "")
-            assert "a Parquet file needs pyarrow; install it with pip install" in err
+            assert "a Parquet file, which pyarrow writes; install it with pip install" in err
             assert snapshot(here) == before
             continue
         if ending in WRITTEN[command]:

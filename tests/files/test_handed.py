@@ -170,5 +170,5 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
     if sys.version_info < (3, 14):
         with pytest.raises(mp.MultiposError, match=r"backports\.zstd reads.*'multipos\[zst\]'"):
             mp.fit(tmp_path / "r.csv.zst")
-    with pytest.raises(mp.MultiposError, match=r"a Stream needs pyarrow"):
+    with pytest.raises(mp.MultiposError, match=r"a Stream, which pyarrow reads"):
         mp.fit(Stream())
