@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from multipos.estimation.likelihood import assemble, evaluate, linearise, respond, weigh
 from multipos.estimation.problem import Point, Problem, State
-from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.estimation.unknown_orientations import UnknownSearch, is_along_force
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import loss_weight
@@ -165,5 +164,7 @@ class _General:
 def _allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array) -> Array:
     if not np.square(height).any():  # no residual that could differ
         return inverse
+    from multipos.estimation.unequal_axes import allow_for_axes
+
     found = (rows, height, unstated.T, inverse)
     return np.asarray(allow_for_axes(*(np.asarray(each)[None] for each in found))[0])

@@ -42,7 +42,6 @@ from multipos.estimation.problem import (
     standing,
     start_state,
 )
-from multipos.estimation.robustness import set_aside
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.orientations import place
@@ -66,6 +65,8 @@ def restate(calibration: Calibration) -> Problem:
         precision = precision_of(c.noise, *shape)
     problem = pose(c.model, c.readings, stated_up, precision)
     if c.robust_weight is not None:
+        from multipos.estimation.robustness import set_aside
+
         problem = set_aside(problem, c.robust_weight == 0.0)
     return problem
 

@@ -43,7 +43,6 @@ from multipos.estimation.unknown_orientations import (
     linear_parameters,
     symmetric_root,
 )
-from multipos.estimation.user_models import first_guesses
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.least_squares import solve
 from multipos.numerics.rotations import align
@@ -107,6 +106,8 @@ def own_starts(problem: Problem) -> list[State]:
 
     At the listed directions, or at those that the ellipsoid of the readings gives.
     """
+    from multipos.estimation.user_models import first_guesses
+
     model, rows = problem.model, problem.listed
     assert isinstance(model, ExpressionModel)
     if rows.any():

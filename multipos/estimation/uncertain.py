@@ -36,9 +36,7 @@ from multipos.estimation.noise import (
     with_degrees,
 )
 from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
-from multipos.estimation.robustness import judge_robustly
 from multipos.estimation.starts import own_starts, reduced_information, search, too_few
-from multipos.estimation.user_models import rotations_to_hold
 from multipos.finding import Finding, Findings, about
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import Loss
@@ -50,7 +48,6 @@ from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
-from multipos.sensor.own_models import hold
 
 _REPORTED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is reported
 
@@ -111,6 +108,8 @@ def solve_uncertain(
     if unstated and (problem.has_parameter_prior or (tied and not pool)):
         problem, optimum, noise, dof = estimate_tied_noise(problem, optimum)
     elif robust is not None:
+        from multipos.estimation.robustness import judge_robustly
+
         problem, optimum, noise = judge_robustly(
             problem, optimum, robust, readings.labels, stated=stated
         )
@@ -153,6 +152,9 @@ def _with_gauge(model: Model, stated_up: StatedOrientations, gauge: Gauge) -> Mo
 
 def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Findings]:
     """Return the problem with parameters held that fix the rotation of the case, and the note."""
+    from multipos.estimation.user_models import rotations_to_hold
+    from multipos.sensor.own_models import hold
+
     model = problem.model
     assert isinstance(model, ExpressionModel)
     fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)

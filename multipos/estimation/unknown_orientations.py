@@ -56,7 +56,6 @@ from multipos.estimation.orientation_variance import Block, Linear, find_excess,
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
-from multipos.estimation.unequal_axes import allow_for_axes
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.factoring import cofactors_of
@@ -429,6 +428,8 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     valid &= ended & _is_identifiable(shared, place, surface.information, factor)
     chi2 = None
     if noise is None:
+        from multipos.estimation.unequal_axes import allow_for_axes
+
         inverse = _inverse(surface.information)
         unstated = np.moveaxis(surface.normal**2, 0, 1)
         matrix = allow_for_axes(surface.rows, surface.height, unstated, inverse.matrix)
@@ -476,6 +477,8 @@ def _with_excess(
     inverse = _inverse(surface.information)
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
     if rejected.size:
+        from multipos.estimation.unequal_axes import allow_for_axes
+
         excess = np.maximum(units.search.variance - stated, 0.0)
         unstated = np.moveaxis(surface.normal**2 * excess, 0, 1)
         known = (surface.rows, surface.height, unstated, inverse.matrix)

@@ -68,23 +68,30 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Fi
         action = "Check the unit and the convention."
         findings.append(Finding("beyond-target", "warning", text, action))
     found: list[tuple[str, float | int]] = list(zip(names, values, strict=True))
-    number = "" if instance == 1 else instance
-    sensor = f"INS_ACC{number}_ID"
-    if wish.device_id is None:
-        text = f"{sensor} is missing; ArduPilot will ask for a calibration"
-        findings.append(Finding("no-device-id", "warning", text, "Add --device-id."))
-    else:
+    sensor = f"INS_ACC{'' if instance == 1 else instance}_ID"
+    findings += without_id(sensor, wish)
+    if wish.device_id is not None:
         found.insert(0, (sensor, wish.device_id))
     thermal = ""
     if law.drift is not None:
         found += _thermal(law.drift, instance)
         thermal = " - p(t) + p(CALTEMP)"
-    lines = [
-        *(f"# {line}" for line in origin(calibration)),
-        f"# corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
-        *(f"{name},{value!r}" for name, value in found),
-    ]
-    return "\n".join(lines) + "\n", findings
+    head = [*origin(calibration), f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"]
+    return parm_text(head, found), findings
+
+
+def parm_text(head: list[str], found: list[tuple[str, float | int]]) -> str:
+    """Return a file of parameters in the form of Mission Planner: name and value."""
+    lines = [*(f"# {line}" for line in head), *(f"{name},{value!r}" for name, value in found)]
+    return "\n".join(lines) + "\n"
+
+
+def without_id(sensor: str, wish: Wish) -> list[Finding]:
+    """Return the finding that the parameter of a sensor's ID was not stated."""
+    if wish.device_id is not None:
+        return []
+    text = f"{sensor} is missing; ArduPilot will ask for a calibration"
+    return [Finding("no-device-id", "warning", text, "Add --device-id.")]
 
 
 def _thermal(drift: Drift, instance: int) -> list[tuple[str, float | int]]:

@@ -1,9 +1,13 @@
 """Kalibr [1]_: YAML of an IMU, with its scale-misalignment matrix and noise densities.
 
-raw = M a + b in m/s², with the specific force a, so that M = T⁻¹ and b = o. Kalibr takes the axes
-of its sensor from the accelerometer, which makes its own M lower triangular, and lets b move with
-time, so that its own files have none: ``bias`` is there for those who read the file. A consumer
-finds a = M⁻¹ (raw − b).
+raw = M C a + b in m/s², with the specific force a in case axes. Kalibr takes the axes of its sensor
+from the accelerometer, so that its M is lower triangular and its readers take six numbers of it:
+
+    K = T⁻¹ = M C,    M lower triangular, C a rotation,                                    (1)
+
+with a diagonal of M above zero, or below it where the three outputs are left-handed; b = o. Kalibr
+lets b move with time, so that its own files have none: ``bias`` and ``C_i_case``, named as Kalibr
+names ``C_gyro_i``, are there for those who read the file. A consumer finds C a = M⁻¹ (raw − b).
 
 The noise densities are those of `multipos stability`: white noise N [m/s²/√Hz] with σ(τ) = N/√τ
 and random walk K [m/s³/√Hz] with σ(τ) = K √(τ/3), the largest of the three axes, since Kalibr has
@@ -30,11 +34,13 @@ from multipos.exports.parameters import (
 from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import rotation_vector
 from multipos.sensor.calibration import Calibration
 from multipos.units import MICRO_G, STANDARD_GRAVITY
 
 _ROW = r"\[[^\]\n]*\]"
 _M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
+_C = re.compile(rf"^ +C_i_case:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
 _BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
 _NO_NOISE = Finding(
     "no-noise-density",
@@ -45,16 +51,18 @@ _NO_NOISE = Finding(
 
 
 def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
-    response = np.linalg.inv(law.matrix)
+    response, turn = _in_own_axes(np.asarray(np.linalg.inv(law.matrix), dtype=np.float64))
     for key, array in (("M", response), ("bias", law.offset)):
         for value in array.ravel().tolist():
             require_writable(calibration, key, value, np.finfo(np.float64))
     findings = []
-    upper = np.abs(response[np.triu_indices(3, 1)])
-    if (upper > 0.0).any():
-        text = "M is full, in case axes; Kalibr's own is lower triangular, in accelerometer axes"
-        action = "Fit with --unknown-orientation for accelerometer axes."
+    turned: list[str] = []
+    if not np.array_equal(turn, np.eye(3)):
+        angle = np.degrees(np.linalg.norm(rotation_vector(turn)))
+        text = f"M is in accelerometer axes; C_i_case turns case axes into them, by {angle:.2g}°"
+        action = "Apply its transpose to forces that are needed in case axes."
         findings.append(Finding("full-matrix", "note", text, action))
+        turned = ["    C_i_case:", *(f"    - {row}" for row in turn.tolist())]
     noise: list[str] = []
     if wish.stability is None:
         findings.append(_NO_NOISE)
@@ -67,16 +75,24 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Fi
         ]
     lines = [
         *(f"# {line}" for line in origin(calibration)),
-        "# raw = M a + bias in m/s^2; Kalibr itself has no constant bias",
+        f"# raw = M {'C_i_case ' * bool(turned)}a + bias in m/s^2; Kalibr has no constant bias",
         "imu0:",
         "  model: scale-misalignment",
         "  accelerometers:",
         "    M:",
         *(f"    - {row}" for row in response.tolist()),
+        *turned,
         f"    bias: {law.offset.tolist()}",
         *noise,
     ]
     return "\n".join(lines) + "\n", findings
+
+
+def _in_own_axes(response: Array) -> tuple[Array, Array]:
+    """Return M and C of eq. (1)."""
+    Q, R = np.linalg.qr(response.T)
+    sign = np.copysign(1.0, np.diag(R)) * np.copysign(1.0, np.linalg.det(response))
+    return np.tril(R.T * sign), Q.T * sign[:, None]
 
 
 def densities(calibration: Calibration, stability: Stability) -> tuple[float, float]:
@@ -117,8 +133,10 @@ def densities(calibration: Calibration, stability: Stability) -> tuple[float, fl
 
 
 def _read(path: str, text: str) -> Correction:
-    matrix, bias = _M.search(text), _BIAS.search(text)
+    matrix, turn, bias = _M.search(text), _C.search(text), _BIAS.search(text)
     response = _cells(path, "M", matrix[1] if matrix else "", 9).reshape(3, 3)
+    if turn is not None:
+        response = response @ _cells(path, "C_i_case", turn[1], 9).reshape(3, 3)
     offset = _cells(path, "bias", bias[1] if bias else "", 3)
     try:
         return Correction(np.asarray(np.linalg.inv(response)), offset)

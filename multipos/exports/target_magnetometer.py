@@ -22,6 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from multipos.exports import target_ardupilot, target_px4
 from multipos.exports.laws import LINEAR, Correction, Law
 from multipos.exports.parameters import (
     origin,
@@ -37,7 +38,6 @@ from multipos.sensor.calibration import Calibration
 
 _GAUSS, _MILLIGAUSS, _TESLA = 1e-4, 1e-7, 1.0
 _UPPER = ((0, 1), (0, 2), (1, 2))  # of eq. (1), where x, y, z of the off-diagonals stand
-_REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
 _OFFSET, _DIAGONAL, _BESIDE = 1800.0, (0.2, 5.0), 1.0  # that ArduPilot accepts
 _PX4_GIVEN = re.compile(r"^(?!#).*\bCAL_MAG(?P<instance>\d)_[XYZ]", re.MULTILINE)
 _ARDUPILOT_GIVEN = re.compile(
@@ -85,23 +85,15 @@ def _turned(calibration: Calibration, law: Law) -> list[str]:
 
 def _write_px4(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
     instance = require_instance(wish, "px4", range(4))
+    sensor = f"CAL_MAG{instance}_ID"
     found: list[tuple[str, float | int, int]] = [
-        (*pair, _REAL32) for pair in _values(calibration, law, _px4_names(instance), 1.0)
+        (*pair, target_px4.REAL32) for pair in _values(calibration, law, _px4_names(instance), 1.0)
     ]
-    said = []
-    if wish.device_id is None:
-        text = f"CAL_MAG{instance}_ID is missing; PX4 will ignore the file"
-        said.append(Finding("no-device-id", "warning", text, "Add --device-id."))
-    else:
-        found.insert(0, (f"CAL_MAG{instance}_ID", wish.device_id, _INT32))
-    lines = [
-        *(f"# {line}" for line in (*origin(calibration), *_turned(calibration, law))),
-        "# corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it",
-        "#",
-        "# Vehicle-Id Component-Id Name Value Type",
-        *(f"1\t1\t{name}\t{value!r}\t{kind}" for name, value, kind in found),
-    ]
-    return "\n".join(lines) + "\n", said
+    if wish.device_id is not None:
+        found.insert(0, (sensor, wish.device_id, target_px4.INT32))
+    equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
+    head = [*origin(calibration), *_turned(calibration, law), equation]
+    return target_px4.params_text(head, found), target_px4.without_id(sensor, wish)
 
 
 def _write_ardupilot(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Finding]]:
@@ -119,17 +111,12 @@ def _write_ardupilot(calibration: Calibration, law: Law, wish: Wish) -> tuple[st
         action = "Check the unit and the axes."
         said.append(Finding("beyond-target", "warning", text, action))
     sensor = f"COMPASS_DEV_ID{'' if instance == 1 else instance}"
-    if wish.device_id is None:
-        text = f"{sensor} is missing; ArduPilot will ask for a calibration"
-        said.append(Finding("no-device-id", "warning", text, "Add --device-id."))
-    else:
+    said += target_ardupilot.without_id(sensor, wish)
+    if wish.device_id is not None:
         found.insert(0, (sensor, wish.device_id))
-    lines = [
-        *(f"# {line}" for line in (*origin(calibration), *_turned(calibration, law))),
-        "# corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
-        *(f"{name},{value!r}" for name, value in found),
-    ]
-    return "\n".join(lines) + "\n", said
+    equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
+    head = [*origin(calibration), *_turned(calibration, law), equation]
+    return target_ardupilot.parm_text(head, found), said
 
 
 def _write_ros(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Finding]]:

@@ -30,7 +30,7 @@ from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
 
-_REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
+REAL32, INT32 = 9, 6  # MAV_PARAM_TYPE
 _INSTANCES = range(4)
 _GIVEN = re.compile(r"^(?!#).*\bCAL_ACC(?P<instance>\d)_[XYZ]", re.MULTILINE)
 
@@ -54,20 +54,25 @@ def _write(calibration: Calibration, law: Law, wish: Wish) -> tuple[str, list[Fi
     values = diagonal_values(calibration, law, names)
     found: list[tuple[str, float | int, int]] = []
     if wish.device_id is not None:
-        found.append((f"CAL_ACC{instance}_ID", wish.device_id, _INT32))
-    found += [(name, value, _REAL32) for name, value in zip(names, values, strict=True)]
+        found.append((f"CAL_ACC{instance}_ID", wish.device_id, INT32))
+    found += [(name, value, REAL32) for name, value in zip(names, values, strict=True)]
     thermal = ""
     if law.drift is not None:
         found += _thermal(law.drift, instance, wish.device_id)
         thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
+    head = [*origin(calibration), f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"]
+    return params_text(head, found), without_id(f"CAL_ACC{instance}_ID", wish)
+
+
+def params_text(head: list[str], found: list[tuple[str, float | int, int]]) -> str:
+    """Return a file of parameters in the form of QGroundControl: name, value and MAV_PARAM_TYPE."""
     lines = [
-        *(f"# {line}" for line in origin(calibration)),
-        f"# corrected = (raw - OFF{thermal}) SCALE, in m/s^2",
+        *(f"# {line}" for line in head),
         "#",
         "# Vehicle-Id Component-Id Name Value Type",
         *(f"1\t1\t{name}\t{value!r}\t{kind}" for name, value, kind in found),
     ]
-    return "\n".join(lines) + "\n", [] if wish.device_id is not None else [_without_id(instance)]
+    return "\n".join(lines) + "\n"
 
 
 def _thermal(
@@ -76,17 +81,20 @@ def _thermal(
     zeros = [(f"TC_A{instance}_X0_{axis}", 0.0) for axis in range(3)]
     slopes = zip(_slopes(instance), drift.slopes.ravel().tolist(), strict=True)
     limits = zip(_limits(instance), (drift.reference, drift.low, drift.high), strict=True)
-    sensor = [] if device_id is None else [(f"TC_A{instance}_ID", device_id, _INT32)]
+    sensor = [] if device_id is None else [(f"TC_A{instance}_ID", device_id, INT32)]
     return [
-        ("TC_A_ENABLE", 1, _INT32),
+        ("TC_A_ENABLE", 1, INT32),
         *sensor,
-        *((name, value, _REAL32) for name, value in (*zeros, *slopes, *limits)),
+        *((name, value, REAL32) for name, value in (*zeros, *slopes, *limits)),
     ]
 
 
-def _without_id(instance: int) -> Finding:
-    text = f"CAL_ACC{instance}_ID is missing; PX4 will ignore the file"
-    return Finding("no-device-id", "warning", text, "Add --device-id.")
+def without_id(sensor: str, wish: Wish) -> list[Finding]:
+    """Return the finding that the parameter of a sensor's ID was not stated."""
+    if wish.device_id is not None:
+        return []
+    text = f"{sensor} is missing; PX4 will ignore the file"
+    return [Finding("no-device-id", "warning", text, "Add --device-id.")]
 
 
 def _read(path: str, text: str) -> Correction:

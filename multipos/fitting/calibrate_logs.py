@@ -87,7 +87,7 @@ def calibrate(
     field_size: float | str | None = None,
     field_size_u: float | str | None = None,
     level_sd: float = 0.0,
-    budget: "BudgetSource | Budget | None" = None,
+    budget: BudgetSource | Budget | None = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
     nominal: Sequence[float] | None = None,

@@ -29,19 +29,16 @@ from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
-from multipos.estimation.robust_known import solve_robust_known
 from multipos.estimation.stated_uncertainty import (
     add_reference_noise,
     shrink_variances,
     with_stated_dof,
 )
 from multipos.estimation.uncertain import solve_uncertain
-from multipos.estimation.user_models import is_untied, solve_own_known
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
 from multipos.fitting.completion import complete
-from multipos.fitting.model_selection import select_terms, with_selection
 from multipos.fitting.options import (
     Options,
     check_options,
@@ -62,7 +59,6 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.found import Chosen, Estimator, Excluded
-from multipos.sensor.functions import build_expression
 from multipos.sensor.gravity import (
     Field,
     FieldKind,
@@ -73,11 +69,8 @@ from multipos.sensor.gravity import (
 )
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
-from multipos.sensor.own_models import build_parsed
 from multipos.sensor.stating import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
-from multipos.uncertainty.propagation import state_budget
-from multipos.uncertainty.turntable import find_in_rolls
 
 
 def note_names(readings: Readings, model: Model) -> Readings:
@@ -195,7 +188,7 @@ class FitOptions(TypedDict, total=False):
     field_size: float | str | None
     field_size_u: float | str | None
     level_sd: float
-    budget: "BudgetSource | Budget | None"
+    budget: BudgetSource | Budget | None
     unit: str | None
     range: Sequence[float] | None
     nominal: Sequence[float] | None
@@ -230,7 +223,7 @@ def fit(
     field_size: float | str | None = None,
     field_size_u: float | str | None = None,
     level_sd: float = 0.0,
-    budget: "BudgetSource | Budget | None" = None,
+    budget: BudgetSource | Budget | None = None,
     unit: str | None = None,
     range: Sequence[float] | None = None,
     nominal: Sequence[float] | None = None,
@@ -409,6 +402,8 @@ def fit(
         calibration = replace(calibration, nominal=before)
     calibration = face(calibration, stated_facing(axes))
     if stated is not None:
+        from multipos.uncertainty.propagation import state_budget
+
         calibration = state_budget(calibration, stated)
     calibration = examine(calibration)
     warn(calibration.findings)
@@ -587,7 +582,11 @@ def calibrate_at(
         confidence=options.confidence,
     )
     calibration = _with_rolls(calibration)
-    return calibration if chosen is None else with_selection(calibration, chosen)
+    if chosen is None:
+        return calibration
+    from multipos.fitting.model_selection import with_selection
+
+    return with_selection(calibration, chosen)
 
 
 def _require_one_unit(readings: Readings, field: Field) -> None:
@@ -628,11 +627,16 @@ def _solver(
             return solve_closed_form(model, reference, readings, pool=pool)
         exact = estimator is Estimator.LINEAR and options.robust is None
         own = isinstance(model, ExpressionModel)
-        if isinstance(model, ExpressionModel) and exact and is_untied(model, readings):
-            return solve_own_known(model, reference, readings, pool=pool, tested=tested)
+        if isinstance(model, ExpressionModel) and exact:
+            from multipos.estimation.user_models import is_untied, solve_own_known
+
+            if is_untied(model, readings):
+                return solve_own_known(model, reference, readings, pool=pool, tested=tested)
         if exact and not own:
             return solve_known(model, reference, readings, pool=pool, tested=tested)
         if estimator is Estimator.LINEAR and options.robust is not None and not pool:
+            from multipos.estimation.robust_known import solve_robust_known
+
             found = solve_robust_known(model, reference, readings, options.robust)
             if found is not None:
                 return found
@@ -650,6 +654,8 @@ def _stepwise(
     solve: Callable[[Model], Solution],
 ) -> tuple[Model, dict[str, Chosen]]:
     """Return the model with the terms that the readings support, and how they were chosen."""
+    from multipos.fitting.model_selection import select_terms
+
     if isinstance(model, ExpressionModel):
         raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
     if stated_up.exact:
@@ -669,7 +675,11 @@ def _gravity_of(budget: Budget | None, local: Field | None) -> Field | None:
 
 def _with_rolls(calibration: Calibration) -> Calibration:
     """Return the calibration of one or two axes with what its rolls warn of."""
-    said = find_in_rolls(calibration) if len(calibration.outputs) < 3 else []
+    if len(calibration.outputs) == len(COMPONENTS):
+        return calibration
+    from multipos.uncertainty.turntable import find_in_rolls
+
+    said = find_in_rolls(calibration)
     if not said:
         return calibration
     found = calibration.diagnostics
@@ -719,8 +729,12 @@ def _build(
     if isinstance(model, ParsedModel):
         used = model.columns_among(columns)
         model.require_no_near_miss(used, (*columns, *readings.outputs), readings.outputs)
+        from multipos.sensor.own_models import build_parsed
+
         return build_parsed(model, readings.outputs, own, seen, readings.unit, used)
     if not isinstance(model, str):
+        from multipos.sensor.own_models import build_expression
+
         return build_expression(model, readings.outputs, own, readings.unit, columns)
     return build_model(model, readings.outputs, own, seen, readings.unit, columns)
 

@@ -35,6 +35,7 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
+from multipos.files.numbers import p_in_words
 from multipos.files.spelling import Names, split_names, split_numbers, visible
 from multipos.files.tables import Source, read_table
 from multipos.files.whole import now
@@ -97,7 +98,7 @@ def find_in_choice(
     if hysteresis is not None and not hysteresis["significant"]:
         p = hysteresis["p"]
         text = (
-            f"heating and cooling do not differ (p = {p:.2g}): one model for both"
+            f"heating and cooling do not differ ({p_in_words(p)}): one model for both"
             if p == p
             else "too few independent rows to separate heating from cooling: one model for both"
         )
@@ -191,12 +192,12 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
         said.append(Finding("collinear-terms", "note", text))
     robust = segment.robust
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
-        text = f"{where}: significant by F, not by F_robust (p = {robust.p:.2g})"
+        text = f"{where}: significant by F, not by F_robust ({p_in_words(robust.p)})"
         said.append(Finding("not-robust", "warning", text, p=robust.p))
         if robust.kind != "cluster" and robust.n_effective == segment.n:
             text = (
-                f"{where}: {segment.n} rows cannot separate white from slow noise: F (p = "
-                f"{segment.p:.2g}) holds for white, F_robust for the slowest possible"
+                f"{where}: {segment.n} rows cannot separate white from slow noise: F "
+                f"({p_in_words(segment.p)}) holds for white, F_robust for the slowest possible"
             )
             action = "Record more rows, or several runs."
             said.append(Finding("slow-or-white", "warning", text, action))

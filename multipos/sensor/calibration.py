@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import beyond_rounding, number, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings
@@ -509,14 +509,18 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     symbols = paper_symbol(calibration.model, 0) is not None
     header = ["parameter", *(["symbol"] if symbols else []), "unit", "value(u)", "U", "k", "dof"]
     rows = []
+    largest = np.abs(calibration.readings.values).max(axis=0).tolist()
+    sizes = dict(zip(calibration.outputs, largest, strict=True))
     for p in calibration.entries:
+        size = sizes.get(p.output, max(largest))
+        u = beyond_rounding(p.u, size)
         rows.append(
             [
                 p.name,
                 *([p.symbol or ""] if symbols else []),
                 p.unit,
-                uncertain(p.value, p.u),
-                number(p.U, 2),
+                uncertain(p.value if u else beyond_rounding(p.value, size), u),
+                number(p.U if u else 0.0, 2),
                 number(p.k),
                 number(p.dof),
             ]

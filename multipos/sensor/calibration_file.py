@@ -55,6 +55,7 @@ from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import (
     MODEL_TESTS,
     Diagnostics,
@@ -73,11 +74,9 @@ from multipos.sensor.found import (
     StatedBudget,
     VarianceComponents,
 )
-from multipos.sensor.functions import load_expression
 from multipos.sensor.gravity import FIELD_KINDS, Field
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
-from multipos.sensor.own_models import expression_dict, load_parsed
 from multipos.sensor.stating import build_model
 
 SCHEMA = "multipos/calibration/1"
@@ -328,7 +327,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         else {"closed_form_max_difference": c.cross_check},
         "intrinsic": c.intrinsic,
         "installation_deg": c.installation_deg,
-        **expression_dict(c.model),
+        **_expression_dict(c.model),
         **({} if c.model.drift_per is None else {"drift_per": c.model.drift_per}),
         **_ADDED.write(c),
         **({} if c.orientations is None else _ORIENTATIONS.write(c.orientations)),
@@ -441,10 +440,22 @@ def _model(content: Mapping[str, Any]) -> Model:
     return replace(_model_in_gravity(content), field=_field(content))
 
 
+def _expression_dict(model: Model) -> dict[str, Any]:
+    if not isinstance(model, ExpressionModel):
+        return {}
+    from multipos.sensor.own_models import expression_dict
+
+    return expression_dict(model)
+
+
 def _model_in_gravity(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
+        from multipos.sensor.own_models import load_parsed
+
         return load_parsed(content)
     if "expression" in content:
+        from multipos.sensor.own_models import load_expression
+
         model: Model = load_expression(content)
     else:
         model = build_model(

@@ -24,7 +24,7 @@ Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, sec
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,10 +33,12 @@ from multipos.errors import UsageError
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
-from multipos.sensor.compiled import Compiled, Instruction, Values, compile_model
 from multipos.sensor.formulas import SHARED, ParsedModel, StatedParameter
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.units import unit_per
+
+if TYPE_CHECKING:
+    from multipos.sensor.compiled import Compiled, Instruction, Values
 
 Expression = Callable[..., Any]
 
@@ -87,7 +89,7 @@ class ExpressionModel(Model):
         Whether parameters are the t of eq. (2).
     """
 
-    functions: tuple[tuple[Instruction, ...], ...] = ()
+    functions: "tuple[tuple[Instruction, ...], ...]" = ()
     columns_used: tuple[str, ...] = ()
     shared: tuple[Symbol, ...] = ()
     shared_by: tuple[tuple[int, ...], ...] = ()
@@ -151,14 +153,16 @@ class ExpressionModel(Model):
         )
 
     @cached_property
-    def compiled(self) -> Compiled:
+    def compiled(self) -> "Compiled":
         """The compiled function of all outputs."""
+        from multipos.sensor.compiled import compile_model
+
         places = tuple(tuple(own.tolist()) for own in self.places)
         return compile_model(self.functions, places, len(self.columns_used), len(self.keys))
 
     def values(
         self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Values:
+    ) -> "Values":
         """Return outputs and slopes at force (n, 3) [g]."""
         return self.compiled.evaluate(force, self._columns(force, environment), parameters)
 

@@ -33,7 +33,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import near
@@ -42,7 +42,9 @@ from multipos.numerics.arrays import LARGEST
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import is_environment
 from multipos.results import Result
-from multipos.sensor.compiled import Instruction
+
+if TYPE_CHECKING:
+    from multipos.sensor.compiled import Instruction
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
 # How each function is called among the instructions; min and max take two arguments or more.
@@ -128,7 +130,9 @@ def parse_formula(
     return Formula(text.strip(), tree, reader.names, where, fault)
 
 
-def instruct(formula: Formula, inputs: Mapping[str, tuple[int, int] | float]) -> list[Instruction]:
+def instruct(
+    formula: Formula, inputs: Mapping[str, tuple[int, int] | float]
+) -> "list[Instruction]":
     """Return the instructions of a formula.
 
     Parameters
@@ -152,7 +156,7 @@ def instruct(formula: Formula, inputs: Mapping[str, tuple[int, int] | float]) ->
 def _write(
     tree: Tree,
     inputs: Mapping[str, tuple[int, int] | float],
-    program: list[Instruction],
+    program: "list[Instruction]",
     write: Callable[[Tree], int],
 ) -> int:
     """Add what a tree computes to a program, and return the place where it stands."""

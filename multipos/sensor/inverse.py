@@ -269,17 +269,17 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
         return step
 
 
-def _rank(matrix: Array, scale: float) -> int:
+def _rank(matrix: Array) -> int:
     """Return the rank of a matrix by powers of two of its largest entry, which overflow nowhere."""
-    return int(np.linalg.matrix_rank(np.ldexp(matrix, -int(np.frexp(scale)[1]))))
+    exponent = int(np.frexp(np.abs(matrix).max())[1])
+    return int(np.linalg.matrix_rank(np.ldexp(matrix, -exponent)))
 
 
 def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | None) -> Array:
     sensed = [1 + axis for axis in sensed_axes(model)]
     linear = model.linear_part(parameters, {})
     matrix = linear[:, sensed]
-    scale = np.abs(matrix).max()
-    if not scale or _rank(matrix, scale) < matrix.shape[1]:
+    if _rank(matrix) < matrix.shape[1]:
         raise MultiposError(
             "the scale factors and cross terms form a singular matrix, so no force can be found "
             "from readings; every output needs its own axis in the model, and must respond to it."
@@ -312,8 +312,7 @@ def require_response(calibration: "Calibration") -> None:
         return
     linear = model.linear_part(calibration.parameters, calibration.mean_environment)
     matrix = linear[:, [1 + axis for axis in sensed_axes(model)]]
-    scale = np.abs(matrix).max()
-    if not scale or _rank(matrix, scale) < min(matrix.shape):
+    if _rank(matrix) < min(matrix.shape):
         raise MultiposError(
             "the scale factors and cross terms form a singular matrix, so no force can be found "
             "from readings; calibrate again."

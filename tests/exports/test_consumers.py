@@ -222,16 +222,16 @@ def test_kalibr_by_its_law_with_noise_densities(tmp_path):
     found = resting("g", sd=0.02 / G, walk=2e-3 / G)
     exported = mp.export(cal, "kalibr", stability=found)
     text = exported.text
-    M = np.array([json.loads(row) for row in re.findall(r"^    - (\[.*\])$", text, re.MULTILINE)])
+    M, C = kalibr_matrices(text)
     b = np.array(json.loads(re.search(r"bias: (.*)", text)[1]))
     raw = cal.readings.values * G
-    np.testing.assert_allclose(raw, G * cal.compensate(raw / G) @ M.T + b, atol=1e-11)
+    np.testing.assert_allclose(raw, G * cal.compensate(raw / G) @ C.T @ M.T + b, atol=1e-11)
     held = dict(re.findall(r"^  (\w+): ([\d.e+-]+)  #", text, re.MULTILINE))
     # N = sd/√rate in m/s²/√Hz, by definition; of three outputs, 30,000 samples
     assert float(held["accelerometer_noise_density"]) == pytest.approx(0.02 / 10.0, rel=0.03)
     assert float(held["accelerometer_random_walk"]) == pytest.approx(2e-3, rel=0.6)  # 5 minutes
     assert float(held["update_rate"]) == pytest.approx(100.0)
-    assert "lower triangular" in texts(exported)[0]
+    assert "C_i_case turns case axes into them" in texts(exported)[0]
     exported.save(tmp_path / "imu.yaml")
     assert mp.verify_export(tmp_path / "imu.yaml", cal).rms == pytest.approx(cal.rms)
     bare = mp.export(cal, "kalibr")
@@ -239,10 +239,39 @@ def test_kalibr_by_its_law_with_noise_densities(tmp_path):
     assert "--stability" in texts(bare)[0]
 
 
-def test_kalibr_of_unknown_orientation_is_lower_triangular():
+def kalibr_matrices(text):
+    """M and C_i_case of a file, the second I where it is not there."""
+    rows = [json.loads(row) for row in re.findall(r"^    - (\[.*\])$", text, re.MULTILINE)]
+    return np.array(rows[:3]), np.array(rows[3:] or np.eye(3))
+
+
+@pytest.mark.parametrize("mounted", ["as it is", "quarter turn", "mirrored"])
+def test_kalibr_has_a_lower_triangle_and_a_rotation_beside_it(mounted, tmp_path):
+    # raw = K a with K = M C: M M' = K K', of which Cholesky's factor is M but for a common sign
+    turn = {"quarter turn": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "mirrored": -np.eye(3)}
+    response = K @ np.array(turn.get(mounted, np.eye(3)))
+    cal = mp.fit(mp.Readings(UP @ response.T + OFFSET, up=UP, unit="m/s^2"))
+    exported = mp.export(cal, "kalibr")
+    M, C = kalibr_matrices(exported.text)
+    sign = -1.0 if mounted == "mirrored" else 1.0
+    lower = np.linalg.cholesky(response @ response.T) / G
+    np.testing.assert_allclose(M, sign * lower, rtol=0, atol=1e-14)  # zeros above the diagonal
+    assert (M[np.triu_indices(3, 1)] == 0.0).all()
+    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(C) == pytest.approx(1.0)
+    exported.save(tmp_path / "imu.yaml")
+    found = mp.verify_export(tmp_path / "imu.yaml", cal)
+    assert found.difference < 1e-12
+    without = re.sub(r"    C_i_case:\n(    - .*\n){3}", "", exported.text)
+    (tmp_path / "imu.yaml").write_text(without)  # the rotation is read
+    assert mp.verify_export(tmp_path / "imu.yaml", cal).difference > 1e-3
+
+
+def test_kalibr_of_unknown_orientation_needs_no_rotation():
     cal = mp.fit(mp.Readings(UP @ K.T + OFFSET, unit="m/s^2"), unknown_orientation=True)
-    notes = texts(mp.export(cal, "kalibr"))
-    assert not any("lower triangular" in note for note in notes)
+    exported = mp.export(cal, "kalibr")
+    assert "C_i_case" not in exported.text
+    assert [found.code for found in exported.findings] == ["no-noise-density"]
 
 
 def test_kalibr_takes_the_stability_of_this_sensor():
