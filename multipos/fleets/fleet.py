@@ -301,6 +301,10 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "yield": proportion(passed, total).to_dict(),
         "verdicts": {name: int(np.sum(judged.verdict == name)) for name in _order(judged)},
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
+        "unfit": [
+            {"unit": units.unit[i], "station": units.station[i], "reason": units.why_unfit[i]}
+            for i in np.flatnonzero(unfit).tolist()
+        ],
         "parameters": _parameters(units, limits, counted),
         "outliers": find_outliers(units, counted),
         "stations": stations,

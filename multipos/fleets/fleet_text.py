@@ -166,9 +166,15 @@ def _share(part: float | None) -> str:
 
 
 def cause_rows(found: Mapping[str, Any]) -> Rows:
-    """Return why units do not pass, the commonest cause first."""
-    rows = [(cause, str(count)) for cause, count in found["causes"].items()]
-    return ("cause", "units"), rows
+    """Return why units do not pass, the commonest cause first; of a finding its first unit."""
+    first: dict[str, str] = {}
+    for each in found.get("unfit", ()):
+        for said in each["reason"].split("; "):
+            first.setdefault(said.partition(" ")[0], f"{each['unit']}: {said}")
+    rows = [(cause, str(count), first.get(cause, "-")) for cause, count in found["causes"].items()]
+    if not first:
+        return ("cause", "units"), [row[:2] for row in rows]
+    return ("cause", "units", "first"), rows
 
 
 def outlier_rows(found: Mapping[str, Any]) -> Rows:

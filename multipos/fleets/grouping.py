@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import MultiposError
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places
@@ -205,7 +204,7 @@ class Conditions:
         """Return a column of conditions, as numbers whose bits tell all values apart."""
         numbers = None if name in _LABELLED and rows.is_text(name) else rows.numbers(name)
         if numbers is None or np.isnan(numbers).any():
-            return self._grouped.arranged(rows.labels(name).codes)
+            return self._grouped.arranged(rows.conditions(name).codes)
         return self._grouped.arranged((numbers + 0.0).view(np.uint64))
 
     def _alike(self, units: Places, n: int) -> Iterator[Places]:
@@ -267,10 +266,7 @@ def find_trials(rows: Rows, grouped: Grouped) -> Trials | None:
     several = np.bincount(grouped.unit.codes)[grouped.unit.codes] >= _LEAST
     if not several.any() or "position" not in rows.columns:
         return None
-    try:
-        labels = rows.labels("position").codes
-    except MultiposError:
-        return None  # which the fit of each unit says better
+    labels = rows.conditions("position").codes
     visits = np.flatnonzero(several & _come_again(labels, grouped)).tolist()
     trials = {visit: _trials_of(grouped.rows(visit), labels) for visit in visits}
     repeated = {visit: found for visit, found in trials.items() if len(found) >= _LEAST}

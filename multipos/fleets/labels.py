@@ -37,26 +37,32 @@ class Labels(Sequence[str]):
         return map(self.names.__getitem__, self.codes.tolist())
 
 
-def labels_of(table: Table, name: str) -> Labels:
-    """Return a column of a table as labels, in the order in which they first come."""
+def labels_of(table: Table, name: str, *, checked: bool = True) -> Labels:
+    """Return a column of a table as labels, in the order in which they first come.
+
+    Without `checked` they may hold control characters: those are compared, and never printed.
+    """
     column = table.columns[name]
     if isinstance(column, Labels):
         return column
     if isinstance(column, np.ndarray) and len(column):
         # a label that stays for many rows is looked at once
         heads = np.flatnonzero(np.concatenate(([True], column[1:] != column[:-1])))
-        short = _coded(table, name, column[heads].tolist())
+        short = _coded(table, name, column[heads].tolist(), checked)
         return Labels(np.repeat(short.codes, np.diff([*heads, len(column)])), short.names)
-    return _coded(table, name, column if isinstance(column, Sequence) else column.tolist())
+    cells = column if isinstance(column, Sequence) else column.tolist()
+    return _coded(table, name, cells, checked)
 
 
-def _coded(table: Table, name: str, cells: Sequence[Any]) -> Labels:
+def _coded(table: Table, name: str, cells: Sequence[Any], checked: bool) -> Labels:
     places: dict[Any, int] = {}
     codes = np.fromiter(
         (places.setdefault(cell, len(places)) for cell in cells), dtype=np.int32, count=len(cells)
     )
-    different = Table(table.source, {name: list(places)}, len(places)).text(name)
-    return joined_labels([Labels(codes, different)])
+    different = Table(table.source, {name: list(places)}, len(places))
+    return joined_labels(
+        [Labels(codes, different.text(name) if checked else different.unchecked(name))]
+    )
 
 
 def joined_labels(parts: Sequence[Labels]) -> Labels:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Column, Table
-from multipos.files.whole import first_bytes
 from multipos.files.workbooks import require_extra
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.numerics.arrays import places_of_kinds
@@ -63,9 +62,9 @@ def is_in_file(column: Column) -> TypeGuard[FileColumn]:
     return isinstance(column, FileColumn)
 
 
-def is_parquet(path: str | os.PathLike[str]) -> bool:
+def is_parquet(head: bytes) -> bool:
     """Tell by its first bytes whether a file is Parquet."""
-    return first_bytes(path, 4) == b"PAR1"
+    return head.startswith(b"PAR1")
 
 
 def read_parquet(

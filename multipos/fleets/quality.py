@@ -232,7 +232,7 @@ def judge_units(units: Units, limits: Sequence[Limit], unfit: NDArray[np.bool_])
         for unit in np.flatnonzero(beyond).tolist():
             _add(reasons, unit, _said(limit, float(value[unit])))
     for unit in np.flatnonzero(unfit).tolist():
-        _add(reasons, unit, f"findings: {units.findings[unit]}")
+        _add(reasons, unit, units.why_unfit[unit])
         for code in units.findings[unit].split(";"):
             causes[code] = causes.get(code, 0) + 1
     if failed.any():

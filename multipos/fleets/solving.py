@@ -54,7 +54,7 @@ from multipos.estimation.uncertain_orientations import (
 )
 from multipos.estimation.unknown_orientations import SharedSphere, estimate_unknown, share_sphere
 from multipos.files.tables import Table
-from multipos.finding import errors_of, serious
+from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import UnitTests, find_in_units, unit_tests
@@ -74,6 +74,7 @@ _RMS = 0.005  # [g]
 _LARGEST = 0.008  # [g]
 _LEANS = 0.97  # cosine
 _OTHER = 1.2  # times the sensitivity of the units beside it
+_ROWS_NAMED = 6  # of a finding, in a cell
 _WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
 
 
@@ -154,7 +155,8 @@ class Solved(NamedTuple):
     rms : (B,) array [g]
     findings, reasons : lists of B str
         Codes of errors and warnings, with `;` between them.
-    unfit : (B,) array of bool
+    unfit : list of B str
+        Why a calibration is not fit for use; '' where it is.
     fixtures : tuple of FixtureSums
     """
 
@@ -166,7 +168,7 @@ class Solved(NamedTuple):
     rms: Array
     findings: list[str]
     reasons: list[str]
-    unfit: NDArray[np.bool_]
+    unfit: list[str]
     fixtures: tuple[FixtureSums, ...] = ()
 
 
@@ -415,7 +417,7 @@ def solve_task(task: Task) -> Solved:
         found.rms,
         _findings(task, task.pattern, found, u, dof, named),
         reasons,
-        np.zeros(count, dtype=np.bool_),
+        [""] * count,
         fixtures,
     )
 
@@ -494,7 +496,7 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
     parameters, u, dof = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     rms = np.full(len(fitted), np.nan)
     findings, reasons = [""] * len(fitted), [""] * len(fitted)
-    wrong = np.zeros(len(fitted), dtype=np.bool_)
+    wrong = [""] * len(fitted)
     for row, each in enumerate(fitted):
         if isinstance(each, str):
             reasons[row] = each
@@ -505,6 +507,14 @@ def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
         parameters[row], u[row], dof[row] = each.parameters, each.u, each.parameter_dof
         found = each.diagnostics.findings
         findings[row] = ";".join(dict.fromkeys(finding.code for finding in serious(found)))
-        wrong[row] = bool(errors_of(found))
+        wrong[row] = "; ".join(map(_at_rows, errors_of(found)))
         rms[row] = each.rms
     return Solved(units, names, parameters, u, dof, rms, findings, reasons, wrong)
+
+
+def _at_rows(finding: Finding) -> str:
+    """Return the code of a finding with the rows that it is about, so many as are read."""
+    rows = list(finding.rows[:_ROWS_NAMED])
+    more = ["…"] if len(finding.rows) > len(rows) else []
+    place = "positions" if len(finding.rows) > 1 else "position"
+    return f"{finding.code} at {place} {', '.join(rows + more)}" if rows else finding.code

@@ -7,6 +7,7 @@ the unit, several files are one unit each, by their names; one that cannot be re
 Raw logs are averaged first, each one unit: `average_logs`.
 """
 
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,12 +21,12 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.csv_columns import Cells, FileBytes
+from multipos.files.csv_columns import Cells, FileBytes, joined_cells
 from multipos.files.handed import is_json, is_packed, take_in, unpack
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import near, quoted
-from multipos.files.tables import Column, Source, Table, open_table, read_table
-from multipos.files.whole import first_bytes
+from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
+from multipos.files.whole import first_bytes, read_bytes
 from multipos.finding import Finding, Findings
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
@@ -129,22 +130,36 @@ class Rows:
 
     def numbers(self, name: str) -> Array:
         """Return a column as numbers, NaN where a cell is none."""
-        parts = [table.numbers(name) for table in self.tables]
+        tables = _joined(self.tables, name) or self.tables
+        parts = [table.numbers(name) for table in tables]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def is_text(self, name: str) -> bool:
         """Tell whether a column is kept as text, in any of the tables."""
-        columns = [table.columns[name] for table in self.tables]
-        return not all(isinstance(c, np.ndarray) and c.dtype.kind in "fiub" for c in columns)
+        return not all(_are_numbers(table, name) for table in self.tables)
 
-    def labels(self, name: str) -> Labels:
-        """Return a column as labels, read where it still is in its file."""
+    def conditions(self, name: str) -> Labels:
+        """Return a column as labels, read where it still is in its file; the fit checks them."""
+        if joined := _joined(self.tables, name):
+            return labels_of(joined[0], name, checked=False)
         columns = [{name: _part(table.columns[name], 0, table.rows)} for table in self.tables]
         tables = [replace(t, columns=c) for t, c in zip(self.tables, columns, strict=True)]
-        return joined_labels([labels_of(table, name) for table in tables])
+        return joined_labels([labels_of(table, name, checked=False) for table in tables])
+
+
+def _are_numbers(table: Table, name: str) -> bool:
+    """Tell whether a column is kept as numbers."""
+    column = table.columns[name]
+    return isinstance(column, np.ndarray) and column.dtype.kind in "fiub"
 
 
 _NOBODY = Labels(np.zeros(0, dtype=np.int32), ())
+
+
+def _joined(tables: Sequence[Table], name: str) -> tuple[Table, ...]:
+    """Return the same column of short tables as one table; none where they are other ones."""
+    cells = joined_cells([table.columns[name] for table in tables]) if len(tables) > 1 else None
+    return () if cells is None else (replace(tables[0], columns={name: cells}, rows=len(cells)),)
 
 
 def _loaded(table: Table, low: int, high: int) -> Table:
@@ -198,17 +213,25 @@ def read_rows(
         read = average_logs(files, raw)
     else:
         read = [_tried(source, apart, kept, alone=len(files) == 1) for source in files]
+    alone = len(files) == 1
     findings = _drop_repeated(read, named)
+    if findings:
+        kept_files = [place for place, table in enumerate(read) if table is not None]
+        files, read = [files[i] for i in kept_files], [read[i] for i in kept_files]
+        # a copy that is gone names no folder
+        named = _file_units(files) if raw is None or only is None else [only] * len(files)
     foreign = _drop_foreign(read) if all(map(_is_path, files)) else {}
     if unit_column is None:
         read_tables = [table for table in read if isinstance(table, Table)]
         if read_tables and all(_UNIT in table for table in read_tables):
             unit_column = _UNIT
-        elif raw is None and ((len(files) == 1 and only is None) or not all(map(_is_path, files))):
+        elif raw is None and ((alone and only is None) or not all(map(_is_path, files))):
             raise UsageError(
                 f"{read_tables[0].source} has no column '{_UNIT}'; name the column of units with "
                 "--unit-column, or give several files, one per unit."
             )
+    labelled = {name for name in (unit_column, station_column) if name is not None}
+    read = [_labelled(table, labelled, alone=alone) for table in read]
     names = [name for name, table in zip(named, read, strict=True) if isinstance(table, Table)]
     tables = [table for table in read if isinstance(table, Table)]
     failed = tuple(
@@ -258,7 +281,7 @@ def _is_path(source: Source) -> TypeGuard[str | os.PathLike[str]]:
 def _file_units(files: Sequence[Source]) -> list[str]:
     """Return the units that files name: without ending, with their folder where names repeat."""
     paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
-    stems = [Path(path.name.removesuffix(".gz")).stem for path in paths]
+    stems = [_unpacked(path).stem for path in paths]
     folders = [f"{p.absolute().parent.name}/{n}" for p, n in zip(paths, stems, strict=True)]
     for longer in (folders, [*map(str, paths)]):
         often = Counter(stems)
@@ -267,17 +290,18 @@ def _file_units(files: Sequence[Source]) -> list[str]:
 
 
 def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str]) -> Findings:
-    """Take files out that hold what one before them holds, and say which."""
+    """Take files out that hold, packed or not, what one before them holds, and say which."""
     first: dict[str, str] = {}
     again: list[str] = []
     for place, table in enumerate(read):
-        if not isinstance(table, Table) or table.sha256 is None:
+        content = (table.content or table.sha256) if isinstance(table, Table) else None
+        if content is None:
             continue
-        if table.sha256 in first:
-            again.append(f"{named[place]} (as {first[table.sha256]})")
+        if content in first:
+            again.append(f"{named[place]} (as {first[content]})")
             read[place] = None
         else:
-            first[table.sha256] = named[place]
+            first[content] = named[place]
     if not again:
         return ()
     more = f" and {len(again) - _SHOWN} more" if len(again) > _SHOWN else ""
@@ -306,6 +330,22 @@ def _drop_foreign(read: list[Table | MultiposError | None]) -> dict[int, Table]:
                 "files; give tables with the same columns."
             )
     return foreign
+
+
+def _labelled(
+    table: Table | MultiposError | None, names: set[str], *, alone: bool
+) -> Table | MultiposError | None:
+    """Return a table whose texts in some columns are labels; of a file among others, why not."""
+    if not isinstance(table, Table):
+        return table
+    texts = [name for name in names if name in table.columns and not _are_numbers(table, name)]
+    try:
+        labels = {name: labels_of(table, name) for name in texts}
+    except MultiposError as error:
+        if alone:
+            raise
+        return error
+    return replace(table, columns={**table.columns, **labels})
 
 
 def _units_in(table: Table | None, unit_column: str | None, name: str) -> tuple[str, ...]:
@@ -391,9 +431,13 @@ def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposErr
         for name, column in found.columns().items()
         if name in ("position", "n", *found.outputs, *beside) or is_environment(name)
     }
-    sha256 = FileBytes(source, "log").sha256() if _is_path(source) else None
     table = read_table(columns, what="log")
-    return replace(table, source=str(source) if _is_path(source) else table.source, sha256=sha256)
+    if not _is_path(source):
+        return table
+    sha256, content = FileBytes(source, "log").sha256(), None
+    if is_packed(first_bytes(source, 8)):
+        content = hashlib.sha256(read_bytes(unpack(source), "log")).hexdigest()
+    return replace(table, source=str(source), sha256=sha256, content=content)
 
 
 def _of_unit_alone(
@@ -401,6 +445,8 @@ def _of_unit_alone(
 ) -> tuple[list[Source], list[str]]:
     """Return the logs with their units, of one unit where it is the only one wanted."""
     wanted = [place for place, name in enumerate(named) if only in (None, name)]
+    if not wanted:  # the one of several copies that is left is called so
+        wanted = [i for i, file in enumerate(files) if only == _unpacked(Path(str(file))).stem]
     if not wanted:
         raise MultiposError(f"no unit '{only}' among the logs; look at units.csv.")
     return [files[place] for place in wanted], [named[place] for place in wanted]
@@ -437,8 +483,12 @@ def _files(source: str | os.PathLike[str], endings: Sequence[str]) -> Sequence[S
 
 
 def _ends(path: Path, endings: Sequence[str]) -> bool:
-    name = Path(path.stem) if path.suffix in _PACKED else path
-    return name.suffix.casefold() in endings
+    return _unpacked(path).suffix.casefold() in endings
+
+
+def _unpacked(path: Path) -> Path:
+    """Return a path without the ending of what has packed it."""
+    return path.with_suffix("") if path.suffix in _PACKED else path
 
 
 def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
@@ -446,11 +496,15 @@ def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) 
         return read_table(source, what="table")
     if is_pipe(source) and not isinstance(source, Pipe):
         raise MultiposError(f"{source}: a pipe or a device; only files of a folder are read.")
-    path = unpack(source) if is_packed(first_bytes(source, 8)) else source
-    if is_parquet(path):
+    path, head = source, first_bytes(source, SHORT)
+    if is_packed(head):
+        path = unpack(source)
+        head = first_bytes(path, SHORT)
+    if is_parquet(head):
         table = read_parquet(path, apart, kept)
     else:
-        table = read_table(path) if is_json(first_bytes(path, 1 << 10)) else open_table(path)
+        table = read_table(path) if is_json(head[: 1 << 10]) else open_table(path, head=head)
     if path is not source:  # what people compare is the file that they have
-        table = replace(table, sha256=FileBytes(source, "table").sha256())
+        sha256 = FileBytes(source, "table").sha256()
+        table = replace(table, sha256=sha256, content=table.sha256)
     return table

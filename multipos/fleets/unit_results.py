@@ -37,8 +37,8 @@ class Units:
     rms : (B,) array [g]
     findings : (B,) array of str
         Codes of errors and warnings, with `;` between them.
-    unfit : (B,) array of bool
-        Whose calibration is not fit for use.
+    why_unfit : (B,) array of str
+        Why a calibration is not fit for use; '' where it is.
     reasons : (B,) array of str
         Why a unit failed; '' where it did not.
     first, time : (B,) arrays
@@ -67,7 +67,7 @@ class Units:
     dof: Array
     rms: Array
     findings: Texts
-    unfit: NDArray[np.bool_]
+    why_unfit: Texts
     reasons: Texts
     first: NDArray[np.intp]
     time: Array
@@ -87,6 +87,11 @@ class Units:
     def failed(self) -> NDArray[np.bool_]:
         """Which units have no numbers."""
         return np.array([bool(reason) for reason in self.reasons])
+
+    @property
+    def unfit(self) -> NDArray[np.bool_]:
+        """Which units have a calibration that is not fit for use."""
+        return np.array([bool(why) for why in self.why_unfit])
 
     @cached_property
     def unit_column(self) -> NDArray[Any]:
@@ -117,7 +122,7 @@ class UnitsFound:
         self.rms = np.full(count, np.nan)
         self.findings: Texts = np.full(count, "", dtype=np.object_)
         self.reasons: Texts = np.full(count, "", dtype=np.object_)
-        self.unfit = np.zeros(count, dtype=np.bool_)
+        self.why_unfit: Texts = np.full(count, "", dtype=np.object_)
         self.fixtures: list[FixtureSums] = []
 
     def take(self, solved: Solved) -> None:
@@ -133,6 +138,7 @@ class UnitsFound:
                 reason = "its columns give other parameters than those of the other units."
             self.reasons[unit] = reason
             self.findings[unit] = "" if reason else solved.findings[row]
+            self.why_unfit[unit] = "" if reason else solved.unfit[row]
         good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
         units = solved.units[good]
         if len(units):
@@ -140,5 +146,4 @@ class UnitsFound:
             self.u[units] = solved.u[good]
             self.dof[units] = solved.dof[good]
             self.rms[units] = solved.rms[good]
-            self.unfit[units] = solved.unfit[good]
         self.fixtures += solved.fixtures

@@ -172,6 +172,7 @@ def _packed(solved: Solved) -> bytes:
         "names": solved.names,
         "findings": solved.findings,
         "reasons": solved.reasons,
+        "unfit": solved.unfit,
         "fixtures": [[each.station, each.labels, each.units] for each in solved.fixtures],
     }
     arrays: dict[str, Any] = {
@@ -187,7 +188,6 @@ def _packed(solved: Solved) -> bytes:
         u=solved.u,
         dof=solved.dof,
         rms=solved.rms,
-        unfit=solved.unfit,
         **arrays,
     )
     return stream.getvalue()
@@ -221,7 +221,7 @@ def _load(path: Path) -> Solved | None:
                 kept["rms"],
                 words["findings"],
                 words["reasons"],
-                kept["unfit"],
+                words["unfit"],
                 fixtures,
             )
     except (OSError, ValueError, KeyError, BadZipFile):

@@ -1,8 +1,12 @@
 """`multipos fleet`: its files, and what a user does wrong."""
 
 import csv
+import gzip
 import json
+import lzma
 import os
+from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -287,7 +291,7 @@ def test_a_place_that_cannot_be_is_refused_before_the_work(tmp_path, table, caps
 
 def folder_of_units(folder, units=4):
     """A folder with one file a unit; the same rows in one table."""
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     table = line(units, scheme="faces-corners-14")
     for unit in dict.fromkeys(table["unit"].tolist()):
         mp.write_table(folder / f"{unit}.csv", rows_of(table, unit))
@@ -342,6 +346,55 @@ def test_a_bad_file_in_a_folder_is_a_failed_unit_and_a_copy_is_left_out(tmp_path
     assert {unit for unit, row in rows.items() if row["verdict"] == "failed"} == set(bad)
     assert all(text in rows[unit]["reasons"] for unit, text in bad.items())
     assert sum(row["verdict"] == "pass" for row in rows.values()) == 4  # of five files
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lzma.compress])
+def test_a_packed_file_beside_its_own_is_no_second_unit(pack, tmp_path, capsys):
+    lot, out = tmp_path / "lot", tmp_path / "out"
+    folder_of_units(lot)
+    ending = "gz" if pack is gzip.compress else "xz"
+    (lot / f"U0001.csv.{ending}").write_bytes(pack((lot / "U0001.csv").read_bytes()))
+    (lot / f"U0009.csv.{ending}").write_bytes(pack((lot / "U0002.csv").read_bytes() + b"\n"))
+    assert main(["fleet", str(lot), "-o", str(out)]) == 0
+    assert f"U0001.csv.{ending} (as " in capsys.readouterr().err
+    with (out / "units.csv").open(encoding="utf-8") as stream:
+        names = [row["unit"] for row in csv.DictReader(stream)]
+    assert names == ["U0000", "U0001", "U0002", "U0003", "U0009"]  # another file is another unit
+
+
+def test_a_control_character_in_one_file_is_one_failed_unit(tmp_path, capsys):
+    lot, out = tmp_path / "lot", tmp_path / "out"
+    folder_of_units(lot)
+    for name, old, new in (
+        ("U0001.csv", "\n3,", "\n\x1b[2J3,"),
+        ("U0002.csv", "position,", "pos\x1bition,"),
+    ):
+        text = (lot / name).read_text()
+        assert old in text
+        (lot / name).write_text(text.replace(old, new, 1))
+    assert main(["fleet", str(lot), "-o", str(out)]) == 0
+    said = capsys.readouterr()
+    with (out / "units.csv").open(encoding="utf-8") as stream:
+        rows = {row["unit"]: row for row in csv.DictReader(stream)}
+    verdicts = {unit: row["verdict"] for unit, row in rows.items()}
+    failed = ("U0001", "U0002")
+    assert verdicts == {f"U000{i}": "pass" for i in range(4)} | dict.fromkeys(failed, "failed")
+    assert all("has a control character" in rows[unit]["reasons"] for unit in failed)
+    assert "\x1b" not in said.out + said.err + (out / "units.csv").read_text()
+
+
+def test_a_control_character_in_a_unit_of_one_file_is_one_failed_unit(tmp_path):
+    lot, out = tmp_path / "lot", tmp_path / "out"
+    folder_of_units(lot)
+    for path in lot.iterdir():
+        mark = "\x1b" if path.stem == "U0003" else ""
+        head, *rows = path.read_text().splitlines()
+        lines = [f"unit,{head}", *(f"{mark}{path.stem}x,{row}" for row in rows)]
+        path.write_text("\n".join(lines) + "\n")
+    assert main(["fleet", str(lot), "-o", str(out)]) == 0
+    with (out / "units.csv").open(encoding="utf-8") as stream:
+        rows = {row["unit"]: row["verdict"] for row in csv.DictReader(stream)}
+    assert rows == {f"U000{i}x": "pass" for i in range(3)} | {"U0003": "failed"}
 
 
 def test_a_station_whose_nest_is_turned_is_named(tmp_path):
@@ -418,3 +471,58 @@ def test_raw_logs_give_what_calibrate_gives_of_each(tmp_path, capsys):
     capsys.readouterr()
     report = ["report", str(out), "--unit", "S1", "--data", str(logs), "-o", str(tmp_path / "u.md")]
     assert main(report) == 0
+
+
+def test_a_unit_with_a_flipped_row_is_named_by_that_row(tmp_path, capsys):
+    """In `units.csv`, `fleet.json`, on the screen and on the page; two exchanged rows by both."""
+    folder, out = tmp_path / "lot", tmp_path / "out"
+    table = folder_of_units(folder, 6)
+    own = rows_of(table, "U0003")
+    for name in ("ax", "ay", "az"):
+        own[name][6] = -own[name][6]
+    mp.write_table(folder / "U0003.csv", own)
+    own = rows_of(table, "U0004")
+    for name in ("ax", "ay", "az"):
+        own[name][[1, 12]] = own[name][[12, 1]]
+    mp.write_table(folder / "U0004.csv", own)
+    assert main(["fleet", str(folder), "-o", str(out)]) == 0
+    said = {
+        "U0003": f"flipped-row at position {own['position'][6]}",
+        "U0004": f"interchanged-rows at positions {own['position'][1]}, {own['position'][12]}",
+    }
+    rows = csv.DictReader((out / "units.csv").read_text("utf-8").splitlines())
+    assert {row["unit"]: row["reasons"] for row in rows if row["verdict"] == "unfit"} == said
+    unfit = json.loads((out / "fleet.json").read_text("utf-8"))["unfit"]
+    assert {each["unit"]: each["reason"] for each in unfit} == said
+    pages = capsys.readouterr().out, (out / "report.html").read_text("utf-8")
+    assert all(reason in page for reason in said.values() for page in pages)
+
+
+def test_small_files_are_opened_once_and_give_what_their_table_gives(tmp_path, monkeypatch):
+    """Whatever ends their lines, with comments or a mark of the encoding, columns in any order."""
+    folder = tmp_path / "lot"
+    table = folder_of_units(folder, 12)
+    files = sorted(folder.iterdir())
+    changes = (
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.rstrip("\n"),
+        lambda text: "\ufeff# by hand\n\n" + text,
+        lambda text: "\n".join(",".join(reversed(row.split(","))) for row in text.split("\n")),
+    )
+    opened, own = Counter(), Path.open
+
+    def counted(path, *given, **named):
+        opened[path.name] += 1
+        return own(path, *given, **named)
+
+    monkeypatch.setattr(Path, "open", counted)
+    for change in (str, *changes):
+        for file in files[1::3]:
+            file.write_text(change(file.read_text("utf-8")), "utf-8", newline="")
+        opened.clear()
+        found, whole = mp.fit_many(files), mp.fit_many(table)
+        assert set(opened.values()) == {1} or change is changes[3]
+        assert_array_equal(found["unit"], whole["unit"])
+        for name in ("bias_ax", "u_scale_ay", "rms"):
+            assert_allclose(found[name], whole[name], rtol=1e-12)
+        folder_of_units(folder, 12)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amounts import few_and_many
 from fleet_bench import line, rows_of
 
 import multipos as mp
@@ -65,15 +66,17 @@ FAULTS = (
         ("faces-corners-14", 3e-4, 0.0, {"orientation_sd": 0.1, "reading_sd": 3e-4}),
     ],
 )
-def test_no_doubt_of_a_fit_is_lost(scheme, noise, counts, options):
-    units = 2 * len(FAULTS) + 4
+@pytest.mark.parametrize("each", few_and_many(1, 2))
+def test_no_doubt_of_a_fit_is_lost(scheme, noise, counts, options, each):
+    faulty = each * len(FAULTS)
+    units = faulty + 2 * each
     table = line(units, scheme=scheme, noise=noise, seed=3)
     if counts:
         for axis in "xyz":
             table[f"a{axis}"] = np.round(counts * table[f"a{axis}"])
     n = len(table["unit"]) // units
     rng = np.random.default_rng(4)
-    for unit in range(2 * len(FAULTS)):
+    for unit in range(faulty):
         rows = slice(unit * n, unit * n + n)
         values = np.array([table[f"a{axis}"][rows] for axis in "xyz"])
         FAULTS[unit % len(FAULTS)](values, *rng.choice(n, 2, replace=False))
