@@ -31,8 +31,9 @@ Source: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs,
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -414,9 +415,36 @@ def schemes_text(found: Schemes) -> str:
     parts = [f"model {found.model}", table(*scheme_rows(found.schemes)), note]
     if len(found.schemes) == 1:
         (entry,) = found.schemes
-        up = [[label, *(f"{value:.6g}" for value in row)] for label, row in entry.up.items()]
-        parts += [table(["position", "up x", "up y", "up z"], up), *scheme_details(entry)]
+        parts += [positions_table(entry.up.items()), *scheme_details(entry)]
     return "\n\n".join(parts) + "\n"
+
+
+_COLUMN = 24  # positions that stand below each other; of more, several columns
+
+
+def positions_table(
+    positions: Iterable[tuple[str, Sequence[float]]], remarks: Sequence[str] = ()
+) -> str:
+    """Return positions by label with what points up, many in three columns and several tables."""
+    given = list(positions)
+    digits = 6 if len(given) <= _COLUMN else 4  # 0.006 degrees
+    rows = [
+        [label, *(f"{value + 0.0:.{digits}f}" for value in up), *remarks[i : i + 1]]
+        for i, (label, up) in enumerate(given)
+    ]
+    header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
+    most = 3 * _COLUMN
+    pages = (rows[first : first + most] for first in range(0, len(rows), most))
+    return "\n\n".join(_in_columns(header, page) for page in pages)
+
+
+def _in_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table whose rows go on beside each other."""
+    deep = -(-len(rows) // -(-len(rows) // _COLUMN))
+    parts = [table(header, rows[i : i + deep]).split("\n") for i in range(0, len(rows), deep)]
+    widths = [max(map(len, part)) + 4 for part in parts]
+    lines = (zip(line, widths, strict=True) for line in zip_longest(*parts, fillvalue=""))
+    return "\n".join("".join(cell.ljust(width) for cell, width in line).rstrip() for line in lines)
 
 
 def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str]]]:
@@ -475,10 +503,11 @@ def scheme_details(entry: Assessment) -> list[str]:
     ]
     parts = [table(["output", "term", "u"], u, left=2)]
     if seen:
-        parts += [
-            "terms the model lacks: the share that shows in the residuals, and what 1 of it adds",
-            table(["output", "term", "seen", "adds"], seen, left=4),
-        ]
+        lacking = table(["output", "term", "seen", "adds"], seen, left=4)
+        parts.append(
+            "terms the model lacks: the share that shows in the residuals, and what 1 of it adds\n"
+            + lacking
+        )
     return parts
 
 

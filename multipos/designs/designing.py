@@ -22,6 +22,7 @@ from multipos.designs.assessment import (
     Assessment,
     Assessor,
     orientation,
+    positions_table,
     read_setting,
     scheme_details,
 )
@@ -122,20 +123,17 @@ class Design(Keyed, Drawn, Tabular):
 
 def design_text(found: Design) -> str:
     """Return `design` as text: the positions, what they tell, and the certificate."""
-    rows = [
-        [str(i + 1), *(f"{value:.6f}" for value in up), "given" if i < found.included else ""]
-        for i, up in enumerate(found.positions.tolist())
-    ]
-    if not found.included:
-        rows = [row[:-1] for row in rows]
-    header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
+    count = len(found.positions)
+    given = ["given" if i < found.included else "" for i in range(count)] if found.included else ()
+    labelled = zip(map(str, range(1, count + 1)), found.positions.tolist(), strict=True)
     heading = (
         f"model {found.model}, orientations {found.orientation}, "
-        f"criterion {found.criterion}, {len(rows)} positions"
+        f"criterion {found.criterion}, {count} positions"
     )
-    parts = [heading, table(header, rows), _summary(found), *scheme_details(found.scheme)]
-    if found.settings:
-        parts.append(_operators_sheet(found))
+    sheet = [_operators_sheet(found)] if found.settings else []
+    positions = [positions_table(labelled, given)]
+    first = [*sheet, _summary(found), *positions] if sheet else [*positions, _summary(found)]
+    parts = [heading, *first, *scheme_details(found.scheme)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -29,15 +29,20 @@ from multipos.diagnostics.columns import (
     saturated,
     temperature_kelvin,
 )
-from multipos.diagnostics.magnetic import disturbance, field_size, moving_iron, sphere_gap
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.noise_causes import explain_orientations, explain_unequal
-from multipos.diagnostics.redundancy import drift_absorbed, no_redundancy, poorly_determined
+from multipos.diagnostics.redundancy import (
+    drift_absorbed,
+    no_redundancy,
+    open_headings,
+    poorly_determined,
+)
 from multipos.diagnostics.residuals import (
     effective_number,
     lack_of_fit,
     orientation_error,
     outlier,
+    outlying_rows,
     rejected_noise,
     residuals_of,
     unequal_noise,
@@ -54,6 +59,7 @@ from multipos.diagnostics.row_order import (
 )
 from multipos.diagnostics.scales import gravity
 from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
@@ -113,6 +119,10 @@ def _score(c: Calibration, finding: Finding, freedom: float) -> float:
         gain = _gain_without(c, rows)
         tried = math.comb(n, len(rows))
         return float(gain - m * len(rows) * math.log(freedom) - 2.0 * math.log(tried))
+    if finding.code == "outlier" and (left := outlying_rows(c)) is not None:
+        k, kept = len(left.rows), left.dof / freedom  # a row has one misfit
+        gain = -freedom * math.log(max(kept, 1e-15) / left.ratio**2)
+        return float(gain - k * math.log(freedom) - 2.0 * math.log(math.comb(n, k)))
     return 0.0
 
 
@@ -147,28 +157,28 @@ def _drift(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     span = float(np.ptp(time)) if time is not None and timed else len(c.readings) - 1.0
     whole = float(np.abs(sizes).max()) * span
     text = f"readings drift by {whole:.2g} {c.model.unit} from the first row to the last"
-    return f"{text} (p = {cause.chance})", "Fit the drift with --drift.", ()
+    return f"{text} ({p_in_words(cause.p)})", "Fit the drift with --drift.", ()
 
 
 def _slipped(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     row, degrees = _first_row(c, cause), math.degrees(float(np.linalg.norm(sizes)))
     text = f"from row {row} on the case is rotated by {degrees:.2g} degrees, as if it slipped"
     action = f"Name the rows from {row} on in a column `group`, and no others."
-    return f"{text} (p = {cause.chance}); U excludes it", action, (row,)
+    return f"{text} ({p_in_words(cause.p)}); U excludes it", action, (row,)
 
 
 def _replaced(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     row, what = _first_row(c, cause), "parameters"
     if not cause.wholly:
         what = f"biases, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
-    text = f"from row {row} on readings have other {what} (p = {cause.chance})"
+    text = f"from row {row} on readings have other {what} ({p_in_words(cause.p)})"
     action = f"Fit the rows before {row} and those from it on separately."
     return f"{text}, as after an exchange or a switch-on", action, (row,)
 
 
 def _settling(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     share = 100.0 * float(sizes.item())
-    text = f"readings contain {share:.2g} % of the previous row (p = {cause.chance})"
+    text = f"readings contain {share:.2g} % of the previous row ({p_in_words(cause.p)})"
     action = "Wait longer at each position before reading."
     return f"{text}, as from a filter with a long time constant", action, ()
 
@@ -177,7 +187,7 @@ def _hysteresis(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     both = 2.0 * float(np.abs(sizes).max())
     text = f"readings differ by {both:.2g} {c.model.unit} with the side of approach to a position"
     action = "Approach all positions from one side, or each from both."
-    return f"{text} (p = {cause.chance})", action, ()
+    return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
 def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
@@ -189,12 +199,12 @@ def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     text = f"readings change by up to {moved:.2g} {c.model.unit} with the variance of their rests"
     action = "Measure these rests again with less vibration, or set them aside with --exclude."
     rows = tuple(c.readings.labels[i] for i in loud.tolist())
-    return f"{text} (p = {cause.chance}), as from rectified vibration", action, rows
+    return f"{text} ({p_in_words(cause.p)}), as from rectified vibration", action, rows
 
 
 def _level(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     degrees = math.degrees(float(np.linalg.norm(sizes)))
-    text = f"the attitudes indicate a table tilt of {degrees:.2g} degrees (p = {cause.chance})"
+    text = f"the attitudes indicate a table tilt of {degrees:.2g} degrees ({p_in_words(cause.p)})"
     return f"{text}; U excludes it", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
 
 
@@ -202,7 +212,7 @@ def _table(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     off = f"{math.degrees(float(np.abs(sizes).max())):.1g}"
     text = f"residuals follow the roll angles, as from table errors of {off} degrees"
     action = f"Correct the angles with `multipos tumble`, or fit with --orientation-sd {off}."
-    return f"{text} (p = {cause.chance})", action, ()
+    return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
 def _slow(c: Calibration, cause: Cause, sizes: Array) -> _Said:
@@ -234,10 +244,14 @@ Question = Callable[[Calibration], Finding | None]
 # Implausible whatever the fit says; where a column is no output at all, no more is asked of it.
 OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
 OF_OPTIONS: tuple[Question, ...] = (gravity,)
-# Of a magnetic field alone.
-OF_FIELD: tuple[Question, ...] = (field_size, sphere_gap, disturbance, moving_iron)
 # Cautions about what was given and what the positions can show.
-CAUTIONS: tuple[Question, ...] = (quantized, no_redundancy, repeated_rows, temperature_kelvin)
+CAUTIONS: tuple[Question, ...] = (
+    quantized,
+    no_redundancy,
+    repeated_rows,
+    temperature_kelvin,
+    open_headings,
+)
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Question, ...] = (
     poorly_determined,
@@ -276,6 +290,8 @@ def examine(calibration: Calibration) -> Calibration:
     """
     if not calibration.field.magnetic:
         return _examined(calibration)
+    from multipos.diagnostics.magnetic import OF_FIELD
+
     found = _examined(calibration.relative).diagnostics
     own = tuple(ask(calibration) for ask in OF_FIELD)
     said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)

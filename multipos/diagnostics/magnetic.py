@@ -164,3 +164,6 @@ def moving_iron(c: Calibration) -> Finding | None:
     text = f"hard iron changes by {said} about row {label} ({p_in_words(p)})"
     action = "Fix what moved near the sensor (cable, battery, screw), and record again."
     return Finding("moving-iron", "warning", text, action, rows=(label,), p=p)
+
+
+OF_FIELD = (field_size, sphere_gap, disturbance, moving_iron)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
@@ -57,7 +58,7 @@ def zero_per_soak(c: Calibration) -> Finding | None:
     return Finding(
         "zero-per-soak",
         "note",
-        f"bias is not repeatable between soaks ({listed} {c.model.unit} rms, p = {test.p:.1g}: "
+        f"bias is not repeatable between soaks ({listed} {c.model.unit} rms, {p_in_words(test.p)}: "
         "hysteresis or drift); U over temperature includes it",
     )
 
@@ -129,13 +130,12 @@ def missing_term(c: Calibration) -> Finding | None:
     named, first = _named(c, best), best[0]
     others = [t.term for t in best[1:] if t.gain > first.gain - _AS_GOOD and t.term not in named]
     instead = f"; {' or '.join(others)} would fit as well" if others else ""
-    chance = "less than 1e-99" if first.p < 1e-99 else f"{first.p:.1g}"
     return Finding(
         "missing-term",
         "warning",
         (
-            f"the model lacks {' and '.join(named)}, which residuals show (p = {chance}{instead}); "
-            "U of compensated force excludes that error"
+            f"the model lacks {' and '.join(named)}, which residuals show "
+            f"({p_in_words(first.p)}{instead}); U of compensated force excludes that error"
         ),
         _way_out(c, named),
         outputs=_showing(first),

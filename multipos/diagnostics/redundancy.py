@@ -9,6 +9,7 @@ contradict it, a fit that the noise stated, or else one of 1 mg, moves by a tent
 scale factor is an error: with the gain G of the estimator by √(Σ G² u²).
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -161,4 +162,22 @@ def drift_absorbed(c: Calibration) -> Finding | None:
         "note",
         f"The order of the positions absorbs {100.0 * share:.0f} % of a linear drift: that part of "
         "one would stand in the parameters, and neither in the residuals nor in U.",
+    )
+
+
+def open_headings(c: Calibration) -> Finding | None:
+    """Say what is assumed of a level that the budget states where positions have no headings."""
+    rows = () if c.budget is None else c.budget.rows
+    level = next((row for row in rows if row["quantity"] == "level"), None)
+    rotation = c.readings.rotation
+    known = rotation is not None and np.isfinite(rotation).all()
+    if level is None or known or c.estimator is Estimator.UNKNOWN:
+        return None
+    each = math.sqrt(len(c.readings)) * level["u"]
+    return Finding(
+        "open-headings",
+        "note",
+        "no headings are stated: U includes [level] at its worst headings, as an orientation "
+        f"error of {each:.2g} degrees at each position",
+        "State whole attitudes for its own effect.",
     )

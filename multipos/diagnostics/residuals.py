@@ -39,6 +39,7 @@ from multipos.estimation.gains import information_at_solution
 from multipos.estimation.known import REJECTED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
+from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, resolution
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
@@ -59,7 +60,7 @@ _SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lo
 
 def outlier(c: Calibration) -> Finding | None:
     """Find positions that stick out, and readings whose sign is lost."""
-    rows = _outlying_rows(c)
+    rows = outlying_rows(c)
     if rows is not None:
         return _outlying(c, rows)
     found = c.diagnostics.outliers
@@ -78,7 +79,7 @@ def outlier(c: Calibration) -> Finding | None:
     )
 
 
-def _outlying_rows(c: Calibration) -> Outlying | None:
+def outlying_rows(c: Calibration) -> Outlying | None:
     """Return the rows that are outliers, where all positions are listed, or none."""
     readings, reference = c.readings, None
     if c.estimator is not Estimator.UNKNOWN:
@@ -154,7 +155,7 @@ def lack_of_fit(c: Calibration) -> Finding | None:
             small[output] = p
     if not small or repeated_rows(c) is not None:  # copies are no repeats
         return None
-    said = ", ".join(f"{output} (p = {p:.2g})" for output, p in small.items())
+    said = ", ".join(f"{output} ({p_in_words(p)})" for output, p in small.items())
     return Finding(
         "lack-of-fit",
         "warning",
@@ -250,7 +251,7 @@ def unequal_noise(c: Calibration) -> Finding | None:
         "warning",
         (
             f"{c.outputs[noisiest]} is {sizes[noisiest] / sizes[quietest]:.2g} times as noisy as "
-            f"{c.outputs[quietest]} (p = {p:.1g}); its U is too small, as the fit takes "
+            f"{c.outputs[quietest]} ({p_in_words(p)}); its U is too small, as the fit takes "
             f"{'stated' if c.readings.noise is not None else 'equal'} noise"
         ),
         "State the noise of each output with --reading-sd.",

@@ -52,12 +52,10 @@ from multipos.numerics.quantiles import (
     f_tail,
 )
 from multipos.numerics.series import recur
-from multipos.positions.harmonics import find_rolls
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.uncertainty.turntable import table_effects
 
 LEVEL = 0.01  # of all causes together
 _LEAST = 2  # rows before and after a change
@@ -102,11 +100,6 @@ class Cause:
     p: float
     row: int | None = None
     wholly: bool = False
-
-    @property
-    def chance(self) -> str:
-        """p as a text."""
-        return f"{max(self.p, 1e-99):.0e}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -676,8 +669,12 @@ def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
     rotation = c.readings.rotation
     if rotation is not None and np.isfinite(rotation).all():
         yield "level", rotation[:, :, :2]
-    rolls = () if c.readings.up is None else find_rolls(c.readings)
-    rolls = tuple(roll for roll in rolls if len(roll.rows) >= _TURN)
+    if c.readings.up is None:
+        return
+    from multipos.positions.harmonics import find_rolls
+    from multipos.uncertainty.turntable import table_effects
+
+    rolls = tuple(roll for roll in find_rolls(c.readings) if len(roll.rows) >= _TURN)
     if rolls:
         yield "table", table_effects(c, rolls, np.eye(3)).reshape(n, 3, -1)
 

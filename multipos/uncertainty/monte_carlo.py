@@ -49,7 +49,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents
 from multipos.uncertainty.budgets import OF_FORCE_ALONE, Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.sensitivities import reading_moves, turn_axes
+from multipos.uncertainty.sensitivities import is_bounded, reading_moves, turn_axes
 
 
 class Draws:
@@ -124,8 +124,9 @@ class Draws:
         c = self.c
         vectors = np.zeros((trials, self.n, 3))  # rotation vectors of up, in case axes
         for quantity in turned:
-            if quantity.name == "orientation":
-                vectors += np.radians(self._law(quantity, (trials, self.n, 3)))
+            if quantity.name == "orientation" or is_bounded(c, quantity):
+                size = math.sqrt(self.n) if quantity.name == "level" else 1.0
+                vectors += size * np.radians(self._law(quantity, (trials, self.n, 3)))
                 continue
             axes = turn_axes(c, quantity)
             vectors += np.einsum(

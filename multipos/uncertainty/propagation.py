@@ -42,7 +42,7 @@ from multipos.uncertainty.budgets import (
     Quantity,
     read_budget,
 )
-from multipos.uncertainty.sensitivities import Cleared, clear_scatter, parameter_effects
+from multipos.uncertainty.sensitivities import Cleared, clear_scatter, is_bounded, parameter_effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,6 +367,9 @@ def _without_causes(c: Calibration, row: Row, cleared: Cleared) -> Row:
     )
 
 
+_AT_WORST = "level of the table, at its worst headings"
+
+
 def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     """Return the row of a quantity."""
     c, kind = calibration, quantity.kind
@@ -377,7 +380,7 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     contained &= not (kind.common or kind.shared)
     return Row(
         quantity=quantity.name,
-        text=kind.text,
+        text=_AT_WORST if is_bounded(c, quantity) else kind.text,
         evaluation="B",
         u=quantity.u,
         unit=kind.unit or c.model.unit,

@@ -20,6 +20,15 @@ temperature   dy = dh/dT
 stability     dy = s, or J e s of compensated force       s = sd of each zero, e its axis
 ============  =========================================  =====================================
 
+Where positions have no headings, east is anywhere at each of them, by a rotation R_k about up. With
+g_k how a tilt at position k alone moves any quantity that is linear in p, the tilt t of all moves
+it by Σ g_k' R_k t, whose variance is at most
+
+    u² |Σ R_k' g_k|² ≤ n u² Σ |g_k|²,                                                       (2b)
+
+as an independent orientation error of √n u at each position has it. So level is taken, whatever
+the headings were.
+
 The scatter of the residuals without what a common cause left in them.
 
 A cause that is one draw for all positions, such as the tilt t of a table of u(t), moves readings by
@@ -52,6 +61,7 @@ JCGM 100:2008, clause 5.1; docs/theory/budget.md.
 .. [1] D. A. Harville 1977, J. Am. Stat. Assoc. 72, section 5; docs/theory/budget.md.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -98,8 +108,9 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
         return gravity_effect(c)[:, None]
     if c.estimator is Estimator.UNKNOWN and quantity.name in ("level", "index"):
         return np.zeros((len(gain), 1))  # orientations that were not used cannot be wrong
-    if quantity.name == "orientation":
-        moved = _turned(c, np.broadcast_to(np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)
+    if quantity.name == "orientation" or is_bounded(c, quantity):
+        size = math.sqrt(n) if quantity.name == "level" else 1.0  # eq. (2b)
+        moved = _turned(c, np.broadcast_to(size * np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)
         by_position = gain.reshape(-1, n, m)
         effects = np.einsum("pnm,nma->pna", by_position, moved)
         return np.asarray(effects.reshape(len(gain), -1))
@@ -131,6 +142,12 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     if quantity.settings.get("each_output", False):
         return np.asarray(moved[:, :, None] * np.eye(m))
     return moved[:, :, None]
+
+
+def is_bounded(c: Calibration, quantity: Quantity) -> bool:
+    """Tell whether a level enters by eq. (2b), as the positions have no headings."""
+    rotation = c.readings.rotation
+    return quantity.name == "level" and (rotation is None or not np.isfinite(rotation).all())
 
 
 def _cross_moves(c: Calibration) -> Array:
@@ -176,8 +193,8 @@ def _attitudes(c: Calibration, quantity: Quantity) -> Array:
     if rotation is None or not np.isfinite(rotation).all():
         raise MultiposError(
             f"[{quantity.name}] in the budget needs the heading of every position, which up "
-            "vectors and roll and pitch without yaw do not have; give whole attitudes "
-            "(direction, yaw_deg, a quaternion or roll_axis), or leave the table out."
+            "vectors and roll and pitch without yaw do not have; name the axis along the shaft "
+            "with 'axis', or give whole attitudes (direction, yaw_deg, a quaternion or roll_axis)."
         )
     return rotation
 
@@ -326,6 +343,8 @@ def _is_looked_for(c: Calibration, quantity: Quantity) -> bool:
         return False
     if not c.estimator.exact or c.robust_weight is not None or c.sessions is not None:
         return False
+    if is_bounded(c, quantity):
+        return False  # no one pattern is known of it
     if c.noise is None:
         return True
     found = c.variance_components

@@ -44,13 +44,15 @@ from multipos.results import Keyed, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
-from multipos.uncertainty.budgets import OF_FORCE_ALONE, read_budget
-from multipos.uncertainty.propagation import evaluate_budget
 
 
 def unseen_sizes(calibration: Calibration) -> dict[str, float]:
     """Return the standard uncertainty [g] of each kind of term that the budget states."""
     tables = calibration.budget_tables
+    if not tables:
+        return {}
+    from multipos.uncertainty.budgets import OF_FORCE_ALONE, read_budget
+
     stated = {name: tables[name] for name in (*OF_FORCE_ALONE, "cross") if name in tables}
     if not stated:
         return {}
@@ -248,6 +250,8 @@ def evaluate_sphere(
     turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
     if len(sensed) == len(COMPONENTS):
         turns["tilt_deg"] = np.degrees(_tilt_gradient(force))
+    from multipos.uncertainty.propagation import evaluate_budget
+
     budget = evaluate_budget(c)
     result: dict[str, dict[str, dict[str, Any]]] = {"force": {}, "tilt_deg": {}}
     for name, turn in turns.items():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amounts import few_and_many
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 from profile_oracle import profile_interval, search_interval
@@ -280,9 +281,10 @@ def random_linear_fit(kind, rng):
     "kind",
     ["unstated", "pooled", "stated", "denied", "one denied", "correlated", "closed form"],
 )
-def test_profile_of_a_linear_fit_is_its_interval(kind):
+@pytest.mark.parametrize("fits", few_and_many(1, 4))
+def test_profile_of_a_linear_fit_is_its_interval(kind, fits):
     rng = np.random.default_rng(1515)
-    for _ in range(4):
+    for _ in range(fits):
         c = random_linear_fit(kind, rng)
         for output, term in c.model.keys:
             p = c[output, str(term)]

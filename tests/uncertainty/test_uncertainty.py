@@ -458,9 +458,40 @@ def fit_argv(folder, *options):
     ]
 
 
-def test_level_needs_headings():
-    with pytest.raises(MultiposError, match="needs the heading of every position"):
-        calibrate("faces-6", noise=1e-3, budget={"level": {"u_deg": 0.01}})
+@pytest.mark.parametrize("headings", ["worst", "fixed", "random"])
+def test_a_level_without_headings_is_covered_at_all_of_them(headings):
+    """A table tilted by .3° (sd), under positions whose headings only the truth has.
+
+    The worst for `cross_ax_y` turn every position so that its error adds up; u is then no smaller
+    than the spread of the estimate over tables, and no larger than √3 of it.
+    """
+    rng = np.random.default_rng(5)
+    up = mp.read_scheme("faces-corners-14").up
+    n, u, trials = len(up), np.radians(0.3), 400
+    level = {"level": {"u_deg": 0.3}}
+    cal = calibrate("faces-corners-14", noise=1e-5, model="linear", budget=level)
+    assert [f.level for f in cal.findings if f.code == "open-headings"] == ["note"]
+    east = np.cross(up, np.array([0.3, 0.5, 0.8]))
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    frames = np.stack([east, np.cross(up, east)], axis=2)
+    weights = np.linalg.pinv(np.column_stack([np.ones(n), up]))  # (4, n): bias and slopes of x
+    of_tilt = np.einsum("k,ki->ki", weights[2], np.cross(frames, up[:, :, None], axis=1)[:, 0])
+    turn = np.arctan2(of_tilt[:, 1], of_tilt[:, 0]) if headings == "worst" else np.zeros(n)
+    errors = []
+    for _ in range(trials):
+        if headings == "random":
+            turn = rng.uniform(0.0, 2.0 * np.pi, n)
+        c, s = np.cos(turn), np.sin(turn)
+        t = u * rng.standard_normal(2)
+        by_heading = np.stack([c * t[0] - s * t[1], s * t[0] + c * t[1]], axis=1)
+        tilted = up + np.cross(np.einsum("nij,nj->ni", frames, by_heading), up)
+        errors.append(weights @ tilted[:, 0] - [0.0, 1.0, 0.0, 0.0])
+    spread = np.sqrt(np.mean(np.square(errors), axis=0))
+    said = [cal[name].u for name in ("bias_ax", "scale_ax", "cross_ax_y", "cross_ax_z")]
+    sampling = 1.0 + 2.0 / np.sqrt(2.0 * trials)
+    assert (spread <= np.array(said) * sampling).all()
+    if headings == "worst":
+        assert said[2] <= np.sqrt(3.0) * spread[2] * sampling
 
 
 def test_index_needs_a_shaft():
