@@ -5,9 +5,8 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "multipos"
 
@@ -44,15 +43,16 @@ FORBIDDEN_CALLS = {"eval", "exec"}
 EXISTING = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 ROOM = {name: name.removesuffix(".py").partition("/")[0] for name in EXISTING}
 ORDERED = [name for name in EXISTING if name != "__init__.py"]
+FACES = [name for name in EXISTING if name.endswith("/__init__.py")]
 PAGES = ["README.md", "CONTRIBUTING.md"]
 PAGES += sorted(
     path.relative_to(PACKAGE.parent).as_posix()
     for path in (PACKAGE.parent / "docs").rglob("*.md")
     if "_build" not in path.parts
 )
-every_file = pytest.mark.parametrize("name", EXISTING)
 
 
+@cache
 def parse(name: str) -> ast.Module:
     return ast.parse((PACKAGE / name).read_text(encoding="utf-8"), name)
 
@@ -66,8 +66,9 @@ def imported(node: ast.AST) -> Iterator[str]:
         yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def all_imports(tree: ast.Module) -> list[tuple[int, str]]:
-    return [(node.lineno, name) for node in ast.walk(tree) for name in imported(node)]
+@cache
+def all_imports(name: str) -> list[tuple[int, str]]:
+    return [(node.lineno, target) for node in ast.walk(parse(name)) for target in imported(node)]
 
 
 def start_up_imports(body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
@@ -110,31 +111,28 @@ def test_every_file_has_its_place():
     assert len(set(rooms)) == len(rooms)
 
 
-@pytest.mark.parametrize("name", ORDERED)
-def test_imports_only_from_its_room_and_above(name):
-    room = ROOM[name]
-    line = next(i for i, rooms in enumerate(ORDER) if room in rooms)
-    allowed = {room, *(other for rooms in ORDER[:line] for other in rooms)}
+def test_imports_only_from_its_room_and_above():
     wrong = []
-    for row, target in all_imports(parse(name)):
-        if not is_or_is_in(target, "multipos") or target == "multipos.__version__":
-            continue
-        # The bare package counts as wrong too: its public names would lead around the order.
-        if target.removeprefix("multipos").lstrip(".").partition(".")[0] not in allowed:
-            wrong.append(f"{name}:{row} imports {target}")
-    assert not wrong
+    for name in ORDERED:
+        room = ROOM[name]
+        line = next(i for i, rooms in enumerate(ORDER) if room in rooms)
+        allowed = {room, *(other for rooms in ORDER[:line] for other in rooms)}
+        for row, target in all_imports(name):
+            if not is_or_is_in(target, "multipos") or target == "multipos.__version__":
+                continue
+            # The bare package counts as wrong too: its public names would lead around the order.
+            if target.removeprefix("multipos").lstrip(".").partition(".")[0] not in allowed:
+                wrong.append(f"{name}:{row} imports {target}")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("name", [name for name in EXISTING if name.endswith("/__init__.py")])
-def test_a_room_says_what_it_is_for(name):
-    said = ast.get_docstring(parse(name))
-    assert said
-    assert len(said) < 800
+def test_a_room_says_what_it_is_for():
+    lengths = {name: len(ast.get_docstring(parse(name)) or "") for name in FACES}
+    assert {name: length for name, length in lengths.items() if not 0 < length < 800} == {}
 
 
-@pytest.mark.parametrize("name", [name for name in EXISTING if name.endswith("/__init__.py")])
-def test_only_the_public_room_has_names_of_its_own(name):
-    assert bool(all_imports(parse(name))) == (ROOM[name] == "plots")
+def test_only_the_public_room_has_names_of_its_own():
+    assert {ROOM[name] for name in FACES if all_imports(name)} == {"plots"}
 
 
 def test_the_architecture_page_shows_the_rooms_as_they_are():
@@ -151,19 +149,30 @@ def test_the_architecture_page_shows_the_rooms_as_they_are():
     assert re.findall(r"^\| `.*", page, re.MULTILINE) == rows
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_pages_name_files_that_are_there(page):
-    text = (PACKAGE.parent / page).read_text(encoding="utf-8")
-    named = re.findall(r"`((?:multipos|tests|docs|benchmarks)/[\w/]+(?:\.\w+)?)`", text)
-    named = [name for name in named if not re.search(r"/\d+$", name)]  # schemas of files
-    assert [name for name in named if not (PACKAGE.parent / name).exists()] == []
+def test_pages_name_files_that_are_there():
+    named = {
+        (page, name)
+        for page in PAGES
+        for name in re.findall(
+            r"`((?:multipos|tests|docs|benchmarks)/[\w/]+(?:\.\w+)?)`",
+            (PACKAGE.parent / page).read_text(encoding="utf-8"),
+        )
+        if not re.search(r"/\d+$", name)  # schemas of files
+    }
+    assert [each for each in named if not (PACKAGE.parent / each[1]).exists()] == []
 
 
-@every_file
-def test_docstrings_name_what_is_there(name):
+def test_docstrings_name_what_is_there():
     """A dotted name in backticks is public, a module, or stands at the top level of one."""
-    named = re.findall(r"`multipos\.([\w.]+)`", (PACKAGE / name).read_text(encoding="utf-8"))
-    assert [target for target in set(named) - set(names_for_types()) if not is_there(target)] == []
+    public = set(names_for_types())
+    named = {
+        (name, target)
+        for name in EXISTING
+        for target in re.findall(
+            r"`multipos\.([\w.]+)`", (PACKAGE / name).read_text(encoding="utf-8")
+        )
+    }
+    assert [each for each in named if each[1] not in public and not is_there(each[1])] == []
 
 
 def is_there(target: str) -> bool:
@@ -193,7 +202,7 @@ def test_inside_nothing_comes_through_the_face_of_a_room():
     wrong = [
         f"{name}:{line} imports {target}"
         for name in EXISTING
-        for line, target in all_imports(parse(name))
+        for line, target in all_imports(name)
         if target.rpartition(".")[0] in faces and target not in modules
     ]
     assert not wrong
@@ -206,50 +215,59 @@ def test_types_and_names_at_run_time_agree():
     assert all(hasattr(multipos, name) for name in multipos.__all__)
 
 
-@every_file
-def test_imports_and_calls_nothing_forbidden(name):
-    tree = parse(name)
+@cache
+def calls(name: str) -> list[tuple[int, str]]:
+    return [
+        (node.lineno, node.func.id)
+        for node in ast.walk(parse(name))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    ]
+
+
+def test_imports_and_calls_nothing_forbidden():
     wrong = [
         f"{name}:{line} imports {target}"
-        for line, target in all_imports(tree)
+        for name in EXISTING
+        for line, target in all_imports(name)
         for forbidden in FORBIDDEN_IMPORTS
         if is_or_is_in(target, forbidden)
     ]
     wrong += [
         f"{name}:{line} imports {target}, which only plots may"
-        for line, target in all_imports(tree)
+        for name in EXISTING
+        for line, target in all_imports(name)
         if is_or_is_in(target, "matplotlib") and ROOM[name] != "plots"
     ]
     wrong += [
         f"{name}:{line} imports {target}, which only the base of all results may"
-        for line, target in all_imports(tree)
+        for name in EXISTING
+        for line, target in all_imports(name)
         if is_or_is_in(target, "pandas") and ROOM[name] != "results"
     ]
     wrong += [
-        f"{name}:{node.lineno} calls {node.func.id}"
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Name)
-        and node.func.id in FORBIDDEN_CALLS
+        f"{name}:{line} calls {target}"
+        for name in EXISTING
+        for line, target in calls(name)
+        if target in FORBIDDEN_CALLS
     ]
-    assert not wrong
+    assert wrong == []
 
 
-@every_file
-def test_imports_no_slow_library_at_start_up(name):
+def test_imports_no_slow_library_at_start_up():
     wrong = [
         f"{name}:{line} imports {target} at module top level"
+        for name in EXISTING
         for line, target in start_up_imports(parse(name).body)
         if target.partition(".")[0] in SLOW_TO_IMPORT
     ]
-    assert not wrong
+    assert wrong == []
 
 
-@every_file
-def test_data_with_arrays_are_not_compared_field_by_field(name):
+def test_data_with_arrays_are_not_compared_field_by_field():
     # The truth of an array of truths is an error; results compare themselves (`results.Result`).
     wrong = [
         f"{name}:{node.lineno} {node.name} lacks eq=False"
+        for name in EXISTING
         for node in ast.walk(parse(name))
         if isinstance(node, ast.ClassDef)
         and any(
@@ -262,7 +280,7 @@ def test_data_with_arrays_are_not_compared_field_by_field(name):
             if isinstance(field, ast.AnnAssign)
         )
     ]
-    assert not wrong
+    assert wrong == []
 
 
 def test_the_running_package_agrees():
@@ -309,8 +327,8 @@ THIRD_PARTY = {"plots/svg.py": {"floor"}, "plots/style.py": {"floor"}}
 def words_of(tree: ast.Module) -> set[str]:
     """Return the words in the names and in the docstrings, examples apart, that a file gives."""
     found = set()
+    documented = (ast.Module, ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
     for node in ast.walk(tree):
-        documented = ast.Module | ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
         if isinstance(node, documented):
             prose = re.sub(r">>>(.+\n?)+", "", ast.get_docstring(node) or "")
             found |= set(re.findall(r"in turn|[^\W_]+", prose.lower()))

@@ -8,11 +8,12 @@ from itertools import cycle
 from pathlib import Path
 
 import pytest
+from amounts import few_and_many
 from fuzzing import bases, crossing
 
 from multipos import cli
 
-STRIDE = 197  # prime to the lengths of the lists
+STRIDES = few_and_many(887, 197)  # prime to the lengths of the lists
 LINES = [line for line in crossing.COMMANDS if not any(word in line for word in crossing.SLOW)]
 
 
@@ -68,10 +69,11 @@ SHARED = [
 ]
 
 
-def test_a_crossing_ends_as_promised(place):
+@pytest.mark.parametrize("stride", STRIDES)
+def test_a_crossing_ends_as_promised(stride, place):
     flags = {line: cycle(("", *crossing.flags(line.split()[0]))) for line in LINES}
     seen, faults = 0, []
-    for words in (*SHARED, *crossing.KINDS[::STRIDE]):
+    for words in (*SHARED, *crossing.KINDS[::stride]):
         made = crossing.make(words)
         if crossing.FUNCTION not in words:
             faults += [(words, fault) for fault in broken(["fit", *words, "-o", "o.json"])]
@@ -84,7 +86,7 @@ def test_a_crossing_ends_as_promised(place):
             faults += [(words, asked, fault) for fault in broken(asked)]
             seen += 1
     assert not faults
-    assert seen > 100
+    assert seen > 20_000 / stride
 
 
 @pytest.mark.parametrize("making", crossing.MAKING[:3])

@@ -2,8 +2,8 @@
 
 - ```` ```python ```` with `>>>` is a doctest; without, it is executed. One namespace a page.
 - ```` ```console ```` holds `$ command` lines (`> ` or a backslash continues one), each followed by
-  what it prints on stdout and stderr; `...` stands for anything but the first line, which is the
-  answer, and messages. A command may fail only where the page shows its line `multipos: error: …`.
+  all that it prints on stdout and stderr. A command may fail only where the page shows its line
+  `multipos: error: …`.
 - Any block after `<!-- file: NAME -->` is written to that file first.
 - After `<!-- continues: PAGE -->` the blocks of that page are run before those of this one.
 - ```` ```sh ```` after `<!-- command: NAME -->` sets a machine up: `.ci/run` runs it, not this.
@@ -156,33 +156,14 @@ def run_console(block: Block, folder: Path) -> list[str]:
         done = printed(command, folder)
         want, got = tidy(expected), tidy(done.stdout)
         where = f"{block.where(offset)}: $ {command}"
-        if not doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS):
+        if want != got:
             difference = difflib.unified_diff(
                 want.splitlines(), got.splitlines(), "the page", "the command", lineterm=""
             )
             problems.append("\n".join([where, *difference, f"(exit status {done.returncode})"]))
-        elif hidden := left_out(want, got):
-            problems.append(f"{where}\nthe page leaves out\n{hidden}")
         elif done.returncode != 0 and not re.search("^multipos: error: ", want, re.MULTILINE):
             problems.append(f"{where}\nexit status {done.returncode}, and the page shows no error")
     return problems
-
-
-def left_out(want: str, got: str) -> str:
-    """Return the first line that a page must not leave out as `...`: the answer, and messages."""
-    check, shown = doctest.OutputChecker().check_output, want.splitlines()
-    if shown[0].strip() == "..." and got.strip():
-        return got.splitlines()[0]
-    messages = [line for line in shown if line.startswith("multipos: ")]
-    return next(
-        (
-            line
-            for line in got.splitlines()
-            if line.startswith("multipos: ")
-            and not any(check(each + "\n", line + "\n", doctest.ELLIPSIS) for each in messages)
-        ),
-        "",
-    )
 
 
 PLAIN = re.compile(r"(?P<program>multipos|python) (?P<rest>[^|;&<>$`]+?)( > (?P<file>[\w.]+))?")
@@ -501,7 +482,8 @@ def test_a_right_page_passes(tmp_path, monkeypatch):
             ```console
             $ cat \\
             >   data.csv
-            ax,...
+            ax,ay
+            1,2
             $ echo 'multipos: error: no' >&2; exit 1
             multipos: error: no
             ```

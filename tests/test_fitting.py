@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from amounts import few_and_many
 from findings_bench import texts
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
@@ -434,9 +435,9 @@ def test_t_intervals_cover(scheme, model):
     assert_allclose(hits / runs, 0.9, atol=4.4 * math.sqrt(0.09 / runs))
 
 
-def test_intervals_of_believed_noise_cover():
+@pytest.mark.parametrize("runs", few_and_many(60, 400))
+def test_intervals_of_believed_noise_cover(runs):
     rng = np.random.default_rng(17)
-    runs = 400
     u = np.where(np.arange(14) < 7, 1e-3, 5e-3)[:, None] * np.ones(3)
     hits = np.zeros(12)
     truth = np.concatenate([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])

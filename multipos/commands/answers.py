@@ -348,12 +348,14 @@ def deliver(
 
 
 def _first(sentence: str, made: Content, verbose: bool) -> Content:
-    """Return what is printed first: the sentence and the table, long ones not whole."""
+    """Return what is printed first: the sentence and as many whole parts as a screen takes."""
     if not isinstance(made, str):
         return made
     lines = made.strip("\n").split("\n") if made.strip("\n") else []
     if not verbose and len(lines) > _LINES:
-        lines[_LINES - 1 :] = [f"… {len(lines) - _LINES + 1} more lines; -v prints all"]
+        ends = [i for i in range(1, _LINES) if not lines[i]]  # of a part, before the line that says
+        end = ends[-1] if len(ends) > 1 else _LINES - 1  # a title alone is no answer
+        lines[end:] = [f"… {len(lines) - end} more lines; -v prints all"]
     head = [sentence, ""] if sentence and lines else [sentence] if sentence else []
     return "".join(f"{line}\n" for line in [*head, *lines])
 

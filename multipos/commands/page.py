@@ -42,8 +42,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         check_folder(folder)
         site = make_site(arguments.pyodide)
         write_site(folder, site)
-        size = sum(map(len, site.files.values())) / 1e6
-        said = f"Written to {folder}: {len(site.files)} files, {size:.1f} MB.\n"
+        said = f"Written to {folder}: {len(site.files)} files.\n"
         listed = {"folder": str(folder), "files": sorted(site.files)}
         return Answer(text=lambda: said, json=lambda: to_json(listed))
     with open_server(make_site(arguments.pyodide), arguments.port) as server:

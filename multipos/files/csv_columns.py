@@ -101,6 +101,8 @@ class Cells(Sequence[str]):
         Between cells.
     skipped : int
         Rows of the first piece that are none of the column.
+    whole : bool
+        All rows of the pieces are of the column.
     """
 
     def __init__(
@@ -112,6 +114,7 @@ class Cells(Sequence[str]):
         self.place: int = place
         self.mark: str = mark
         self.skipped: int = skipped
+        self.whole = True
         self._rows = rows
         self._firsts = np.array([piece.first for piece in pieces])
         self._last: tuple[int, list[str]] = (-1, [])
@@ -144,13 +147,17 @@ class Cells(Sequence[str]):
 
     def part(self, start: int, stop: int) -> "Cells":
         """Return the rows from start to stop as a column of its own."""
+        if (start, stop) == (0, self._rows):
+            return self
         place = start + int(self._firsts[0]) + self.skipped
         first, last = np.searchsorted(
             self._firsts, [place, place + stop - start - 1], side="right"
         ).tolist()
         pieces = self.pieces[first - 1 : last]
         skipped = place - pieces[0].first
-        return Cells(self.raw, pieces, stop - start, self.place, self.mark, skipped)
+        part = Cells(self.raw, pieces, stop - start, self.place, self.mark, skipped)
+        part.whole = False
+        return part
 
     def numbers(self, parse: Callable[[list[str]], Array], *, decimal_comma: bool) -> Array:
         """Return the column as numbers (n,): by NumPy's reader, by `parse` where it stumbles."""
@@ -180,6 +187,26 @@ class Cells(Sequence[str]):
     def _split(self, rows: list[str]) -> list[str]:
         cells = map(str.split, rows, repeat(self.mark), repeat(self.place + 1))
         return list(map(str.strip, map(itemgetter(self.place), cells)))
+
+
+def joined_cells(columns: Sequence[Column]) -> Cells | None:
+    """Return a column of several texts as one; None where one is not whole and in memory."""
+    parts: list[bytes] = []
+    marks: set[tuple[int, str]] = set()
+    for column in columns:
+        if not isinstance(column, Cells) or not isinstance(column.raw, bytes):
+            return None
+        pieces = column.pieces
+        if len(pieces) > 1 or not column.whole:
+            return None
+        marks.add((column.place, column.mark))
+        text = column.raw[pieces[0].start : pieces[0].end]
+        parts.append(text if text.endswith(b"\n") else text + b"\n")
+    if len(marks) > 1:
+        return None
+    raw = b"".join(parts)
+    (place, mark), rows = marks.pop(), sum(map(len, columns))
+    return Cells(raw, (_Piece(0, len(raw), 0),), rows, place, mark)
 
 
 def arrange_cells(columns: Mapping[str, Cells], rows: NDArray[np.intp]) -> dict[str, Cells]:

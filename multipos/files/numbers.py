@@ -7,7 +7,7 @@ them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten d
 import heapq
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from multipos.files.spelling import visible
 
@@ -15,7 +15,7 @@ _MOST_ROWS, _LARGEST_ROWS = 100, 20  # of a table: beyond the former only so man
 _SHORTEST = -5  # decimal exponents below this are written as such
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _RATIO = 0.01  # ratios below are read in ppm
-_RARE = 1e-4
+_SHORT, _RARE = 1e-4, 1e-6  # of probabilities: below, a text says only that
 _ROUNDING = 1e-13  # an uncertainty below, in a unit that people read, is that of the arithmetic
 _PREFIXES = {"k": 3, "": 0, "m": -3, "µ": -6, "n": -9}
 _SMALLEST = {
@@ -72,6 +72,19 @@ def readable_unit(size: float, unit: str) -> tuple[float, str]:
     return factor, pretty_unit(shown)
 
 
+def common_units(sizes: Iterable[tuple[str, float]]) -> dict[str, tuple[float, str]]:
+    """Return of each unit the one that people read its largest size in, as `readable_unit`."""
+    largest: dict[str, float] = {}
+    for unit, size in sizes:
+        largest[unit] = max(largest.get(unit, 0.0), abs(size) if math.isfinite(size) else 0.0)
+    return {unit: readable_unit(size, unit) for unit, size in largest.items()}
+
+
+def beyond_rounding(value: float, scale: float = 1.0) -> float:
+    """Return a value, and 0 for one that is the rounding of numbers of size `scale`."""
+    return 0.0 if abs(value) <= _ROUNDING * scale else value
+
+
 def pretty_unit(unit: str) -> str:
     """Return a unit as it is printed: V/g² and not V/g^2, °C and not degC."""
     unit = re.sub(r"\bdeg(C?)\b", r"°\1", re.sub(r"\buT\b", "µT", unit))
@@ -98,6 +111,7 @@ def _scaled_unit(size: float, unit: str) -> tuple[float, str]:
 
 def in_unit(size: float, unit: str) -> str:
     """Return a size to three digits in a unit that people read: 2 mg."""
+    size = beyond_rounding(size)
     factor, shown = readable_unit(abs(size), unit)
     said = f"{float(f'{size * factor:.3g}'):g}"
     return f"{said}°" if shown == "°" else f"{said} {shown}".rstrip()
@@ -115,16 +129,16 @@ def plain_number(value: float | None, digits: int = 3) -> str:
 
 
 def chance(p: float | None) -> str:
-    """Return a probability to two digits; below one in ten thousand only that it is."""
-    if p is not None and 0.0 <= p < _RARE:
-        return f"<{_RARE:.4f}"
-    return plain_number(p, 2)
+    """Return a probability to two digits, or six decimals; of the smallest only that it is."""
+    if p is None or not 0.0 <= p < _SHORT:
+        return plain_number(p, 2)
+    return f"{p:.6f}" if p >= _RARE else "< 1e-6"
 
 
 def p_in_words(p: float | None) -> str:
-    """Return a probability as a text says it: p = 0.05, p < 0.0001."""
+    """Return a probability as a text says it: p = 0.05, p < 1e-6."""
     said = chance(p)
-    return f"p < {said[1:]}" if said.startswith("<") else f"p = {said}"
+    return f"p {said}" if said.startswith("<") else f"p = {said}"
 
 
 def fixed(value: float, decimals: int, *, signed: bool = False) -> str:

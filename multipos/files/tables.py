@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
-from multipos.files.decimals import format_numbers
 from multipos.files.handed import (
     ARROW,
     is_json,
@@ -39,8 +38,9 @@ from multipos.files.spelling import as_cell, control_characters, is_risky, of_ce
 from multipos.files.whole import read_bytes, reading, write_text
 from multipos.files.workbooks import ZIP, require_extra, workbook_text
 
-_LONGEST = 100  # characters of a number, in an array of cells
+_FINITE = float(np.finfo(np.float64).max)
 _FEW = 1000  # rows, up to which cells are written one by one
+SHORT = 1 << 14  # bytes: a shorter file is read once, as opening it takes longer than reading
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
@@ -55,6 +55,7 @@ class Table:
     lines: Lines | None = None  # line of the file each row ends on
     sha256: str | None = None
     delimiter: str = ","
+    content: str | None = None  # SHA-256 of what a packed file holds
     first: int = 0  # rows of the source that came before these, where it is read piece by piece
 
     def __contains__(self, name: str) -> bool:
@@ -84,7 +85,7 @@ class Table:
         MultiposError
             A label has a control character, which a terminal would obey.
         """
-        labels = tuple(of_cell(_label(cell)) for cell in self.columns[name])
+        labels = self.unchecked(name)
         for row, label in enumerate(labels):
             if control_characters(label):
                 raise MultiposError(
@@ -92,6 +93,10 @@ class Table:
                     "it without."
                 )
         return labels
+
+    def unchecked(self, name: str) -> tuple[str, ...]:
+        """Return a column as labels that are compared, and never printed."""
+        return tuple(of_cell(_label(cell)) for cell in self.columns[name])
 
     def number(
         self, name: str, *, empty: bool = False, largest: float = math.inf
@@ -106,6 +111,8 @@ class Table:
         """
         cells = self.columns[name]
         values = self.numbers(name)
+        if (np.abs(values) <= min(largest, _FINITE)).all():
+            return values
         bad = ~np.isfinite(values)
         if empty and isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
             bad &= ~np.isnan(values)
@@ -126,6 +133,9 @@ class Table:
 
     def is_text(self, name: str) -> bool:
         """Tell whether no cell of the column is a number."""
+        cells = self.columns[name]
+        if isinstance(cells, list) and np.isfinite(self._parse(cells[:1])).any():
+            return False  # in most columns the first cell decides
         return not np.isfinite(self.numbers(name)).any()
 
     def where(self, row: int, name: str) -> str:
@@ -146,11 +156,9 @@ class Table:
         try:
             if self.decimal_comma:
                 cells = [cell.replace(",", ".") for cell in cells]
-            if any("_" in cell for cell in cells):  # float() would take 1_000
+            if "_" in "\n".join(cells):  # float() would take 1_000
                 raise ValueError
-            if max(map(len, cells), default=0) > _LONGEST:  # every cell would take as much
-                raise ValueError
-            return np.array(cells, dtype=np.str_).astype(np.float64)
+            return np.array([*map(float, cells)], dtype=np.float64)
         except (ValueError, TypeError, AttributeError):
             return np.array([_float(cell) for cell in cells], dtype=np.float64)
 
@@ -201,6 +209,7 @@ def read_table(
 def _of_columns(given: Mapping[str, Any], what: str) -> Table:
     """Return the table of columns in memory."""
     columns: dict[str, Column] = {str(n): _array(column, n, what) for n, column in given.items()}
+    _check_names(what, columns)
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise MultiposError(f"the columns of the {what} differ in length: {lengths}.")
@@ -219,11 +228,17 @@ def _array(column: Any, name: Any, what: str) -> NDArray[Any]:
     return found
 
 
-def open_table(path: str | os.PathLike[str], *, what: str = "table") -> Table:
-    """Return a CSV file as a table whose cells stay in it, if it has no quotes."""
-    raw = FileBytes(path, what)
-    plain = read_plain(raw)
-    return _read_csv(path, what) if plain is None else _plain_table(path, plain, raw.sha256())
+def open_table(path: str | os.PathLike[str], *, what: str = "table", head: bytes = b"") -> Table:
+    """Return a CSV file as a table whose cells stay in it, if it has no quotes.
+
+    A file that is shorter than `SHORT` is kept as it was read; `head` is how it begins.
+    """
+    if 0 < len(head) < SHORT:
+        plain, sha256 = read_plain(head), hashlib.sha256(head).hexdigest()
+    else:
+        raw = FileBytes(path, what)
+        plain, sha256 = read_plain(raw), raw.sha256()
+    return _read_csv(path, what) if plain is None else _plain_table(path, plain, sha256)
 
 
 def _read_file(path: str | os.PathLike[str], what: str) -> Table:
@@ -233,12 +248,13 @@ def _read_file(path: str | os.PathLike[str], what: str) -> Table:
         head = stream.read(1 << 10)
     if is_packed(head):  # what people compare is the file that they have
         sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
-        return replace(_read_file(unpack(path), what), sha256=sha256)
+        table = _read_file(unpack(path), what)
+        return replace(table, sha256=sha256, content=table.sha256)
     if not head.startswith(ARROW) and not is_json(head):
         return _read_csv(path, what)
     columns = read_json_columns(path, what) if is_json(head) else read_arrow(path)
     sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
-    return replace(_of_columns(columns, what), source=str(path), sha256=sha256)
+    return replace(_of_columns(columns, str(path)), sha256=sha256)
 
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
@@ -378,16 +394,21 @@ def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
         if name in seen:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
         seen.add(name)
-        if control_characters(name):
-            raise MultiposError(
-                f"{path}: the name of column {index + 1}, '{visible(name)}', has a control "
-                "character; rename it."
-            )
+    _check_names(path, header)
     if all(math.isfinite(_float(name)) for name in header):
         raise MultiposError(
             f"{path}: the first row holds only numbers; put a row of names above, such as "
             "position,ax,ay,az."
         )
+
+
+def _check_names(source: str | os.PathLike[str], names: Iterable[str]) -> None:
+    for place, name in enumerate(names, start=1):
+        if control_characters(name):
+            raise MultiposError(
+                f"{source}: the name of column {place}, '{visible(name)}', has a control "
+                "character; rename it."
+            )
 
 
 def _float(cell: Any) -> float:
@@ -444,6 +465,8 @@ def format_rows(
     columns: Mapping[str, Column], delimiter: str = ",", digits: Mapping[str, int] | None = None
 ) -> str:
     """Return the rows of `format_csv`, without its header."""
+    from multipos.files.decimals import format_numbers
+
     asked = digits or {}
     arrays = [c for c in columns.values() if isinstance(c, np.ndarray) and c.dtype.kind in "fiub"]
     if len(arrays) == len(columns) and (asked or len(arrays[0]) > _FEW):

@@ -29,6 +29,7 @@ from multipos.logs.samples import Kept, Progress, Samples, Timing, small_pieces
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import COLUMNS
+from multipos.positions.headers import unused_columns
 
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
@@ -249,7 +250,7 @@ def _unused(samples: Samples) -> list[Finding]:
     nameless = [place for place, name in enumerate(log.columns, 1) if name in log.nameless]
     said = [f"column '{name}' holds text and is not used" for name in texts]
     said += [f"column {place} has no name and is not used" for place in nameless]
-    return [Finding("unused-column", "note", text) for text in said]
+    return unused_columns(said)
 
 
 def _limits(

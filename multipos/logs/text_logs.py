@@ -539,7 +539,8 @@ def _plain_table(text: _Text, block: _Block, first: int, wanted: _Wanted) -> Tab
     layout = text.layout
     if wanted.texts or layout.trailing or layout.labelled or not all(layout.numeric):
         return None
-    values = _numbers(text, block, [text.columns.index(name) for name in wanted.numbers])
+    places = {name: place for place, name in enumerate(text.columns)}
+    values = _numbers(text, block, [places[name] for name in wanted.numbers])
     if values is None or not np.isfinite(values).all():
         return None
     rows = range(block.line, block.line + values.shape[1])

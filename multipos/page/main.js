@@ -197,6 +197,9 @@ function show(answer) {
   if (answer.findings.every(finding => finding.level === "note")) {
     items.unshift(element("li", T("There is nothing to warn of.")));
   }
+  if (answer.findings.some(finding => finding.action.includes("--"))) {
+    items.push(element("li", T("Options (--…) are those of the command line: download the readings and give both to multipos fit."), "soft"));
+  }
   $("findings").replaceChildren(...items);
   $("parameters").tBodies[0].replaceChildren(...answer.parameters.map(each => {
     const digits = decimals(each.U), numbers = [each.value, each.U];

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
@@ -303,7 +304,7 @@ def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
             "warning",
             (
                 f"residuals contain harmonic {h.order} in plane {h.plane}, amplitude "
-                f"{h.amplitude:.2g} (p = {h.p:.1g})"
+                f"{h.amplitude:.2g} ({p_in_words(h.p)})"
             ),
             "Check the table, or add a term to the model.",
             p=h.p,

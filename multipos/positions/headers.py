@@ -241,6 +241,7 @@ def named_axes(outputs: Sequence[str]) -> list[int]:
 RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 OF_SURROUNDINGS = frozenset({"K", "°C", "s", "ms", "us", "ns", "hPa", "Pa", "Hz", "%"})
 _PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
+_NOTED = 12  # columns not used that have a note each
 _KELVIN = "K"
 _ZERO = 273.15  # [K] at 0 °C
 
@@ -334,9 +335,10 @@ def _forces(names: Sequence[str]) -> dict[str, str]:
     folded = {name.casefold() for name in names}
     for mark in ("_", ""):
         called = {name.replace("_", mark): name for name in FORCE}
-        beside = [component(name) for name in names if name.casefold() not in called]
-        if called.keys() <= folded and any(each.acceleration for each in beside):
-            return called
+        if called.keys() <= folded:
+            beside = (component(name) for name in names if name.casefold() not in called)
+            if any(each.acceleration for each in beside):
+                return called
     return {}
 
 
@@ -353,6 +355,14 @@ def find_column(table: Table, name: str) -> str:
     folded = split_unit(name)[0].casefold()
     equal = [own for own in table.columns if split_unit(own)[0].casefold() == folded]
     return equal[0] if len(equal) == 1 else name
+
+
+def unused_columns(texts: Iterable[str]) -> list[Finding]:
+    """Return a note of each column that is not used; of many, of a dozen and how many there are."""
+    every = list(texts)
+    if len(every) > _NOTED + 1:
+        every[_NOTED:] = [f"{len(every) - _NOTED} more columns are not used"]
+    return [Finding("unused-column", "note", text) for text in every]
 
 
 def unit_as_known(unit: str) -> str:

@@ -4,7 +4,7 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 `docs/reference/formats`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,6 +45,7 @@ from multipos.positions.headers import (
     triads_of,
     unit_as_known,
     unit_of_outputs,
+    unused_columns,
 )
 from multipos.positions.orientations import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, select_outputs
@@ -258,7 +259,9 @@ def _outputs(
     require_columns(names, table.columns, table.source)
     beside = _averaged_along(tuple(candidates), table)
     others = (name for name in candidates if name not in names and name not in beside)
-    findings += _unused(f"column '{name}' is not among the outputs and" for name in others)
+    findings += unused_columns(
+        f"column '{name}' is not among the outputs and is not used" for name in others
+    )
     return names
 
 
@@ -310,7 +313,7 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
     kinds = {name: component(name) for name in candidates}
     chosen = _of_acceleration(left, kinds)
     _refuse_text(table, chosen, list(text), kinds)
-    findings += _unused(f"column '{name}' holds text and" for name in text)
+    findings += unused_columns(f"column '{name}' holds text and is not used" for name in text)
     used = frozenset(chosen)
     findings += _find_others(chosen, [name for name in left if name not in used])
     return chosen
@@ -325,10 +328,6 @@ def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
         whose = "belongs to another sensor" if len(others) == 1 else "belong to other sensors"
     text = f"outputs are {', '.join(chosen)}, by their names; {listed(others, 12)} {whose}"
     return [Finding("outputs-by-name", "note", text)]
-
-
-def _unused(what: Iterable[str]) -> list[Finding]:
-    return [Finding("unused-column", "note", f"{each} is not used") for each in what]
 
 
 def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, NameParts]) -> tuple[str, ...]:
@@ -407,8 +406,8 @@ def _beside(
     """Return what stands beside every output in columns of a prefix (n, M), or None."""
     names = [f"{prefix}_{output}" for output in outputs]
     known = {*names, *outputs}
-    findings += _unused(
-        f"column '{name}' belongs to no output and"
+    findings += unused_columns(
+        f"column '{name}' belongs to no output and is not used"
         for name in table.columns
         if name not in known and _stands_beside(name, prefix, table)
     )

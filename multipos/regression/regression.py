@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import chance, number, p_in_words, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings, about, in_order
@@ -241,7 +241,7 @@ def _judged(r: Regression) -> list[str]:
         h = r.hysteresis
         lines.append(
             f"branches   F = {number(h['F'])} on {h['dof'][0]:.0f}, {h['dof'][1]:.0f}, "
-            f"p = {number(h['p'], 2)}: {'apart' if h['significant'] else 'together'}"
+            f"{p_in_words(h['p'])}: {'apart' if h['significant'] else 'together'}"
         )
     if r.cross_validation is not None:
         found = r.cross_validation
@@ -307,7 +307,7 @@ def _overview(r: Regression) -> str:
             f"{s.F_critical:.4f}",
         ]
         if robust:
-            row += ["-", "-"] if s.robust is None else [number(s.robust.F), number(s.robust.p, 2)]
+            row += ["-", "-"] if s.robust is None else [number(s.robust.F), chance(s.robust.p)]
         rows.append([*row, "yes" if s.significant else "no"])
     return table(header, rows)
 
@@ -320,8 +320,8 @@ def _segment_text(s: Segment) -> list[str]:
             c.term,
             uncertain(c.value, c.u),
             number(c.t),
-            number(c.p, 2),
-            *([number(c.u_robust, 2), number(c.p_robust, 2)] if robust else []),
+            chance(c.p),
+            *([number(c.u_robust, 2), chance(c.p_robust)] if robust else []),
         ]
         for c in s.coefficients
     ]
@@ -329,7 +329,7 @@ def _segment_text(s: Segment) -> list[str]:
 
 
 def _tested_text(tested: Tested) -> str:
-    return f"{tested.term} (F = {number(tested.F)}, p = {number(tested.p, 2)})"
+    return f"{tested.term} (F = {number(tested.F)}, {p_in_words(tested.p)})"
 
 
 def _runs_text(s: Segment) -> list[str]:
@@ -351,7 +351,7 @@ def _path_text(s: Segment) -> list[str]:
                 str(x.step),
                 f"{'+' if x.action == 'add' else '-'}{x.term}",
                 number(x.F, 6),
-                number(x.p, 3),
+                chance(x.p),
                 "" if x.runner_up is None else _tested_text(x.runner_up),
             ]
             for x in s.path
@@ -360,7 +360,7 @@ def _path_text(s: Segment) -> list[str]:
     if s.runner_up is not None:
         lines.append(
             f"next: {s.runner_up.term}, F = {number(s.runner_up.F)} where "
-            f"{number(s.F_to_enter)} is needed, p = {number(s.runner_up.p, 2)}"
+            f"{number(s.F_to_enter)} is needed, {p_in_words(s.runner_up.p)}"
         )
     if s.subsets:
         best = [

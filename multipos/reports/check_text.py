@@ -1,11 +1,13 @@
 """What checks say: as sheets of text (`multipos.reports.sheets`), and as plain text of them."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from multipos.files.numbers import (
+    beyond_rounding,
     decimals_of,
     fixed,
     in_unit,
@@ -21,9 +23,18 @@ from multipos.verification.verdicts import VERDICTS, Check, worst
 
 def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
     """Return the summary and the errors of positions, all or the largest; or by segment."""
+    found = _beyond_rounding(found)
     if found.segments:
         return [_by_segment(found)]
     return [_by_axis(found), _by_position(found, whole=whole)]
+
+
+def _beyond_rounding(found: Check) -> Check:
+    """Return the check with 0 for errors and U that are rounding."""
+    sizes = {"before": found.before, "after": found.after, "U": found.U}
+    shown = np.vectorize(beyond_rounding, otypes=[np.float64])
+    scale = max(1.0, float(np.nanmax(np.abs(found.reference), initial=0.0)))
+    return replace(found, **{name: shown(each, scale) for name, each in sizes.items()})
 
 
 def _by_axis(found: Check) -> Sheet:
@@ -93,8 +104,6 @@ def _by_position(found: Check, *, whole: bool) -> Sheet:
     for axis in found.axes:
         header += [_united(axis, readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
         header += [f"after [{unit_after}]", "U"]
-    largest = after * np.max(np.where(np.isfinite(found.U), found.U, 0.0), axis=0)
-    digits = [decimals_of(U) for U in largest.tolist()]
     rows = []
     sizes = np.abs(found.after).max(axis=1).tolist()
     shown = list(range(len(sizes))) if whole else largest_rows(sizes)
@@ -104,7 +113,7 @@ def _by_position(found: Check, *, whole: bool) -> Sheet:
             cells += [f"{found.reference[row, column]:.6g}"]
             cells += [_signed(before * found.before[row, column])]
             error, U = after * found.after[row, column], after * found.U[row, column]
-            cells += _error_cells(error, U, digits[column])
+            cells += _error_cells(error, U)
         rows.append([*cells, worst(found.verdicts[row]) or "-"])
     title = "Every position"
     if len(shown) < len(found.positions):
@@ -176,9 +185,10 @@ def _signed(value: float) -> str:
     return "-" if np.isnan(value) else ("+" if value > 0.0 else "") + plain_number(value)
 
 
-def _error_cells(error: float, U: float, decimals: int | None) -> tuple[str, str]:
-    """Return an error and its U to the same digits, two of the largest U."""
-    if decimals is None or not (np.isfinite(error) and np.isfinite(U)):
+def _error_cells(error: float, U: float) -> tuple[str, str]:
+    """Return an error and its U to the same digits: U upright is a hundred times that at level."""
+    decimals = decimals_of(U)
+    if decimals is None or not np.isfinite(error):
         return _signed(error), plain_number(U, 2)
     return fixed(error, decimals, signed=True), f"{U:.{decimals}f}"
 

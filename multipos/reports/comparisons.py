@@ -14,6 +14,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.numbers import (
     chance,
+    common_units,
     decimals_of,
     number,
     p_in_words,
@@ -242,10 +243,15 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         *runs,
         *(tr("mean(sd)"), tr("drift per {unit}", unit=tr(per)), tr("its p"), "p", ""),
     )
+    units = common_units(
+        (entry["unit"], _or_nan(value))
+        for entry in found["parameters"]
+        for value in entry["values"]
+    )
     rows = tuple(
         (
             entry["name"],
-            *_values_of(entry),
+            *_values_of(entry, units[entry["unit"]]),
             chance(entry["drift_p"]),
             chance(entry["p"]),
             tr("moved") if entry["moved"] else "",
@@ -260,11 +266,10 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
     return Section(tr("Parameters"), (finite,), tables=(table,))
 
 
-def _values_of(entry: Mapping[str, Any]) -> list[str]:
-    """Return unit, values, mean and sd, and drift of a parameter, in a unit that people read."""
+def _values_of(entry: Mapping[str, Any], shown: tuple[float, str]) -> list[str]:
+    """Return unit, values, mean and sd, and drift of a parameter, in the unit to show."""
     values = np.array([_or_nan(value) for value in entry["values"]])
-    finite = values[np.isfinite(values)]
-    factor, unit = readable_unit(float(np.abs(finite).max(initial=0.0)), entry["unit"])
+    factor, unit = shown
     sd = factor * _or_nan(entry["sd"])
     decimals = decimals_of(sd)
     form = ".7g" if decimals is None else f".{decimals + 1}f"

@@ -43,10 +43,11 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
     names = [*(c.readings.labels[row] for row in shown), "s", tr("dof")]
     columns = []
-    for output, left, sd, dof in zip(
-        c.outputs, c.residuals.T, c.residual_sd.tolist(), c.dof.tolist(), strict=True
+    sizes = np.abs(c.readings.values).max(axis=0).tolist()
+    for output, left, sd, dof, size in zip(
+        c.outputs, c.residuals.T, c.residual_sd.tolist(), c.dof.tolist(), sizes, strict=True
     ):
-        printed = column([*left[shown], sd], c.model.unit, sd, signed=True)
+        printed = column([*left[shown], sd], c.model.unit, sd, signed=True, scale=size)
         s = printed.cells.pop().removeprefix("+")
         columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, number(dof)]))
     paragraphs = [_kind_of_residual(c, tr)]

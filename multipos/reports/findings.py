@@ -7,6 +7,7 @@ import numpy as np
 from multipos.diagnostics.model_error import not_stated
 from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
+    common_units,
     decimals_of,
     largest_rows,
     number,
@@ -150,8 +151,9 @@ def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> P
     """Return what every quantity contributes to every parameter."""
     quantities = list(dict.fromkeys(row.quantity for row in budget.rows))
     rows = []
+    units = common_units(zip(c.model.units, c.u.tolist(), strict=True))
     for i, (name, unit) in enumerate(zip(budget.names, c.model.units, strict=True)):
-        factor, shown = readable_unit(float(c.u[i]), unit)
+        factor, shown = units[unit]
         cells = [_contribution(budget, quantity, i, factor) for quantity in quantities]
         rows.append((name, *cells, plain_number(factor * float(c.u[i]), 2), shown))
     quantity_names = map(tr, quantities)
@@ -263,12 +265,18 @@ def _sphere_rows(
     unit = c.field.printed
     words = {"force": ("force along {axis}", unit), "tilt_deg": ("tilt of {axis}", "deg")}
     rows: list[tuple[str, ...]] = []
-    for size in sizes:
-        found = evaluate_sphere(c, size=size)
+    evaluated = {size: evaluate_sphere(c, size=size) for size in sizes}
+    units = common_units(
+        (words[what][1], entry["U"])
+        for found in evaluated.values()
+        for what, axes in found.items()
+        for entry in axes.values()
+    )
+    for size, found in evaluated.items():
         for what in ("force",) if size > 1.0 or c.field.magnetic else found:
             text, unit = words[what]
             for axis, entry in found[what].items():
-                factor, shown = readable_unit(entry["U"], unit)
+                factor, shown = units[unit]
                 rows.append(
                     (
                         tr(text, axis=axis),

@@ -11,6 +11,7 @@ from multipos.diagnostics.criticism import find_influence, fourier_residuals, ju
 from multipos.diagnostics.score_tests import judge_included
 from multipos.files.numbers import (
     chance,
+    common_units,
     decimals_of,
     number,
     p_in_words,
@@ -78,10 +79,13 @@ def _tests_of_terms(c: Calibration, tr: Translator) -> list[PageTable]:
 
 
 def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
+    units = common_units(
+        zip(c.model.units, np.abs(found.symmetric).max(axis=1).tolist(), strict=True)
+    )
     rows = [
         (
             name,
-            *_simulated_cells(u, (low, high), (first, last), tolerance, unit),
+            *_simulated_cells(u, (low, high), (first, last), tolerance, units[unit]),
             tr("yes") if valid else tr("no"),
         )
         for name, unit, u, (low, high), (first, last), tolerance, valid in zip(
@@ -111,10 +115,10 @@ def _simulated_cells(
     symmetric: Sequence[float],
     shortest: Sequence[float],
     tolerance: float,
-    unit: str,
+    unit: tuple[float, str],
 ) -> tuple[str, ...]:
     """Return u, both intervals and the tolerance in one unit, and it."""
-    factor, shown = readable_unit(max(map(abs, symmetric)), unit)
+    factor, shown = unit
     decimals = decimals_of(factor * u)
     form = ".7g" if decimals is None else f".{decimals}f"
     intervals = [
@@ -155,7 +159,12 @@ def _influence(c: Calibration, tr: Translator) -> PageTable:
     columns: list[str] = []
     cells: list[list[str]] = []
     for i, output in enumerate(c.outputs):
-        left_out = column(found.left_out[shown, i], c.model.unit, float(c.residual_sd[i]))
+        left_out = column(
+            found.left_out[shown, i],
+            c.model.unit,
+            float(c.residual_sd[i]),
+            scale=float(np.abs(c.readings.values[:, i]).max()),
+        )
         columns += [f"r {output}", f"D {output}", f"e {output} [{left_out.unit}]"]
         cells += [
             [_two_decimals(size) for size in found.studentised[shown, i].tolist()],

@@ -10,6 +10,8 @@ import numpy as np
 
 from multipos.files.numbers import (
     beside,
+    beyond_rounding,
+    common_units,
     decimals_of,
     fixed,
     number,
@@ -94,27 +96,21 @@ def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
 
 
 def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
-    """Return name, value, U, unit and k of each; all forces in one unit."""
-    largest = max((abs(q.value) + q.U for q in found if q.unit == "g"), default=0.0)
+    """Return name, value, U, unit and k of each; those of one unit have it in common."""
+    units = common_units((q.unit, _size(q.value, q.U)) for q in found)
     rows: list[tuple[str, ...]] = []
     for q in found:
-        size = largest if q.unit == "g" else max(abs(q.value), q.U)
-        factor, unit = readable_unit(size, q.unit)
+        factor, unit = units[q.unit]
         shown = beside(factor * q.value, factor * q.u, factor * q.U)
         rows.append((q.name, *shown, unit, plain_number(q.k, 3)))
     return rows
 
 
 def parameter_cells(entries: Iterable[Parameter]) -> list[tuple[str, str, str, str]]:
-    """Return value, u, U and unit of parameters; biases have one unit, scale factors have one."""
+    """Return value, u, U and unit of parameters; those of one unit have it in common."""
     given = list(entries)
-    sizes: dict[tuple[str, str], float] = {}
-    for p in given:
-        kind = p.unit, p.name.partition("_")[0]
-        sizes[kind] = max(sizes.get(kind, 0.0), _size(p.value, p.U))
-    return [
-        with_u(p.value, p.u, p.U, p.unit, sizes[p.unit, p.name.partition("_")[0]]) for p in given
-    ]
+    units = common_units((p.unit, _size(p.value, p.U)) for p in given)
+    return [with_u(p.value, p.u, p.U, units[p.unit]) for p in given]
 
 
 def _size(value: float, U: float) -> float:
@@ -122,20 +118,33 @@ def _size(value: float, U: float) -> float:
 
 
 def with_u(
-    value: float, u: float, U: float, unit: str, size: float | None = None
+    value: float, u: float, U: float, unit: str | tuple[float, str]
 ) -> tuple[str, str, str, str]:
-    """Return a value, its u and its U to the digits of u, and the unit of all three, by `size`."""
-    factor, shown = readable_unit(_size(value, U) if size is None else size, unit)
+    """Return a value, its u and its U to the digits of u, and the unit of all three.
+
+    `unit` is that of the numbers, or the one to print with its factor, as of `common_units`.
+    """
+    factor, shown = readable_unit(_size(value, U), unit) if isinstance(unit, str) else unit
     decimals = decimals_of(factor * u)
     value_cell, U_cell = beside(factor * value, factor * u, factor * U)
     return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown
 
 
 def column(
-    values: Sequence[float] | Array, unit: str, u: float | None = None, *, signed: bool = False
+    values: Sequence[float] | Array,
+    unit: str,
+    u: float | None = None,
+    *,
+    signed: bool = False,
+    scale: float = 1.0,
 ) -> Column:
-    """Return numbers as cells of one unit, to the digits of `u`, else to three."""
-    sizes = np.abs(np.asarray(values, dtype=np.float64))
+    """Return numbers as cells of one unit, to the digits of `u`, else to three.
+
+    What is but the rounding of numbers of size `scale` is 0.
+    """
+    values = [beyond_rounding(x, scale) for x in np.asarray(values, dtype=np.float64).tolist()]
+    u = None if u is None else beyond_rounding(u, scale)
+    sizes = np.abs(np.asarray(values))
     factor, shown = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
     decimals = None if u is None else decimals_of(factor * u)
     cells = []

@@ -10,15 +10,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multipos.files.numbers import decimals_of, plain_number, readable_unit
+from multipos.files.numbers import common_units, decimals_of, plain_number
 from multipos.plots.pictures import error_picture
 from multipos.reports.quantities import (
     Quantity,
     column,
     derived_quantities,
     leaning_quantities,
+    parameter_cells,
     quantity_rows,
-    with_u,
 )
 from multipos.reports.sections import (
     Figure,
@@ -167,7 +167,7 @@ def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Sect
     table = PageTable(
         tr("Parameters of all sessions"),
         tuple(map(tr, header)),
-        tuple(_row(c, name, sd) for name, sd in sessions.sd.items()),
+        _rows(c, sessions.sd),
     )
     return Section(
         tr("Combined sessions"),
@@ -189,11 +189,15 @@ def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Sect
     )
 
 
-def _row(c: Calibration, name: str, sd: float) -> tuple[str, ...]:
-    """Return a parameter with its U, and the sd over the sessions in the same unit."""
-    p = c[name]
-    shown = with_u(p.value, p.u, p.U, p.unit)
-    factor, _ = readable_unit(max(abs(p.value), p.U), p.unit)
-    decimals = decimals_of(factor * p.u)
-    spread = plain_number(factor * sd, 2) if decimals is None else f"{factor * sd:.{decimals}f}"
-    return p.name, *shown, plain_number(p.k, 3), spread
+def _rows(c: Calibration, sds: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
+    """Return parameters with their U, and the sd over the sessions in the same unit."""
+    entries = [c[name] for name in sds]
+    rows = []
+    cells = parameter_cells(entries)
+    units = common_units((p.unit, max(abs(p.value), p.U)) for p in entries)
+    for p, shown, sd in zip(entries, cells, sds.values(), strict=True):
+        factor = units[p.unit][0]
+        decimals = decimals_of(factor * p.u)
+        spread = plain_number(factor * sd, 2) if decimals is None else f"{factor * sd:.{decimals}f}"
+        rows.append((p.name, *shown, plain_number(p.k, 3), spread))
+    return tuple(rows)

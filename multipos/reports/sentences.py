@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.files.numbers import in_unit
+from multipos.files.numbers import beyond_rounding, in_unit
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
@@ -94,5 +94,6 @@ def _largest_expanded(c: Calibration) -> tuple[float, float]:
 
 def share(size: float) -> str:
     """Return a share in percent, a small one in ppm, to two digits."""
+    size = beyond_rounding(size)
     factor, unit = (100.0, "%") if size >= 1e-3 else (1e6, "ppm")
     return f"{float(f'{factor * size:.2g}'):g} {unit}"

@@ -8,14 +8,14 @@ rolls say of the turntable, the residuals of every position, and how the result 
 import math
 from collections.abc import Iterable
 
-from multipos.files.numbers import largest_rows, number, table
+import numpy as np
+
+from multipos.files.numbers import beyond_rounding, largest_rows, number, p_in_words, table
 from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sentences import calibration_sentence
-from multipos.reports.sheets import installation_sheets, table_error_sheets
 from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensed_axes
-from multipos.uncertainty.turntable import has_rolls, table_errors
 
 
 def text_report(calibration: Calibration) -> str:
@@ -44,6 +44,9 @@ def _titled(title: str, body: str) -> str:
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     sections = [("Calibration", _summary(calibration))]
     if len(sensed_axes(calibration.model)) < len(COMPONENTS):
+        from multipos.reports.sheets import installation_sheets, table_error_sheets
+        from multipos.uncertainty.turntable import has_rolls, table_errors
+
         sheets = installation_sheets(calibration)
         if has_rolls(calibration):
             sheets += table_error_sheets(table_errors(calibration))
@@ -79,16 +82,18 @@ def _in_gravity(c: Calibration) -> tuple[str, str]:
 def _residuals(calibration: Calibration) -> str:
     c = calibration
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
+    sizes = np.abs(c.readings.values).max(axis=0).tolist()
     names, shown = c.readings.labels, largest_rows(c.relative_residuals.tolist())
     rows = [
         [
             names[row],
             *(f"{value:.4g}" for value in c.reference[row].tolist()),
-            *(f"{value:+.3e}" for value in c.residuals[row].tolist()),
+            *map(_residual, c.residuals[row].tolist(), sizes),
         ]
         for row in shown
     ]
-    sd = ["s", "", "", "", *(number(value, 3) for value in c.residual_sd.tolist())]
+    spreads = zip(c.residual_sd.tolist(), sizes, strict=True)
+    sd = ["s", "", "", "", *(number(beyond_rounding(*each), 3) for each in spreads)]
     dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
     text = table(header, [*rows, sd, dof])
     if len(shown) == len(names):
@@ -96,11 +101,16 @@ def _residuals(calibration: Calibration) -> str:
     return f"{text}\nthe largest {len(shown)} of {len(names)} positions; --json has all"
 
 
+def _residual(value: float, scale: float) -> str:
+    """Return a residual of readings of size `scale`; one that is rounding is 0."""
+    return f"{value:+.3e}" if beyond_rounding(value, scale) else "0"
+
+
 def _checks(calibration: Calibration) -> str:
     c = calibration
     unit = c.field.unit or "of the field"
     no_force = worded("none, as the parameters give no force", c.field)
-    left = f"{c.rms:.3e} {unit}" if math.isfinite(c.rms) else no_force
+    left = f"{beyond_rounding(c.rms):.3e} {unit}" if math.isfinite(c.rms) else no_force
     lines = [f"rms of what is left after compensation: {left}"]
     if c.nominal is not None:
         before = nominal_error(c)
@@ -121,5 +131,5 @@ def _checks(calibration: Calibration) -> str:
     for output, test in c.diagnostics.lack_of_fit.items():
         p = test["p"]
         if isinstance(p, float) and math.isfinite(p):
-            lines.append(f"lack of fit of {output} against repeats: p = {p:.3g}")
+            lines.append(f"lack of fit of {output} against repeats: {p_in_words(p)}")
     return "\n".join(lines)

@@ -3,7 +3,14 @@
 import math
 from collections.abc import Mapping
 
-from multipos.files.numbers import number, table, uncertain
+from multipos.files.numbers import (
+    chance,
+    number,
+    p_in_words,
+    plain_number,
+    table,
+    uncertain,
+)
 from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets
@@ -85,7 +92,9 @@ def _coefficients_of_all(found: Tumbles) -> str:
             cells += _customary_cells(entry)
         rows.append([name, unit, *cells])
     k1 = [one["K1"] for one in found.outputs.values()]
-    scale = [name for entry in k1 for name in (_valued(entry.value, entry.u), number(entry.U, 2))]
+    scale = [
+        name for entry in k1 for name in (_valued(entry.value, entry.u), plain_number(entry.U, 2))
+    ]
     rows.insert(1, ["K1", k1[0].unit, *scale])
     return table(header, rows)
 
@@ -95,7 +104,7 @@ def _customary_cells(entry: TumbleCoefficient | None) -> list[str]:
         return ["-", "-"]
     custom = entry.customary
     value = _valued(custom["value"], custom["u"]) if "value" in custom else "-"
-    return [value, number(custom["U"], 2)]
+    return [value, plain_number(custom["U"], 2)]
 
 
 def _valued(value: float, u: float) -> str:
@@ -116,7 +125,7 @@ def _coefficient_rows(
                 _valued(c.value, c.u),
                 c.unit,
                 value,
-                number(custom["U"], 2),
+                plain_number(custom["U"], 2),
                 custom["unit"],
                 number(c.k),
                 number(c.dof),
@@ -142,9 +151,9 @@ def _harmonics_section(found: Tumble) -> _Sections:
     rows = []
     for h in found.harmonics:
         left = residual[h.plane, h.order]
-        rows.append(
-            [h.plane, str(h.order), *_harmonic_cells(h), f"{left.amplitude:.2g}", number(left.p, 2)]
-        )
+        # What the model explains whatever it is leaves the rounding of the arithmetic alone.
+        amplitude = "-" if left.p is None else f"{left.amplitude:.2g}"
+        rows.append([h.plane, str(h.order), *_harmonic_cells(h), amplitude, chance(left.p)])
     if rows:
         header = ["plane", "order", f"cos [{unit}]", "sin", "amplitude", "left by the model", "p"]
         return [("Harmonics", table(header, rows))]
@@ -158,7 +167,7 @@ def _hysteresis_section(outputs: Mapping[str, Tumble]) -> _Sections:
             *([name] if name else []),
             plane,
             uncertain(_MILLION * h.value, _MILLION * h.u),
-            number(_MILLION * h.U, 2),
+            plain_number(_MILLION * h.U, 2),
             str(h.angles),
         ]
         for name, found in outputs.items()
@@ -181,7 +190,7 @@ def _beside_section(
         for which, entry in entries.items()
     ]
     header = ["coefficient", "value(u)", "U", "unit"]
-    text = f"errors of the table are beyond chance (p = {found.beside.p:.1g}); in addition\n"
+    text = f"errors of the table are beyond chance ({p_in_words(found.beside.p)}); in addition\n"
     if not rows:
         text += "no coefficient is identifiable: state the bench (state_bench)"
         return [("Beside the table", text)]

@@ -41,6 +41,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
@@ -291,7 +292,7 @@ _WAY_OUT = "Calibrate again, or find what differs: warm-up, temperature, mountin
 
 
 def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
-    chance = f" (p = {found.p:.2g})" if whole else ""
+    chance = f" ({p_in_words(found.p)})" if whole else ""
     said = f"the run disagrees with the calibration beyond chance{chance}"
     if not moved:
         return said
@@ -305,4 +306,4 @@ def agreement_in_words(found: Agreement) -> str:
         return found.test
     dof = found.dof if isinstance(found.dof, list) else [found.dof]
     on = ", ".join(f"{value:.4g}" for value in dof)
-    return f"{found.test}: {found.statistic:.4g} on {on} degrees of freedom, p = {found.p:.2g}"
+    return f"{found.test}: {found.statistic:.4g} on {on} degrees of freedom, {p_in_words(found.p)}"

@@ -32,6 +32,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import (
     beside,
+    chance,
     number,
     p_in_words,
     plain_number,
@@ -536,8 +537,8 @@ def _parameter_table(found: Comparison) -> str:
                 *(f"{value:.7g}" for value in found.values[:, i].tolist()),
                 uncertain(mean, sd if varies else 0.0),
                 number(factor * float(found.drift[i]) if varies else 0.0, 2),
-                number(float(found.drift_p[i]), 2),
-                number(float(found.p[i]), 2),
+                chance(float(found.drift_p[i])),
+                chance(float(found.p[i])),
                 "moved" if name in found.moved else "",
             ]
         )
@@ -553,7 +554,7 @@ def _verdict(found: Comparison) -> str:
     shown = ", ".join(map(number, dof)) if isinstance(dof, list) else number(dof)
     return (
         f"{verdict}: {found.test}: {number(found.statistic)} on {shown} degrees of freedom, "
-        f"p = {number(found.p_total, 3)}"
+        f"{p_in_words(found.p_total)}"
     )
 
 
@@ -569,10 +570,10 @@ def _agreement(found: Mapping[str, Any]) -> str:
     verdict = "agree" if found["consistent"] else "do not agree"
     if "terms" in found:
         least = min((t["p"] for t in found["terms"] if t["p"] is not None), default=None)
-        smallest = "" if least is None else f"; smallest p of a term {number(least, 2)}"
+        smallest = "" if least is None else f"; smallest p of a term {chance(least)}"
         return f"{len(found['regressions'])} regressions {verdict}{smallest}."
-    chance = "" if found["p"] is None else f" ({p_in_words(found['p'])})"
-    together = f"{len(found['calibrations'])} calibrations {verdict}{chance}"
+    given = "" if found["p"] is None else f" ({p_in_words(found['p'])})"
+    together = f"{len(found['calibrations'])} calibrations {verdict}{given}"
     changes, largest = found.get("changes") or (), found.get("largest")
     if largest is None or largest["En"] is None:
         moved = [each["name"] for each in found["parameters"] if each["moved"]]

@@ -39,6 +39,7 @@ from multipos.compensation.correction import (
     read_runs,
 )
 from multipos.errors import MultiposError
+from multipos.files.numbers import p_in_words
 from multipos.files.tables import Source, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
@@ -166,7 +167,7 @@ def _find_in_run(r: Regression, whole: Agreement) -> Findings:
     """Return that the run as a whole does not agree, and what a switch-on has to do with it."""
     if not whole.p < RATE:
         return ()
-    text = f"the run disagrees with the regression beyond chance (p = {whole.p:.2g})"
+    text = f"the run disagrees with the regression beyond chance ({p_in_words(whole.p)})"
     action = "Find what differs: mounting, ageing, or the temperature profile."
     if r.run is None:
         text += "; without --run it has no variance between switch-ons"

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.numbers import number, table
+from multipos.files.numbers import chance, number, table
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
@@ -122,7 +122,7 @@ class RegressionComparison(Result, Drawn, Tabular):
                 t.term,
                 *("-" if math.isnan(v) else number(v, 4) for v in t.values.tolist()),
                 number(t.sd, 2),
-                "-" if math.isnan(t.p) else number(t.p, 2),
+                chance(t.p),
             ]
             for t in self.terms
         ]

@@ -99,3 +99,27 @@ def test_the_first_line_is_the_answer_and_nothing_is_said_twice(
     assert len(sentences) == len(set(sentences))
     assert not any(lines[0].removesuffix(".") in each for each in lines[1:])
     assert (status == 3) is lines[0].startswith(("Not fit for use", "Fail"))
+
+
+LONG = {  # and the rows that their first table has
+    "tumble roll.csv": 9,
+    "design --positions 40 --model own-cubic": 40,
+    "design --positions 100": 72,
+    "schemes all-26+fibonacci-24": 50,
+}
+
+
+@pytest.mark.parametrize("command", LONG)
+def test_a_long_result_ends_with_a_whole_table(command, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    _, short, _ = run(capsys, *command.split())
+    _, whole, _ = run(capsys, *command.split(), "-v")
+    *shown, last = short.splitlines()
+    assert len(shown) < 40
+    left = int(re.fullmatch(r"… (\d+) more lines; -v prints all", last)[1])
+    everything = whole.splitlines()
+    assert everything[: len(shown)] == shown
+    assert len(everything) == len(shown) + left
+    assert not everything[len(shown)]  # between two tables
+    labels = r"(?:^|  )\d+ +-?[01]\.\d+" if "tumble" not in command else r"^[Kd]\w+ "
+    assert len(re.findall(labels, short, re.MULTILINE)) == LONG[command]

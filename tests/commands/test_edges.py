@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -132,3 +133,50 @@ def test_a_finding_that_says_more_than_is_known_is_read(tmp_path, readings):
     path = tmp_path / "c.json"
     path.write_text(json.dumps(document))
     assert [each.code for each in mp.load(path).findings][:1] == ["x"]
+
+
+@pytest.mark.parametrize("outputs", [[], ["--outputs", "ax,ay,az"]])
+@pytest.mark.parametrize("command", ["fit", "average"])
+def test_a_wide_table_takes_time_in_proportion_and_one_short_line(
+    capsys, tmp_path, readings, command, outputs
+):
+    # 16 times the columns, of which a look at each for each would take 256 times as long
+    seconds = []
+    for width in (2_000, 32_000):
+        columns = {f"up_{a}": readings.up[:, i] for i, a in enumerate("xyz")}
+        columns |= {f"a{a}": readings.values[:, i] for i, a in enumerate("xyz")}
+        path, out = tmp_path / f"{width}.csv", tmp_path / "o.json"
+        mp.write_table(path, columns | {f"c{i}": np.arange(26.0) ** 2 for i in range(width)})
+        begin = time.process_time()
+        status = main([command, str(path), *outputs, "-o", str(out)])
+        seconds.append(time.process_time() - begin)
+        refused = command == "average" or not outputs
+        assert (status > 0) == refused
+        assert all(len(line) <= 300 for line in capsys.readouterr().err.splitlines())
+    assert seconds[1] < 48 * max(seconds[0], 0.02)
+    if not refused:  # one note of the columns beyond a dozen, not one of each
+        assert out.stat().st_size < 100_000
+
+
+def test_labels_of_parquet_come_through_the_door_of_csv(capsys, tmp_path, readings):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    labels = ["=1+1", "'@x", "+X up", *(f"p{i}" for i in range(23))]
+    columns = {"position": labels} | {f"up_{a}": readings.up[:, i] for i, a in enumerate("xyz")}
+    columns |= {f"a{a}": readings.values[:, i] for i, a in enumerate("xyz")}
+    path = tmp_path / "r.parquet"
+
+    def write(**changed):
+        parquet.write_table(pa.table(columns | changed), path)
+        return path
+
+    assert mp.read_readings(write()).labels[:3] == ("=1+1", "@x", "+X up")
+    for changed, says in (
+        ({"position": ["\x1b[2J", *labels[1:]]}, "column 'position': '\\u001b[2J' has a control"),
+        ({"pres\u202esure": [1.0] * 26}, "the name of column 8, 'pres\\u202esure', has a control"),
+    ):
+        status, line = said(capsys, "fit", write(**changed), "-o", tmp_path / "c.json")
+        assert status == 1
+        assert line.startswith(f"multipos: error: {path}: ")
+        assert says in line

@@ -142,7 +142,7 @@ def test_a_claim_far_above_the_residuals_is_the_noise():
     ("n", "pool", "price", "mean", "worst"),
     [
         pytest.param(6, True, 1.30, 0.93, 0.925, marks=pytest.mark.slow),
-        (12, True, 1.15, 0.93, 0.925),
+        pytest.param(12, True, 1.15, 0.93, 0.925, marks=pytest.mark.slow),
         pytest.param(24, True, 1.12, 0.93, 0.925, marks=pytest.mark.slow),
         pytest.param(6, False, 1.35, 0.87, 0.84, marks=pytest.mark.slow),
     ],
@@ -175,6 +175,19 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst, monk
             assert covered[claim] <= 0.985
     assert np.mean(list(covered.values())) >= mean
     assert min(covered.values()) >= worst
+
+
+@pytest.mark.parametrize("claim", [1.0, 0.3])
+def test_coverage_of_few_sets_whatever_their_claim(claim):
+    """The coverage above, of 40 sets: a twentieth off would show (its sd is .007)."""
+    rng, up, share = np.random.default_rng(12), sphere(12), []
+    X = np.column_stack([np.ones(12), up])
+    u = SD * np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    for _ in range(40):
+        values = up + SD * rng.standard_normal((12, 3))
+        cal = mp.fit(mp.Readings(values, up=up), reading_sd=claim * SD, pool=True)
+        share.append(2.0 * stats.norm.cdf(cal.U[:4] / u) - 1.0)
+    assert 0.915 <= np.mean(share) <= 0.985
 
 
 def test_one_output_that_is_noisier_has_a_scatter_of_its_own():

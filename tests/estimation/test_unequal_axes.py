@@ -67,7 +67,9 @@ def integrated(a, r, share, inverse, spread=4.0):
     return np.array(U) / coverage_factor(0.95, nu) / np.sqrt(r @ r / nu)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in range(1, 4))]
+)
 @pytest.mark.parametrize("n", [18, 48])
 def test_the_lattice_is_the_integral(n, seed):
     a, r, share, inverse = some_rows(n, seed)

@@ -148,6 +148,19 @@ def test_hand_held_rows_and_a_raw_log(visitor, tmp_path):
     assert (np.abs(found - expected.parameters) < 1e-9 * expected.u).all()
 
 
+def test_an_option_in_an_action_is_said_to_be_the_command_line_s(visitor, tmp_path):
+    run = mp.simulate(mp.demo().calibration, "all-26", reading_sd=1e-4, seed=2)
+    columns = {name: run[name].copy() for name in ("ax", "ay", "az")}
+    columns["ax"][3] += 0.05
+    mp.write_table(tmp_path / "hand.csv", columns)
+    assert put(visitor, tmp_path / "hand.csv") == "done"
+    said = text(visitor, "findings")
+    assert "--exclude" in said
+    assert "Options (--…) are those of the command line" in said
+    answered(visitor, "document.getElementById('example').click()")
+    assert "command line" not in text(visitor, "findings")
+
+
 def test_a_file_that_is_dropped(visitor):
     drop = (
         "const data = new DataTransfer(); "

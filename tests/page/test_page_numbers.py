@@ -42,6 +42,7 @@ ask("plan", model="own-quadratic", positions=18, hand_held=False)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("node") is None, reason="no Node")
 def test_the_runtime_gives_the_numbers_of_this_machine(tmp_path):
     folder = page_runtime.folder()

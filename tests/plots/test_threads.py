@@ -89,6 +89,8 @@ SETTINGS = {
     },
 }
 ENDINGS = (".svg", ".png")
+# What is set in one figure of its own each takes long; all at once would show in as many places.
+AT_ONCE = {key: value for settings in SETTINGS.values() for key, value in settings.items()}
 STYLES = ("dark_background", "fivethirtyeight", "seaborn-v0_8", "fast")
 SETTINGS |= {name: matplotlib.style.library[name] for name in STYLES}
 
@@ -158,10 +160,14 @@ def test_no_setting_changes_while_figures_are_drawn():
     assert all(seen)
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-def test_settings_of_the_program_around_change_no_figure(name):
+@pytest.mark.parametrize(
+    "settings",
+    [AT_ONCE, *(pytest.param(each, marks=pytest.mark.slow) for each in SETTINGS.values())],
+    ids=["at once", *SETTINGS],
+)
+def test_settings_of_the_program_around_change_no_figure(settings):
     alone = drawn()
-    with matplotlib.rc_context(SETTINGS[name]):
+    with matplotlib.rc_context(settings):
         found = draw()
     for one, other in zip(found, alone, strict=True):
         assert one == other

@@ -200,7 +200,9 @@ def two_stage(data, degree):
 VARIABLES = "V,temperature,temperature_rate,ambient,ambient_rate"
 
 
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(each, marks=pytest.mark.slow) for each in range(2, 6))]
+)
 @pytest.mark.parametrize(
     "options",
     [

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from amounts import few_and_many
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -198,14 +199,15 @@ def places(value, path=()):
 WRONG = (None, "text", -1, [], {"a": 1}, float("nan"), ["a"])
 
 
+@pytest.mark.parametrize("step", few_and_many(8, 1))
 @pytest.mark.parametrize("name", ["stated u", "temperature"])
-def test_a_damaged_file_is_used_or_refused_in_one_line(name):
+def test_a_damaged_file_is_used_or_refused_in_one_line(name, step):
     """Any value replaced by any other, or taken away: never an error that is not ours."""
     whole = CALIBRATIONS[name].to_dict()
     data = {column: [0.1, 0.2] for column in ("ax", "ay", "az", "temperature")}
     refused = 0
-    for place in places(whole):
-        for wrong in (KeyError, *WRONG):
+    for row, place in enumerate(places(whole)):
+        for wrong in (KeyError, *WRONG)[row % step :: step]:
             content = copy.deepcopy(whole)
             inner = content
             for key in place[:-1]:
@@ -222,7 +224,7 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name):
             text_report(cal)
             mp.apply(cal, data, uncertainty=True)
             cal.to_dict()
-    assert refused > 300
+    assert refused > 300 / step
 
 
 def test_a_later_version_may_say_more():
