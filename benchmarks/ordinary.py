@@ -7,7 +7,7 @@ sphere but for a rotation of the case, or where the row says so that of the zero
 median over logs. Beside it the best of the peers that answered half of the logs, and the ratio to
 it, which is the geometric mean over the logs that both answered: of one log errors are alike.
 
-Peers are written from what is published of them, and told nothing of the truth:
+Peers are written from what is published of them, and given nothing of the truth:
 
 - imu_tk: rests by a threshold of 1 … 10 times the variance of the first, at rest for 30 s, all
   of its thresholds tried, (|f|² − 1)² over their means by LM from nominal numbers [1]_;
@@ -16,7 +16,7 @@ Peers are written from what is published of them, and told nothing of the truth:
 - LM: |f| − 1 by SciPy over the rests of multipos, unweighted; `own LM` over those of a detector
   of ten lines: .5-s windows whose sd is below twice that of the quietest half, for 1.5 s;
 - soft_l1: as `own LM` with SciPy's robust loss at 1.48 median residuals;
-- told: multipos with an option that its user would have to know.
+- option: multipos with an option that its user would have to know.
 
 References
 ----------
@@ -75,7 +75,7 @@ class Row:
     make: Callable[[np.random.Generator], Recording]
     wanted: float | None = None
     peers: tuple[str, ...] = ("imu_tk", "mag_cal", "LM", "own LM", "soft_l1")
-    options: Mapping[str, Any] = field(default_factory=dict)  # of `told`
+    options: Mapping[str, Any] = field(default_factory=dict)  # of `option`
     of_zero: bool = False
     may_refuse: bool = False  # by name, where no answer is right
 
@@ -206,7 +206,7 @@ def short(rng: np.random.Generator) -> Recording:
     return recorded(rng, spread(rng, 24), rng.uniform(1.0, 2.0, 24))
 
 
-OFF = ("imu_tk", "mag_cal", "LM", "own LM", "soft_l1", "told")
+OFF = ("imu_tk", "mag_cal", "LM", "own LM", "soft_l1", "option")
 HUBER = {"robust": "huber"}
 HAND: dict[str, Any] = {"sway": 0.3, "shake": 0.1}
 ROWS: dict[str, Row] = {
@@ -216,8 +216,8 @@ ROWS: dict[str, Row] = {
     "two-off-41mg": Row(pushed(2, 0.4), 0.2, OFF, HUBER),
     "two-off-102mg": Row(pushed(2, 1.0), 0.2, OFF, HUBER),
     "five-off-41mg": Row(pushed(5, 0.4), 0.2, OFF, HUBER),
-    "faces-1deg": Row(by_hand(1.0), 0.2, ("up/down", "told"), {"model": "1 + own"}, True),
-    "faces-3deg": Row(by_hand(3.0), 0.5, ("up/down", "told"), {"model": "1 + own"}, True),
+    "faces-1deg": Row(by_hand(1.0), 0.2, ("up/down", "option"), {"model": "1 + own"}, True),
+    "faces-3deg": Row(by_hand(3.0), 0.5, ("up/down", "option"), {"model": "1 + own"}, True),
     "tremor": Row(plain(**HAND), 4.25),
     "tremor-unequal": Row(unequal(**HAND)),
     "ten-rests": Row(plain(10), 0.14),
@@ -225,7 +225,7 @@ ROWS: dict[str, Row] = {
     "spikes": Row(plain(spikes=0.003), 0.15),
     "noise": Row(plain(noise=0.5), 2.7),
     "vibration": Row(plain(vibration=1.0), 1.4),
-    "short": Row(short, None, ("imu_tk", "mag_cal", "LM", "told"), {"min_duration": 1.0}),
+    "short": Row(short, None, ("imu_tk", "mag_cal", "LM", "option"), {"min_duration": 1.0}),
     "hand-held": Row(plain(sway=0.3, shake=0.01 * G, first=4.0)),
     "unequal": Row(unequal()),
     "saturated": Row(plain(clip=9.9), may_refuse=True),
@@ -409,7 +409,7 @@ def measured(name: str, logs: int, seed: int) -> Tally:
 
 def asked(who: str, row: Row, made: Recording, averages: Array | None) -> Line:
     """Return what a peer makes of a log; the means of multipos' rests are for `LM`."""
-    if who == "told":
+    if who == "option":
         return line_from(mp.calibrate(made.log, **row.options))
     if who == "LM":
         if averages is None:

@@ -1,12 +1,10 @@
 """What the commands and examples of pages print, written again: `python docs/outputs.py PAGE …`.
 
 Every block of a page is run as `tests/test_docs.py` runs it; where the page shows something else,
-what is printed now takes its place. Lines that a page left out as `...` stay left out, as far as
-the lines around them are found again; read the change before you commit it. Without a page all are
-run.
+what is printed now takes its place, whole; read the change before you commit it. Without a page
+all are run.
 """
 
-import difflib
 import doctest
 import io
 import os
@@ -19,9 +17,6 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import test_docs  # noqa: E402  # after the path to it
-
-LEFT_OUT = "..."
-ALIKE = 0.6  # of the letters of two lines, digits left out, that are one and the same
 
 
 def rewrite(page: Path) -> bool:
@@ -67,13 +62,13 @@ def _console(block, folder):
     for offset, command, expected in test_docs.commands(block):
         printed = test_docs.printed(command, folder)
         want, got = test_docs.tidy(expected), test_docs.tidy(printed.stdout)
-        if doctest.OutputChecker().check_output(want, got, doctest.ELLIPSIS):
+        if want == got:
             continue
         start = offset + len(command.splitlines())
         stop = start + len(expected.splitlines())
         while stop > start and stop - 1 < len(everything) and not everything[stop - 1].strip():
             stop -= 1
-        changes.append(_place(block, start, stop, aligned(want, got)))
+        changes.append(_place(block, start, stop, got.rstrip("\n").splitlines()))
     return changes
 
 
@@ -90,7 +85,7 @@ def _python(block, namespace):
         start = example.lineno + len(example.source.splitlines())
         stop = start + len(example.want.splitlines())
         got = re.sub(r"^\s*$", "<BLANKLINE>", got.rstrip("\n"), flags=re.MULTILINE)
-        changes.append(_place(block, start, stop, aligned(example.want, got) if got else []))
+        changes.append(_place(block, start, stop, got.splitlines()))
     return changes
 
 
@@ -114,37 +109,6 @@ def _place(block, start, stop, new):
     first = block.line - 1
     indent = re.match(r" *", page[first - 1])[0]
     return first + start, first + stop, [f"{indent}{line}".rstrip() for line in new]
-
-
-def aligned(want: str, got: str) -> list[str]:
-    """Return what is printed now, without the lines that stood for `...` before."""
-    new, kept = got.rstrip("\n").splitlines(), want.rstrip("\n").splitlines()
-    if not any(line.strip() == LEFT_OUT for line in kept):
-        return new
-    found, place = [], 0
-    for line in kept:
-        if line.strip() == LEFT_OUT:
-            found.append(LEFT_OUT)
-            continue
-        letters = re.sub(r"[\d.e+−-]+", "", line)
-        best, score = None, ALIKE
-        for i in range(place, len(new)):
-            ratio = difflib.SequenceMatcher(
-                None, letters, re.sub(r"[\d.e+−-]+", "", new[i])
-            ).ratio()
-            if ratio > score:
-                best, score = i, ratio
-        if best is not None:
-            if best > place and (not found or found[-1] != LEFT_OUT):
-                found.append(LEFT_OUT)
-            found.append(line if _shows(line, new[best]) else new[best])
-            place = best + 1
-    shown = "\n".join([*found, ""])
-    return found if doctest.OutputChecker().check_output(shown, got, doctest.ELLIPSIS) else new
-
-
-def _shows(line: str, printed: str) -> bool:
-    return doctest.OutputChecker().check_output(line + "\n", printed + "\n", doctest.ELLIPSIS)
 
 
 def main(arguments: list[str]) -> None:
