@@ -1,4 +1,4 @@
-"""How often a good calibration is called implausible, and how often an absurd one is not.
+"""How often a good calibration is called implausible, and how often a grossly wrong one is not.
 
 Good calibrations are drawn in wide variety: six to 52 positions, one to three outputs, in g, m/s²,
 counts with offsets or the volts of an inclinometer, bias to .5 g, scale ±50 %, misalignment to
@@ -8,7 +8,7 @@ few mg, and in every second set one true outlier to half a g; fitted as `linear`
 good sets of orientations known; found is one that is called implausible at all, or refused with
 an error, named one that has a code whose repair explains the data.
 
-Some absurdities are the same data as something else: on six faces a converter that wraps both ends
+Some gross errors are the same data as something else: on six faces a converter that wraps both ends
 of two outputs gives what a sensor turned by 180° gives. An oracle that knows the noise tells which,
 by least squares of its own over other readings of the data: as they are, with two rows
 interchanged, with one row upside down. What a plausible sensor explains as it is, within the noise,
@@ -63,14 +63,14 @@ class Bench:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.findings", description=__doc__)
     parser.add_argument("--good", type=int, default=10000, help="good calibrations")
-    parser.add_argument("--runs", type=int, default=200, help="of each absurdity")
+    parser.add_argument("--runs", type=int, default=200, help="of each gross error")
     parser.add_argument("--seed", type=int, default=1)
     chosen = parser.parse_args()
     warnings.simplefilter("ignore", mp.CalibrationWarning)
     if chosen.good:
         print_good(chosen.good, chosen.seed)
     if chosen.runs:
-        print_absurd(chosen.runs, chosen.seed)
+        print_gross(chosen.runs, chosen.seed)
 
 
 def print_good(runs: int, seed: int) -> None:
@@ -97,10 +97,10 @@ def print_good(runs: int, seed: int) -> None:
     print(flush=True)
 
 
-def print_absurd(runs: int, seed: int) -> None:
+def print_gross(runs: int, seed: int) -> None:
     print("| planted | positions | cannot be told % | found % | named % | as |")
     print("|---|---|---|---|---|---|")
-    for name, (codes, plant) in ABSURD.items():
+    for name, (codes, plant) in GROSS.items():
         for scheme in ("faces-6", "all-26"):
             said: Counter[str] = Counter()
             drawn = fitted = told = found = named = 0
@@ -268,7 +268,7 @@ def placed(up: Array, sd: float, rng: np.random.Generator) -> Array:
 
 
 def plain(rng: np.random.Generator, scheme: str) -> Bench:
-    """Draw a good set in g at known positions, for an absurdity to be planted in."""
+    """Draw a good set in g at known positions, for a gross error to be planted in."""
     up = mp.read_scheme(scheme).up
     scale = rng.uniform(0.8, 1.2, 3)
     matrix = scale[:, None] * leaning(rng, 3, np.radians(rng.uniform(0.0, 3.0)))
@@ -393,7 +393,7 @@ def feet(bench: Bench, _: np.random.Generator) -> Bench:
     return replace(bench, options={"gravity": 32.17})
 
 
-ABSURD: dict[str, tuple[tuple[str, ...], Plant]] = {
+GROSS: dict[str, tuple[tuple[str, ...], Plant]] = {
     "two rows interchanged": (("interchanged-rows", "sign"), changed(interchange)),
     "one row upside down": (("flipped-row",), flip_row),
     "every second row upside down": (

@@ -61,8 +61,8 @@ from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame
 from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.model import Model
+from multipos.sensor.model_building import build_model, default_axes
 from multipos.sensor.own_models import build_parsed
-from multipos.sensor.stating import build_model, default_axes
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"

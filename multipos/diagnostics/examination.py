@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.diagnostics.absurdities import explained
 from multipos.diagnostics.columns import (
     counter_column,
     dead_output,
@@ -29,6 +28,7 @@ from multipos.diagnostics.columns import (
     saturated,
     temperature_kelvin,
 )
+from multipos.diagnostics.gross_errors import explained
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.noise_causes import explain_orientations, explain_unequal
 from multipos.diagnostics.redundancy import (

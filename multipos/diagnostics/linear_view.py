@@ -1,6 +1,6 @@
 """The readings as a linear sensor at the listed positions would have given them.
 
-Absurdities are looked for in the plainest picture there is, whatever model was fitted and however
+Gross errors are looked for in the plainest picture there is, whatever model was fitted and however
 uncertain the positions were: least squares of
 
     y_k = b + K u_k,                                                                        (1)

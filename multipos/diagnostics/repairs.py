@@ -2,7 +2,7 @@
 
 A row may belong to another position, have been taken upside down, or stand in another unit; a
 converter may have wrapped around; angles may have been radians. Each such repair is tried, on the
-linear view of the readings (`linear_view`); which one is accepted stands in `belief`.
+linear view of the readings (`linear_view`); `gross_errors` says which one is accepted.
 
 All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ' the
 projector on the residuals, r = M y,

@@ -1,4 +1,4 @@
-"""Cautions about what the residuals show, of readings that are no absurdity.
+"""Cautions about what the residuals show, of readings that are no gross error.
 
 - Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
 - Rows whose correlation U follows from count as fewer. What else residuals show in the order of

@@ -69,7 +69,7 @@ from multipos.sensor.gravity import (
 )
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
-from multipos.sensor.stating import build_model, default_axes, stated_facing
+from multipos.sensor.model_building import build_model, default_axes, stated_facing
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 
 

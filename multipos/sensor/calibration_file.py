@@ -77,7 +77,7 @@ from multipos.sensor.found import (
 from multipos.sensor.gravity import FIELD_KINDS, Field
 from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
-from multipos.sensor.stating import build_model
+from multipos.sensor.model_building import build_model
 
 SCHEMA = "multipos/calibration/1"
 # Null is infinite, 0 none; less than a millionth of one is neither.

@@ -84,7 +84,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
-from multipos.sensor.stating import build_model
+from multipos.sensor.model_building import build_model
 from multipos.sensor.tilt import magnitude_of
 
 QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")

@@ -35,7 +35,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
-from multipos.sensor.stating import build_model
+from multipos.sensor.model_building import build_model
 from multipos.uncertainty.turntable import BesideTable
 
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.

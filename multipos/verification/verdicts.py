@@ -221,8 +221,6 @@ class Check(Result, Drawn):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON carries it, keys as in docs/reference/formats.md."""
-        # Imported here, for the file's module makes checks and so imports this one.
-
         return check_dict(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 import multipos as mp
 from tests.cli_bench import SIX, run
-from tests.diagnostics.test_absurdities import sense
+from tests.diagnostics.test_gross_errors import sense
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.stating import build_model
+from multipos.sensor.model_building import build_model
 
 N = 40
 ROUNDING = 1e-10  # W of three outputs is the difference of numbers some thousand times as large

@@ -6,7 +6,7 @@ from findings_bench import texts
 
 import multipos as mp
 from tests.cli_bench import SIX, run
-from tests.diagnostics.test_absurdities import sense
+from tests.diagnostics.test_gross_errors import sense
 
 UP = mp.read_scheme("all-26").up
 

@@ -10,7 +10,7 @@ from multipos.errors import UsageError
 from multipos.numerics.terms import NAMED, formula_columns
 from multipos.sensor.expressions import load_casadi
 from multipos.sensor.model import paper_symbol, parameter_label
-from multipos.sensor.stating import build_model
+from multipos.sensor.model_building import build_model
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
 

@@ -1,4 +1,4 @@
-"""Every absurdity, planted in readings otherwise good, and good readings that are strange."""
+"""Every gross error, planted in readings otherwise good, and good readings that are strange."""
 
 import numpy as np
 import pytest
@@ -122,7 +122,7 @@ PLANTED = [
 
 
 @pytest.mark.parametrize(("values", "up", "code"), PLANTED)
-def test_a_planted_absurdity_is_named(values, up, code):
+def test_a_planted_gross_error_is_named(values, up, code):
     assert codes(values, up)[0] == [code]
 
 
@@ -182,7 +182,7 @@ def test_gravity_of_another_world(gravity, said):
     assert ("gravity" in codes(sense(up), up, gravity=gravity)[0]) == said
 
 
-def test_a_chip_turned_in_its_case_is_no_absurdity():
+def test_a_chip_turned_in_its_case_is_no_gross_error():
     up = mp.read_scheme("faces-6").up
     turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # ax along y, ay along -x
     found, cal = codes(sense(up @ turn.T), up, level="warning")
@@ -194,14 +194,14 @@ def test_a_chip_turned_in_its_case_is_no_absurdity():
     assert np.abs(cal.compensate(sense(up @ turn.T)) - up).max() < 0.005
 
 
-def test_the_other_convention_is_a_warning_and_no_absurdity():
+def test_the_other_convention_is_a_warning_and_no_gross_error():
     up = mp.read_scheme("faces-6").up
     found, cal = codes(sense(-up), up)
     assert found == []
     assert any("--convention gravity" in said for said in texts(cal))
 
 
-def test_one_outlier_is_no_absurdity():
+def test_one_outlier_is_no_gross_error():
     up = mp.read_scheme("all-26").up
     values = sense(up)
     values[4, 1] += 0.5

@@ -55,25 +55,25 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 
-ABSURD = 0.4  # rho that no sensor at listed positions has
-ABSURD_BUT_ONE = 0.25  # likewise, when the worst position is left out
-_ALPHA, _ALPHA_ABSURD = 1e-5, 0.005
+GROSS = 0.4  # rho that no sensor at listed positions has
+GROSS_BUT_ONE = 0.25  # likewise, when the worst position is left out
+_ALPHA, _ALPHA_GROSS = 1e-5, 0.005
 _BETTER = 1.0 / 3.0  # rho'/rho at most
 _LEFT = 0.15  # rho' at most
 _STICKS_OUT = 1e-4  # chance
-# [g], by which one row must be off at least to be absurd and not an outlier; a factor of 9.8 takes
-# .9 g less a bias. Rows beside it may be as little off as the other side of the horizon is.
+# [g], by which one row must be off at least to be a gross error and not an outlier; a factor of 9.8
+# takes .9 g less a bias. Rows beside it may be as little off as the other side of the horizon is.
 _BY_ROWS = {"flipped-row": 0.8, "wrapped": 0.8, "row-unit": 0.6}
 _TIE = 1.5  # repairs whose misfits are within this factor fit as well as each other
 
 
-def is_absurd(view: View, typical_orientation_sd: float) -> bool:
+def is_gross(view: View, typical_orientation_sd: float) -> bool:
     """Tell whether the misfit is beyond any sensor whose axes are uncertain by so many radians."""
     allowed = 2.5 * typical_orientation_sd
-    return view.misfit > max(ABSURD, allowed) or view.misfit_but_one > max(ABSURD_BUT_ONE, allowed)
+    return view.misfit > max(GROSS, allowed) or view.misfit_but_one > max(GROSS_BUT_ONE, allowed)
 
 
-def explains(repair: Repair, view: View, tried: int, *, absurd: bool) -> bool:
+def explains(repair: Repair, view: View, tried: int, *, gross: bool) -> bool:
     """Tell whether a repair explains the data, by eq. (1) and without a row that sticks out."""
     before, after = view.misfit, repair.view.misfit
     if repair.code == "angles-in-radians":  # in reading units: |K| was as wrong as the angles
@@ -86,7 +86,7 @@ def explains(repair: Repair, view: View, tried: int, *, absurd: bool) -> bool:
     if several and _TIE * view.misfit_but_one < after:
         return False  # one outlier explains more
     nu = view.dof * view.values.shape[1] - (len(repair.outputs) if repair.fitted else 0)
-    alpha = _ALPHA_ABSURD if absurd else _ALPHA
+    alpha = _ALPHA_GROSS if gross else _ALPHA
     if math.log(tried) + nu * math.log(max(after / before, 1e-300)) > math.log(alpha):
         return False
     return not _sticks_out(repair, view)
@@ -155,7 +155,7 @@ _SKEW = 0.5  # cosine between two outputs of a triad, which should be at right a
 
 
 def explained(c: Calibration) -> tuple[Finding, ...]:
-    """Return what is absurd about the fit as a whole: the repair, or what it says as it is."""
+    """Return what is grossly wrong with the fit as a whole: the repair, or the fact as it is."""
     if _is_calm(c):
         return ()
     silent = _silent(c)
@@ -243,11 +243,11 @@ def _repair(c: Calibration, view: View) -> Finding | None:
     """Return what one repair explains, the one after which the outputs face their own axes."""
     expected = expected_directions(c)
     found, tried = candidates(view, expected, slight=_is_slight(c))
-    absurd = is_absurd(view, _orientation_sd(c))
+    gross = is_gross(view, _orientation_sd(c))
     sound = [
         repair
         for repair in found
-        if explains(repair, view, tried, absurd=absurd)
+        if explains(repair, view, tried, gross=gross)
         and (  # an output that wrapped at both ends looks reversed beside one that did at one
             repair.code == "wrapped" or reversed_or_permuted(c, repair.view.sensitivity) is None
         )
@@ -319,10 +319,10 @@ def _no_signal(c: Calibration, view: View) -> Finding | None:
     """Find residuals as large as the signal, or outputs of a triad that are not three."""
     own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), np.finfo(float).tiny)
     poor = np.isnan(own) | (own > _SUSPICIOUS)
-    if not is_absurd(view, _orientation_sd(c)) or not poor.any():
+    if not is_gross(view, _orientation_sd(c)) or not poor.any():
         return None
     share = np.sqrt(np.sum(view.residuals**2, axis=0) / view.dof) / view.response
-    loud = [output for output, own in zip(c.outputs, share.tolist(), strict=True) if own > ABSURD]
+    loud = [output for output, own in zip(c.outputs, share.tolist(), strict=True) if own > GROSS]
     outputs = tuple(loud) if len(loud) < len(c.outputs) else ()
     return Finding(
         "no-signal",
