@@ -28,10 +28,8 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError
 from multipos.estimation.known import solve_known
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import chi2_quantile
-from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, hidden_turn
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import in_tesla
 from multipos.sensor.model import Model
@@ -272,33 +270,15 @@ def law_residuals(
 
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:
-    """Return the rms of what is left [g], of the same kind as the calibration's own.
-
-    Where positions are uncertain, the full model is turned with their mean orientation error: by
-    1.5 σ²/n about each axis. A common rotation of the residuals that is no larger, at 99 %, is
-    the mean error of the hand and no misalignment of the law, and is taken out.
-    """
+    """Return the rms of what is left [g], of the same kind as the calibration's own."""
     if calibration.estimator is Estimator.UNKNOWN:
         reference = specific_force(calibration)
         size = np.linalg.norm(reference + residuals, axis=1)
         return float(np.sqrt(np.mean((size - np.linalg.norm(reference, axis=1)) ** 2)))
-    if calibration.estimator is Estimator.UNCERTAIN and residuals.shape[1] == len(COMPONENTS):
-        residuals = _without_common_turn(calibration, residuals)
+    errors = calibration.sign * residuals
+    turn = hidden_turn(calibration, errors)
+    residuals = errors if turn is None else errors - turn
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
-
-
-def _without_common_turn(calibration: Calibration, residuals: Array) -> Array:
-    """Return residuals (n, 3) without the rotation that orientation errors explain."""
-    sd = calibration.readings.orientation_sd
-    if sd is None or not np.isfinite(sd).all():
-        return residuals
-    reference = specific_force(calibration)
-    rotation = align(reference, reference + residuals)
-    turn = rotation_vector(rotation)
-    variance = 1.5 * float(np.mean(sd**2)) / len(sd)
-    if float(turn @ turn) > chi2_quantile(0.99, float(len(turn))) * variance:
-        return residuals
-    return reference + residuals - reference @ rotation.T
 
 
 def specific_force(calibration: Calibration) -> Array:

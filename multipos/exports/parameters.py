@@ -39,7 +39,7 @@ from multipos.files.trees import to_json
 from multipos.finding import Finding, forced, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
 from multipos.sensor.inverse import read_nominal
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
@@ -103,12 +103,8 @@ def parameter_target(
         law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
         text, found = write(calibration, law.of_raw_in(metres, zero), wish)
         if law.lost:
-            called = _CALLED.get(name, name)
-            left = (
-                f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
-                f"(full model: {_rms(calibration, calibration.rms)})."
-            )
-            found = [Finding("lossy", "warning", left), *found]
+            said = _residual_error(calibration, law, _CALLED.get(name, name), tesla)
+            found = [Finding("lossy", "warning", said), *found]
         if calibration.convention == "gravity":
             said = f"the sign of the force is that of specific force, which {name} uses"
             found.append(Finding("convention-turned", "note", said))
@@ -145,6 +141,19 @@ def parameter_target(
 
     magnetic = tesla is not None
     return Target(name, write_file, recognises, read_file, suffix, takes=takes, magnetic=magnetic)
+
+
+def _residual_error(calibration: Calibration, law: Law, called: str, tesla: float | None) -> str:
+    """Return in words what a law leaves of the readings, beside no calibration and a full one."""
+    before, full = rms_before(calibration), _rms(calibration, calibration.rms)
+    beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
+    residuals = law_residuals(calibration, law.correction, tesla, law.turn)
+    turned = hidden_turn(calibration, calibration.sign * residuals) is not None
+    left = ", without a rotation in the case, which hand placement hides" if turned else ""
+    return (
+        f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
+        f"({beside}full model: {full}){left}."
+    )
 
 
 def _rms(calibration: Calibration, rms: float) -> str:

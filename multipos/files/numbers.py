@@ -80,6 +80,11 @@ def common_units(sizes: Iterable[tuple[str, float]]) -> dict[str, tuple[float, s
     return {unit: readable_unit(size, unit) for unit, size in largest.items()}
 
 
+def most_of(value: float, U: float) -> float:
+    """Return the size in whose unit a value and its U are read."""
+    return max((size for size in (abs(value), U) if math.isfinite(size)), default=0.0)
+
+
 def beyond_rounding(value: float, scale: float = 1.0) -> float:
     """Return a value, and 0 for one that is the rounding of numbers of size `scale`."""
     return 0.0 if abs(value) <= _ROUNDING * scale else value
@@ -93,8 +98,9 @@ def pretty_unit(unit: str) -> str:
 
 def _scaled_unit(size: float, unit: str) -> tuple[float, str]:
     head, slash, per = unit.partition("/")
-    if unit == "1" or (head, per.partition("/")[0]) == ("g", "g"):
-        rest = per.partition("/")[2]
+    of_force = (head, per.partition("/")[0]) == ("g", "g")
+    if of_force or (head == "1" and not per.startswith("g")):
+        rest = per.partition("/")[2] if of_force else per
         below = f"/{rest}" if rest else ""
         small = 0.0 < size < _RATIO
         return (1e6, f"ppm{below}") if small else (1.0, f"1{below}")

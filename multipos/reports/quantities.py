@@ -14,6 +14,7 @@ from multipos.files.numbers import (
     common_units,
     decimals_of,
     fixed,
+    most_of,
     number,
     plain_number,
     readable_unit,
@@ -97,7 +98,7 @@ def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
 
 def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
     """Return name, value, U, unit and k of each; those of one unit have it in common."""
-    units = common_units((q.unit, _size(q.value, q.U)) for q in found)
+    units = common_units((q.unit, most_of(q.value, q.U)) for q in found)
     rows: list[tuple[str, ...]] = []
     for q in found:
         factor, unit = units[q.unit]
@@ -109,12 +110,8 @@ def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
 def parameter_cells(entries: Iterable[Parameter]) -> list[tuple[str, str, str, str]]:
     """Return value, u, U and unit of parameters; those of one unit have it in common."""
     given = list(entries)
-    units = common_units((p.unit, _size(p.value, p.U)) for p in given)
+    units = common_units((p.unit, most_of(p.value, p.U)) for p in given)
     return [with_u(p.value, p.u, p.U, units[p.unit]) for p in given]
-
-
-def _size(value: float, U: float) -> float:
-    return float(np.nanmax([abs(value), U, 0.0], initial=0.0))
 
 
 def with_u(
@@ -124,7 +121,7 @@ def with_u(
 
     `unit` is that of the numbers, or the one to print with its factor, as of `common_units`.
     """
-    factor, shown = readable_unit(_size(value, U), unit) if isinstance(unit, str) else unit
+    factor, shown = readable_unit(most_of(value, U), unit) if isinstance(unit, str) else unit
     decimals = decimals_of(factor * u)
     value_cell, U_cell = beside(factor * value, factor * u, factor * U)
     return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multipos.files.numbers import common_units, decimals_of, plain_number
+from multipos.files.numbers import common_units, decimals_of, most_of, plain_number
 from multipos.plots.pictures import error_picture
 from multipos.reports.quantities import (
     Quantity,
@@ -194,7 +194,7 @@ def _rows(c: Calibration, sds: Mapping[str, float]) -> tuple[tuple[str, ...], ..
     entries = [c[name] for name in sds]
     rows = []
     cells = parameter_cells(entries)
-    units = common_units((p.unit, max(abs(p.value), p.U)) for p in entries)
+    units = common_units((p.unit, most_of(p.value, p.U)) for p in entries)
     for p, shown, sd in zip(entries, cells, sds.values(), strict=True):
         factor = units[p.unit][0]
         decimals = decimals_of(factor * p.u)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,13 +11,10 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.reports.sections import Translator
-from multipos.sensor.calibration import Calibration, nominal_error
+from multipos.sensor.calibration import Calibration, rms_before
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import Nominal
-from multipos.units import MICRO_G
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
-_PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
 
 
 _ENGLISH = Translator("en")
@@ -46,9 +42,13 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
     parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
     if math.isfinite(c.rms):
-        before, after = _rms_before(c), _shown(c, c.rms)
-        said = ": rms error {before} before, {after} after" if before else ": rms error {after}"
-        parts[0] += tr(said, before=before, after=after)
+        before, after = rms_before(c), _shown(c, c.rms)
+        said = (
+            ": rms error {after}"
+            if before is None
+            else ": rms error {before} before, {after} after"
+        )
+        parts[0] += tr(said, before=in_unit(before or 0.0, "g"), after=after)
     bias, scale = _largest_expanded(c)
     sizes = [tr("{size} of bias", size=_shown(c, bias))] if math.isfinite(bias) else []
     sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
@@ -66,16 +66,6 @@ def _shown(c: Calibration, size: float) -> str:
     if c.field.unit or c.model.unit not in MAGNETIC_UNITS:
         return c.field.shown(size)
     return in_unit(size * float(np.linalg.norm(c.sensitivity, axis=1).mean()), c.model.unit)
-
-
-def _rms_before(c: Calibration) -> str:
-    """Return the rms error by the stated conversion, or by the unit where it is one of force."""
-    if c.field.magnetic or (c.nominal is None and c.model.unit not in MICRO_G):
-        return ""
-    if c.nominal is None:
-        c = replace(c, nominal=Nominal(0.0, _PER_G / MICRO_G[c.model.unit]))
-    error = nominal_error(c)
-    return in_unit(math.sqrt(float(error @ error) / len(error)), "g")
 
 
 def _largest_expanded(c: Calibration) -> tuple[float, float]:

@@ -20,13 +20,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.files.numbers import beyond_rounding, number, table, uncertain
+from multipos.files.numbers import (
+    beside,
+    beyond_rounding,
+    common_units,
+    most_of,
+    number,
+    table,
+    uncertain,
+)
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.rotations import directions
+from multipos.numerics.quantiles import chi2_quantile, coverage_factor
+from multipos.numerics.rotations import align, directions, rotation_vector
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
@@ -46,7 +54,9 @@ from multipos.sensor.found import (
 from multipos.sensor.gravity import MAGNETIC, Field
 from multipos.sensor.inverse import Nominal, nominal_force
 from multipos.sensor.model import Model, paper_symbol
+from multipos.units import MICRO_G
 
+_PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
 _SHOWN = 6  # rows set aside that a sentence names
 
 
@@ -511,16 +521,19 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     rows = []
     largest = np.abs(calibration.readings.values).max(axis=0).tolist()
     sizes = dict(zip(calibration.outputs, largest, strict=True))
+    units = common_units((p.unit, most_of(p.value, p.U)) for p in calibration.entries)
     for p in calibration.entries:
         size = sizes.get(p.output, max(largest))
         u = beyond_rounding(p.u, size)
+        value = p.value if u else beyond_rounding(p.value, size)
+        factor, unit = units[p.unit]
         rows.append(
             [
                 p.name,
                 *([p.symbol or ""] if symbols else []),
-                p.unit,
-                uncertain(p.value if u else beyond_rounding(p.value, size), u),
-                number(p.U if u else 0.0, 2),
+                unit,
+                uncertain(factor * value, factor * u),
+                beside(factor * value, factor * u, factor * p.U)[1],
                 number(p.k),
                 number(p.dof),
             ]
@@ -555,7 +568,46 @@ def nominal_error(calibration: Calibration) -> Array:
     if calibration.estimator is Estimator.UNKNOWN:
         up = directions(calibration.reference)
         return np.asarray(np.abs(np.einsum("ni,ni->n", nominal_errors(calibration), up)))
-    return np.asarray(np.linalg.norm(_nominal_off(calibration), axis=1))
+    off, errors = _nominal_off(calibration), nominal_errors(calibration)
+    turn = hidden_turn(calibration, errors)
+    return np.asarray(np.linalg.norm(off if turn is None else errors - turn, axis=1))
+
+
+def rms_before(calibration: Calibration) -> float | None:
+    """Return the rms of that error [g] by the stated conversion, or by the unit where it is one.
+
+    None where neither says what a reading is in g.
+    """
+    if calibration.field.magnetic:
+        return None
+    if calibration.nominal is None:
+        if calibration.model.unit not in MICRO_G:
+            return None
+        nominal = Nominal(0.0, _PER_G / MICRO_G[calibration.model.unit])
+        calibration = replace(calibration, nominal=nominal)
+    error = nominal_error(calibration)
+    return math.sqrt(float(error @ error) / len(error))
+
+
+def hidden_turn(calibration: Calibration, errors: Array) -> Array | None:
+    """Return the part of errors (n, 3) [g] on x, y, z that the mean orientation error explains.
+
+    Where positions are uncertain, the full model is turned with their mean orientation error: by
+    1.5 σ²/n about each axis. A common rotation of the errors that is no larger, at 99 %, is the
+    mean error of the hand and no misalignment that is known. None where there is none such.
+    """
+    sd = calibration.readings.orientation_sd
+    if calibration.estimator is not Estimator.UNCERTAIN or sd is None:
+        return None
+    if sorted(calibration.model.axes) != list(COMPONENTS) or not np.isfinite(sd).all():
+        return None
+    force = calibration.reference
+    rotation = align(force, force + errors)
+    turn = rotation_vector(rotation)
+    variance = 1.5 * float(np.mean(sd**2)) / len(sd)
+    if float(turn @ turn) > chi2_quantile(0.99, float(len(turn))) * variance:
+        return None
+    return np.asarray(force @ rotation.T - force)
 
 
 def nominal_errors(calibration: Calibration) -> Array:

@@ -482,11 +482,16 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
         assert "CAL_ACC0_XOFF" in lossy.text
         said = {each.code: str(each) for each in lossy.findings}
         left = re.fullmatch(
-            r"Residual error with the PX4 parameters: (\S+) mg rms \(full model: 0\.0\d mg\)\.",
+            r"Residual error with the PX4 parameters: (\S+) mg rms "
+            r"\(uncalibrated: (\S+) mg, full model: 0\.0\d mg\)\.",
             said["lossy"],
         )
         expected = 10.0 / np.sqrt(3)  # 10 mg times the rms of up_y over the positions
         assert float(left[1]) == pytest.approx(expected, rel=0.1)
+        # bias, scale errors of 1, -1, 2 % and the misalignment, all square to these positions
+        offset = float(bias @ bias) / 16384**2
+        before = 1e3 * np.sqrt(offset + (1e-4 + 1e-4 + 4e-4 + 1e-4) / 3)
+        assert float(left[2]) == pytest.approx(before, rel=0.02)
         missing = "CAL_ACC0_ID is missing; PX4 will ignore the file. Add --device-id."
         assert said["no-device-id"] == missing
     assert main(export_it + (stated if of_export else [])) == 0
@@ -511,7 +516,7 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
 
 @pytest.mark.parametrize("sd", [0.0, 3.0])
 def test_the_error_of_a_target_has_no_hand_placement_in_it(sd):
-    # of 2 mg/g misalignment and non-orthogonality inav leaves both where positions are known;
+    # of 2 mg/g misalignment and non-orthogonality PX4 leaves both where positions are known;
     # where they are not, the turn of all of them with the hand's mean error is not its own
     rng = np.random.default_rng(5)
     up = mp.read_scheme("fibonacci-24").up
@@ -523,7 +528,68 @@ def test_the_error_of_a_target_has_no_hand_placement_in_it(sd):
         y = stood @ (np.eye(3) + cross).T + 1e-4 * rng.standard_normal(up.shape)
         options = {"orientation_sd": sd} if sd else {}
         cal = mp.fit(mp.Readings(y, up=up, unit="g"), **options)
-        said.append(1e3 * reduce_to(cal, "1 + own", "inav", allow_lossy=True).rms)
+        said.append(1e3 * reduce_to(cal, "1 + own", "px4", allow_lossy=True).rms)
+        text = str(mp.export(cal, "px4", allow_lossy=True).findings[0])
+        shown, before = map(float, re.findall(r"([0-9.]+) mg(?= rms|, full)", text))
+        assert shown == pytest.approx(said[-1], abs=0.005)
+        assert ("which hand placement hides" in text) == (sd > 0.0)
+        assert before == pytest.approx(shown, abs=0.2)  # there is neither bias nor scale error
         left = cross if not sd else (cross + cross.T) / 2.0  # without its rotation
         true.append(1e3 * np.sqrt(np.mean(np.sum((up @ left.T) ** 2, axis=1))))
     assert np.median(np.array(said) / true) == pytest.approx(1.0, abs=0.15)
+
+
+SIZES = {"mg": 1e-3, "µg": 1e-6, "1": 1.0, "ppm": 1e-6, "mg/°C": 1e-3, "µg/°C": 1e-6}
+
+
+def test_a_number_is_the_same_in_python_json_c_and_on_pages(tmp_path, capsys):
+    """To the last digit in files and tables, rounded in C, to the digits of u where people read."""
+    rng = np.random.default_rng(3)
+    up = np.tile(mp.read_scheme("faces-corners-14").up, (3, 1))
+    temperature = np.repeat([20.0, 30.0, 40.0], 14)
+    matrix = np.array([[1.01, 0.003, 0.0], [0.008, 0.99, 0.0], [-0.005, 0.006, 1.02]])
+    values = up @ matrix.T + [0.03, -0.02, 0.05] + 1e-4 * (temperature - 30.0)[:, None]
+    values += 3e-4 * rng.standard_normal(values.shape)
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True)) | {"temperature": temperature}
+    table |= dict(zip(("ax", "ay", "az"), values.T, strict=True))
+    source, kept = tmp_path / "in.csv", tmp_path / "cal.json"
+    mp.write_table(source, table)
+    formula = "1 + x + y + z + temperature"
+    cal = mp.fit(source, unit="g", model=formula)
+
+    assert main(["fit", str(source), "--unit", "g", "--model", formula, "-o", str(kept)]) == 0
+    screen = capsys.readouterr().out
+    stored = {each["name"]: each for each in json.loads(kept.read_text("utf-8"))["parameters"]}
+    many = mp.fit_many(table | {"unit": ["A"] * len(up)}, unit="g", model=formula)
+    for p in cal.entries:
+        held = stored[p.name]
+        assert [held[k] for k in ("value", "u", "U", "unit")] == [p.value, p.u, p.U, p.unit]
+        np.testing.assert_allclose(many[p.name][0], p.value, rtol=0, atol=1e-9 * p.u)
+        np.testing.assert_allclose(many[f"u_{p.name}"][0], p.u, rtol=1e-9)
+
+    pages = {}
+    for ending in ("md", "html"):
+        assert main(["report", str(kept), "-o", str(tmp_path / f"r.{ending}")]) == 0
+        pages[ending] = (tmp_path / f"r.{ending}").read_text("utf-8")
+        pages[ending] = pages[ending].replace("−", "-").replace("\u2007", "")
+    for p in cal.entries:
+        name = re.escape(p.name)
+        row = re.search(rf"^{name} +(\S+) +(\S+?)\((\d+)\) +(\S+)", screen, re.MULTILINE)
+        unit, value, u, U = row.groups()
+        size, decimals = SIZES[unit], len(value.partition(".")[2])
+        assert 10 <= int(u) <= 99
+        assert value == f"{p.value / size:.{decimals}f}"
+        assert int(u) == round(p.u / size * 10**decimals)
+        assert f"{p.U / size:.{decimals}f}" == U
+        cells = re.search(rf"^\| {name} \| (.+) \|$", pages["md"], re.MULTILINE)[1].split(" | ")
+        assert (cells[1], cells[3], cells[4]) == (value, U, unit)
+        place = pages["html"].index(f">{p.name}</th>")
+        cells = re.findall(r'data-of="\w+">([^<]*)</td>', pages["html"][place:])[:5]
+        assert (cells[1], cells[3], cells[4]) == (value, U, unit)
+
+    rows = np.column_stack([values, temperature])
+    found = run_c("gcc", cal, export(cal, "c", name="imu"), rows, tmp_path)
+    stated = np.array([stored[p.name]["value"] for p in cal.entries]).reshape(3, 5)
+    raw = values - stated[:, 0] - temperature[:, None] * stated[:, 4]
+    by_hand = np.linalg.solve(stated[:, 1:4], raw.T).T
+    np.testing.assert_allclose(found, by_hand, rtol=0, atol=1e-14)
