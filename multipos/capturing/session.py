@@ -64,7 +64,8 @@ class Session:
     under_way : Pose or None
         What is still for long enough, but has not ended.
     notify : callable
-        Is given the session after each pose, once the threshold is fixed.
+        Is given the session after each pose; again after one whose rest the threshold moves,
+        which is fixed by three.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class Session:
         self.plan: SessionPlan = plan
         self._reading = reading
         self._notify = notify
+        self._told: list[tuple[int, int]] = []  # the rests that it was told
         self.changed: threading.Condition = threading.Condition()
         self.version: int = 0
         self.ticks: int = 0
@@ -278,8 +280,16 @@ class Session:
                 return
             self.poses.append(self._judge(still, str(len(self.poses) + 1)))
             self._evaluate()
-            if self._notify is not None and self.threshold is not None:
-                self._notify(self)
+            self._tell(still)
+
+    def _tell(self, still: Still) -> None:
+        """Tell of the newest pose: once before the threshold is fixed, and again if it moved."""
+        place = len(self.poses) - 1
+        before = self._told[place : place + 1]
+        if self._notify is None or (before and (self.threshold is None or before == [still.rows])):
+            return
+        self._told[place : place + 1] = [still.rows]
+        self._notify(self)
 
     def _judge(self, still: Still, number: str) -> Pose:
         """Return the pose that a rest is, accepted or refused."""

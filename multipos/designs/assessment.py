@@ -238,7 +238,7 @@ _SINGLE = (
 
 def schemes(
     *sources: "Source | Scheme | Sequence[Source | Scheme]",
-    model: ModelText = "linear",
+    model: ModelText | Model = "linear",
     axes: Names = COMPONENTS,
     inputs: Names = COMPONENTS,
     unknown_orientation: bool = False,
@@ -252,8 +252,9 @@ def schemes(
     ----------
     *sources : names, joined names, paths, columns or Scheme
         One by one, or one list or tuple of them.
-    model : str
-        Name, formula, or a model of one's own, judged at the parameters that it states.
+    model : str or Model
+        Name, formula, that of a calibration, or a model of one's own, judged at the parameters
+        that it states.
     axes, inputs : names
         As in `multipos.fit`; outputs are named ax, ay, az after their axes.
     unknown_orientation : bool
@@ -294,14 +295,16 @@ def schemes(
 
 
 def read_setting(
-    model: ModelText,
+    model: ModelText | Model,
     axes: Names,
     inputs: Names,
     unknown_orientation: bool,
     orientation_sd: float | None,
     reading_sd: float,
 ) -> Setting:
-    """Return the setting of options as `schemes` takes them."""
+    """Return the setting of options as `schemes` takes them; a calibration's model has its own."""
+    if isinstance(model, Model):
+        model, axes, inputs = model.text, model.axes, model.inputs
     names = default_axes((), axes)
     seen = split_names(inputs, "--inputs")
     written = read_model(model)

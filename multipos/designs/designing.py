@@ -46,6 +46,7 @@ from multipos.positions.benches import bench_settings, read_bench
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Drawn, Keyed, Tabular
+from multipos.sensor.model import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +192,7 @@ _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
 def design(
-    model: ModelText = "linear",
+    model: ModelText | Model = "linear",
     positions: int = 6,
     *,
     criterion: str = "D",
@@ -211,9 +212,9 @@ def design(
 
     Parameters
     ----------
-    model : str
-        Name, formula, or a model of one's own: judged at the parameters that it states, and where
-        these have a prior, by the mean of the criterion over it.
+    model : str or Model
+        Name, formula, that of a calibration, or a model of one's own: judged at the parameters
+        that it states, and where these have a prior, by the mean of the criterion over it.
     positions : int
         How many, the included ones counted.
     criterion : str

@@ -3,6 +3,7 @@
 Read an exported file back as its consumer would, and show what is left of the readings.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -130,6 +131,11 @@ def export(
     _check_options(target, {name: value for name, value in others.items() if value is not None})
     if first is not None:
         require_response(first)
+        if not force and not math.isfinite(first.rms):
+            raise MultiposError(
+                f"the export to {to} is refused, as the model gives no force from its own "
+                "readings; drop terms whose coefficient is not significant."
+            )
     if first is not None and not force:
         refuse_unfit(first.diagnostics.findings, f"the export to {to}")
     if regressions:

@@ -125,6 +125,26 @@ def test_one_line_a_rest_with_what_follows_from_it(log, capsys):
     assert {p["name"] for p in last["parameters"]} == set(mp.calibrate(log).names)
 
 
+def test_a_line_comes_at_the_first_rest_without_a_threshold(folder):
+    path = log_of(folder / "short.csv", "faces-6", seed=5)
+    heard = []
+
+    def told(session):
+        pose = session.poses[-1]
+        heard.append((pose.position, pose.still.rows, session.threshold, session.rows.rows))
+
+    session = started(path, told=told)
+    first, second = session.poses[0].still, session.poses[1].still
+    position, rows, threshold, when = heard[0]
+    assert (position, threshold) == ("1", None)
+    assert rows[1] < when < second.rows[0] + 0.5 * (second.rows[1] - second.rows[0])
+    assert abs(rows[0] - first.rows[0]) + abs(rows[1] - first.rows[1]) < 0.2 * (rows[1] - rows[0])
+    # each pose once, and again only where the threshold moved its rest; the last word holds
+    assert len(heard) == len(set(heard)) <= len(session.poses) + 2
+    last = {position: rows for position, rows, *_ in heard}
+    assert last == {pose.position: pose.still.rows for pose in session.poses}
+
+
 def test_it_ends_when_the_target_is_met_and_confirmed(log, tmp_path, capsys):
     command = ["capture", f"replay:{log}:0", "--headless", "--target", "bias=0.002"]
     assert main([*command, "-o", str(tmp_path / "run.csv"), "--to", "c"]) == 0

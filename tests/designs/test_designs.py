@@ -654,3 +654,12 @@ def test_an_orientation_sd_beside_a_whole_g_warns():
     status, _, err = command("schemes", "faces-6", "--orientation-sd", "0.1")
     assert status == 0
     assert "State --reading-sd in g" in err
+
+
+def test_the_model_of_a_calibration_is_designed_for():
+    cal = mp.demo().calibration
+    found = mp.design(cal.model, 12)
+    assert found.efficiency == mp.design("own-quadratic", 12).efficiency
+    assert found.certificate["parameters"] == len(cal.model.names)
+    both = [mp.schemes("faces-6", model=model) for model in (cal.model, "own-quadratic")]
+    assert both[0] == both[1]

@@ -593,3 +593,14 @@ def test_a_number_is_the_same_in_python_json_c_and_on_pages(tmp_path, capsys):
     raw = values - stated[:, 0] - temperature[:, None] * stated[:, 4]
     by_hand = np.linalg.solve(stated[:, 1:4], raw.T).T
     np.testing.assert_allclose(found, by_hand, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("to", ["px4", "imucal", "c"])
+def test_a_calibration_whose_rms_is_no_number_is_not_exported(to):
+    # of y = f + f^2 the reading at f < -1/2 is that of another f: the inverse leaves the branch
+    up = mp.read_scheme("fibonacci-24").up
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(up + up**2 + noise, up=up, unit="g"), model="own-quadratic")
+    assert np.isnan(cal.rms)
+    with pytest.raises(mp.MultiposError, match="no force from its own readings; drop terms"):
+        export(cal, to, allow_lossy=to != "c")
