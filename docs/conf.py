@@ -44,13 +44,19 @@ math_eqref_format = "({number})"
 # Commands, and what they say in sentences, wrap on a narrow screen; tables are scrolled.
 SENTENCE = re.compile(r'<span class="go">((?:(?!  |</span>).){40,})</span>')
 COMMAND = re.compile(r'^((?:<div.*<pre>(?:<span></span>)?)?)(<span class="gp">.*)$', re.MULTILINE)
-WRAPPED = ".sentence {display: inline-block; max-width: 100%; white-space: pre-wrap}"
+WRAPPED = (
+    ".sentence {display: inline-block; max-width: 100%; white-space: pre-wrap}"
+    "@media (max-width: 46em) {.highlight-text pre {white-space: pre-wrap}}"
+)
+# A figure is as wide as the screen; touched, it is shown by itself and can be made larger.
+FIGURE = re.compile(r'<img [^>]*?src="([^"]+)"[^>]*/>')
 
 
 def wrap_sentences(app, pagename, templatename, context, doctree):
-    """Mark commands, answers and messages, to be wrapped."""
+    """Mark commands, answers and messages, to be wrapped, and link figures to their files."""
     if body := context.get("body"):
         body = SENTENCE.sub(r'<span class="go sentence">\1</span>', body)
+        body = FIGURE.sub(r'<a href="\1">\g<0></a>', body)
         context["body"] = COMMAND.sub(_wrapped, body)
         context["body"] += f"<style>{WRAPPED}</style>"
 

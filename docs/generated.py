@@ -76,7 +76,6 @@ How often findings are wrong, and what no test can show, is among the [results](
 
 ## Codes
 """
-_SHOWN = 4  # texts of one code
 KEPT = ("meanings.toml", "examples.toml")  # what the program's sentences do not say themselves
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
@@ -216,9 +215,27 @@ def assigned(tree: ast.AST) -> dict[str, list[ast.expr]]:
     """Return what is assigned to every name of a function, wherever that is."""
     found: dict[str, list[ast.expr]] = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            found.setdefault(node.targets[0].id, []).append(node.value)
+        if isinstance(node, ast.Assign):
+            for name, value in _pairs(node.targets[0], node.value):
+                found.setdefault(name, []).append(value)
+        elif isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
+            texts = found.setdefault(node.target.id, [node.value])
+            more = ast.BinOp(texts[-1], node.op, node.value)
+            texts.append(ast.copy_location(more, node.value))
     return found
+
+
+def _pairs(target: ast.expr, value: ast.expr) -> list[tuple[str, ast.expr]]:
+    """Return names and what they get, also of `a, b = one, other`, unless empty as yet."""
+    if isinstance(target, ast.Name):
+        return [(target.id, value)]
+    values = value.elts if isinstance(value, ast.Tuple) else []
+    pairs = zip(target.elts if isinstance(target, ast.Tuple) else [], values, strict=False)
+    return [
+        (name.id, each)
+        for name, each in pairs
+        if isinstance(name, ast.Name) and not (isinstance(each, ast.Constant) and not each.value)
+    ]
 
 
 def texts_of(node: ast.expr, names: dict[str, list[ast.expr]], put_in: str) -> list[str]:
@@ -262,13 +279,33 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
         tree = ast.parse(path.read_text("utf-8"))
         functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
         yield from _said(tree, functions, put_in)
+        yield from _of_rests(tree, put_in)
         seen: set[int] = set()
         for part in (*functions, tree):
             names = assigned(part)
             for node in ast.walk(part):
                 if isinstance(node, ast.Call) and id(node) not in seen:
                     seen.add(id(node))
-                    yield from _message(node, names, put_in)
+                    yield from _message(node, _at(node.lineno, part, names), put_in)
+
+
+def _at(line: int, part: ast.AST, names: dict[str, list[ast.expr]]) -> dict[str, list[ast.expr]]:
+    """Return names, with what `text` and `action` may be at a line: each branch that leads there."""
+    names = dict(names)
+    ifs = [n for n in ast.walk(part) if isinstance(n, ast.If) and (n.end_lineno or 0) < line]
+    for name in ("text", "action"):
+        values = sorted((v for v in names.get(name, ()) if v.lineno < line), key=_line)
+        if values:
+            around = [n for n in ifs if n.lineno < values[-1].lineno <= (n.end_lineno or 0)]
+            first = min(around or values[-1:], key=_line)
+            before = [value for value in values if value.lineno < first.lineno]
+            replaced = not around or bool(first.orelse)  # type: ignore[attr-defined]
+            names[name] = ([] if replaced else before[-1:]) + values[len(before) :]
+    return names
+
+
+def _line(node: ast.AST) -> int:
+    return node.lineno  # type: ignore[attr-defined, no-any-return]
 
 
 def _said(tree: ast.Module, functions: list[ast.FunctionDef], put_in: str) -> Iterator[Message]:
@@ -286,17 +323,23 @@ def _said(tree: ast.Module, functions: list[ast.FunctionDef], put_in: str) -> It
             yield Message((code,), ("warning",), tuple(text), tuple(action))
 
 
+def _of_rests(tree: ast.Module, put_in: str) -> Iterator[Message]:
+    """Yield what several rests have in common, of a table `_OF_RESTS`."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_OF_RESTS":
+            for code, (fact, action) in ast.literal_eval(node.value).items():
+                text = f"{put_in} of {put_in} rests {fact}: positions {put_in}"
+                yield Message((code,), (), (text,), (action,) if action else ())
+
+
 def _message(node: ast.Call, names: dict[str, list[ast.expr]], put_in: str) -> Iterator[Message]:
-    if getattr(node.func, "id", "") != "Finding" or len(node.args) < 3:
+    if getattr(node.func, "id", "") not in ("Finding", "add") or len(node.args) < 3:
         return
     code, level, text, *rest = node.args
     levels = tuple(texts_of(level, {}, put_in))
     if put_in in levels:
         return  # read from a file
     actions = tuple(filter(None, texts_of(rest[0], names, put_in))) if rest else ()
-    if isinstance(text, ast.Name):  # the one that was written last
-        before = [value for value in names.get(text.id, ()) if value.lineno < node.lineno]
-        names = names | {text.id: before[-1:]}
     codes = texts_of(code, {}, put_in)
     if codes != [put_in]:
         yield Message(tuple(codes), levels, tuple(texts_of(text, names, put_in)), actions)
@@ -338,18 +381,19 @@ def _entry(
     )
     texts = [text for text in texts if text != "…"]
     lines = [f"### `{code}`", "", f"*{', '.join(levels)}*", ""]
-    lines += [f"- {escaped(text)}" for text in texts[:_SHOWN]]
+    lines += [f"- {escaped(text)}" for text in texts]
     lines += [""] if texts else []
     lines += [meanings[code], ""] if code in meanings else []
-    lines += [f"**Do:** {' / '.join(map(escaped, actions[:_SHOWN]))}", ""] if actions else []
-    if any(_is_of(examples.get(code, ""), text) for text in texts):
+    lines += [f"**Do:** {' / '.join(map(escaped, actions))}", ""] if actions else []
+    if code in examples:
         lines += ["```text", examples[code], "```", ""]
     return "\n".join(lines)
 
 
-def _is_of(example: str, text: str) -> bool:
-    """Return whether a sentence with its numbers is one that the program still makes."""
-    return re.fullmatch(".+".join(map(re.escape, text.split("…"))), example) is not None
+def is_said(example: str, texts: Iterable[str]) -> bool:
+    """Return whether a sentence with its numbers is one that the program makes."""
+    patterns = (".+".join(map(re.escape, re.split("…+", text))) for text in texts)
+    return any(re.fullmatch(pattern, example) for pattern in patterns)
 
 
 def main() -> None:

@@ -50,6 +50,17 @@ def test_what_is_kept_of_a_code_is_of_one_that_there_is():
         assert set(tomllib.loads((ROOT / "docs" / name).read_text("utf-8"))) <= codes
 
 
+def test_every_code_has_an_example_that_the_program_says():
+    texts: dict[str, list[str]] = {}
+    for made in PROGRAM.messages(FILES, "…"):
+        for code in made.codes:
+            texts.setdefault(code, []).extend(made.texts)
+    examples = tomllib.loads((ROOT / "docs/examples.toml").read_text("utf-8"))
+    said = {code for code, text in examples.items() if PROGRAM.is_said(text, texts[code])}
+    if missing := sorted(texts.keys() - said):
+        pytest.fail(f"no example of {', '.join(missing)}; run `python docs/examples.py TEST`")
+
+
 SHOWN = [(m.codes, [*m.texts, *m.actions]) for m in MADE]
 
 

@@ -1,0 +1,61 @@
+"""Findings that few data raise, each on data made for it."""
+
+import numpy as np
+
+import multipos as mp
+from multipos.positions.scheme import read_scheme
+
+RNG = np.random.default_rng(1)
+
+
+def said(result):
+    return {each.code: each.text for each in result.findings}
+
+
+def test_a_candidate_that_follows_another_is_named():
+    x = RNG.standard_normal(200)
+    y = 1.0 + 2.0 * x + 0.1 * RNG.standard_normal(200)
+    columns = {"x": x, "z": 3.0 * x + 1e-9 * RNG.standard_normal(200), "y": y}
+    found = mp.regress(columns, response="y", variables=("x", "z"), degree=1, stepwise=True)
+    assert said(found)["collinear-terms"] == "the model: z cannot be separated from the model"
+
+
+def test_a_straight_line_has_one_segment():
+    t = np.linspace(-20.0, 60.0, 200)
+    columns = {"t": t, "y": 1.0 + 0.1 * t + 0.01 * RNG.standard_normal(200)}
+    found = mp.regress(columns, response="y", variables=("t",), segment="t:auto")
+    assert said(found)["one-segment"] == "no edge in t improves the model enough: one segment"
+
+
+def test_up_vectors_in_another_unit_are_directions():
+    up = read_scheme("faces-corners-14").up
+    columns = {f"up_{axis}": 9.8 * up[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"a{axis}": up[:, i] for i, axis in enumerate("xyz")}
+    text = "up vectors have lengths of 9.8; only their directions are used"
+    assert said(mp.fit(columns))["up-length"] == text
+
+
+def test_an_orientation_error_beside_noise_of_a_whole_g():
+    text = said(mp.schemes(["faces-6"], orientation_sd=0.1))["orientation-unweighed"]
+    assert text.endswith("--orientation-sd 0.1 hardly counts")
+
+
+def test_an_output_that_stops_during_a_rest():
+    up = np.repeat(read_scheme("faces-6").up, 300, axis=0)
+    a = (up + 0.01 * RNG.standard_normal(up.shape)).round(4)
+    a[1000:1100, 1] = a[1000, 1]
+    pose = np.repeat([str(i) for i in range(1, 7)], 300)
+    time = np.arange(len(up)) / 100.0
+    log = {"time": time, "pose": pose, "ax": a[:, 0], "ay": a[:, 1], "az": a[:, 2]}
+    found = mp.average(log, label_column="pose")
+    assert said(found)["stuck"] == (
+        "position '4' (rows 900 to 1200): 'ay' repeats one value 100 times"
+    )
+
+
+def test_a_parameter_far_from_linear_within_its_u():
+    up = read_scheme("all-26").up
+    noise = 0.1 * np.random.default_rng(3).standard_normal(up.shape)
+    readings = mp.Readings(0.02 + 1.01 * up / (1.0 + 0.03 * up**2) + noise, up=up)
+    found = mp.fit(readings, model="each = b + s*own/(1 + k*own^2)")
+    assert "nonlinear within its uncertainty" in said(found)["model-bias"]
