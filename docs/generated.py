@@ -1,7 +1,8 @@
 """The pages that the program writes of itself: `python docs/generated.py`.
 
 `reference/commands.md` lists the options of every command, `reference/names.md` every public name
-with its docstring, `reference/messages.md` every finding. They are kept in the repository, to be
+with its docstring, `reference/messages.md` every finding, `reference/errors.md` every sentence with
+which a command ends. They are kept in the repository, to be
 read where nothing is built, and a test holds them to the program.
 """
 
@@ -76,6 +77,14 @@ How often findings are wrong, and what no test can show, is among the [results](
 
 ## Codes
 """
+ERRORS_HEAD = """# Errors
+
+With what is missing or wrong a command ends in one sentence, `multipos: error: …`, and with exit
+status 2; Python raises `mp.MultiposError` or a kind of it. The sentence says what was found, where,
+and the way out. Here are all, with … for numbers and names, by the part of the program that says
+them. What a result says about itself is among the [messages](messages.md).
+"""
+_SENTENCE = 3  # words
 KEPT = ("meanings.toml", "examples.toml")  # what the program's sentences do not say themselves
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
@@ -396,7 +405,33 @@ def is_said(example: str, texts: Iterable[str]) -> bool:
     return any(re.fullmatch(pattern, example) for pattern in patterns)
 
 
+def errors_page() -> str:
+    """Return the page of all sentences with which a command ends."""
+    package = FOLDER.parents[1] / "multipos"
+    parts: dict[str, set[str]] = {}
+    for path in sorted(package.glob("*/**/*.py")):
+        room = path.relative_to(package).parts[0].replace("_", " ")
+        parts.setdefault(room, set()).update(_raised(ast.parse(path.read_text("utf-8"))))
+    sections = [
+        "\n".join([f"## {room.capitalize()}", "", *(f"- {escaped(text)}" for text in sorted(said))])
+        for room, said in parts.items()
+        if said
+    ]
+    return "\n\n".join([ERRORS_HEAD.rstrip("\n"), *sections]) + "\n"
+
+
+def _raised(tree: ast.Module) -> Iterator[str]:
+    """Yield the texts of what a module raises, where they are sentences."""
+    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        for node in ast.walk(function):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
+                for text in texts_of(node.exc.args[0], assigned(function), "…"):
+                    if len(re.findall(r"[a-z]{2,}", text)) > _SENTENCE:
+                        yield re.sub("…+", "…", text)
+
+
 def main() -> None:
+    (FOLDER / "errors.md").write_text(errors_page(), encoding="utf-8")
     (FOLDER / "commands.md").write_text(commands_page(), encoding="utf-8")
     (FOLDER / "names.md").write_text(names_page(), encoding="utf-8")
     (FOLDER / "messages.md").write_text(messages_page(), encoding="utf-8")

@@ -155,7 +155,7 @@ def test_every_key_of_a_stability_result_is_described():
         assert set(part) - {"schema"} <= names
 
 
-@pytest.mark.parametrize("name", ["commands", "messages", "names"])
+@pytest.mark.parametrize("name", ["commands", "errors", "messages", "names"])
 def test_the_pages_that_the_program_writes_are_of_this_program(name):
     spec = importlib.util.spec_from_file_location("generated", DOCS / "generated.py")
     generated = importlib.util.module_from_spec(spec)
