@@ -51,7 +51,6 @@ def main() -> None:
     pytest.main(["-q", "--no-header", "-p", "no:cacheprovider", *tests], plugins=[listener])
     path = DOCS / "examples.toml"
     examples = tomllib.loads(path.read_text("utf-8"))
-    files = (DOCS.parent / "multipos").rglob("*.py")
     texts: dict[str, list[str]] = {}
     for made in generated.messages((DOCS.parent / "multipos").rglob("*.py"), "…"):
         for code in made.codes:

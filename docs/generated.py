@@ -299,7 +299,7 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
 
 
 def _at(line: int, part: ast.AST, names: dict[str, list[ast.expr]]) -> dict[str, list[ast.expr]]:
-    """Return names, with what `text` and `action` may be at a line: each branch that leads there."""
+    """Return names, with what `text` and `action` may be at a line, by each way there."""
     names = dict(names)
     ifs = [n for n in ast.walk(part) if isinstance(n, ast.If) and (n.end_lineno or 0) < line]
     for name in ("text", "action"):
