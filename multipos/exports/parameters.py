@@ -149,7 +149,7 @@ def _residual_error(calibration: Calibration, law: Law, called: str, tesla: floa
     beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
     residuals = law_residuals(calibration, law.correction, tesla, law.turn)
     turned = hidden_turn(calibration, calibration.sign * residuals) is not None
-    left = ", without a rotation in the case, which hand placement hides" if turned else ""
+    left = ", without a rotation in the case, which positions set by hand hide" if turned else ""
     return (
         f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
         f"({beside}full model: {full}){left}."
