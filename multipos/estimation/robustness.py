@@ -29,6 +29,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.errors import MultiposError
 from multipos.estimation.descent import resume
 from multipos.estimation.known import REJECTED
 from multipos.estimation.noise import NoiseEstimate
@@ -42,10 +43,16 @@ from multipos.sensor.fit_diagnostics import NoiseTest
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 SET_ASIDE = 1e-6  # chance below which a position is set aside
 ROUNDS = 30  # of noise and solution, alternating
+_ADRIFT = 10, 0.1  # a noise that still moves by more than this in ln variance then has no end
 SETTLED = 1e-4  # change of ln variance far below what a median determines
 # A noise below this part of the orientation errors would leave no digits to separate the two.
 _FINEST_OF_ORIENTATION = 1e-6
 FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
+
+_NO_NOISE = (
+    "the orientation errors may explain the residuals of too many positions to estimate the noise "
+    "beside them robustly; state --reading-sd, a smaller --orientation-sd, or add positions."
+)
 
 
 def judge_robustly(
@@ -123,13 +130,20 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (FINEST + _FINEST_OF_ORIENTATION * widest) * float(np.abs(problem.values).max())
-    for _ in range(ROUNDS):
+    for done in range(ROUNDS):
         ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
-        ratio = max(ratio, float(np.abs(problem.precision[kept]).max()) * finest**2)
+        least = float(np.abs(problem.precision[kept]).max()) * finest**2
+        vanishes = ratio <= least
+        ratio = max(ratio, least)
         problem = replace(problem, precision=problem.precision / ratio)
         optimum = resume(problem, optimum)
         if abs(np.log(ratio)) < SETTLED:
             break
+        if done >= _ADRIFT[0] and abs(np.log(ratio)) > _ADRIFT[1]:
+            raise MultiposError(_NO_NOISE)
+    # where each has its own direction, all may be explained by these and the parameters alone
+    if vanishes and degrees.sum() - 2 * np.count_nonzero(tied[kept]) <= problem.unknowns:
+        raise MultiposError(_NO_NOISE)
     return problem, optimum
 
 

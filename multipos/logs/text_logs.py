@@ -587,9 +587,10 @@ def _parse(text: _Text, rows: Rows, first: int, wanted: _Wanted) -> Table:
 def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: _Wanted) -> Table:
     """Return columns cell by cell: what is bad is named, or not a number where it may be."""
     cells = _cells(text, rows, table.first, lenient=wanted.lenient)
+    places = {name: place for place, name in enumerate(text.columns)}
 
     def column(name: str) -> list[str]:
-        place = text.columns.index(name)
+        place = places[name]
         return [row[place] for row in cells]
 
     parsed: dict[str, Column] = {n: [*map(of_cell, column(n))] for n in wanted.texts}

@@ -1,6 +1,7 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
 import math
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -130,9 +131,23 @@ def test_robust_noise_ends_at_what_the_digits_tell(loss):
     assert (exact.u < 1e-14).all()
     assert (exact.parameter_dof > 0.0).all()
     # Six positions 10 degrees off explain any six readings: noise has no lower end of its own.
-    hidden = mp.fit(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
-    assert np.isfinite(hidden.u).all()
-    assert np.isfinite(hidden.diagnostics.condition)
+    with pytest.raises(mp.MultiposError, match="too many positions to estimate the noise"):
+        mp.fit(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
+
+
+@pytest.mark.parametrize("model", ["linear", "each = b + s*own + common_k*own^2"])
+def test_a_robust_noise_beside_orientation_errors_is_found_or_refused_soon(model):
+    """Seven positions of .5 degrees, as the fuzzer found them: U was 7e-9 g after 30 seconds."""
+    up = read_scheme("corners-8").up[:7]
+    values = 1.01 * up + 1e-3 * rng().standard_normal(up.shape)
+    begin = time.process_time()
+    with pytest.raises(mp.MultiposError, match="state --reading-sd"):
+        mp.fit(mp.Readings(values, up=up), model=model, robust="cauchy", orientation_sd=0.5)
+    assert time.process_time() - begin < 15
+    stated = mp.fit(
+        mp.Readings(values, up=up, u=np.full((7, 3), 1e-3)), robust="cauchy", orientation_sd=0.5
+    )
+    assert (stated.u > 2e-4).all()
 
 
 @pytest.mark.parametrize(("sets", "most"), few_and_many((8, 2), (40, 5)))
