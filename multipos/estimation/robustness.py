@@ -43,7 +43,8 @@ from multipos.sensor.fit_diagnostics import NoiseTest
 ASIDE = 1e-12  # weight of a position set aside: nothing, but its residual is still reported
 SET_ASIDE = 1e-6  # chance below which a position is set aside
 ROUNDS = 30  # of noise and solution, alternating
-_ADRIFT = 10, 0.1  # a noise that still moves by more than this in ln variance then has no end
+_EARLY = 5  # rounds in which steps of the noise need not shrink
+_ADRIFT = 0.1  # change of ln variance beyond which steps that do not shrink have no end
 SETTLED = 1e-4  # change of ln variance far below what a median determines
 # A noise below this part of the orientation errors would leave no digits to separate the two.
 _FINEST_OF_ORIENTATION = 1e-6
@@ -130,6 +131,7 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (FINEST + _FINEST_OF_ORIENTATION * widest) * float(np.abs(problem.values).max())
+    before = np.inf
     for done in range(ROUNDS):
         ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
         least = float(np.abs(problem.precision[kept]).max()) * finest**2
@@ -137,10 +139,12 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
         ratio = max(ratio, least)
         problem = replace(problem, precision=problem.precision / ratio)
         optimum = resume(problem, optimum)
-        if abs(np.log(ratio)) < SETTLED:
+        change = abs(np.log(ratio))
+        if change < SETTLED:
             break
-        if done >= _ADRIFT[0] and abs(np.log(ratio)) > _ADRIFT[1]:
+        if done >= _EARLY and change > max(_ADRIFT, 0.9 * before):
             raise MultiposError(_NO_NOISE)
+        before = change
     # where each has its own direction, all may be explained by these and the parameters alone
     if vanishes and degrees.sum() - 2 * np.count_nonzero(tied[kept]) <= problem.unknowns:
         raise MultiposError(_NO_NOISE)
