@@ -44,7 +44,7 @@ from multipos.estimation.orientation_variance import (
     harmonic_mean,
     least_variance,
 )
-from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.posteriors import dof_of_tails, standard_uncertainty
 from multipos.estimation.problem import Optimum, Problem, Solution, start_state
 from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
@@ -93,6 +93,7 @@ class NoiseEstimate:
     findings: Findings = ()
     components: VarianceComponents | None = None
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
+    parameter_dof: Array | None = None  # (p,), where they are not `dof`
     weight: Array | None = None  # (n,) of each position under a robust loss
     claim: NoiseTest | None = None  # of the stated noise, where there is one
     unstated: Array | None = None  # (n, M), fraction of variances in which axes may be unequal
@@ -392,8 +393,11 @@ def _noise_of(problem: Problem, found: Components, *, stated: bool) -> NoiseEsti
         sd = float(problem.precision.mean() ** -0.5)
         u_sd = max(float(found.u[0]), _ROUNDING * sd)
         components = VarianceComponents(reading_sd=Component(sd, u_sd))
-    u = standard_uncertainty(found.U[0], np.full(p, dof))
-    return NoiseEstimate(1.0, dof, components=components, u=u)
+    each = np.full(p, dof)
+    if problem.has_parameter_prior:  # the noise matters less to a parameter that is known anyway
+        each = dof_of_tails(found.tails[0])
+    u = standard_uncertainty(found.U[0], each)
+    return NoiseEstimate(1.0, dof, components=components, u=u, parameter_dof=each)
 
 
 def _noise_in_words(noise: NoiseEstimate) -> str:

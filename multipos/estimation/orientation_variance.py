@@ -155,6 +155,8 @@ class Components:
     ----------
     U : (B, p) array
         Of the parameters at 95 %.
+    tails : (B, p) array
+        How much wider U is than an inner interval, and `dof` by their median.
     dof : (B,) array
     excess, u : (B,) arrays
         τ², and the standard uncertainty of τ.
@@ -166,14 +168,15 @@ class Components:
 
     def __init__(self, valid: NDArray[np.bool_], parameters: int) -> None:
         self.valid = valid.copy()
-        self.U = np.full((len(valid), parameters), np.nan)
+        self.U, self.tails = np.full((2, len(valid), parameters), np.nan)
         self.dof, self.excess, self.u = np.full((3, len(valid)), np.nan)
         self.factor, self.low, self.high = np.ones((3, len(valid)))
 
     def put(self, units: Places, estimated: Estimated, which: NDArray[np.bool_]) -> None:
         """Put what is found of `which` of some units in places of `units`."""
         posterior = estimated.posterior.of(which)
-        self.U[units], self.dof[units] = posterior.centred, posterior.shape
+        self.U[units], self.tails[units] = posterior.centred, posterior.tails
+        self.dof[units] = posterior.shape
         self.excess[units], self.u[units] = estimated.excess[which], posterior.summary[1]
         if estimated.both is not None:
             self.factor[units] = estimated.both.factor[which]

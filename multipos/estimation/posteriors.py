@@ -111,9 +111,13 @@ class Posterior:
     @property
     def shape(self) -> Array:
         """Degrees of freedom (B,) of the Student's t whose tails are those of the parameters."""
+        return dof_of_tails(median(self.tails, axis=1))
+
+    @property
+    def tails(self) -> Array:
+        """How much wider (B, p) U is than an inner interval."""
         moves = np.zeros((len(self.size), self.moves.shape[2]))
-        ratio = median(self.centred / self._half(moves, _INNER), axis=1)
-        return np.array([_dof_of_tails(each) for each in ratio.tolist()])
+        return np.asarray(self.centred / self._half(moves, _INNER))
 
 
 def stated_weight(dof: float) -> float:
@@ -221,8 +225,12 @@ def _normal(z: Array) -> Array:
     return np.asarray(np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi))
 
 
-def _dof_of_tails(ratio: float) -> float:
-    """Return the degrees of freedom of the t whose outer interval is so much the wider."""
+def dof_of_tails(ratios: Array) -> Array:
+    """Return the degrees of freedom (k,) of the t whose outer interval is so much the wider."""
+    return np.array([_dof_of_tail(each) for each in ratios.tolist()])
+
+
+def _dof_of_tail(ratio: float) -> float:
     low, high = 0, _SHAPES
     while high - low > 1:
         middle = (low + high) // 2

@@ -302,7 +302,7 @@ def _solution(
         reference=point.force,
         parameters=state.theta,
         covariance=covariance,
-        parameter_dof=np.full(p, noise.dof),
+        parameter_dof=np.full(p, noise.dof) if noise.parameter_dof is None else noise.parameter_dof,
         inflation=u / formal,
         dof=np.full(m, noise.dof),
         residuals=point.residuals,

@@ -147,6 +147,30 @@ def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
     assert_allclose(cal.u[0], (12.0 / s2 + 1e4) ** -0.5, rtol=1e-4)
 
 
+@pytest.mark.parametrize("sd", [0.003, 0.01, 0.03])
+def test_a_prior_beside_a_rejected_noise_keeps_its_own_dof(tmp_path, sd):
+    """By quadrature over V = σ² + τ²: the sd of the posterior is that of the t of u and dof."""
+    up = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (5, 1))
+    values = 0.1 + 1.005 * up[:, :1] + 0.05 * np.random.default_rng(4).standard_normal((10, 1))
+    path = written(tmp_path, f"s = {{start = 1.0, sd = {sd}}}", 'each = "b + s*own"')
+    cal = mp.fit(mp.Readings(values, up=up), model=path, axes="x", reading_sd=0.01)
+    b, s = values.mean(), float(np.mean(values * up[:, :1]))
+    squares = float(np.sum((values - b - s * up[:, :1]) ** 2))
+    V = np.exp(np.linspace(np.log(0.01**2), 0.0, 20_000))
+    variance = V / 10.0 + sd**2
+    weight = np.exp(-4.0 * np.log(V) - squares / 2.0 / V - (s - 1.0) ** 2 / 2.0 / variance)
+    weight /= np.sqrt(variance)
+    weight /= weight.sum()
+    each = 1.0 / (10.0 / V + 1.0 / sd**2)
+    mean = each * (10.0 / V * s + 1.0 / sd**2)
+    middle = weight @ mean
+    expected = np.sqrt(weight @ (each + (mean - middle) ** 2))
+    bias, scale = cal["b_ax"], cal["s_ax"]
+    # with the dof of the noise for both, u of the scale was up to 13 % small
+    assert_allclose(scale.u * np.sqrt(scale.dof / (scale.dof - 2.0)), expected, rtol=5e-3)
+    assert 8.0 < bias.dof < 9.0 < 14.0 < scale.dof
+
+
 def test_bounds_hold_and_are_said(tmp_path):
     data = readings()
     path = written(tmp_path, "k = {start = 0.01, low = 0, high = 0.04}", SATURATING_FILE)
