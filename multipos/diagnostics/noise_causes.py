@@ -63,7 +63,7 @@ class Residuals:
         Columns of all outputs.
     columns : M arrays of int
         Which of them an output has.
-    slopes : (B, n, M, 3) array
+    slopes : (B, n, M, 3) array, or (B, 1, M, 3) where all rows have the same
         H, in reading units per g.
     force : (n, 3) array [g]
     stated : (B, n, M) array

@@ -31,7 +31,7 @@ References
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,7 @@ _STARTS = 60  # at most, and fewer where so many have one without outliers but f
 _MISSED = 0.005
 _STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
 _KEPT = 4  # starts that go on
+_SAMPLE = 2000  # rows, of more of which a sample is searched first
 _BLOCK = 40  # rows, of more of which several are put back at once
 _ROUNDING = 1e-9  # of the readings: residuals that are nothing
 _RIDGE = 1e-12
@@ -314,13 +315,6 @@ class Part:
         """Degrees of freedom of an output."""
         return int(self.basis.shape[0] - self.basis.shape[1])
 
-    @cached_property
-    def products(self) -> Array:
-        """Products (n, p (p + m)) of each row of the basis with itself and its values."""
-        Q, y = self.basis, self.values
-        parts = [Q[:, :, None] * each[:, None, :] for each in (Q, y)]
-        return np.concatenate([part.reshape(len(Q), -1) for part in parts], axis=1)
-
 
 View = tuple[Part, ...]
 
@@ -356,10 +350,12 @@ def find_outliers(views: Sequence[View]) -> Places:
     while (fewer := _fewer(counts[-1])) > 0:
         counts.append(fewer)
     for view in views:
-        far = _trimmed(view, most)
-        rank = np.argsort(np.argsort(-far, kind="stable"))
-        sets = rank >= np.array(counts)[:, None]
-        sets = sets[_whole_is_beyond(view, sets, most)]
+        left = _trimmed(view, most)
+        order = np.argsort(-_far(left)[0], kind="stable")
+        beyond = _whole_is_beyond(view, left, order, counts)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(n)
+        sets = rank >= np.array(beyond, dtype=np.intp)[:, None]
         for each in views:
             sets = sets[_parts_are_beyond(each, sets, most)]
         if len(sets):
@@ -373,22 +369,40 @@ def _fewer(out: int) -> int:
 
 
 _Left = list[tuple[Array, Array]]
-_TOGETHER = 1 << 20  # rows of sets whose residuals are there at a time
 
 
-def _trimmed(view: View, most: int) -> Array:
-    """Return how far off rows are (n,) of the least trimmed squares, most of them left out."""
-    n = len(view[0].values)
-    p = max(part.basis.shape[1] for part in view)
-    good = (1.0 - most / n) ** (p + 1)
-    starts = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
-    draws = np.random.default_rng(n).random((starts, n)).argsort(axis=1) <= p
-    kept = np.vstack([np.ones((1, n), dtype=np.bool_), draws])
+def _trimmed(view: View, most: int) -> _Left:
+    """Return what the least trimmed squares leave, most of the rows left out, as a set of one."""
+    return _best(view, most)[1]
+
+
+def _best(view: View, most: int) -> tuple[Mask, _Left]:
+    """Return the best set (1, n) that leaves out so many rows, and what is left.
+
+    Of many rows the best set of a sample is where the search of all begins.
+    """
+    n, carried = len(view[0].values), _KEPT
+    starts: Mask
+    if n > _SAMPLE:
+        rows = np.sort(np.random.default_rng(n).choice(n, _SAMPLE, replace=False))
+        root = math.sqrt(n / _SAMPLE)
+        sample = tuple(
+            Part(root * part.basis[rows], part.values[rows], part.least) for part in view
+        )
+        starts, carried = np.zeros((1, n), dtype=np.bool_), 1
+        starts[:, rows] = _best(sample, most * _SAMPLE // n)[0]
+    else:
+        p = max(part.basis.shape[1] for part in view)
+        good = (1.0 - most / n) ** (p + 1)
+        number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
+        starts = np.random.default_rng(n).random((number, n)).argsort(axis=1) <= p
+    kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
     kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
-    best = np.argsort(_objective(left), kind="stable")[:_KEPT]
+    best = np.argsort(_objective(left), kind="stable")[:carried]
     some = [(e[best], squares[best]) for e, squares in left]
-    _, left = _concentrated(view, kept[best], some, most, _LAST)
-    return np.asarray(_far(left)[int(np.argmin(_objective(left)))])
+    kept, left = _concentrated(view, kept[best], some, most, _LAST)
+    one = [int(np.argmin(_objective(left)))]
+    return kept[one], [(e[one], squares[one]) for e, squares in left]
 
 
 def _left_of(view: View, kept: Mask) -> _Left:
@@ -397,9 +411,9 @@ def _left_of(view: View, kept: Mask) -> _Left:
     found = []
     for part in view:
         (n, p), m = part.basis.shape, part.values.shape[1]
-        sums = weight @ part.products
-        information = sums[:, : p * p].reshape(-1, p, p) + _RIDGE * np.eye(p)
-        fitted = np.linalg.solve(information, sums[:, p * p :].reshape(-1, p, m))
+        weighted = weight[:, None] * part.basis.T
+        information = weighted @ part.basis + _RIDGE * np.eye(p)
+        fitted = np.linalg.solve(information, weighted @ part.values)
         e = part.values - part.basis @ fitted
         squares = (weight[:, None] @ (e * e).reshape(-1, n, m))[:, 0]
         found.append((e, squares + part.least))
@@ -433,15 +447,24 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
     return kept, left
 
 
-def _whole_is_beyond(view: View, sets: Mask, most: int) -> Mask:
-    """Tell of which sets (B, n) the rows that are not kept are beyond chance, eq. (1) at j = 0."""
-    every = np.vstack([np.ones_like(sets[:1]), sets])
-    some = max(1, _TOGETHER // sets.shape[1])  # sets, so that memory does not grow with the rows
-    parts = [every[i : i + some] for i in range(0, len(every), some)]
-    squares = np.concatenate([_squares(_left_of(view, part)) for part in parts])
-    outs = np.sum(~sets, axis=1).tolist()
-    pairs = zip(squares[1:] / squares[0], outs, strict=True)
-    return np.array([_is_beyond(view, x, out, 0, most) for x, out in pairs], dtype=np.bool_)
+def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) -> list[int]:
+    """Return how many of the first rows in an order are beyond chance, eq. (1) at j = 0.
+
+    By the sums of products between one count and the next, of what a fit leaves of all rows.
+    """
+    cuts, squares = [0, *sorted(counts)], []
+    for part, (e, _) in zip(view, left, strict=True):
+        p = part.basis.shape[1]
+        both = np.concatenate([part.basis, e[0]], axis=1)
+        pieces = [both[order[first:last]] for first, last in pairwise([*cuts, len(order)])]
+        sums = np.cumsum([each.T @ each for each in pieces[::-1]], axis=0)[::-1]
+        along = sums[:, :p, p:]
+        fitted = np.linalg.solve(sums[:, :p, :p] + _RIDGE * np.eye(p), along)
+        least = np.einsum("bmm->bm", sums[:, p:, p:]) - np.einsum("bpm,bpm->bm", along, fitted)
+        squares.append(np.maximum(least, 0.0) + part.least)
+    every = np.concatenate(squares, axis=1)
+    ratio = dict(zip(cuts, every / every[0], strict=True))
+    return [out for out in counts if _is_beyond(view, ratio[out], out, 0, counts[0])]
 
 
 def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:

@@ -248,6 +248,18 @@ class _Units:
         """Degrees of freedom (B,) of the rows that are kept."""
         return np.asarray(self.kept.sum(axis=1) - float(self.moves.shape[1]))
 
+    def of(self, part: slice) -> "_Units":
+        """Return some of the units, one after another."""
+        linear = Linear(self.linear.design, self.linear.plain[part], self.linear.residuals[part])
+        arrays = (self.variance, self.kept, self.moves, self.residuals, self.converged)
+        ends = (self.iterations, self.last_step, self.decrement)
+        aside = [
+            (unit - part.start, row, misfit)
+            for unit, row, misfit in self.aside
+            if part.start <= unit < part.stop
+        ]
+        return _Units(linear, *(each[part] for each in (*arrays, *ends)), aside)
+
     def search(self, units: Places, name: Loss) -> None:
         """Search on from where units are."""
         ended = search_linear(self.linear, self.moves, self.variance, units, name)
@@ -291,19 +303,36 @@ class RobustFits(NamedTuple):
     units: _Units
 
 
-def fit_robust(shared: Design, y: Array, stated: Array | None, name: Loss) -> RobustFits:
-    """Fit one output of B units under a loss.
+def fit_outputs(
+    shared: SharedDesign, values: Sequence[Array], stated: Sequence[Array] | None, name: Loss
+) -> list[RobustFits]:
+    """Fit every output of B units under a loss, those of one design as so many more units.
 
     Parameters
     ----------
-    shared : Design
-    y : (B, n) array
+    shared : SharedDesign
+    values : sequence of M arrays (B, n)
         Readings.
-    stated : (B, n) array, optional
+    stated : sequence of M arrays (B, n), optional
         Stated variances.
     name : str
         Of the loss.
     """
+    count = len(values[0])
+    found: dict[int, RobustFits] = {}
+    for design in shared.groups:
+        y = np.concatenate([values[i] for i in design.outputs])
+        noise = None if stated is None else np.concatenate([stated[i] for i in design.outputs])
+        fits = _fit(design, y, noise, name, alone=count == 1)
+        for place, output in enumerate(design.outputs):
+            part = slice(place * count, (place + 1) * count)
+            arrays = (each[part] for each in fits[:-1])
+            found[output] = RobustFits(*arrays, fits.units.of(part))
+    return [found[output] for output in range(len(values))]
+
+
+def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: bool) -> RobustFits:
+    """Fit readings (B, n) of one design; one without noise is left out where it is not alone."""
     count, n = y.shape
     b, r = fit_output(shared.design, shared.inverse, y)
     linear = Linear(shared.design, b, r)
@@ -323,7 +352,7 @@ def fit_robust(shared: Design, y: Array, stated: Array | None, name: Loss) -> Ro
         last_step=np.zeros(count),
         decrement=np.zeros(count),
     )
-    if stated is not None or count == 1:
+    if stated is not None or alone:
         on.converged[:] = True
     on.search(np.flatnonzero(on.converged), _HUBER)
     _set_aside(on, None if stated is not None else (FINEST * np.abs(y).max(axis=1)) ** 2)
@@ -424,8 +453,7 @@ def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -
 
 
 def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    outputs = zip(shared.by_output, values, strict=True)
-    found = [fit_robust(design, y, None, name) for design, y in outputs]
+    found = fit_outputs(shared, values, None, name)
     parameters = np.concatenate([each.parameters for each in found], axis=1)
     u = np.concatenate([_standard_uncertainty(each) for each in found], axis=1)
     dof = np.concatenate(
@@ -465,17 +493,9 @@ def solve_robust_known(
         return None
     if not shared.well_posed or not np.ptp(values, axis=0).all():
         return None
-    variances = None if noise is None else noise.reshape(n, m)
+    variances = None if noise is None else [*noise.reshape(n, m).T[:, None]]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        found = [
-            fit_robust(
-                design,
-                values[None, :, i],
-                None if variances is None else variances[None, :, i],
-                name,
-            )
-            for i, design in enumerate(shared.by_output)
-        ]
+        found = fit_outputs(shared, [*values.T[:, None]], variances, name)
     return _solution(shared, readings, found)
 
 

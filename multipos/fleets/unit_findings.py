@@ -54,7 +54,7 @@ from multipos.sensor.inverse import inverses
 from multipos.sensor.temperature import COLUMN, find_soaks
 
 Mask = NDArray[np.bool_]
-_AT_ONCE = 12_000  # readings of an output, so that what tests need stays in cache
+_AT_ONCE = 48_000  # readings of an output, so that what tests need stays in cache
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
@@ -374,9 +374,11 @@ def _off_positions(
     Of those scored, S (B,) of eq. (3) of `multipos.diagnostics.row_order` beside it.
     """
     model, (_, count, n) = shared.model, residuals.shape
-    force = np.broadcast_to(shared.reference.T[:, None], (3, count, n))
+    rows = 1 if model.is_linear else n  # of one slope all have it
+    force = np.ascontiguousarray(
+        np.broadcast_to(shared.reference[:rows].T[:, None], (3, count, rows))
+    )
     coefficients = model_coefficients(model, parameters)
-    force = np.ascontiguousarray(force)
     slopes = model.force_slopes(coefficients, force, shared.environment)
     of = noise_causes.Residuals(
         error=np.moveaxis(residuals, 0, 2),
