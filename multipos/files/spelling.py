@@ -128,15 +128,20 @@ def visible_lines(text: str) -> str:
 _SIGNED = re.compile(r"[+-](?:[\d.,]+(?:[eE][+-]?\d+)?|inf|nan|[xyzXYZ](?: \w+)?)")
 _NUMBER = r"[\d.]+(?:[eE][+-]?\d+)?[\"']?\s*(?:[,;]|$)"
 _RISKY = re.compile(rf"(?:^|[,;])\s*[\"']?(?:[=@]|[+-](?!{_NUMBER}))", re.MULTILINE)
+_PLAIN = bytes.maketrans(b"123456789E+", b"000000000e-")
 _CONTROLS = re.compile(f"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029{_TURNS}\ud800-\udfff]")
 
 
 def is_risky(lines: str) -> bool:
     """Tell whether cells may hold what moves a terminal or what a spreadsheet runs."""
     raw = lines.encode("utf-8", "surrogatepass")
-    if not raw.translate(None, b"0123456789.,;- \t\n"):  # plain numbers, as most lines are
-        begins = sum(raw.count(mark + b"-") for mark in (b"\n", b",", b";", b" ", b"\t"))
-        if raw.count(b"-") == begins + raw.startswith(b"-"):
+    shown = raw.translate(_PLAIN)
+    if not shown.translate(None, b"0.,;-e \t\n"):  # plain numbers, as most lines are
+        powers = shown.count(b"0e-0")
+        begins = sum(shown.count(mark + b"-") for mark in (b"\n", b",", b";", b" ", b"\t"))
+        signed = shown.count(b"-") == begins + shown.startswith(b"-") + powers
+        signed &= raw.count(b"+") == raw.count(b"e+") + raw.count(b"E+")
+        if signed and shown.count(b"e") == powers + shown.count(b"0e0"):
             return False
     return _CONTROLS.search(lines) is not None or _RISKY.search(lines) is not None
 
