@@ -68,8 +68,14 @@ def outlier(c: Calibration) -> Finding | None:
     if not found or not np.any(noise):
         return None
     more = f"; and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-    heads = [(f"position {label}:", f"position {label} ", label) for label in c.readings.labels]
-    named = [label for *starts, label in heads if any(s.startswith(tuple(starts)) for s in found)]
+    begun = {
+        text[len("position ") : end]
+        for text in found
+        if text.startswith("position ")
+        for end, mark in enumerate(text)
+        if mark in ": "
+    }
+    named = [label for label in c.readings.labels if label in begun]
     return Finding(
         "outlier",
         "warning",
