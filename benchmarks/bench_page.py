@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 
 from benchmarks.timing import Ratio
-from multipos.page import runtime, wheel
-from multipos.page.site import make_site, write_site
+from multipos.page import runtime
+from multipos.page.site import NAME, make_site, write_site
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -27,7 +27,7 @@ PRESSABLE = "document.readyState === 'complete' && !!document.getElementById('ex
 BARE = f"""<!doctype html><html><body><script type="module">
 const {{ loadPyodide }} = await import("./runtime/pyodide.mjs");
 const pyodide = await loadPyodide({{ indexURL: "./runtime/", lockFileURL: "./pyodide-lock.json" }});
-const packages = ["runtime/{runtime.NUMPY}", "{wheel.NAME}"];
+const packages = ["runtime/{runtime.NUMPY}", "{NAME}"];
 await pyodide.loadPackage(packages.map(name => new URL(name, location).href));
 pyodide.FS.writeFile("readings.csv", `{README}`);
 document.body.textContent = pyodide.runPython(`

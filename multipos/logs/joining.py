@@ -366,7 +366,7 @@ def _settled(chosen: Sequence[Chosen]) -> list[Chosen]:
     lengths = np.array([each.still.found.n for each in chosen]) / rate
     resolution = np.fmin.reduce([each.log.survey.resolution for each in chosen])
     settled = settle_together([each.still.found for each in chosen], lengths)
-    found = [with_rounding(each, resolution) for each in settled]
+    found = with_rounding(settled, resolution)
     return [
         each._replace(still=replace(each.still, found=new))
         for each, new in zip(chosen, found, strict=True)

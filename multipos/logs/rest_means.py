@@ -194,18 +194,21 @@ class RestMean(Result):
         return np.asarray(np.where((self.u > 0.0) & (self.sd > 0.0), ratio, self.n))
 
 
-def with_rounding(found: RestMean, resolution: Array) -> RestMean:
-    """Return a rest with what rounding to steps q adds to u of its mean.
+def with_rounding(rests: Sequence[RestMean], resolution: Array) -> list[RestMean]:
+    """Return rests with what rounding to steps q adds to u of their means.
 
     That is q/√12 of samples that are all one code; noise of variance σ² = s² − q²/12 averages the
     rounding out, to exp(−2π²σ²/q²) of it.
     """
     q = np.where(resolution > 0.0, resolution, 0.0)
+    u = np.array([each.u for each in rests])
     with np.errstate(divide="ignore", invalid="ignore"):
-        noise = np.nan_to_num(np.maximum((found.sd / q) ** 2 - 1.0 / 12.0, 0.0))
+        size = np.array([each.sd for each in rests]) / q
+        noise = np.nan_to_num(np.maximum(size**2 - 1.0 / 12.0, 0.0))
     rounding = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * noise)
-    raised = rounding > _ROUNDED * found.u
-    return replace(found, u=np.where(raised, np.hypot(found.u, rounding), found.u))
+    raised = rounding > _ROUNDED * u
+    u = np.where(raised, np.hypot(u, rounding), u)
+    return [replace(each, u=u[i]) if raised[i].any() else each for i, each in enumerate(rests)]
 
 
 def is_one_code(found: RestMean) -> NDArray[np.bool_]:

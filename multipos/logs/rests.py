@@ -590,21 +590,24 @@ def _change(samples: Array, reach: int, limits: Limits) -> int | None:
 
     None where all of them are.
     """
-    rest = samples[:, :reach]
-    mean = rest.mean(axis=1, keepdims=True)
-    sd = np.maximum(rest.std(axis=1, keepdims=True), _QUIETEST * limits.size)
-    z = (samples[:, reach:] - mean) / sd
-    gain = 0.5 * ((z**2).sum(axis=0) * (1.0 - 1.0 / _TIMES) - len(z) * np.log(_TIMES))
+    away = samples - samples[:, :reach].mean(axis=1, keepdims=True)
+    rest = away[:, :reach]
+    variance = np.einsum("ij,ij->i", rest, rest) / reach
+    sd = np.maximum(np.sqrt(variance), _QUIETEST * limits.size)
+    z = away[:, reach:] / sd[:, None]
+    square = np.einsum("ij,ij->j", z, z)
+    gain = 0.5 * (square * (1.0 - 1.0 / _TIMES) - len(z) * np.log(_TIMES))
     total = np.concatenate([[0.0], np.cumsum(gain)])
     clear = np.flatnonzero(np.abs(z).max(axis=0) > _CLEAR)
     seen = int(clear[0]) + 1 if len(clear) else z.shape[1]
-    # Noise that remembers goes astray for a while by chance.
-    lagged = (rest[:, 1:] - mean) * (rest[:, :-1] - mean)
-    memory = float(np.clip(lagged.mean(axis=1) / sd[:, 0] ** 2, 0.0, 0.95).mean())
-    astray = _ASTRAY * len(z) * 2.0 * memory / (1.0 - memory)
-    change = int(np.flatnonzero(total[: seen + 1] <= total[: seen + 1].min() + astray)[-1])
-    if total[seen] - total[: seen + 1].min() < _ALARM:
+    lowest = total[: seen + 1].min()
+    if total[seen] - lowest < _ALARM:
         return None
+    # Noise that remembers goes astray for a while by chance.
+    lagged = np.einsum("ij,ij->i", rest[:, 1:], rest[:, :-1]) / (reach - 1)
+    memory = float(np.clip(lagged / sd**2, 0.0, 0.95).mean())
+    astray = _ASTRAY * len(z) * 2.0 * memory / (1.0 - memory)
+    change = int(np.flatnonzero(total[: seen + 1] <= lowest + astray)[-1])
     return _onset(z[:, :seen], min(change, seen - 1), astray)
 
 

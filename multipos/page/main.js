@@ -46,7 +46,8 @@ function translate() {
 
 const STATUS = {
   loading: () => T("The program is being loaded, 10 MB the first time…"), ready: () => "", working: () => T("Calculating…"),
-  done: () => "", error: () => "",
+  done: () => "",
+  error: () => $("error").textContent.includes("--") ? T("What --unit and --outputs say is chosen above; other options are those of the command line.") : "",
 };
 
 function say() {
@@ -188,8 +189,8 @@ function show(answer) {
     $(name).options[0].textContent = `${T("what they show")}: ${T(KINDS[answer[name]] || answer[name])}`;
   }
   const items = answer.findings.map(finding => {
-    const stop = !finding.action || /[.?!。]$/.test(finding.text) ? "" : ".";
-    const said = `${LEVELS[finding.level]()}: ${finding.text}${stop} `;
+    const stop = !finding.action || /[.?!。]$/.test(finding.text) ? " " : language === "zh" ? "。" : ". ";
+    const said = `${LEVELS[finding.level]()}: ${finding.text}${stop}`;
     const made = element("li", [said, element("b", finding.action)], finding.level);
     made.dataset.code = finding.code;
     return made;

@@ -193,6 +193,8 @@ def test_wrong_files_are_answered_in_the_words_of_the_program(visitor, tmp_path)
     with pytest.raises(mp.MultiposError) as caught:
         mp.read_readings(tmp_path / "bad.csv")
     assert text(visitor, "error") == str(caught.value).replace(f"{tmp_path}/", "")
+    assert "--outputs" in text(visitor, "error")  # which the page has as a field
+    assert text(visitor, "status").startswith("What --unit and --outputs say is chosen above")
     assert visitor.evaluate("document.getElementById('result').hidden")
     for name, content in (("empty.csv", b""), ("picture.png", b"\x89PNG\r\n\x1a\n\0\0" * 99)):
         (tmp_path / name).write_bytes(content)
