@@ -266,7 +266,7 @@ def stability(
         report = None if progress is None else _share(progress, i, len(given))
         raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
     _check_alike(raw)
-    own = "reading" if model is None else model.field.printed
+    own = raw[0].unit or "reading" if model is None else model.field.printed
     return _complete(raw, model, unit or own, confidence)
 
 
@@ -285,7 +285,9 @@ def _check_options(
     if calibration is not None and outputs is not None:
         raise UsageError("--outputs names raw columns, but --calibration has its own; drop one.")
     if calibration is not None and unit is not None:
-        raise UsageError("--unit is of raw outputs, but with --calibration they are in g; drop it.")
+        raise UsageError(
+            "--unit is of raw outputs, but with --calibration they are compensated; drop it."
+        )
     if time_column is not None and rate is not None:
         raise UsageError("--time-column and --rate both state the time; give one.")
     if rate is not None:
@@ -300,6 +302,11 @@ def _check_alike(raw: Sequence[RawRecord]) -> None:
             raise MultiposError(
                 f"{each.source}: its outputs are {', '.join(each.names)}, those of {first.source} "
                 f"{', '.join(first.names)}; name common ones with --outputs."
+            )
+        if each.unit != first.unit:
+            raise MultiposError(
+                f"{each.source}: its outputs are in {each.unit or 'no stated unit'}, those of "
+                f"{first.source} in {first.unit or 'none'}; convert one of them."
             )
         if not abs(each.rate / first.rate - 1.0) < _ALIKE:
             raise MultiposError(

@@ -61,6 +61,7 @@ class RawRecord:
     blocks: Array
     temperature: Array | None
     sums: Array
+    unit: str | None  # that the header gives all outputs
     findings: Findings
 
 
@@ -108,11 +109,18 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
             blocks=means[: len(names)],
             temperature=_measured(log.source, means[len(names) :]),
             sums=np.array([each.sums(lengths) for each in phases]),
+            unit=_unit(log, raw.names),
             findings=about(
                 log.source,
                 (*log.left_out, *raw.findings, *_dropped(samples), *gaps.findings()),
             ),
         )
+
+
+def _unit(log: Log, names: tuple[str, ...]) -> str | None:
+    """Return the unit that the header gives outputs, None where it gives none or several."""
+    units = {log.units.get(name) for name in names}
+    return units.pop() if len(units) == 1 else None
 
 
 def _rate(samples: Samples) -> float:
@@ -190,6 +198,8 @@ def _compensated(
 
 def _require_one_g(source: str, calibration: Calibration, force: Array) -> None:
     """Refuse a record at rest whose force (3, b) [g] is one g in another unit."""
+    if calibration.field.magnetic:  # which is another one elsewhere
+        return
     size = float(median(np.linalg.norm(force, axis=0)))
     other = any(each / _NEAR < size < each * _NEAR for each in _OTHER)
     if len(force) == len(COMPONENTS) and other:

@@ -113,6 +113,10 @@ def picture_of(state: Mapping[str, Any], language: Language = "en") -> list[str]
             gain = "  " + tr("(gain {size})", size=number(next_["gain"], 3))
         label = "" if next_["label"] is None else f"{next_['label']}: "
         lines.append(f"{tr('next')}: {label}{next_['words'][language]}{gain}")
+    if state["missing"]:
+        lines.append(
+            tr("no pose near the field along {directions}", directions=_listed(state["missing"]))
+        )
     lines += [_said(finding, "text", tr) for finding in state["findings"]]
     if state["problem"]:
         lines.append(_said(state, "problem", tr))
@@ -124,6 +128,13 @@ def picture_of(state: Mapping[str, Any], language: Language = "en") -> list[str]
 def _said(entry: Mapping[str, Any], key: str, tr: Translator) -> str:
     """Return a sentence of the state in the language that is shown."""
     return str(entry[key if tr.language == "en" else f"{key}_{tr.language}"])
+
+
+def _listed(directions: Sequence[Sequence[float]]) -> str:
+    """Return the first of some directions, and how many there are more."""
+    shown = ", ".join(f"({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in directions[:_SHOWN])
+    more = len(directions) - _SHOWN
+    return f"{shown} + {more}" if more > 0 else shown
 
 
 def _status(state: Mapping[str, Any], tr: Translator) -> str:
@@ -170,6 +181,5 @@ def _parameters(state: Mapping[str, Any], tr: Translator) -> list[str]:
 
 def _pose(pose: Mapping[str, Any], tr: Translator) -> str:
     if pose["accepted"]:
-        left = pose["residual"]
-        return f"{pose['position']:>4}  " + ("" if left is None else f"{1e6 * left:+.0f} µg")
+        return f"{pose['position']:>4}  {pose['residual_text'] or ''}"
     return f"{pose['position']:>4}  {_said(pose, 'reason', tr)}"

@@ -34,8 +34,10 @@ from multipos.capturing.poses import (
 from multipos.errors import UsageError
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
+from multipos.logs.waved import magnetic_outputs
 from multipos.numerics.arrays import Array
-from multipos.positions.headers import named_axes
+from multipos.positions.headers import field_of_outputs, named_axes
+from multipos.sensor.gravity import GRAVITY, MAGNETIC, Field, worded
 from multipos.sensor.model import Model
 
 _LIVE = 0.05  # [s] of rows that a live value is the mean of
@@ -58,6 +60,8 @@ class Session:
     connected : bool
     rows, rests, model : LiveRows, LiveRests, Model, or None
         Once the columns are known.
+    field : Field
+        What the outputs sense, by names and unit.
     next : NextPose or None
     newest : (M,) array or None
         What the sensor reads.
@@ -89,6 +93,7 @@ class Session:
         self.rows: LiveRows | None = None
         self.rests: LiveRests | None = None
         self.model: Model | None = None
+        self.field: Field = GRAVITY
         self._known: dict[tuple[str, ...], PosesGain] = {(): NOTHING}
         self.next: NextPose | None = None
         self._is_fixed = reading.threshold is not None
@@ -109,14 +114,20 @@ class Session:
             An option does not fit them.
         """
         asked = self._reading
-        self.rows = LiveRows(log, head, asked.outputs, asked.timing)
+        kind, unit = (self.plan.fitting.get(name) for name in ("field", "unit"))
+        outputs = asked.outputs
+        if outputs is None and kind == "magnetic":
+            outputs = magnetic_outputs(log, None, kind, unit)
+        self.rows = LiveRows(log, head, outputs, asked.timing)
         self.rests = LiveRests(self.rows, asked.min_duration, asked.threshold)
         if len(self.rows.outputs) != 3 and self.plan.scheme is None:
             raise UsageError(
                 f"{log.source}: with {len(self.rows.outputs)} outputs a direction does not show; "
                 "name three with --outputs, or the positions with --scheme."
             )
-        unit = log.units.get(self.rows.outputs[0], "reading")
+        unit = unit or log.units.get(self.rows.outputs[0], "reading")
+        if field_of_outputs(self.rows.outputs, unit, None, kind) == "magnetic":
+            self.field = MAGNETIC
         self.model = model_of(self.plan, self.rows.outputs, unit)
         self._choose_next()
         return self.rows
@@ -307,7 +318,7 @@ class Session:
         elif reason is None:
             reason = self._repeats(still)
         if reason is not None:
-            return replace(pose, accepted=False, reason=reason)
+            return replace(pose, accepted=False, reason=worded(reason, self.field))
         taken_back = self._decided.get(self.key(pose))
         return pose if taken_back is None else pose.taken_back(taken_back)
 

@@ -3,17 +3,22 @@
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from multipos.capturing.session import Session
+from multipos.diagnostics.magnetic import missing_directions
+from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import pose_words
 from multipos.reports.sections import Translator
 from multipos.results import plain
 from multipos.sensor.calibration import force_residuals
+from multipos.sensor.gravity import GRAVITY, Field
 
 
 @lru_cache(1024)
-def chinese(text: str) -> str:
+def chinese(text: str, field: Field = GRAVITY) -> str:
     """Return what a session says of poses and of the fit, in Chinese."""
-    return Translator("zh").message(text)
+    return Translator("zh", field).message(text)
 
 
 _UNKNOWN: dict[str, Any] = {
@@ -45,6 +50,8 @@ def state_of(session: Session) -> dict[str, Any]:
             "enough": session.is_enough,
             "outputs": () if rows is None else rows.outputs,
             "unit": _unit(session),
+            "field": session.field.kind,
+            "missing": _missing(session),
             "rows": 0 if rows is None else rows.rows,
             "bad_rows": 0 if rows is None else rows.bad,
             "gaps": 0 if rows is None else rows.gaps,
@@ -54,9 +61,10 @@ def state_of(session: Session) -> dict[str, Any]:
             "positions": session.plan.positions,
             "targets": session.plan.targets,
             "problem": found.problem,
-            "problem_zh": _chinese(found.problem),
+            "problem_zh": _chinese(found.problem, session.field),
             "findings": [
-                {**each.to_dict(), "text_zh": chinese(each.text)} for each in found.findings
+                {**each.to_dict(), "text_zh": chinese(each.text, session.field)}
+                for each in found.findings
             ],
         }
     )
@@ -80,7 +88,7 @@ def live_of(session: Session) -> dict[str, Any]:
             "threshold": session.rests.limit,
             "enough": under_way is not None and refused is None,
             "refused": refused,
-            "refused_zh": _chinese(refused),
+            "refused_zh": _chinese(refused, session.field),
             "rows": rows.rows,
             "bad_rows": rows.bad,
             "gaps": rows.gaps,
@@ -96,6 +104,7 @@ def line_of(session: Session) -> dict[str, Any]:
             **_entries(session)[-1],
             "next": _next(session),
             "parameters": _parameters(session),
+            "missing": _missing(session),
             "threshold": session.threshold,
             "rate": session.rate,
         }
@@ -103,8 +112,20 @@ def line_of(session: Session) -> dict[str, Any]:
     return line
 
 
-def _chinese(text: str | None) -> str | None:
-    return None if text is None else chinese(text)
+def _chinese(text: str | None, field: Field) -> str | None:
+    return None if text is None else chinese(text, field)
+
+
+def _missing(session: Session) -> Array | None:
+    """Return the directions (k, 3) of a magnetic field that no pose is near, None of gravity."""
+    if not session.field.magnetic:
+        return None
+    shown = [
+        up
+        for pose, up in zip(session.poses, session.directions(), strict=True)
+        if pose.accepted and up is not None
+    ]
+    return missing_directions(np.array(shown).reshape(-1, 3))[0] + 0.0
 
 
 def _parameters(session: Session) -> list[dict[str, Any]]:
@@ -135,9 +156,10 @@ def _entries(session: Session) -> list[dict[str, Any]]:
                 "direction": direction,
                 "residual": residual,
                 "residual_u": u,
+                "residual_text": None if residual is None else _shown(session, residual),
                 "accepted": pose.accepted,
                 "reason": pose.reason,
-                "reason_zh": _chinese(pose.reason),
+                "reason_zh": _chinese(pose.reason, session.field),
                 "provisional": session.threshold is None,
                 "mean": found.mean,
                 "u": found.u,
@@ -159,6 +181,14 @@ def _residuals(session: Session) -> dict[str, tuple[float, float]]:
     return dict(zip(keys, zip(off.tolist(), u.tolist(), strict=True), strict=True))
 
 
+def _shown(session: Session, residual: float) -> str:
+    """Return a residual as people read it."""
+    calibration = session.evaluation.calibration
+    if calibration is None or not session.field.magnetic:
+        return f"{1e6 * residual:+.0f} µg"
+    return calibration.field.shown(residual)
+
+
 def _next(session: Session) -> dict[str, Any] | None:
     found = session.next
     if found is None or session.finished:
@@ -167,7 +197,7 @@ def _next(session: Session) -> dict[str, Any] | None:
         "direction": found.direction,
         "gain": found.gain,
         "label": found.label or None,
-        "words": pose_words(found.direction),
+        "words": pose_words(found.direction, magnetic=session.field.magnetic),
     }
 
 

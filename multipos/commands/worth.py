@@ -27,14 +27,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
+    calibration = load(arguments.calibration)
+    towards = "field" if calibration.field.magnetic else "up"
     found = worth(
-        load(arguments.calibration),
+        calibration,
         candidates=arguments.candidates,
         parameter=arguments.parameter,
         target=arguments.target,
     )
     return Answer(
-        sentence=lambda: worth_sentence(found),
-        text=lambda: worth_text(found),
+        sentence=lambda: worth_sentence(found, towards),
+        text=lambda: worth_text(found, towards),
         json=lambda: to_json(found),
     )

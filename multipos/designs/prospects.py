@@ -186,7 +186,7 @@ def _check_target(keys: list[str], parameter: str | None, target: float | None) 
         raise UsageError("a target must be above 0 and name its parameter, as in ax:x=0.001.")
 
 
-def worth_text(found: Worth) -> str:
+def worth_text(found: Worth, towards: str = "up") -> str:
     """Return `worth` as text: the best next positions, and how many the target takes."""
     parameter = found.parameter
     rows = [
@@ -194,14 +194,14 @@ def worth_text(found: Worth) -> str:
         + ([] if parameter is None else [number(entry.u[parameter])])
         for entry in found.candidates[:_SHOWN]
     ]
-    header = ["up x", "up y", "up z", "u falls by %"]
+    header = [*(f"{towards} {axis}" for axis in COMPONENTS), "u falls by %"]
     if parameter is not None:
         header.append("to")
     drift = f"the model absorbs {100.0 * found.drift_absorbed:.0f} % of a drift along the rows"
-    return "\n\n".join([table(header, rows, left=0), drift, *_way_to_target(found)]) + "\n"
+    return "\n\n".join([table(header, rows, left=0), drift, *_way_to_target(found, towards)]) + "\n"
 
 
-def _way_to_target(found: Worth) -> list[str]:
+def _way_to_target(found: Worth, towards: str) -> list[str]:
     """Say how many positions the target takes, where there is one."""
     if found.target is None:
         return []
@@ -219,7 +219,8 @@ def _way_to_target(found: Worth) -> list[str]:
         [str(i + 1), *(f"{value:.6f}" for value in row)]
         for i, row in enumerate(found.path[:_SHOWN].tolist())
     ]
-    return [reached, table(["next", "up x", "up y", "up z"], steps)] if steps else [reached]
+    header = ["next", *(f"{towards} {axis}" for axis in COMPONENTS)]
+    return [reached, table(header, steps)] if steps else [reached]
 
 
 def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
@@ -300,12 +301,12 @@ def _ahead(
     return None
 
 
-def worth_sentence(found: Worth) -> str:
+def worth_sentence(found: Worth, towards: str = "up") -> str:
     """Return the best next position, and what it gains."""
     best = found.candidates[0]
     up = ", ".join(f"{value + 0.0:.3g}" for value in best.up)
     what = found.parameter or "all parameters"
-    text = f"Best next position: up ({up}), u of {what} falls by {100.0 * best.fall:.2g} %"
+    text = f"Best next position: {towards} ({up}), u of {what} falls by {100.0 * best.fall:.2g} %"
     if found.target is None:
         return f"{text}."
     if found.path is None:

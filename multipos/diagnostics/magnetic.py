@@ -63,7 +63,7 @@ def _size_in_tesla(c: Calibration) -> float | None:
 
 def sphere_gap(c: Calibration) -> Finding | None:
     """Find directions of the field that no reading is near."""
-    missing, widest = missing_directions(c)
+    missing, widest = missing_directions(directions(c.reference))
     if not len(missing):
         return None
     listed = ", ".join(f"({x:.1f}, {y:.1f}, {z:.1f})" for x, y, z in (missing + 0.0).tolist()[:3])
@@ -72,10 +72,10 @@ def sphere_gap(c: Calibration) -> Finding | None:
     return Finding("sphere-gap", "warning", text, action)
 
 
-def missing_directions(c: Calibration) -> tuple[Array, float]:
-    """Return of 26 even directions those (k, 3) farther than 60° from any reading, and the gap."""
+def missing_directions(seen: Array) -> tuple[Array, float]:
+    """Return of 26 even directions those (k, 3) over 60° from any of (n, 3), and the gap [deg]."""
     every = read_scheme(_DIRECTIONS).up
-    near = (every @ directions(c.reference).T).max(axis=1)
+    near = (every @ seen.T).max(axis=1, initial=-1.0)
     far = near < np.cos(np.radians(_GAP_DEG))
     order = np.argsort(near[far])
     return every[far][order], float(np.degrees(np.arccos(np.clip(near.min(), -1.0, 1.0))))

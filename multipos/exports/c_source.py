@@ -429,7 +429,7 @@ def _header(
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
     if c.field.magnetic:
-        lines[-2:-2] = ["hard iron: the bias of each output; soft iron: the matrix", ""]
+        lines += ["", "hard iron: the bias of each output; soft iron: the matrix"]
     elif unit != "g":
         one = "one g, the local gravity, is taken as" if c.gravity is None else "one g is"
         lines.insert(1, f"{one} 9.80665 m/s^2.")

@@ -242,7 +242,7 @@ def origin(calibration: Calibration) -> list[str]:
         f"made {calibration.created} by multipos {calibration.version}",
     ]
     if calibration.field.magnetic:
-        lines.append(f"size of the field: {calibration.field.text}")
+        lines.append(f"field: {calibration.field.text}")
     elif calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
     if calibration.nominal is not None:

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.files.numbers import in_unit, number, readable_unit
+from multipos.files.numbers import number, readable_unit
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
@@ -93,7 +93,7 @@ def error_picture(calibration: Calibration, words: Words = str) -> str:
         largest = float(np.nanmax(size, initial=0.0))
         scale = _LONGEST / largest if largest > 0.0 else 0.0
         picture.write(
-            0.5 * _WIDTH, i * _ROW + 12, words(f"{when}: largest {in_unit(largest, 'g')}")
+            0.5 * _WIDTH, i * _ROW + 12, words(f"{when}: largest {c.field.shown(largest)}")
         )
         shown = _largest(size)[np.isfinite(size[_largest(size)])]
         for side in (1.0, -1.0):

@@ -32,6 +32,7 @@ from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import rows_without_angle
+from multipos.positions.headers import component
 from multipos.positions.order import Order, check_order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, of_size, read_scheme
@@ -371,8 +372,7 @@ def orient(
         _refuse_log(readings)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation{_meant(readings)}; give "
-            "--scheme (a name or a file) or orientation columns such as direction or up_x, up_y, "
-            "up_z, or known forces f_x, f_y, f_z."
+            f"--scheme (a name or a file) or {_columns_for(readings)}."
         )
     given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
@@ -392,6 +392,15 @@ def orient(
         open_roll=None,
         positions=positions,
         findings=findings,
+    )
+
+
+def _columns_for(readings: Readings) -> str:
+    """Return which columns state orientations."""
+    if all(component(name).magnetic for name in readings.outputs):
+        return "the direction of the field as b_x, b_y, b_z"
+    return (
+        "orientation columns such as direction or up_x, up_y, up_z, or known forces f_x, f_y, f_z"
     )
 
 

@@ -369,7 +369,7 @@ class Calibration(Result, Drawn):
             self.reference,
             self.readings.values,
             self.residuals,
-            forced=bool(self.readings.forced.any()),
+            reach=None if self.readings.forced.any() else self.field.full_scale,
         )
 
     @cached_property

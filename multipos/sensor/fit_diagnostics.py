@@ -557,11 +557,16 @@ def find_outlying_positions(
 
 
 def linearity(
-    model: Model, reference: Array, values: Array, residuals: Array, *, forced: bool = False
+    model: Model,
+    reference: Array,
+    values: Array,
+    residuals: Array,
+    *,
+    reach: float | None = 1.0,
 ) -> dict[str, dict[str, float]]:
     """Return {output: {without_model_percent, with_model_percent}}; NaN where no line fits.
 
-    The span is that of ±1 g, of `forced` readings that of the largest force along the axis.
+    The span is that of ± `reach`, where it is None of the largest force along the axis.
     """
     result = {}
     for column, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
@@ -574,7 +579,7 @@ def linearity(
             continue
         slope = float(centred @ reading) / square
         from_line = reading - reading.mean() - slope * centred
-        largest = float(np.abs(own).max()) if forced else 1.0
+        largest = float(np.abs(own).max()) if reach is None else reach
         span = abs(2.0 * slope) * largest or np.nan
         result[output] = {
             "without_model_percent": 100.0 * float(np.abs(from_line).max()) / span,

@@ -76,6 +76,11 @@ class Field:
         return self.value if self.magnetic else gravity_ratio(self.size)
 
     @property
+    def full_scale(self) -> float:
+        """The size that percentages are of: one g, or the magnetic field itself."""
+        return self.value if self.magnetic else 1.0
+
+    @property
     def unit(self) -> str:
         """The unit of the reference: g, that of the size, or none."""
         if not self.magnetic:
@@ -137,12 +142,12 @@ _WORDS = (
     (r"Accelerometer", "Magnetometer"),
     (r"accelerometer", "magnetometer"),
     (r"accelerations?", "field"),
-    (r"one g|1 g", "the field"),
-    (r"−1 g to \+1 g", "the field's range"),
+    (r"one g", "the field"),
     (r"Offset of", "Hard iron of"),
     (r"Which way was up", "Where the field pointed"),
     (r"which way was up", "where the field pointed"),
     (r"up vectors?", "field direction"),
+    (r"Up vector", "Field direction"),
     (r"hand-held position", "reading in all directions"),
     (r"upside down", "reversed"),
 )
@@ -151,6 +156,7 @@ _CHINESE = (
     *(("−1 g 至 +1 g", "磁场范围"), ("1 g 的", "磁场的")),
     *(("比力", "磁场"), ("加速度计", "磁力计"), ("加速度", "磁场"), ("重力场", "磁场")),
     *(("重力", "磁场"), ("受力", "磁场"), ("力的大小", "磁场的大小"), ("补偿后力", "补偿后磁场")),
+    ("向上矢量", "磁场方向"),
     *(
         ("1 g 的", "磁场的"),
         ("为单位的力", "为单位的磁场"),
@@ -171,6 +177,7 @@ def worded(text: str, field: Field) -> str:
     """
     if not field.magnetic:
         return text
+    text = text.replace("−1 g to +1 g", "the field's range")
     text = _SIZE.sub(lambda m: f"{_PERCENT[m[2]] * float(m[1]):.3g} % of the field", text)
     for pattern, new in _TABLE:
         text = pattern.sub(new, text)

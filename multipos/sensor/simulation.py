@@ -26,6 +26,7 @@ from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.series import recur, require_rate
+from multipos.positions.forces import OF_FIELD
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, read_scheme
 from multipos.results import Columns, require
@@ -39,7 +40,7 @@ class Simulation(Columns):
     """Readings of a simulated session, the columns of a readings file.
 
     They are position, up_x, up_y, up_z as the scheme has them (f_x, f_y, f_z where it has known
-    forces), the outputs, and the columns that the model uses.
+    forces; b_x, b_y, b_z of a magnetometer), the outputs, and the columns that the model uses.
     """
 
 
@@ -98,9 +99,12 @@ def simulate(
     values = calibration.predict(force, environment)
     noise = rng.normal(size=values.shape)[rows]
     values = values + _sd(calibration, reading_sd, "--reading-sd") * noise
+    columns = laid.columns()
+    if calibration.field.magnetic and laid.force is None:
+        columns = {"position": laid.names, **dict(zip(OF_FIELD, laid.up.T, strict=True))}
     return Simulation(
         {
-            **laid.columns(),
+            **columns,
             **dict(zip(calibration.outputs, values.T, strict=True)),
             **environment,
         }

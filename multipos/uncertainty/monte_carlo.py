@@ -203,7 +203,7 @@ def _quantities_to_draw(c: Calibration) -> list[Quantity]:
     if c.gravity is not None and c.gravity.u > 0.0:
         given = stated.get("gravity")
         law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)
-        quantities.append(Quantity("gravity", c.gravity.u, "m/s^2", law, dof))
+        quantities.append(Quantity("gravity", c.gravity.u, c.gravity.size_unit, law, dof))
     return quantities
 
 

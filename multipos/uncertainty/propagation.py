@@ -309,7 +309,7 @@ def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
     stated = budget.quantities.get("gravity")
     same = stated is not None and stated.u == gravity.u
     law, dof = (stated.distribution, stated.dof) if stated and same else ("normal", math.inf)
-    return [Quantity("gravity", gravity.u, "m/s^2", law, dof), *found]
+    return [Quantity("gravity", gravity.u, gravity.size_unit, law, dof), *found]
 
 
 def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
@@ -383,7 +383,7 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
         text=_AT_WORST if is_bounded(c, quantity) else kind.text,
         evaluation="B",
         u=quantity.u,
-        unit=kind.unit or c.model.unit,
+        unit=quantity.unit if quantity.name == "gravity" else kind.unit or c.model.unit,
         distribution=quantity.distribution,
         dof=np.full(len(c.parameters), quantity.dof),
         common=kind.common,

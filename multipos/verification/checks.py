@@ -140,6 +140,8 @@ def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
 def require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
     """Refuse known forces where tilt is asked for, or beside a gravity of unknown size."""
     forced = data.forced
+    if tilt and calibration.field.magnetic:
+        raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
     if tilt and forced.any():
         raise MultiposError(
             f"{data.source or 'the run'}: position '{data.labels[int(np.argmax(forced))]}' has a "
@@ -190,8 +192,13 @@ def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Arr
     return coverage_by_tenths(calibration.confidence, effective)
 
 
-def line_departure(reference: Array, error: Array, counted: NDArray[np.bool_], tilt: bool) -> Array:
-    """Return the largest departure from the least-squares line (K,), in percent of its span."""
+def line_departure(
+    reference: Array, error: Array, counted: NDArray[np.bool_], reach: float | None
+) -> Array:
+    """Return the largest departure from the least-squares line (K,), in percent of its span.
+
+    The span is that of ± `reach`, where it is None of what was covered.
+    """
     result = np.full(reference.shape[1], np.nan)
     for column, (known, wrong, used) in enumerate(
         zip(reference.T, error.T, counted.T, strict=True)
@@ -204,7 +211,7 @@ def line_departure(reference: Array, error: Array, counted: NDArray[np.bool_], t
         slope = float(centred @ y) / float(centred @ centred)
         if abs(slope) < 1e-9:  # an output that does not answer has no line to depart from
             continue
-        span = abs(slope) * (float(np.ptp(x)) if tilt else 2.0)
+        span = abs(slope) * (float(np.ptp(x)) if reach is None else 2.0 * reach)
         left = y - y.mean() - slope * centred
         result[column] = 100.0 * float(np.abs(left).max()) / span
     return result
@@ -422,6 +429,7 @@ def _check_run(
     counted = np.abs(level) <= (90.0 if within_deg is None else within_deg) + 1e-6
     if not counted.any():
         raise MultiposError(f"no position of the run is within {within_deg:g} degrees of level.")
+    reach = None if tilt else calibration.field.full_scale
     U_family = None
     if limit is not None:
         sharper = replace(
@@ -443,8 +451,8 @@ def _check_run(
         verdicts=judge_errors(after, U, limit, counted),
         counted=counted,
         linearity_percent={
-            "before": line_departure(reference, before, counted, tilt),
-            "after": line_departure(reference, after, counted, tilt),
+            "before": line_departure(reference, before, counted, reach),
+            "after": line_departure(reference, after, counted, reach),
         },
         bias=nominal.bias,
         scale=nominal.scale,

@@ -410,6 +410,7 @@ def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
             ),
             ("unit", first.model.unit, c.model.unit),
             ("convention", first.convention, c.convention),
+            ("units of the field", first.field.printed, c.field.printed),
             ("gauge", first.model.gauge, c.model.gauge),
         ):
             if mine != other:

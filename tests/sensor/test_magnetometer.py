@@ -521,3 +521,121 @@ def test_noise_of_a_static_record_is_in_the_unit_of_the_field():
     assert found.unit == "uT"
     # white noise of sd s at f Hz is s/√f per √Hz, over the scale of x
     assert_allclose(found.outputs["b_x"].white_noise.value, 0.3 / np.sqrt(50.0), rtol=0.15)
+
+
+def held(path, up, seed=0):
+    """Write a log of rests of five seconds at directions of the field, with turns between them."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for before, after in zip([up[0], *up[:-1]], up, strict=True):
+        turn = before + np.linspace(0.0, 1.0, 100)[:, None] * (after - before) + 1e-3
+        parts += [turn / np.linalg.norm(turn, axis=1)[:, None], np.tile(after, (250, 1))]
+    rows = HARD + SIZE * np.concatenate(parts) + 0.2 * rng.normal(size=(350 * len(up), 3))
+    table = np.column_stack([0.02 * np.arange(len(rows)), rows])
+    np.savetxt(path, table, delimiter=",", header="time,mx,my,mz", comments="", fmt="%.4f")
+    return path
+
+
+def test_capture_lists_the_directions_that_are_missing(tmp_path, capsys):
+    """Of the 26 even directions only −z is farther than 60° from poses on the upper half."""
+    every = mp.read_scheme("all-26").up
+    upper = every[every[:, 2] > -0.1]
+    log = held(tmp_path / "log.csv", upper)
+    assert main(["capture", f"replay:{log}:0", "--headless", "-o", str(tmp_path / "out.csv")]) == 0
+    shown = capsys.readouterr()
+    lines = [json.loads(line) for line in shown.out.splitlines()]
+    assert lines[-1]["missing"] == [[0.0, 0.0, -1.0]]
+    assert len(lines[0]["missing"]) > 15
+    assert "field" in lines[0]["next"]["words"]["en"]
+    assert lines[-1]["residual_text"].endswith("%")
+    assert not of_a_magnetometer(shown.err)
+    for line in lines:
+        assert not of_a_magnetometer(json.dumps(line, ensure_ascii=False))
+        assert not FOREIGN_CHINESE.search(json.dumps(line, ensure_ascii=False))
+
+
+def test_a_pose_in_another_unit_is_refused_in_words_of_the_field(tmp_path):
+    every = mp.read_scheme("all-26").up
+    log = held(tmp_path / "log.csv", every)
+    table = np.loadtxt(log, delimiter=",", skiprows=1)
+    table[-250:, 1:] += 8.80665 * SIZE * every[-1]
+    np.savetxt(log, table, delimiter=",", header="time,mx,my,mz", comments="", fmt="%.4f")
+    said = []
+    mp.capture(f"replay:{log}:0", told=said.append)
+    assert said[-1]["reason"] == "another unit: it reads the field 9.81 times as large as before"
+    assert said[-1]["reason_zh"] == "单位不同：磁场读数为先前的 9.81 倍"
+
+
+def test_capture_takes_the_magnetometer_of_a_log_with_both(tmp_path):
+    log = held(tmp_path / "log.csv", mp.read_scheme("all-26").up[:12])
+    table = np.loadtxt(log, delimiter=",", skiprows=1)
+    both = np.column_stack([table, np.full((len(table), 3), [0.0, 0.0, 1.0])])
+    np.savetxt(log, both, delimiter=",", header="time,mx,my,mz,ax,ay,az", comments="", fmt="%.4f")
+    assert mp.capture(f"replay:{log}:0", field="magnetic").state["outputs"] == [*NAMES]
+
+
+def test_percentages_are_of_the_field_whatever_its_size(tmp_path, capsys):
+    """The same rows with and without the size have the same linearity, of a fit and of a check."""
+    rows, u = readings(sd=0.3)
+    table = {**rows, **listed(u)}
+    relative = mp.fit(table, unit="uT")
+    sized = mp.fit(table, unit="uT", field_size=SIZE)
+    for output in NAMES:
+        for key, value in relative.linearity[output].items():
+            assert_allclose(sized.linearity[output][key], value, rtol=1e-9)
+    run, _ = readings(sd=0.3, seed=9)
+    found = [mp.check(cal, {**run, **listed(u)}) for cal in (relative, sized)]
+    for when in ("before", "after"):
+        percents = [each.linearity_percent[when] for each in found]
+        assert_allclose(percents[0], percents[1], rtol=1e-9)
+
+
+def test_sizes_known_and_unknown_are_not_compared(tmp_path):
+    rows, u = readings()
+    one = mp.fit({**rows, **listed(u)}, unit="uT")
+    other = mp.fit({**rows, **listed(u)}, unit="uT", field_size=SIZE)
+    with pytest.raises(mp.MultiposError, match=r"units of the field differ .* \(uT, not 1\)"):
+        mp.compare(one, other)
+
+
+def test_what_other_commands_print_of_a_magnetometer(tmp_path, capsys):
+    """Budget in the field's unit, gains and simulated readings along the field, C below its table."""
+    rows, _ = readings()
+    columns = np.column_stack([*rows.values()])
+    path, cal = tmp_path / "rows.csv", tmp_path / "cal.json"
+    np.savetxt(path, columns, delimiter=",", header="mx,my,mz", comments="")
+    size = ["--unit", "uT", "--field-size", "48.6uT", "--field-size-u", ".1uT"]
+    assert main(["fit", str(path), *size, "-o", str(cal)]) == 0
+    assert main(["report", str(cal), "-o", str(tmp_path / "report.md")]) == 0
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    (row,) = [line for line in report.splitlines() if line.startswith("| the field | B ")]
+    assert row.split("|")[4:6] == [" 100 ", " nT "]
+    assert "Up vector" not in report
+    assert main(["worth", str(cal)]) == 0
+    out = capsys.readouterr().out
+    assert "Best next position: field (" in out
+    assert "up x" not in out
+    run = tmp_path / "run.csv"
+    assert main(["simulate", str(cal), "--scheme", "all-26", "-o", str(run)]) == 0
+    assert run.read_text().startswith("position,b_x,b_y,b_z,mx,my,mz\n")
+    assert main(["check", str(cal), str(run)]) == 0
+    assert main(["check", str(cal), str(run), "--tilt"]) == 2
+    assert main(["check", str(cal), str(path)]) == 1
+    assert not of_a_magnetometer("".join(capsys.readouterr()).replace("accelerometers;", ""))
+    assert main(["export", str(cal), "--to", "c", "-o", str(tmp_path / "m.c")]) == 0
+    lines = (tmp_path / "m.c").read_text().splitlines()
+    hard = next(i for i, line in enumerate(lines) if "hard iron:" in line)
+    assert lines[hard - 2].startswith(" * scale_mz")
+
+
+def test_noise_of_a_record_is_in_the_unit_of_its_header(tmp_path):
+    rng = np.random.default_rng(0)
+    still = np.column_stack([0.02 * np.arange(2000), 0.3 * rng.normal(size=(2000, 3))])
+    path = tmp_path / "still.csv"
+    head = "time [s],mx [uT],my [uT],mz [uT]"
+    np.savetxt(path, still, delimiter=",", header=head, comments="", fmt="%.5f")
+    assert mp.stability(path).unit == "uT"
+    other = tmp_path / "other.csv"
+    np.savetxt(other, still, delimiter=",", header="time,mx,my,mz", comments="", fmt="%.5f")
+    with pytest.raises(mp.MultiposError, match="no stated unit"):
+        mp.stability(path, other)
