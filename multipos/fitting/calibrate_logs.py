@@ -289,7 +289,7 @@ def _both_sides(values: Array) -> bool:
     return bool(len(values) >= 2 * len(COMPONENTS) and reach.min() > _REACH * reach.max())
 
 
-def _in_likely_field(readings: Readings) -> Readings:
+def in_likely_field(readings: Readings) -> Readings:
     """Return readings in the unit in which the field is one of Earth's, where there is one."""
     size = float(np.sqrt(readings.values.var(axis=0).sum()))  # of directions all around
     for likely, (low, high) in _EARTH.items():
@@ -308,7 +308,7 @@ def readings_of(
     if unit is not None or found.unit is not None:
         return replace(readings, unit=unit or found.unit or "")
     if field_of_outputs(readings.outputs, readings.unit, None, field) == "magnetic":
-        return _in_likely_field(readings)
+        return in_likely_field(readings)
     size = float(median(np.linalg.norm(readings.values, axis=1)))
     if readings.values.shape[1] == 3:
         for likely, one in _ONE_G.items():

@@ -208,10 +208,11 @@ function show(answer) {
   }));
   const marks = answer.positions.map(each => ({
     direction: each.direction, label: each.position, kind: shade(each.residual, each.residual_u),
-    title: `${each.position}: ${(1e3 * each.residual).toFixed(2)} mg`,
+    title: `${each.position}: ${each.residual_text}`,
   }));
   const next = answer.next.map((each, i) => ({ direction: each.direction, kind: "next", label: `${i + 1}`, title: each.words }));
   sphere.show([...marks, ...next]);
+  $("positions-title").textContent = answer.positions_title;
   $("positions").setAttribute("aria-label", T("{count} positions on a sphere; arrow keys turn it", { count: marks.length }));
   $("next").replaceChildren(...answer.next.map(each => element("li",
     T("{words}: u falls by {percent} %", { words: each.words, percent: (100 * each.fall).toFixed(1) }))));

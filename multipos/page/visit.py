@@ -26,7 +26,7 @@ from multipos.exports.targets import TargetName, export
 from multipos.files.tables import write_table
 from multipos.files.whole import first_bytes
 from multipos.finding import Finding, serious
-from multipos.fitting.calibrate_logs import calibrate
+from multipos.fitting.calibrate_logs import calibrate, in_likely_field
 from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
 from multipos.numerics.arrays import Array
@@ -119,6 +119,7 @@ class Visit:
                 for p in calibration.entries
             ],
             "positions": _positions(calibration),
+            "positions_title": tr("Positions, up in case axes"),
             "next": _next(calibration, tr.language),
         }
 
@@ -214,7 +215,8 @@ def _chosen(
         return "log", paths
     readings = _with_unit(_read(paths[0], unit, outputs))
     known = readings.up is not None or readings.force is not None
-    faces = _faces(readings) if kind == "six" or (kind == "auto" and not known) else None
+    by_faces = kind == "auto" and not known and not _is_magnetic(readings)
+    faces = _faces(readings) if kind == "six" or by_faces else None
     if kind == "auto":
         kind = "known" if known else "free" if faces is None else "six"
     if kind == "six":
@@ -266,8 +268,8 @@ def _with_unit(readings: Readings) -> Readings:
     """Return readings in the unit that they show, where none is stated."""
     if readings.unit != "reading" or readings.values.shape[1] != 3:
         return readings
-    if all(component(name).magnetic for name in readings.outputs):
-        return readings
+    if _is_magnetic(readings):
+        return in_likely_field(readings)
     size = float(np.median(np.linalg.norm(readings.values, axis=1)))
     whole = bool((readings.values == np.round(readings.values)).all())
     for unit, one in _ONE_G.items():
@@ -276,6 +278,10 @@ def _with_unit(readings: Readings) -> Readings:
             findings = (*readings.findings, Finding("likely-unit", "note", text))
             return replace(readings, unit=unit, findings=findings)
     return replace(readings, unit="count") if whole else readings
+
+
+def _is_magnetic(readings: Readings) -> bool:
+    return all(component(name).magnetic for name in readings.outputs)
 
 
 def _faces(readings: Readings) -> Array | None:
@@ -305,6 +311,7 @@ def _positions(calibration: Calibration) -> list[dict[str, Any]]:
     up = calibration.sign * reference / np.linalg.norm(reference, axis=1, keepdims=True)
     return [
         {"position": label, "direction": up[i], "residual": off[i], "residual_u": u[i]}
+        | {"residual_text": calibration.field.shown(off[i])}
         for i, label in enumerate(calibration.readings.labels)
     ]
 
@@ -313,9 +320,14 @@ def _next(calibration: Calibration, language: Language) -> list[dict[str, Any]]:
     """Return the positions that would lower u most; none where nothing predicts it."""
     try:
         best = worth(calibration).candidates[:_NEXT]
+        magnetic = calibration.field.magnetic
     except MultiposError:
         return []
     return [
-        {"direction": each.up, "fall": each.fall, "words": pose_words(each.up)[language]}
+        {
+            "direction": each.up,
+            "fall": each.fall,
+            "words": pose_words(each.up, magnetic=magnetic)[language],
+        }
         for each in best
     ]

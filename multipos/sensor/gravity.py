@@ -148,6 +148,7 @@ _WORDS = (
     (r"which way was up", "where the field pointed"),
     (r"up vectors?", "field direction"),
     (r"Up vector", "Field direction"),
+    (r"up in case axes", "field in case axes"),
     (r"hand-held position", "reading in all directions"),
     (r"upside down", "reversed"),
 )
@@ -157,6 +158,7 @@ _CHINESE = (
     *(("比力", "磁场"), ("加速度计", "磁力计"), ("加速度", "磁场"), ("重力场", "磁场")),
     *(("重力", "磁场"), ("受力", "磁场"), ("力的大小", "磁场的大小"), ("补偿后力", "补偿后磁场")),
     ("向上矢量", "磁场方向"),
+    ("中的“上”", "中的磁场"),
     *(
         ("1 g 的", "磁场的"),
         ("为单位的力", "为单位的磁场"),

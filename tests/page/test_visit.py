@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 import warnings
 import zipfile
 
@@ -201,3 +202,26 @@ def test_a_plan_is_a_scheme_that_can_be_read(visit):
     assert found.identifiable
     assert (found.rank, found.parameters) == (9, 9)
     assert f"{100 * found.d_efficiency:.0f} %" in plan["sentence"]
+
+
+@pytest.mark.parametrize("language", ["en", "zh"])
+def test_a_magnetometer_is_shown_in_units_and_words_of_its_field(visit, tmp_path, language):
+    """Rows near the axes are directions of a field all the same, and no word is of gravity."""
+    rng = np.random.default_rng(4)
+    up = mp.read_scheme("all-26").up
+    rows = [3.0, -8.0, 12.0] + 48.6 * up + 0.1 * rng.normal(size=up.shape)
+    (tmp_path / "m.csv").write_text(rows_of(rows, "mx,my,mz"))
+    answer = calibrate(visit, "m.csv", language=language)
+    assert (answer["kind"], answer["unit"]) == ("free", "uT")  # 48.6 is Earth's in µT alone
+    assert {p["unit"] for p in answer["parameters"]} == {"uT"}
+    for name, truth in zip(("bias_mx", "bias_my", "bias_mz"), (3.0, -8.0, 12.0), strict=True):
+        (found,) = [p for p in answer["parameters"] if p["name"] == name]
+        assert abs(found["value"] - truth) < 2.0 * found["U"]
+    assert all(each["residual_text"].endswith(" %") for each in answer["positions"])
+    shown = json.dumps(answer, ensure_ascii=False)
+    foreign = r"\b(force|gravity|accel\w*|up in)\b|\d ?[mµ]?g\b|[Uu]p,|比力|加速|重力|向上|竖直"
+    assert not re.findall(foreign, shown)
+    said = "Positions, field in case axes" if language == "en" else "位置（壳体坐标系中的磁场）"
+    assert answer["positions_title"] == said
+    words = [each["words"] for each in answer["next"]]
+    assert all(("field" if language == "en" else "磁场") in each for each in words)

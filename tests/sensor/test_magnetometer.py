@@ -599,7 +599,7 @@ def test_sizes_known_and_unknown_are_not_compared(tmp_path):
 
 
 def test_what_other_commands_print_of_a_magnetometer(tmp_path, capsys):
-    """Budget in the field's unit, gains and simulated readings along the field, C below its table."""
+    """Budget, gains, simulated readings and C in the words and units of the field."""
     rows, _ = readings()
     columns = np.column_stack([*rows.values()])
     path, cal = tmp_path / "rows.csv", tmp_path / "cal.json"
