@@ -62,7 +62,7 @@ from multipos.verification.verdicts import (
     require_limit,
 )
 
-_LAWS = 6  # of the plausible ones, the likeliest
+_LAWS = 12  # of the plausible ones: the likeliest ten are next to each other
 _RANK = 1e-9
 _WORDS = Words(
     "chi-square of the run",

@@ -340,3 +340,24 @@ def test_a_run_as_a_whole_is_judged_by_its_rows_and_its_switch_on():
     assert "without --run" in denied.findings[0].text
     assert mp.check(four, other).consistency.p > 0.05
     assert mp.check(four, far).consistency.p < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [60, 100])
+def test_a_short_run_of_slow_noise_is_rarely_rejected(n):
+    """Own generator: a second run of the same sensor, AR(.9); 5 and 1 % of 200 runs, + 3 sd."""
+    p = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        runs = []
+        for _ in range(2):
+            t = np.linspace(-40.0, 60.0, n) + rng.normal(0.0, 0.3, n)
+            noise = rng.normal(size=n)
+            for row in range(1, n):
+                noise[row] = 0.9 * noise[row - 1] + np.sqrt(0.19) * noise[row]
+            error = 0.01 + 1e-4 * t + 1e-6 * t**2 + 1e-3 * noise
+            runs.append({"time": np.arange(float(n)), "t": t, "error": error})
+        found = mp.regress(runs[0], response="error", terms="1 + t + t^2", time="time")
+        p.append(mp.check(found, runs[1]).consistency.p)
+    assert np.mean(np.array(p) < 0.05) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
+    assert np.mean(np.array(p) < 0.01) <= 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 200)
