@@ -32,6 +32,7 @@ def by_hand(X, y, V=None):
 
 
 def test_unweighted_fit_by_hand():
+    # eq. (1) of estimation.known
     values = sensor(np.random.default_rng(0))
     cal = mp.fit(mp.Readings(values, up=UP14))
     for i in range(3):
@@ -50,6 +51,7 @@ def test_unweighted_fit_by_hand():
 
 
 def test_weighted_fit_by_hand():
+    # eq. (1) of estimation.noise
     rng = np.random.default_rng(1)
     u = rng.uniform(0.5e-3, 2e-3, (14, 3))
     values = sensor(rng, noise=0) + u * rng.standard_normal((14, 3))
@@ -212,6 +214,7 @@ def test_scatter_that_does_not_count_beside_gravity_leaves_no_degrees_of_freedom
 
 
 def test_gravity_scales_and_carries_its_uncertainty():
+    # eq. (1) of sensor.gravity
     values = sensor(np.random.default_rng(10))
     readings = mp.Readings(values, up=UP14, unit="V")
     g, u_g = 9.7803, 0.002
@@ -231,6 +234,7 @@ def test_gravity_scales_and_carries_its_uncertainty():
 
 
 def test_welch_satterthwaite_by_hand():
+    # eq. (2) of sensor.gravity
     values = sensor(np.random.default_rng(11))
     readings = mp.Readings(values, up=UP14)
     g, u_g = 9.81, 0.002

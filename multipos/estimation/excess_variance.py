@@ -11,7 +11,8 @@ restricted likelihood
     ln L(τ²) = −½ [Σ ln V + ln det X'V⁻¹X + e'V⁻¹e − e'V⁻¹X (X'V⁻¹X)⁻¹ X'V⁻¹e]              (2)
 
 times Jeffreys' prior, dτ² (Σ V⁻²)^½, which is d ln V where all u are equal, with a prior chance
-that τ = 0, which weighs as much as `_BELIEF` of such a logarithm. Without a stated part the
+that τ = 0, which weighs as much as 1.4 of such a logarithm (more below 6 degrees of freedom,
+`multipos.estimation.posteriors`). Without a stated part the
 posterior of V is that of r'r/χ²_ν, and parameters follow Student's t; with one it is truncated at
 the stated variance. Parameters then are a mixture of normal laws, and
 

@@ -50,6 +50,7 @@ def test_small_sums_by_hand():
 
 def test_published_deviations_of_the_nbs_and_the_thousand_point_set():
     """W. J. Riley, *The Calculation of Time Domain Frequency Stability*: its two sets of data."""
+    # eq. (1) of bias_stability.allan
     nbs = np.array([892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0])
     numbers = [1234567890]
     while len(numbers) < 1000:
@@ -88,6 +89,7 @@ def matrix_covariance(lengths, n, noise):
 
 
 def test_the_covariance_of_white_noise_is_the_sum_over_all_pairs():
+    # eq. (4) of bias_stability.allan
     n = 300
     lengths = octaves(n)
     expected = matrix_covariance(lengths, n, np.eye(n))

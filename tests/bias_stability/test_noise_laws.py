@@ -28,6 +28,7 @@ def laws_of(samples, share=8):
 
 
 def test_exact_curves_give_their_laws():
+    # eq. (2) of bias_stability.allan
     lengths = octaves(100_000)
     truth = np.array([4.0, 0.01, 1e-6])
     curve = law_variances(np.array(lengths, dtype=float))[:, :3] @ truth
@@ -56,6 +57,7 @@ def test_a_filter_at_short_times_is_left_out():
 
 
 def test_u_of_a_coefficient_by_hand():
+    # eq. (5) of bias_stability.allan
     laws = Laws(np.array([4.0, 0.0, 1.0]), np.diag([0.04, 0.09, 4.0]), 0, 0.0, 1)
     # 4 ± .2: above 2.0494, below 1.9494, the wider side; 0 + .3; 1 ± 2: 1.7321 above, 0 below.
     assert_allclose(laws.root(0, 1.0), (2.0, 2.0 - np.sqrt(3.8)))

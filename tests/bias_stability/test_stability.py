@@ -68,6 +68,7 @@ def test_the_curve_of_one_record_is_that_of_allantools():
 
 
 def test_white_noise_has_its_density_and_nothing_else():
+    # eq. (1) of bias_stability.stability_result
     found = mp.stability(without(record(np.random.default_rng(1)), "temperature"), unit="g")
     each = found.outputs["ax"]
     N_ = each.white_noise
@@ -102,6 +103,7 @@ def test_drift_and_its_unit():
 
 
 def test_a_warm_up_is_found_with_its_time_and_its_end():
+    # eq. (1) of bias_stability.trends
     log = without(record(np.random.default_rng(5), amplitude=5e-3, constant=25.0), "temperature")
     found = mp.stability(log, unit="g").outputs["ax"]
     warm = found.warm_up

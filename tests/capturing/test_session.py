@@ -253,6 +253,7 @@ def test_undo_and_redo_leave_no_trace(log):
 
 
 def test_a_target_is_met_only_with_a_pose_that_confirms(log):
+    # eq. (1) of capturing.evaluation
     session = started(log, positions=15, target=["scale=0.01"])
     assert not any(p["met"] for p in state_of(session)["parameters"])
     assert not session.evaluation.enough
@@ -559,6 +560,7 @@ def test_mistakes_end_in_one_line(log, tmp_path, capsys):
 
 
 def test_a_frame_by_a_sphere_needs_no_unit_and_no_zero():
+    # eq. (1) of capturing.poses
     up = mp.read_scheme("faces-6").up
     frame = find_frame(2048.0 + 819.0 * up, (0, 1, 2), "specific-force", None)
     assert_allclose(frame.up(2048.0 + 819.0 * up), up, atol=1e-9)

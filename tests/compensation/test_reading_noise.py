@@ -40,6 +40,7 @@ def stacked(found, prefix):
 
 
 def test_u_is_that_of_parameters_and_noise_by_finite_differences(cal):
+    # eq. (1) of compensation.reading_noise
     raw = np.array([0.4, -0.5, 0.8])
     one = {name: [value] for name, value in zip(cal.outputs, raw, strict=True)}
     found = stacked(mp.apply(cal, one, uncertainty=True, reading_sd=[1e-3, 2e-3, 3e-3]), "u_f")[0]

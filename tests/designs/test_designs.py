@@ -52,6 +52,7 @@ def command(*arguments):
     ],
 )
 def test_optimum_on_the_sphere_is_the_analytic_one(model, log_det_best):
+    # eq. (2) of designs.optimum
     best = optimise_sphere(setting(model), Criterion("D"))
     assert best.log_det == pytest.approx(log_det_best, abs=1e-6)
     assert best.gap <= 1e-6
@@ -87,6 +88,7 @@ def test_unknown_orientation_optimum_is_the_icosahedron():
 @pytest.mark.parametrize("model", ["linear", "ieee", "ieee-odd", "1 + x + y + z + own*|own|"])
 @pytest.mark.parametrize("name", ["D", "A", "I"])
 def test_certificate_holds_on_directions_it_never_saw(model, name):
+    # eq. (1) of designs.optimum
     known = setting(model)
     criterion = make_criterion(name, known)
     best = optimise_sphere(known, criterion)
@@ -99,6 +101,7 @@ def test_certificate_holds_on_directions_it_never_saw(model, name):
 @pytest.mark.parametrize("name", ["D", "A", "I", "u:ay:y^2"])
 @pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 40.0}])
 def test_sensitivity_is_the_gradient_of_the_criterion(name, options):
+    # eq. (2) of designs.criteria
     asked = setting("own-quadratic", **options)
     criterion = make_criterion(name, asked)
     rows = asked.rows(read_scheme("fibonacci-40").up)
@@ -164,6 +167,7 @@ def test_information_of_one_position_by_hand(size):
 
     V = diag(σ², σ² + s² g², σ² + s² g²) with σ = 0.3, s = 0.1, g = 2: 0.09 and 0.09 + 0.04.
     """
+    # eq. (1) of designs.information
     model = build_model("linear", OUTPUTS, AXES)
     stated = Setting(model, orientation_sd=0.1, sd=np.full(3, 0.3), size=size)
     (M,) = inform(stated.rows(np.array([[1.0, 0.0, 0.0]])))
@@ -232,6 +236,7 @@ def test_efficiencies_of_uneven_faces_by_hand():
     A: 1 + 2 + 4 + 4 against 1 + 9; I, with 1 and 1/3 as weights: 1 + 10/3 against 1 + 3; G: four
     parameters over the largest 1 + 2 x² + 4 y² + 4 z², which is 5.
     """
+    # eq. (1) of designs.assessment
     (entry,) = mp.schemes("faces-6+roll-z-2", reading_sd=0.002)["schemes"]
     assert entry["log_det"] == pytest.approx(3 * math.log(1 / 32), abs=1e-9)
     assert entry["d_efficiency"] == pytest.approx((27 / 32) ** 0.25, abs=1e-9)
@@ -382,6 +387,7 @@ def test_fourteen_runs_of_a_quadratic_in_three_factors():
 
 @pytest.mark.parametrize("exhaustive", [True, False])
 def test_eight_runs_of_least_average_variance(exhaustive, monkeypatch):
+    # eq. (1) of designs.criteria
     # skpr: 1 + a + b + a² + b² on the 3² grid, moments of the square; 167/360
     if not exhaustive:
         monkeypatch.setattr("multipos.designs.exchange._ALL", 0)
@@ -396,6 +402,7 @@ def test_eight_runs_of_least_average_variance(exhaustive, monkeypatch):
 
 
 def test_exchange_meets_every_choice_there_is(monkeypatch):
+    # eq. (1) of designs.exchange
     asked = setting("linear", orientation_sd=30.0)
     rows = asked.rows(read_bench("faces-corners-14"))
     criterion = make_criterion("A", asked)
@@ -534,6 +541,7 @@ def readings(scheme, rng, sd=0.001):
 
 
 def test_worth_is_what_a_calibration_with_the_position_states():
+    # eq. (1) of designs.prospects
     rng = np.random.default_rng(8)
     table = readings("faces-corners-14", rng)
     cal = with_known_noise(mp.fit(table, model="own-quadratic", reading_sd=0.001))

@@ -30,6 +30,7 @@ def told(c, code):
 @pytest.mark.parametrize("off_deg", [0.0, 0.02, 0.5])
 def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, stated):
     """Against eq. (2) in one dense matrix, by a search without slopes."""
+    # eqs. (1), (2), (3) of diagnostics.noise_causes
     c = mp.fit(readings("fibonacci-24", 3, off_deg=off_deg), model="own-quadratic")
     e = c.residuals.ravel()
     f, H = c.reference, c.model.force_jacobian(c.parameters, c.reference, {})

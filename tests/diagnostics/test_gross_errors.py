@@ -229,6 +229,7 @@ def test_the_step_of_a_converter(values, step):
 
 
 def test_the_linear_view_is_least_squares():
+    # eq. (1) of diagnostics.linear_view
     up = mp.read_scheme("all-26").up
     values = sense(up)
     view = look(mp.fit(mp.Readings(values, up=up), model="ieee"))

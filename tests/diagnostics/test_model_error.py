@@ -38,6 +38,7 @@ def codes(c):
 
 def test_at_known_positions_it_is_the_f_test_of_nested_models():
     """Δ and R of the score test are those of two fits, one with the term."""
+    # eq. (1) of diagnostics.score_tests
     data = readings("fibonacci-24", "own^3", 1, size=1e-4)
     c = mp.fit(data)
     tests = {test.term: test for test in c.diagnostics.model_tests}

@@ -45,6 +45,7 @@ def test_soaks_are_levels_or_stays_in_order():
 
 
 def test_a_zero_of_each_soak_is_named_with_its_size():
+    # eq. (1) of diagnostics.model_error
     c = mp.fit(over_temperature(1, zero=5e-4), model=MODEL)
     assert found(c) == ["zero-per-soak"]
     test, sizes = judge_soaks(c)
@@ -93,6 +94,8 @@ def test_soaks_and_hysteresis_by_hand():
 
     Falling less rising is −2 mg at both levels.
     """
+    # eqs. (2), (3) of sensor.temperature
+    # eq. (2) of diagnostics.model_error
     warm = np.array([20.0, 40.0, 60.0, 40.0, 20.0])
     zero = np.array([1.0, 1.0, 0.0, -1.0, -1.0]) * 1e-3
     up = np.tile(read_scheme("faces-6").up, (5, 1))

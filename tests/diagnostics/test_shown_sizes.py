@@ -16,6 +16,7 @@ def fitted(scheme, model="linear", cubic=0.0, **options):
 
 
 def test_sizes_are_those_of_a_fit_with_the_term():
+    # eq. (3) of diagnostics.projections
     found = shown_sizes(fitted("fibonacci-24", cubic=2e-3))
     wider = fitted("fibonacci-24", "1 + x + y + z + own^3", cubic=2e-3)
     of_term = [i for i, (_, term) in enumerate(wider.model.keys) if term.force_degree == 3]

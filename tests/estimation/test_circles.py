@@ -104,6 +104,7 @@ def test_the_truth_is_found_without_noise(session, gauge, convention):
 
 
 def test_all_angles_as_unknowns_of_one_search_give_the_same():
+    # eq. (1) of estimation.circles
     rng = np.random.default_rng(8)
     up, said = pointer(rng)
     noise = SD * rng.standard_normal((24, 3))
@@ -139,6 +140,7 @@ def test_all_angles_as_unknowns_of_one_search_give_the_same():
 
 
 def test_an_angle_that_is_free_is_eliminated_as_by_a_wide_prior():
+    # eq. (2) of estimation.circles
     rng = np.random.default_rng(4)
     A = rng.standard_normal((6, 3, 3))
     precision = A @ A.transpose(0, 2, 1)

@@ -5,13 +5,20 @@ import pytest
 from scipy import special
 
 import multipos as mp
-from multipos.estimation.stated_uncertainty import shrink_variances, shrunk
+from multipos.estimation.stated_uncertainty import (
+    StatedNoise,
+    combined_dof,
+    combined_jointly,
+    shrink_variances,
+    shrunk,
+)
 from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 
 UP = mp.read_scheme("faces-6").up
 
 
 def test_digamma_and_trigamma_of_known_numbers():
+    # eqs. (1), (2) of numerics.quantiles
     x = np.array([0.5, 1.0, 2.0, 30.0, 1e4, 1e-3])
     np.testing.assert_allclose(digamma(x), special.digamma(x), rtol=1e-10)
     np.testing.assert_allclose(trigamma(x), special.polygamma(1, x), rtol=1e-10)
@@ -39,7 +46,7 @@ def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
     found = shrink_variances(readings(u, 8.0)).u
     assert (np.diff(found, axis=0) > 0.0).all()
     assert np.abs(np.log(found / u)).max() < np.log(2.0)  # of a range of 1e4
-    # eqs. (1) and (2) with SciPy's functions
+    # by SciPy's functions: eqs. (1), (2) of estimation.stated_uncertainty
     e = np.log(u[:, 0] ** 2) - special.digamma(4.0) + np.log(4.0)
     excess = e.var(ddof=1) - special.polygamma(1, 4.0)
     prior = 2.0 * float(inverse_trigamma(excess))
@@ -87,3 +94,27 @@ def test_degrees_of_freedom_in_a_file(tmp_path):
     path.write_text(path.read_text().replace(",5,6,7\n", ",5,6,0\n", 1))
     with pytest.raises(mp.MultiposError, match=r"column 'dof_az'.*is not above 0"):
         mp.read_readings(path)
+
+
+def test_degrees_of_freedom_of_noise_half_of_which_is_stated_by_hand():
+    """Variances 1 and 3 on 2 and 9, and as much again unstated, w = 1/2, on 8.
+
+    ν_c = 4²/(1/2 + 9/9) = 32/3, 1/ν' = 1/8 + (1/4)/(32/3) = 19/128.
+    """
+    # eq. (3) of estimation.stated_uncertainty
+    variance, stated_dof = np.array([[[1.0], [3.0]]]), np.array([[[2.0], [9.0]]])
+    found = combined_dof(np.array([[8.0]]), variance, stated_dof, np.array([[2.0]]))
+    np.testing.assert_allclose(found, 128 / 19, rtol=1e-12)
+    noise = StatedNoise(np.sqrt(variance), stated_dof, np.array([True]))
+    found = combined_jointly(np.array([8.0]), noise, np.array([2.0]))
+    np.testing.assert_allclose(found, 128 / 19, rtol=1e-12)
+
+
+def test_rests_of_few_degrees_of_freedom_are_weighed_by_their_samples():
+    """N u² is 1, 2, 4, 8, 16, 32: its lower quartile is the second of six."""
+    # eq. (1a) of estimation.stated_uncertainty
+    samples = np.array([4.0, 1.0, 2.0, 16.0, 5.0, 8.0])
+    u = np.sqrt(np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]) / samples)[:, None] * np.ones(3)
+    known = mp.Readings(UP, up=UP, u=u, dof=np.full(u.shape, 5.0), samples=samples)
+    found = shrink_variances(known).u
+    np.testing.assert_allclose(found, np.sqrt(2.0 / samples)[:, None] * np.ones(3), rtol=1e-12)

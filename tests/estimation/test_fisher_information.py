@@ -69,6 +69,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_told_is_what_dense_matrices_tell(case):
+    # eq. (1) of estimation.fisher_information
     problem, found = a_solution(**CASES[case])
     assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
     told = information_at(problem, found.state, found.point)

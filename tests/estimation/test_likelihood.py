@@ -76,6 +76,7 @@ def test_fast_derivatives_are_those_of_casadi(text, gauge):
 @pytest.mark.parametrize("gauge", [None, "lower", "symmetric"])
 def test_casadi_expression_meets_complex_step(gauge):
     """The two independent derivatives of the forward equation, where no modulus is in it."""
+    # eqs. (1), (2), (3) of estimation.likelihood
     model = a_model("ieee", gauge)
     rng = np.random.default_rng(2)
     force, theta = rng.standard_normal(3), rng.standard_normal(len(model.keys))
@@ -212,6 +213,7 @@ def test_elimination_keeps_its_digits_where_placement_is_all():
 @pytest.mark.parametrize("full", [False, True], ids=["variances", "covariances"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_elimination_is_the_dense_normal_equations(kind, full):
+    # eq. (1) of estimation.descent
     problem, state = a_problem(kind, full=full)
     point = evaluate(problem, state)
     normal = linearise(problem, state, point)
@@ -232,6 +234,7 @@ def test_elimination_is_the_dense_normal_equations(kind, full):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_reduced_weight_inverts_the_marginal_covariance(kind):
+    # eq. (5) of estimation.likelihood
     problem, state = a_problem(kind)
     normal = linearise(problem, state, evaluate(problem, state))
     J, finite = normal.jacobian, np.isfinite(problem.orientation_sd)
@@ -250,6 +253,7 @@ def test_reduced_weight_inverts_the_marginal_covariance(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gradient_is_that_of_the_objective(kind, robust):
     """Where the steps are at their own optimum the reduced gradient is the whole one."""
+    # eqs. (4), (6) of estimation.likelihood
     problem, state = a_problem(kind, robust=robust)
     for _ in range(30):  # of the steps alone
         point = evaluate(problem, state)
@@ -304,6 +308,7 @@ def test_a_false_end_is_not_called_convergence():
 @pytest.mark.parametrize("gauge", ["lower", "symmetric"])
 @pytest.mark.parametrize("text", ["linear", "own-cubic", "ieee-odd"])
 def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, robust):
+    # eq. (1) of estimation.unknown_orientations
     rng = np.random.default_rng(6)
     n = 60
     model = a_model(text, gauge)

@@ -102,6 +102,7 @@ def by_definition(linear, tau2, factor):
 @pytest.mark.parametrize("kind", [*KINDS, "rolls, uncertain"])
 def test_posterior_is_its_definition(kind, both, unequal):
     """Up to a constant; the prior is taken out again, as Jeffreys' by its own formula."""
+    # eqs. (1), (3), (4) of estimation.orientation_variance
     problem, optimum = a_solution(kind, unequal=unequal)
     linear = Dense(problem, optimum)
     n, m = linear.error.shape

@@ -424,6 +424,7 @@ def test_bias_of_second_order_by_hand():
 
     Of x the others sum to 0.0055² + 0.012² = 1.7425e-4, half of that times k = 2 is 1.7425e-4.
     """
+    # eq. (1) of estimation.uncertain
     model = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
     k, theta = np.array([2.0, 4.0, 5.0]), np.zeros(12)
     theta[list(model.own_scales)] = k
@@ -651,6 +652,7 @@ def test_robust_noise_makes_the_median_misfit_normal():
 
 def test_huber_factor_by_hand():
     """Eq. (1): q = 1, 1, 1, 4 count as 1, 1, 1 and 1.345²; ψ' is 1, 1, 1, 0 with variance 3/16."""
+    # eq. (1) of estimation.robustness
     problem = SimpleNamespace(weight=np.ones(4), degrees=np.ones(4), robust="huber")
     optimum = SimpleNamespace(point=SimpleNamespace(q=np.array([1.0, 1.0, 1.0, 4.0])))
     K = 1 + 2 / 4 * (3 / 16) / (3 / 4) ** 2  # four positions, of which two parameters use up two

@@ -85,6 +85,7 @@ def dense(values, up, floor, belief):
 @pytest.mark.parametrize("equal", [True, False])
 def test_posterior_by_quadrature(claim, equal):
     """All three outputs share a scatter; 48 nodes of the trapezoidal rule leave 1e-3 of U."""
+    # eqs. (1), (2) of estimation.excess_variance
     rng = np.random.default_rng(4)
     up = sphere(12)
     u = np.full((12, 3), SD) if equal else SD * rng.uniform(0.5, 2.0, (12, 3))
@@ -118,6 +119,7 @@ def test_correlated_readings_are_turned_to_where_they_are_not():
 
 
 def test_without_a_floor_it_is_student_s_t():
+    # eq. (3) of estimation.excess_variance
     rng = np.random.default_rng(1)
     for n in (6, 12, 24):
         values = sphere(n) + SD * rng.standard_normal((n, 3))
@@ -153,6 +155,7 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst, monk
     So the coverage is that of the normal law at U, averaged over residuals: 300 of them know it
     to half a percent. One output alone has two degrees of freedom at six positions.
     """
+    # eq. (1) of estimation.posteriors
     monkeypatch.setattr(
         fit_readings, "examine", lambda c: c
     )  # findings take long and change no number

@@ -327,6 +327,7 @@ def test_rows_of_the_fit_may_have_gaps():
 
 def test_causal_rate_by_hand():
     """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
+    # eq. (2) of regression.observations
     rate = causal_rate([0.0, 1.0, 2.0], [0.0, 2.0, 2.0], window=4.0)
     # second: ahead 1 + 0, followed .5, rate .5 + (.5 − .5)/2
     assert rate.tolist() == [0.0, 0.5, 0.5]

@@ -66,8 +66,8 @@ def test_c_tells_the_angles_of_apply(tmp_path, outputs, model, convention, optio
     exported = mp.export(cal, "c", tilt=True, **options)
     size = np.array([0.99, 1.0, 1.0 + 0.5 * beyond_vertical(cal)[0], 1.2])
     sign = -1.0 if convention == "gravity" else 1.0
-    beyond = 2.5 + sign * MATRIX[0, 0] * size
-    raw = np.vstack([cal.readings.values, np.full((4, outputs), 2.5)])
+    beyond = 2.5 + sign * MATRIX[0, 0] * np.append(size, -size)  # upright and upside down
+    raw = np.vstack([cal.readings.values, np.full((8, outputs), 2.5)])
     raw[48:, 0] = beyond
     if options.get("float"):
         raw = raw.astype(np.float32).astype(float)
@@ -81,6 +81,20 @@ def test_c_tells_the_angles_of_apply(tmp_path, outputs, model, convention, optio
     kept = ~np.isnan(should)
     sines = [np.sin(np.radians(angles[kept])) for angles in (found, should)]
     assert_allclose(sines[0], sines[1], rtol=0, atol=tolerance)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
+@pytest.mark.parametrize("off", ["0.01", "-0.01"])
+def test_the_self_test_sees_an_angle_that_is_off_either_way(tmp_path, off):
+    exported = mp.export(calibrated(2, "linear", "specific-force"), "c", tilt=True)
+    exported.save(tmp_path / "cal.c")
+    text = exported.text.replace("seen0 ? ", f"seen0 ? {off} + ")
+    (tmp_path / "cal.c").write_text(text)
+    program, sources = str(tmp_path / "t"), [str(tmp_path / "cal.c"), str(tmp_path / "cal_test.c")]
+    subprocess.run(["cc", "-std=c99", *sources, "-lm", "-o", program], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "axis 1" in done.stdout
 
 
 def test_how_far_beyond_one_g_still_counts_is_one_number_an_axis():

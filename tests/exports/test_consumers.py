@@ -96,6 +96,7 @@ def test_no_such_accelerometer(target, options, says):
 
 
 def test_px4_with_temperature_by_its_law(tmp_path):
+    # eq. (2) of exports.laws
     cal, readings = warmed(np.diag(np.diag(K)))
     exported = mp.export(cal, "px4", device_id=1310988)
     assert texts(exported) == ()  # nothing is lost
@@ -115,6 +116,7 @@ def test_px4_with_temperature_by_its_law(tmp_path):
 
 
 def test_ardupilot_with_temperature_by_its_law(tmp_path):
+    # eq. (1) of exports.target_ardupilot
     cal, readings = warmed(np.diag(np.diag(K)))
     exported = mp.export(cal, "ardupilot", device_id=7, instance=3)
     found = pairs(exported.text)
@@ -247,6 +249,7 @@ def kalibr_matrices(text):
 
 @pytest.mark.parametrize("mounted", ["as it is", "quarter turn", "mirrored"])
 def test_kalibr_has_a_lower_triangle_and_a_rotation_beside_it(mounted, tmp_path):
+    # eq. (1) of exports.target_kalibr
     # raw = K a with K = M C: M M' = K K', of which Cholesky's factor is M but for a common sign
     turn = {"quarter turn": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "mirrored": -np.eye(3)}
     response = K @ np.array(turn.get(mounted, np.eye(3)))

@@ -138,6 +138,7 @@ def run_c(compiler, cal, exported, rows, folder):
 @pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
 @pytest.mark.parametrize("case", SENSORS)
 def test_compiled_c_agrees_with_python(case, single, compiler, tmp_path):
+    # eq. (1) of exports.c_body
     cal = made(*SENSORS[case])
     rows = random_readings(cal).astype(np.float32 if single else np.float64)
     exported = export(cal, "c", name="imu", float=single)
@@ -262,6 +263,7 @@ def parameters(text):
 
 
 def test_ros_imu_calib_by_its_law():
+    # eq. (1) of exports.laws
     readings, _ = session()
     cal = mp.fit(readings)
     text = export(cal, "ros-imu-calib").text

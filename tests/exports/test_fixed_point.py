@@ -45,6 +45,7 @@ def test_every_corner_of_the_range_is_within_what_the_comment_says(model, unit, 
 @needs_compiler
 @pytest.mark.parametrize(("model", "unit", "scale"), CASES)
 def test_c_and_python_are_the_same_to_the_bit(model, unit, scale, tmp_path):
+    # eq. (1) of exports.c_fixed
     cal = calibration(model, unit, scale)
     path = tmp_path / "imu.c"
     mp.export(cal, to="c", fixed=True, name="imu").save(path)
@@ -61,6 +62,7 @@ def test_c_and_python_are_the_same_to_the_bit(model, unit, scale, tmp_path):
 
 def test_no_reading_overflows():
     """The sums of eq. (1) in integers without a bound, for the largest readings there are."""
+    # eq. (2) of exports.c_fixed
     for model, unit, scale in CASES:
         fixed = find_fixed_point(calibration(model, unit, scale))
         for row, c in zip(fixed.linear.tolist(), fixed.constant.tolist(), strict=True):

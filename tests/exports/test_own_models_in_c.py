@@ -53,6 +53,7 @@ def test_c_does_what_python_does(make, how, single, tmp_path):
 
 
 def test_the_inverse_of_more_outputs_than_axes_is_the_least_squares_one():
+    # eq. (2) of exports.c_expression
     cal = diagonals()
     assert_allclose(cal.compensate(cal.predict(UP)), UP, rtol=0, atol=1e-12)
 

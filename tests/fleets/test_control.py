@@ -18,6 +18,7 @@ PRINTED = [
 
 
 def test_individual_limits_are_those_of_the_handbook():
+    # eq. (1) of fleets.pictures
     found = individual_limits(np.array(FLOW))
     assert found.centre == pytest.approx(50.81, abs=1e-10)
     # printed with d2 rounded to 1.128: 55.8041 and 45.8159
@@ -26,6 +27,7 @@ def test_individual_limits_are_those_of_the_handbook():
 
 
 def test_the_ewma_is_that_of_the_handbook():
+    # eq. (2) of fleets.pictures
     found = ewma(np.array(VALUES), 50.0, 0.3)
     # two decimals are printed, carried on from rounded values
     np.testing.assert_allclose(found, PRINTED, atol=0.0101)

@@ -36,6 +36,7 @@ def turned_nest(scheme, sd_deg, seed):
 
 @pytest.mark.parametrize("convention", ["specific-force", "gravity"])
 def test_positions_are_listed_where_they_are_with_their_uncertainty(convention):
+    # eqs. (3), (4) of fleets.stations
     up, turned, true = turned_nest("fibonacci-24", 0.2, 4)
     table = line(200, turned=turned[None], noise=2e-4)
     if convention == "gravity":

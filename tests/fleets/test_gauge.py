@@ -9,6 +9,7 @@ from fleet_bench import line
 import multipos as mp
 from multipos.fleets.fleet_text import fleet_text
 from multipos.fleets.gauge import (
+    MeanSquare,
     analyse_variance,
     coefficients,
     describe_gauge,
@@ -67,6 +68,7 @@ def sds(found):
 
 
 def test_the_study_of_the_msa_manual():
+    # eq. (1) of fleets.gauge
     found = describe_gauge(msa())
     lines = {each["source"]: each for each in found["anova"]}
     # its analysis of variance, as printed
@@ -118,6 +120,7 @@ def restricted(values, variances):
 
 @pytest.mark.parametrize("seed", range(12))
 def test_what_is_pooled_is_the_maximum_of_the_restricted_likelihood(seed):
+    # eq. (2) of fleets.gauge
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(seed)
@@ -260,3 +263,13 @@ def test_a_table_without_labels_has_no_repeats():
     table["unit"] = np.repeat(np.arange(20) // 4, 14)
     del table["position"]
     assert mp.fleet(table, unit_column="unit", station_column="station")["gauge"] is None
+
+
+def test_interval_of_a_difference_by_hand():
+    """Eq. (3) of 20 on 5 less 2 on 10 with χ² of tables: 0.831 and 12.833, 3.247 and 20.483."""
+    # eq. (3) of fleets.gauge
+    found = {"a": MeanSquare(100.0, 5.0), "b": MeanSquare(20.0, 10.0)}
+    low = 18.0 - np.hypot((1 - 5 / 12.833) * 20, (10 / 3.247 - 1) * 2)
+    high = 18.0 + np.hypot((5 / 0.831 - 1) * 20, (1 - 10 / 20.483) * 2)
+    interval = interval_of({"a": 1.0, "b": -1.0}, found, 0.95)
+    assert interval == pytest.approx((low, high), rel=1e-3)

@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 from fleet_bench import line
+from numpy.testing import assert_allclose
+from scipy import stats
 
 import multipos as mp
-from multipos.fleets.line import discoveries, find_step, normal_scores
+from multipos.fleets.line import (
+    _concentrated,
+    _squared,
+    _tail,
+    discoveries,
+    find_step,
+    normal_scores,
+)
 from multipos.fleets.stations import station_effects
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
@@ -13,6 +22,7 @@ APART = {"unit_column": "unit", "station_column": "station"}
 
 
 def test_level_and_shift_have_the_sign_and_size_of_the_truth():
+    # eqs. (1), (2) of fleets.stations
     level = np.radians([[0.5, 0.0, -0.2], [-0.1, 0.3, 0.0], [0.0, 0.0, 0.4]])
     shift = np.array([[0.02, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.03]])
     table = line(300, stations=3, level=level, shift=shift, lot=1e-3, noise=1e-4)
@@ -37,6 +47,7 @@ def test_one_station_tells_neither_level_nor_shift():
 
 
 def test_angles_of_a_nest_but_for_the_common_rotation():
+    # eq. (1) of fleets.fixtures
     rng = np.random.default_rng(4)
     up = mp.read_scheme("fibonacci-24").up
     turned = np.radians(0.2) * rng.standard_normal((1, 24, 3))
@@ -101,6 +112,7 @@ def test_a_step_is_found_where_it_was():
 
 @pytest.mark.parametrize("n", [30, 300])
 def test_without_a_step_its_chance_is_no_smaller_than_it_says(n):
+    # eqs. (1), (2) of fleets.line
     rng = np.random.default_rng(11)
     runs = 1000
     alarms = sum(find_step(normal_scores(rng.normal(size=n)))[1] < 0.05 for _ in range(runs))
@@ -129,6 +141,26 @@ def test_units_that_do_not_belong():
     assert set(named) >= {f"U{unit:04d}" for unit in odd}
     assert len(named) <= 5  # at most one in a hundred is named by chance, in expectation
     assert found[0]["parameters"][0]["name"] == "bias_az"
+
+
+def test_how_far_a_unit_is_by_hand():
+    """T² of 40 units, two numbers each, on F(2, 38); against SciPy's and by simulation."""
+    # eq. (3) of fleets.line
+    rng = np.random.default_rng(5)
+    covariance = np.array([[4.0, 1.2], [1.2, 1.0]])
+    theta = rng.multivariate_normal([0.0, 0.0], covariance, 4000)
+    found = _squared(theta, _concentrated(theta))
+    by_hand = np.einsum("np,pq,nq->n", theta, np.linalg.inv(covariance), theta)
+    assert_allclose(found, by_hand, rtol=0.15)
+    tail = stats.f.sf(5.0 * 38 / (2 * 39), 2, 38)
+    assert_allclose(_tail(np.array([5.0]), 40, 2), tail, rtol=1e-12)
+    # of normal units with the covariance of the sample, as often as it says: binomial at 1e-3
+    drawn = rng.standard_normal((4000, 12, 2))
+    left = drawn - drawn.mean(axis=1, keepdims=True)
+    inverse = np.linalg.inv(np.swapaxes(left, 1, 2) @ left / 11)
+    new = rng.standard_normal((4000, 2))
+    squares = np.einsum("np,npq,nq->n", new, inverse, new)
+    assert abs(np.mean(_tail(squares, 12, 2) < 0.05) - 0.05) < 0.0115
 
 
 def test_false_discoveries_are_as_rare_as_they_say():

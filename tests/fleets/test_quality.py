@@ -18,6 +18,7 @@ def test_the_interval_of_a_yield_is_that_of_the_beta_laws():
 
 
 def test_capability_is_that_of_the_handbook():
+    # eq. (1) of fleets.quality
     # NIST/SEMATECH e-Handbook, 6.1.6: USL 20, LSL 8, mean 16, sd 2: Cpk .6667
     x = np.array([-1.0, 1.0])
     stretched = 16.0 + 2.0 * x / x.std(ddof=1)
@@ -26,6 +27,7 @@ def test_capability_is_that_of_the_handbook():
 
 
 def test_the_interval_is_bissells():
+    # eq. (2) of fleets.quality
     rng = np.random.default_rng(3)
     x = rng.normal(size=50)
     spread = spread_of(x, None, np.zeros(50, dtype=int))
@@ -66,6 +68,7 @@ def test_intervals_of_capability_cover(which):
 
 
 def test_risks_are_those_of_a_simulation():
+    # eq. (3) of fleets.quality
     rng = np.random.default_rng(6)
     true = 0.3 + rng.normal(size=400_000)
     u = 0.4

@@ -62,6 +62,7 @@ def session(rng, noise, corner, count=12, n=N):
 
 def test_shapes_and_growths_against_their_spectra():
     """Cosines and contrasts of flicker noise as integrals over 1/f, of a walk by hand."""
+    # eq. (2) of logs.common_noise
 
     def power(f, k):  # of cos πkt over 0 … 1
         away = np.array([f - k / 2.0, f + k / 2.0])

@@ -37,6 +37,7 @@ def flicker(rng, rows, n=N):
 
 
 def test_degrees_of_freedom_by_the_delta_method():
+    # eq. (2) of logs.rest_means
     rng = np.random.default_rng(7)
     z = remembering(rng, 1, 50.0, 400)
     z -= z.mean()

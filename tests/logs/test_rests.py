@@ -110,6 +110,7 @@ def test_a_threshold_of_the_user_is_used():
 
 def test_standard_deviation_of_a_window_by_hand():
     """Sixteen steps of one scatter by 16 · 255/12 = 340, means of pairs by 2²·8·63/12 = 168."""
+    # eqs. (1), (2) of logs.rests
     ramp = np.arange(18.0) + 1e6  # blocks of two: two windows, the second a block later
     means, sd = Windows(2).feed(np.array([0.1 * ramp, ramp]))
     np.testing.assert_allclose(means[1], [1e6 + 7.5, 1e6 + 9.5], rtol=1e-14)
@@ -338,6 +339,7 @@ def test_spectral_density_of_a_short_series_by_hand():
     So b u² is (1 − r²)/(1 − r)² = (1 + r)/(1 − r) = 23/9 before the last factor, n_eff = 16 · 9/23,
     and 1 − m/n_eff = 1 − 23 m/144.
     """
+    # eq. (1) of logs.rest_means
     assert zero_density(WAVE, 0) == pytest.approx(23 / 9, rel=1e-12)
     assert zero_density(WAVE, 1) == pytest.approx(23 / 9 / (121 / 144), rel=1e-12)
     assert zero_density(WAVE, 2) == pytest.approx(23 / 9 / (98 / 144), rel=1e-12)

@@ -1,22 +1,22 @@
 """Change lines on purpose and see whether the tests of their subject notice.
 
 `python -m tests.mutation [ROOM …] --samples N --seed S` draws changes evenly over the rooms that
-compute. Which tests reach a line is measured once by room (coverage with contexts); of a change the
-tests that reach it are run until one fails. Printed are the changes that no test noticed, and the
-caught of each room. A change that takes longer than three minutes counts as caught: it hangs.
+compute and tries them in turn, a room after the other, so that one may stop at any time (Ctrl-C)
+and have as many of each. Printed are the changes that no test noticed, and the caught of each room.
 """
 
 import argparse
-import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from tests.mutation.changes import Change, changes_of
+from tests.mutation.trying import Reached, is_noticed, tests_that_reach
 
 ROOMS = (
     "numerics",
@@ -33,8 +33,6 @@ ROOMS = (
     "bias_stability",
     "compensation",
 )
-_LONGEST = 180.0  # seconds of one change
-_TESTS = 40  # that reach a line, of which more would only take longer
 
 
 def main() -> int:
@@ -44,19 +42,24 @@ def main() -> int:
     parser.add_argument("--samples", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    rooms = arguments.rooms or list(ROOMS)
-    drawn = draw(rooms, arguments.samples, arguments.seed)
+    drawn = draw(arguments.rooms or ROOMS, arguments.samples, arguments.seed)
+    tried: Counter[str] = Counter()
+    caught: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "project"
         shutil.copytree(".", root, ignore=shutil.ignore_patterns(".*", "_build", "__pycache__"))
-        print("room, changed, caught")
-        for room in rooms:
-            if drawn[room]:
-                survivors = _try_all(root, room, drawn[room])
-                print(
-                    f"{room}, {len(drawn[room])}, {len(drawn[room]) - len(survivors)}", flush=True
-                )
-                print("".join(f"  survived: {each}\n" for each in survivors), end="", flush=True)
+        try:
+            for room, change, noticed in _try_all(root, drawn):
+                tried[room] += 1
+                caught[room] += noticed
+                if not noticed:
+                    print(f"survived: {change}", flush=True)
+        except KeyboardInterrupt:
+            pass
+    print("room, changed, caught")
+    for room in drawn:
+        print(f"{room}, {tried[room]}, {caught[room]}")
+    print(f"all, {tried.total()}, {caught.total()}")
     return 0
 
 
@@ -72,64 +75,15 @@ def draw(rooms: Sequence[str], samples: int, seed: int) -> dict[str, list[Change
     return drawn
 
 
-def _try_all(root: Path, room: str, changes: Sequence[Change]) -> list[Change]:
-    """Return the changes of a room that its tests do not notice."""
-    from coverage import CoverageData
-
-    tests = _tests_of(root, room)
-    _pytest(root, "--cov-map", tests)
-    data = CoverageData(str(root / ".coverage"))
-    data.read()
-    survivors = []
-    for change in changes:
-        reached = data.contexts_by_lineno(str(root / change.path)).get(change.line, [])
-        names = sorted(filter(None, reached))[:_TESTS]
-        kept = (root / change.path).read_bytes()
-        change.apply(root)
-        try:
-            if not names or _pytest(root, "-x", [_as_argument(root, name) for name in names]) == 0:
-                survivors.append(change)
-        finally:
-            (root / change.path).write_bytes(kept)
-    return survivors
-
-
-def _tests_of(root: Path, room: str) -> list[str]:
-    folder = root / "tests" / room
-    return [str(folder)] if folder.is_dir() else [str(root / "tests" / "test_fitting.py")]
-
-
-def _as_argument(root: Path, name: str) -> str:
-    """Return the test whose dotted name coverage gives, as pytest takes it, of all its cases."""
-    module, _, function = name.rpartition(".")
-    parts = module.split(".")
-    if (root / "tests" / Path(*parts)).with_suffix(".py").exists():
-        parts = ["tests", *parts]
-    return f"{root / Path(*parts)}.py::{function}"
-
-
-def _pytest(root: Path, mode: str, tests: Sequence[str]) -> int:
-    """Return the status of pytest in a copy of the project; of one that hangs, a failure."""
-    environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m"]
-    if mode == "--cov-map":
-        setting = root / ".coveragerc"
-        setting.write_text("[run]\ndynamic_context = test_function\nsource = multipos\n")
-        command += ["coverage", "run", f"--rcfile={setting}", "-m", "pytest", "-q"]
-    else:
-        command += ["pytest", "-q", mode]
-    try:
-        found = subprocess.run(
-            [*command, "-p", "no:cacheprovider", *dict.fromkeys(tests)],
-            cwd=root,
-            env=environment,
-            capture_output=True,
-            timeout=_LONGEST if mode == "-x" else None,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return 1
-    return found.returncode
+def _try_all(root: Path, drawn: dict[str, list[Change]]) -> Iterator[tuple[str, Change, bool]]:
+    """Yield each change with its room and whether the tests of the room notice it."""
+    reached: dict[str, Reached] = {}
+    for changes in zip_longest(*drawn.values()):
+        for room, change in zip(drawn, changes, strict=True):
+            if change is not None:
+                if room not in reached:
+                    reached[room] = tests_that_reach(root, room)
+                yield room, change, is_noticed(root, change, reached[room])
 
 
 if __name__ == "__main__":

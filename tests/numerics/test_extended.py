@@ -62,6 +62,7 @@ def test_residuals_survive_cancellation(monkeypatch, block, n, p, k, weighted):
 @pytest.mark.parametrize("block", [1, 16, 1 << 15])
 @pytest.mark.parametrize(("n", "p", "k"), [(2, 1, 1), (7, 3, 1), (24, 5, 2), (53, 4, 3)])
 def test_cross_residuals_survive_cancellation(monkeypatch, block, n, p, k):
+    # eq. (2) of estimation.known
     monkeypatch.setattr(factoring, "_BLOCK", block)
     rng = np.random.default_rng(n + p + k)
     X, r = rng.standard_normal((n, p)), rng.standard_normal((n, k))

@@ -127,6 +127,7 @@ def test_an_unknown_function_is_refused_by_name():
 
 
 def test_what_is_odd_and_its_degree():
+    # eq. (1) of numerics.terms
     odd = {str(f): (f.is_odd, f.degree) for f in (Factor("x", 3), Factor("x", 1, "modulus"))}
     assert odd == {"x^3": (True, 3), "x*|x|": (True, 2)}
     assert math.isclose(_mean_product(*parse_terms("x^2 + |x|")), 0.25)  # of |x|^3

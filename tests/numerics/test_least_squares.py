@@ -85,6 +85,7 @@ def test_coefficients_are_those_of_the_doubles_given(data):
 
 @pytest.mark.parametrize("data", [nist.FILIP, nist.LONGLEY, nist.WAMPLER5], ids=str)
 def test_refinement_beats_plain_qr(data):
+    # eq. (3) of numerics.least_squares
     X, y = data.design, data.response
     exact = [float(v) for v in exact_least_squares(fractions(X), fractions(y))[0]]
     plain = []
@@ -109,6 +110,7 @@ FULL = np.diag(np.arange(2.0, 12.0)) + 0.5 * np.eye(10, k=1) + 0.5 * np.eye(10, 
 @pytest.mark.parametrize("p", [3, 5, 8])  # conditions 2e2, 5e4 and 2e9
 @pytest.mark.parametrize("covariance", [None, VARIANCES, FULL], ids=["unit", "variances", "full"])
 def test_coefficients_and_cofactor_against_exact_arithmetic(p, covariance):
+    # eqs. (1), (2) of numerics.least_squares
     n = 10
     X = hilbert(n, p)
     y = np.array([1.0, -2.0, 3.0, 0.5, -1.0, 2.0, -4.0, 1.5, 0.25, 7.0])

@@ -69,6 +69,7 @@ def test_far_misfits_grow_as_their_modulus(name):
     ],
 )
 def test_losses_and_weights_by_hand(name, rho, weight):
+    # eqs. (1), (2), (3) of numerics.losses
     q, degrees = np.array([12.0]), np.array([3.0])
     assert loss(name, q, degrees) == pytest.approx([rho], rel=1e-12)
     assert loss_weight(name, q, degrees) == pytest.approx([weight], rel=1e-12)

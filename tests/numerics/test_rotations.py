@@ -39,6 +39,7 @@ def test_basis_is_orthonormal_and_right_handed():
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1.1e-4, 0.3, 2.0, 3.1])
 def test_step_goes_along_a_great_circle(size):
+    # eq. (1) of numerics.rotations
     u = directions()
     step = np.random.default_rng(1).standard_normal((len(u), 2))
     step *= size / np.linalg.norm(step, axis=1)[:, None]
@@ -50,6 +51,7 @@ def test_step_goes_along_a_great_circle(size):
 
 @pytest.mark.parametrize("size", [0.0, 1e-5, 0.99e-4, 1.01e-4, 0.3, 2.0, 3.1])
 def test_step_derivative_by_finite_differences(size):
+    # eq. (2) of numerics.rotations
     u = directions()
     basis = tangent_basis(u)
     step = np.random.default_rng(2).standard_normal((len(u), 2))
@@ -91,6 +93,7 @@ def test_half_a_turn_keeps_its_axis():
 
 @pytest.mark.parametrize("vector", VECTORS[:4], ids=str)
 def test_left_jacobian_by_finite_differences(vector):
+    # eq. (3) of numerics.rotations
     found = left_jacobian(vector)
     turned = rotation_matrix(vector)
     for i in range(3):

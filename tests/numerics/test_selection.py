@@ -39,6 +39,7 @@ def rss_of(X, y, columns):
 
 @pytest.mark.parametrize(("enter", "remove"), [(0.06, 0.10), (0.10, 0.15), (0.15, 0.20)])
 def test_hald_path_with_every_f(enter, remove):
+    # eq. (2) of numerics.selection
     found = select_stepwise(HALD, NAMES, Thresholds(enter, remove), forced=[0])
     assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
     assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
@@ -134,6 +135,7 @@ def test_subsets_against_refits(seed, n, forced):
 
 @pytest.mark.parametrize("n", [3, 50, 2000, 20_000])
 def test_compressed_rows_are_all_rows(n):
+    # eq. (1) of numerics.selection
     rng = np.random.default_rng(n)
     X, y = rng.standard_normal((n, 6)), rng.standard_normal(n)
     whole = compress(X, y)

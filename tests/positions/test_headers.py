@@ -54,6 +54,7 @@ def test_another_unit_in_the_header_is_refused(calibration, tmp_path, capsys):
 
 
 def test_a_temperature_in_kelvin_is_read_in_celsius():
+    # eq. (1) of positions.headers
     celsius = np.linspace(10.0, 40.0, len(UP))
     model = "1 + x + y + z + temperature"
     cold = mp.fit(HEADED | LISTED | {"temperature (K)": celsius + 273.15}, model=model)

@@ -33,6 +33,7 @@ def test_the_default_order_hides_no_drift(name):
 
 
 def test_the_published_order_of_a_spiral_hides_it_whole():
+    # eq. (1) of positions.order
     assert absorbed(read_scheme("fibonacci-24").up, np.arange(24.0)) == pytest.approx(1.0)
 
 

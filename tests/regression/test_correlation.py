@@ -57,6 +57,7 @@ def test_independent_rows_give_the_heteroscedastic_sandwich():
 
 
 def test_clusters_against_the_definition():
+    # eq. (2) of regression.correlation
     rng = np.random.default_rng(3)
     X, e = rng.standard_normal((12, 2)), rng.standard_normal(12)
     cluster = np.repeat([5, 1, 9, 2], 3)
@@ -90,6 +91,7 @@ def test_rows_in_any_order_and_gaps():
 
 
 def test_bandwidth_is_andrews_rule():
+    # eq. (3) of regression.correlation
     # ρ = 1/2: α = 4/4/(1/4 · 9/4) = 16/9, 1.1447 (16000/9)^(1/3) = 13.87
     assert bandwidth(0.5, 1000) == 14
     # ρ = 0.2: α = 0.16/(0.64 · 1.44) = 0.1736, 1.1447 · 173.6^(1/3) = 6.39
@@ -122,6 +124,7 @@ def test_a_short_wave_by_hand():
 
 def test_hac_covariance_of_a_mean_by_hand():
     """Of sixteen rows of a constant: S over 16², times 16/15."""
+    # eq. (1) of regression.correlation
     order = time_order(np.arange(16.0))
     found = hac_covariance(np.ones((16, 1)), WAVE, np.array([[1 / 16]]), order)
     assert_allclose(found, LONG_RUN / 16**2 * 16 / 15, rtol=1e-12)
@@ -142,6 +145,7 @@ def test_hac_bandwidth_by_hand():
 
 def test_f_robust_by_hand():
     """Eq. (5): b = (2, 1) with variances 1 and 1/4, (4 + 4)/2 · (9 − 2 + 1)/9 = 32/9 on 2 and 8."""
+    # eq. (5) of regression.correlation
     terms, b = parse_terms("1 + t + v"), np.array([7.0, 2.0, 1.0])
     covariance = np.diag([100.0, 1.0, 0.25])
     F = (100.0, 2, 17)
@@ -167,6 +171,7 @@ def test_more_than_five_intervals_are_a_gap():
 
 def test_effective_size_of_a_known_process():
     """n (1 − ρ)/(1 + ρ) for a first-order process; ten runs of 5000 rows know it to some 10 %."""
+    # eq. (4) of regression.correlation
     rng = np.random.default_rng(5)
     order = time_order(np.arange(5000.0))
     for rho in (0.0, 0.5, 0.9):

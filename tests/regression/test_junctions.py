@@ -25,6 +25,7 @@ def test_a_jump_is_found():
 
 def test_u_of_a_jump_is_that_of_both_lines():
     """At x = 0 a line of forty points, steps h, middle 20 h away: s² (1/40 + 400 h²/Sxx)."""
+    # eq. (1) of regression.junctions
     r = mp.regress(table(0.0, 0.1), response="y", variables="x", segment="x:0", free=True)
     (junction,) = r.junctions
     h, n = 0.025, 40

@@ -175,6 +175,7 @@ def test_no_intercept_is_uncentred():
 
 def test_four_rows_by_hand():
     """x = 1 … 4 and y = 1, 3, 2, 4: slope 4/5, 5 · 0.8² = 3.2 explained, 1.8 left on 2."""
+    # eqs. (1), (2) of regression.segment
     columns = {"x": np.array([1.0, 2.0, 3.0, 4.0]), "y": np.array([1.0, 3.0, 2.0, 4.0])}
     segment = mp.regress(columns, response="y", variables="x").segments[0]
     slope = segment.coefficients[1]
@@ -244,6 +245,7 @@ def test_continuous_segments_meet(options):
 
 def test_continuous_fit_is_constrained_least_squares():
     """The same by Lagrange multipliers: two lines that meet at the edge."""
+    # eq. (3) of regression.segmentation
     columns = broken(n=80)
     t, y = columns["t"], columns["y"]
     low = t < 0
@@ -288,6 +290,7 @@ def test_branches_are_compared_by_hand():
     F = 144/(16/14) on 1 and 14. In time the ±1 agree with 11 of 15 neighbours, and 16 rows are
     worth as many as `test_correlation` says of the same series.
     """
+    # eq. (1) of regression.hysteresis
     wave = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
     rate = np.repeat([1.0, -1.0], 8)
     columns = {"t": np.arange(16.0), "t_rate": rate}
@@ -430,6 +433,7 @@ def test_result_survives_its_file(fitted):
 
 
 def test_apply_adds_predicted_and_corrected(fitted, capsys, tmp_path):
+    # eq. (1) of compensation.correction
     found, data, model = fitted
     out = tmp_path / "out.csv"
     status, text, _ = run(
@@ -688,6 +692,7 @@ def test_as_many_terms_as_rows_is_a_finding():
 
 def test_u_of_a_stated_noise_by_hand():
     """A mean of n rows with s², and a stated noise: Welch and Satterthwaite, JCGM 100 G.4.1."""
+    # eq. (1) of regression.prediction
     y = np.array([1.0, 2.0, 4.0, 5.0])  # mean 3, s² = 10/3 on 3 degrees of freedom
     table = {"x": np.array([0.0, 1.0, 2.0, 3.0]), "y": y}
     fitted = mp.regress(table, response="y", variables="x", terms="1")

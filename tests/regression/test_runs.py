@@ -19,6 +19,7 @@ TWO = {
 
 
 def test_the_constant_is_the_mean_of_the_zeros_by_hand():
+    # eqs. (1), (2) of regression.robust
     r = mp.regress(TWO, response="y", variables="x", run="run")
     (segment,) = r.segments
     a, b = segment.coefficients

@@ -34,6 +34,7 @@ def test_no_edge_is_found_in_noise():
 
 
 def test_dynamic_programming_is_exhaustive_search():
+    # eq. (1) of regression.segmentation
     rng = np.random.default_rng(3)
     t = np.arange(24.0)
     y = np.where(t < 7, 0.0, 2.0) + np.where(t > 16, t - 16, 0.0) + rng.normal(0, 0.05, 24)
@@ -64,6 +65,7 @@ def test_an_edge_costs_its_coefficients_and_one_more(columns, gain):
     About two levels ±d the rows scatter by ±1: rss is 40 (1 + d²) in one piece and 40 in two. The
     second column explains nothing in either half.
     """
+    # eq. (2) of regression.segmentation
     t = np.repeat([0.0, 1.0], 20)
     X = np.column_stack((np.ones(40), np.tile([1.0, 1.0, -1.0, -1.0], 10)))[:, :columns]
     scatter = np.tile([1.0, -1.0], 20)
@@ -115,6 +117,7 @@ def test_rate_is_the_least_squares_slope_of_each_window():
 
 def test_rate_by_hand():
     """Rows within 1.5 of t = 2 are 1, 2, 3.5, with means 13/6 and 4: Σ tv = 21/6, Σ t² = 19/6."""
+    # eq. (1) of regression.observations
     rate = smoothed_rate([0.0, 1.0, 2.0, 3.5], [9.0, 2.0, 5.0, 5.0], window=3.0)
     assert rate[2] == pytest.approx(21 / 19, rel=1e-12)
     assert rate[3] == pytest.approx(0.0, abs=1e-12)  # 2 and 3.5

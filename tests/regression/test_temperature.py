@@ -120,6 +120,7 @@ def test_compensates_at_any_temperature():
 
 
 def test_curves_are_sums_of_parameters():
+    # eq. (1) of sensor.temperature
     cal = mp.fit(readings(1), model=FORMULA, unit="g")
     t = np.array([-30.0, 0.0, 45.0])
     curves = {curve.name: curve for curve in mp.over_temperature(cal, t)}

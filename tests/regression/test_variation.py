@@ -102,6 +102,7 @@ def test_nothing_wrong_inside_the_region_in_thermal_balance(seed, free):
 
 def test_a_term_varies_by_its_share_of_the_table():
     """Two columns about a mean: parts of 1.1e-2 and .9e-2 of their sd over the table."""
+    # eq. (1) of regression.variation
     table = np.tile([1.0, -1.0], 50)
     columns = {"a": table, "T": np.linspace(250.0, 350.0, 100)}
     (a, square) = term_variances(parse_terms("1 + a + T^2"), columns)[1:]
@@ -115,6 +116,7 @@ def test_a_term_varies_by_its_share_of_the_table():
 
 def test_coefficients_that_cancel_by_hand():
     """On x = 9 … 11: 100 (x − 10)² has a range of 100; 5,000 x² less the same line 2 · 5,000."""
+    # eq. (2) of regression.variation
     columns = {"x": np.linspace(9.0, 11.0, 21)}
     terms = parse_terms("1 + x + x^2")
     square = np.array([100.0, -20.0, 1.0])
@@ -126,6 +128,7 @@ def test_coefficients_that_cancel_by_hand():
 
 def test_region_is_the_leverage_of_least_squares():
     """Free segments by their own hat matrix, joined ones by that of the constrained fit."""
+    # eq. (1) of regression.region
     rng = np.random.default_rng(3)
     t, v = rng.uniform(-40.0, 60.0, 80), rng.standard_normal(80)
     columns = {"t": t, "v": v, "y": 0.1 + 0.02 * t + 0.5 * v + rng.normal(0.0, 0.01, 80)}

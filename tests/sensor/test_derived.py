@@ -27,6 +27,7 @@ def values(found):
 
 
 def test_a_turned_ideal_triad():
+    # eqs. (1), (3) of sensor.derived
     rho_deg = np.array([1.5, -2.0, 0.7])
     # readings see the case's force in sensor axes, so the rows of M are those axes
     axes = Rotation.from_rotvec(rho_deg, degrees=True).as_matrix().T
@@ -40,6 +41,7 @@ def test_a_turned_ideal_triad():
 
 
 def test_angles_and_leans_by_hand():
+    # eqs. (2), (4) of sensor.derived
     half = np.sqrt(0.5)
     built, parameters = linear([0, 0, 0], [[1, 0, 0], [half, half, 0], [0, 0, 2]])
     zero = np.zeros((12, 12))

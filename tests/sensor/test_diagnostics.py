@@ -107,6 +107,7 @@ def test_limit_of_an_outlier_by_hand(r, named):
 
     r² = ν t²/(ν − 1 + t²) = 6 · 47.18/52.18, so r = 2.3292; the sum of squares is 6, so s = 1.
     """
+    # eq. (1) of sensor.fit_diagnostics
     residuals = np.full((10, 1), math.sqrt((6.0 - 0.6 * r**2) / 9))
     residuals[4] = -r * math.sqrt(0.6)  # of leverage 0.4
     found = find_outliers(residuals, np.full((10, 1), 0.4), [6.0], ["a"], list("0123456789"), **ONE)

@@ -55,6 +55,7 @@ def test_a_formula_means_what_it_says(formula, expected):
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0.1, 3))
 def test_formulas_agree_with_python(a, b, c):
+    # eq. (1) of sensor.formulas
     found = value("a*own - b/(c + x^2) + c^1.5*(a - b)^3", a=a, b=b, c=c)
     expected = a * 0.3 - b / (c + 0.3**2) + c**1.5 * (a - b) ** 3
     assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
@@ -118,6 +119,7 @@ def test_each_output_has_what_it_uses_and_shares_what_is_common():
 
 
 def test_derivatives_are_those_of_the_complex_step():
+    # eq. (1) of sensor.compiled
     model = build("each = b + s*sin(k*own)/(1 + q*y^2)")
     theta, force = np.array([0.1, 0.9, 1.3, 0.2]), np.array([[0.4, -0.7, 0.6]])
     _, ((_, slopes),) = model.respond(theta, force, {})

@@ -41,6 +41,7 @@ def forces(built, rng, count=20):
 @settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_forward_then_inverse_is_identity(model, kind, seed):
+    # eq. (1) of sensor.inverse
     rng = np.random.default_rng(seed)
     built, parameters = sensor(model, kind, rng)
     f = forces(built, rng)
@@ -116,6 +117,7 @@ def test_the_parameter_jacobian_against_finite_differences(kind):
 
 @pytest.mark.parametrize("kind", ["triad", "pair", "one"])
 def test_the_uncertainty_of_a_force_against_monte_carlo(kind):
+    # eq. (2) of sensor.inverse
     rng = np.random.default_rng(6)
     built, parameters = sensor("own-quadratic", kind, rng)
     root = 1e-4 * rng.standard_normal((len(parameters), len(parameters)))

@@ -210,6 +210,7 @@ component = st.floats(-2, 2).filter(lambda v: abs(v) > 1e-3)  # |v| has no deriv
 
 @given(st.tuples(component, component, component), component)
 def test_terms_against_their_arithmetic_and_finite_differences(force, temperature):
+    # eq. (1) of sensor.model
     model = build(EVERYTHING, ("a",), ("x",))
     x, y, z = force
     f = np.array([force])

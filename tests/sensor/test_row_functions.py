@@ -35,6 +35,7 @@ def both_ways(expressions, symbols, force, columns, parameters):
 
 @pytest.mark.parametrize("name", [*_UNARY, *_BINARY])
 def test_every_operation_and_its_slope_are_those_of_casadi(name):
+    # eq. (3) of sensor.compiled
     force, columns, unknown = (casadi.SX.sym(s, k) for s, k in (("f", 3), ("e", 1), ("p", 2)))
     operation = getattr(casadi, f"OP_{name.upper()}")
     pairs = [(force[0], force[1]), (columns, unknown[0]), (unknown[0], unknown[1])]

@@ -32,6 +32,7 @@ def test_the_noise_is_as_asked():
 
 
 def test_the_orientation_error_is_per_axis():
+    # eq. (1) of sensor.simulation
     cal = sensor(bias=0.0, cross=0.0)
     up = mp.read_scheme("fibonacci-3000").up
     found = mp.simulate(cal, "fibonacci-3000", order="paper", orientation_sd=0.5, seed=2)
@@ -59,6 +60,7 @@ def test_convention_and_gravity_are_the_calibrations():
 
 
 def test_a_log_rests_and_remembers():
+    # eq. (2) of sensor.simulation
     cal = sensor()
     log = mp.simulate_log(
         cal,

@@ -48,6 +48,7 @@ def test_p_values_by_another_route():
 
     Two readings are questioned, of different rows and outputs.
     """
+    # eqs. (3), (4), (5) of sensor.fit_diagnostics
     rng = np.random.default_rng(3)
     X = design_of(14)
     noise = np.resize([3.0, 1.0], 14)[:, None] * rng.standard_normal((14, 3))

@@ -48,6 +48,7 @@ def readings(scheme="icosahedron-12", sd=1e-3, seed=1, quad=0.0, **more):
     ids=["unknown", "uncertain", "symmetric gauge"],
 )
 def test_gain_of_the_likelihood_against_the_whole_estimator(options, tolerance):
+    # eq. (2) of estimation.gains
     scheme = None if "unknown_orientation" in options else "fibonacci-24"
     data = readings("fibonacci-24", sd=2e-4)
     options = {"scheme": scheme, "reading_sd": 2e-4, **options}
@@ -338,6 +339,7 @@ def test_aicc_by_hand():
 
 
 def test_influence_against_leaving_positions_out():
+    # eqs. (1), (2) of diagnostics.criticism
     scheme = read_scheme("faces-corners-14")
     data = readings("faces-corners-14")
     c = mp.fit(data, scheme="faces-corners-14")

@@ -60,6 +60,7 @@ def pattern(rotation):
     ],
 )
 def test_two_residuals_of_which_one_shows_the_cause_by_hand(e, size, variance, left):
+    # eq. (5) of uncertainty.sensitivities
     residuals, shown = np.array(e)[:, None], np.array([size, 0.0])[:, None, None]
     found = sensitivities._settle(
         residuals,
@@ -75,6 +76,7 @@ def test_two_residuals_of_which_one_shows_the_cause_by_hand(e, size, variance, l
 
 def test_variance_is_that_of_the_restricted_likelihood():
     """Of one output: the minimum of ln det K'VK + e'K(K'VK)⁻¹K'e, K across the design."""
+    # eqs. (3), (4) of uncertainty.sensitivities
     from scipy.optimize import minimize_scalar
 
     rotation, level, noise = attitudes(9, 1), 0.03, 3e-4

@@ -86,6 +86,7 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
 
 def test_a_roll_the_other_way_tells_the_circle():
     """Without noise: what was put in comes out, but for the product of two small angles."""
+    # eqs. (3), (4) of uncertainty.turntable
     found = mp.tumble(bench(sd=1e-9))
     errors = {(e.plane, e.quantity): e for e in found.table_errors.errors}
     names = ("first_cos", "first_sin", "second_cos", "second_sin")

@@ -73,6 +73,7 @@ def impedance(v):
 
 
 def test_gum_h2_simultaneous_resistance_and_reactance():
+    # eq. (1) of uncertainty.propagation
     data = np.array([VOLTS, MILLIAMPERES, PHASE])
     covariance = np.cov(data) / 5.0
     value, C = propagate(impedance, data.mean(axis=1), covariance)

@@ -48,6 +48,7 @@ def rolls(t, sd=1e-6, seed=0, shift=0.0):
 
 
 def test_two_rolls_of_a_pair_tell_every_quantity_of_the_linear_model():
+    # eq. (1) of uncertainty.turntable
     cal = mp.fit(rolls(stood(T)), scheme="dual-axis-48", unit="V")
     found = mp.table_errors(cal)
     assert len(found.errors) == 10
@@ -132,6 +133,7 @@ def test_uncertainty_of_a_table_error_by_hand():
 
 
 def test_stated_bench_puts_the_drift_into_u():
+    # eq. (1) of uncertainty.stated_bench
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
     known = mp.state_bench(cal, reading_sd=1e-5, zero_drift=3e-4)
     again = mp.fit(known, unit="V")
@@ -142,6 +144,7 @@ def test_stated_bench_puts_the_drift_into_u():
 
 def test_stated_table_moves_readings_as_its_angles_do():
     """By hand: on the roll about y, dU/dt = M (−sin t, 0, cos t)."""
+    # eq. (2) of uncertainty.turntable
     cal = mp.fit(rolls(T, sd=1e-6), scheme="dual-axis-48", unit="V")
     sd, noise = 1e-3, 1e-6
     slope = np.column_stack([-np.sin(T), 0 * T, np.cos(T)]) @ MATRIX.T

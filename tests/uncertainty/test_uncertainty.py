@@ -74,6 +74,7 @@ def true_forces(c, name, size, component):
 @pytest.mark.parametrize("closed_form", [False, True])
 @pytest.mark.parametrize("convention", ["specific-force", "gravity"])
 def test_gain_is_how_the_estimator_follows_each_reading(closed_form, convention):
+    # eq. (1) of estimation.gains
     c = calibrate("song-qin-6", noise=1e-3, closed_form=closed_form, convention=convention)
     gain = estimator_gain(c)
     assert_allclose(gain @ c.readings.values.ravel(), c.parameters, atol=1e-14)
@@ -116,6 +117,7 @@ def test_gain_of_weighted_fits(kind):
 @pytest.mark.parametrize("convention", ["specific-force", "gravity"])
 def test_sensitivities_against_the_whole_estimator(name, components, step, convention):
     """Readings of a world where the quantity is off, calibrated as if it were not."""
+    # eqs. (1), (2) of uncertainty.sensitivities
     tables = {"gravity": {"value": GRAVITY, "u": 1e-5}, "level": {"u_deg": 1.0}}
     if convention == "specific-force":
         tables["index"] = {"u_deg": 1.0}
@@ -206,6 +208,7 @@ def test_each_contribution_by_hand():
 )
 def test_sizes_of_a_budget_by_hand(size, u):
     """JCGM 100, 4.3.3, 4.3.7 and 4.3.9; the variance of an arcsine law of half-width a is a²/2."""
+    # eq. (1) of uncertainty.budgets
     assert read_budget({"gain": size}).quantities["gain"].u == pytest.approx(u, rel=1e-15)
 
 
@@ -263,6 +266,7 @@ def test_index_error_has_the_stated_size_at_a_random_angle():
 
 def test_gum_g4_1_by_hand():
     """JCGM 100, G.4.1, example: relative u 0.25, 0.57, 0.82 % on 9, 4, 14 give ν_eff = 19."""
+    # eq. (2) of uncertainty.propagation
     nu = float(welch_satterthwaite([0.25, 0.57, 0.82], [9, 4, 14]))
     assert round(nu, 1) == 19.0
     assert math.sqrt(0.25**2 + 0.57**2 + 0.82**2) == pytest.approx(1.03, abs=0.005)
@@ -369,6 +373,7 @@ def test_an_unseen_third_order_term_grows_beyond_what_was_applied():
 
 def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
     """At 2 g 6 κ is added to u, known for certain: ν = 2 ((u² + 36 κ²)/u²)²."""
+    # eq. (2) of uncertainty.validity
     up = read_scheme("faces-6").up
     values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
     how = {"scheme": "faces-6", "model": "linear"}

@@ -34,6 +34,7 @@ def known_noise():
 
 def test_statistic_of_known_noise_by_the_dense_covariance_of_compensated_force():
     """A second route: errors e of force, their whole covariance built and inverted."""
+    # eqs. (1), (2) of verification.agreement
     cal = known_noise()
     found = mp.check(cal, run(1), reading_sd=SD)
     inverse = np.linalg.inv(cal.sensitivity)

@@ -34,6 +34,7 @@ def calibration():
 
 
 def test_triad_before_and_after(calibration):
+    # eq. (1) of verification.checks
     columns, scheme = triad(seed=1)
     found = mp.check(calibration, columns, scheme=scheme, limit_g=0.002)
     raw = np.column_stack(list(columns.values()))
@@ -47,6 +48,7 @@ def test_triad_before_and_after(calibration):
 
 
 def test_nominal_conversion(calibration):
+    # eq. (3) of verification.verdicts
     columns, scheme = triad(seed=1)
     found = mp.check(calibration, columns, scheme=scheme, nominal=(0.5, 2.0))
     assert_allclose(found.before[:, 0], (columns["ax"] - 0.5) / 2.0 - FACES[:, 0])
@@ -88,6 +90,7 @@ def test_coverage_factor_of_a_sum_by_hand():
 )
 def test_verdicts_by_hand(error, U, verdict):
     """Eq. (1) of the verdicts at L = 1; what has no answer fails."""
+    # eqs. (1), (2) of verification.verdicts
     counted = np.array([[True, False]])
     found = judge_errors(np.array([[error, error]]), np.array([[U, U]]), 1.0, counted)
     assert found.tolist() == [[verdict, ""]]

@@ -40,6 +40,7 @@ def combined(found):
 
 def test_sessions_that_differ_by_far_more_than_their_noise_by_hand():
     """The mean, and Student's t of all three zeros together on 3 (R − 1) degrees of freedom."""
+    # eq. (2) of verification.combining
     found = sessions(1, 4, reading_sd=SD)
     values = np.array([c.parameters for c in found])
     one = combined(found)

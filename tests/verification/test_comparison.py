@@ -113,6 +113,7 @@ def test_f_by_hand_for_unequal_degrees_of_freedom():
     8 · 0.01² = 8e-4 on 6. So s² = 24e-4/8 = 3e-4, and either parameter differs by 0.02 with the
     variance (1/4 + 1/8) s²: Q = 4e-4/1.125e-4 = 32/9.
     """
+    # eqs. (1), (2) of verification.consistency
     side = np.array([1.0, 1.0, -1.0, -1.0])
     first = side + 0.02 * np.array([1, -1, 1, -1])
     second = np.tile(0.02 + 1.02 * side, 2) + 0.01 * np.tile([1, -1], 4)

@@ -76,6 +76,7 @@ def test_compensation_is_the_inverse_matrix():
 @pytest.mark.parametrize("third", [0.0, 0.02])
 def test_tilt_of_a_sensor_at_rest(third):
     """With the third component in the model, |f| = 1 gives it; the inclinometer stands upright."""
+    # eq. (2) of sensor.tilt
     bench = make_bench(np.random.default_rng(3), third=third)
     inputs = "x,y,z" if third else "x,y"
     cal = mp.fit(calibration_run(bench, np.random.default_rng(4), **QUIET), inputs=inputs)
@@ -120,6 +121,7 @@ def test_tilt_beyond_the_vertical_is_empty_and_flagged(tmp_path, capsys):
 )
 def test_unseen_component_by_hand(rest, variance):
     """Eq. (4) of a pair whose x feels a tenth of z, c = (0.1, 0), with noise of 1e-3 alone."""
+    # eq. (4) of sensor.tilt
     up = read_scheme("all-26").up
     matrix = np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]])
     cal = with_known_noise(mp.fit(mp.Readings(up @ matrix.T, up=up), reading_sd=1e-9))
@@ -131,6 +133,7 @@ def test_unseen_component_by_hand(rest, variance):
 
 def test_interval_of_the_arcsine_by_hand():
     """Eq. (3) at g = 2: f/g = 0.5 ± 0.1, on the longer side asin 0.6 − 30°; at 90° asin 0.9."""
+    # eq. (3) of sensor.tilt
     found = np.degrees(axis_tilt_interval(np.array([1.0, -1.0, 2.0]), 2.0, np.full(3, 0.2)))
     assert_allclose(found, [6.869898, 6.869898, 25.841933], rtol=0, atol=1e-6)
     tilt = axis_tilt(np.array([1.0, 2.1, 2.3, -2.1]), 2.0, -1.0, 0.2)
@@ -143,6 +146,7 @@ def test_tilt_of_a_triad_by_hand():
     Of f = (0.6, 0, 0.8) g the tilt of x moves by (0.8, 0, −0.6)/g, that of y by (0, 1, 0)/g,
     and z against x.
     """
+    # eq. (1) of sensor.tilt
     tilt = triad_tilt(np.array([[3.0, 4.0, 12.0], [3.0, 4.0, 12.0]]) * [[1.0], [-2.0]], 1.0)
     assert_allclose(tilt[0], np.arcsin(np.array([3, 4, 12]) / 13), rtol=1e-12)
     assert_allclose(tilt[1], -tilt[0], rtol=1e-12)

@@ -35,6 +35,7 @@ def files(tmp_path):
 
 
 def test_a_change_and_its_en_are_those_of_the_values_and_their_u(files):
+    # eq. (1) of verification.recalibration
     found = mp.compare(*files(calibration("2024-01-01"), calibration("2026-01-01", 0.0101, 2)))
     first, last = found.calibrations
     for each in found.changes:
@@ -57,6 +58,7 @@ def test_gravity_that_both_share_is_not_in_u(files):
 
 def test_the_trend_is_that_of_the_thermometer_of_the_gum():
     """JCGM 100:2008, table H.6: slope 0.002 18 with u = 0.000 67 of eleven equal readings."""
+    # eq. (2) of verification.recalibration
     t = [21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511]
     b = [-171, -169, -166, -159, -164, -165, -156, -157, -159, -161, -160]
     values, U = np.array(b)[:, None] * 1e-3, np.full((11, 1), 1e-4)  # far below the scatter
@@ -84,6 +86,7 @@ def test_limits_on_changes_are_by_kind_and_in_units_of_the_field(files):
 
 
 def test_the_due_date_is_where_rate_and_u_reach_the_limit(files, tmp_path):
+    # eq. (3) of verification.recalibration
     paths = files(calibration("2024-01-01"), calibration("2026-01-01", 0.0106, 2))
     found = mp.compare(*paths, limits="bias_ax=2mg")
     each = found.changes[0]

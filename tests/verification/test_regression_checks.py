@@ -43,6 +43,7 @@ def files(tmp_path):
 
 
 def test_before_after_and_u_by_hand():
+    # eq. (1) of verification.regression_checks
     columns, later = chamber(1), chamber(2, 40)
     found = mp.check(fitted(), later, limit_g=0.01)
     assert_allclose(found.before[:, 0], later["error"])

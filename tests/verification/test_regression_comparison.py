@@ -26,6 +26,7 @@ def fitted(seed, **options):
 
 def test_welch_by_hand():
     """b = 1, 3 with u = 1, 1 on 10 dof: F = 2/1 = 2 on 1 and 3/(3·2·(1/4)/10) = 20."""
+    # eq. (1) of verification.regression_comparison
     F, p = welch(np.array([1.0, 3.0]), np.ones(2), np.full(2, 10.0))
     assert pytest.approx(2.0) == F
     assert p == pytest.approx(f_tail(2.0, 1, 20.0))

@@ -28,6 +28,7 @@ def roll_file(path, angles, values, axis="z"):
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_two_planes_of_24_return_all_nine_terms(axis):
+    # eq. (1) of verification.coefficients
     i = "xyz".index(axis)
     roles = [i, (i + 1) % 3, (i + 2) % 3]  # i, p, o, cyclic
     rolls = {"x": "roll-z-24+roll-y-24", "y": "roll-x-24+roll-z-24", "z": "roll-x-24+roll-y-24"}
@@ -39,6 +40,7 @@ def test_two_planes_of_24_return_all_nine_terms(axis):
 
 
 def test_fourier_identities_in_the_continuum():
+    # eqs. (1), (2) of positions.harmonics
     # 3600 points: c|c| has harmonics that fall as 1/order^3, so what folds back is below 1e-10
     found = tumble("tumble-3600")
     t = TRUTH
@@ -213,6 +215,7 @@ def test_customary_units():
 
 def test_ratios_to_k1_carry_the_covariance():
     """Gravity known badly moves every reading in common: K1 takes it, the bias in g as well."""
+    # eq. (2) of verification.coefficients
     options = {"gravity": 9.81, "gravity_u": 0.0981, "reading_sd": 1e-6}
     found = tumble("roll-z-24+roll-y-24", sd=1e-6, **options)
     assert_allclose(found["K1"].u / found["K1"].value, 0.01, rtol=1e-3)

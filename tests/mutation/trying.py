@@ -1,0 +1,185 @@
+"""Try one change: the tests that reach its line, the quickest first, in a process forked for it.
+
+Which tests reach a line is measured once by room. The parent has imported the large libraries but
+nothing of the project, so that a fork reads the changed file and little else. A test that fails
+without a change is left out, and a change that takes longer than three minutes hangs and is caught.
+"""
+
+import contextlib
+import importlib
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.mutation.changes import Change
+
+_LONGEST = 180.0  # seconds of one change
+_ENOUGH = 40.0  # seconds of tests for one change, as they took without it
+_LIBRARIES = (
+    "numpy",
+    "numpy.testing",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.special",
+    "scipy.stats",
+    "hypothesis",
+    "pytest",
+)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What the tests of a room reach.
+
+    Attributes
+    ----------
+    seconds : dict
+        Of each test that passes.
+    lines : dict
+        The tests that reach a line of a file.
+    """
+
+    seconds: dict[str, float]
+    lines: dict[str, dict[int, list[str]]]
+
+    def tests_of(self, change: Change) -> list[str]:
+        """Return the tests to try a change with: those of its line, then those of its file."""
+        file = self.lines.get(str(change.path), {})
+        rest = {name for names in file.values() for name in names}
+        chosen: list[str] = []
+        for names in (file.get(change.line, []), rest):
+            known = sorted(self.seconds.keys() & set(names), key=self.seconds.__getitem__)
+            chosen += [name for name in _each_function_first(known) if name not in set(chosen)]
+        left = _ENOUGH
+        return [name for name in chosen if (left := left - self.seconds[name]) > 0]
+
+
+def _each_function_first(names: Sequence[str]) -> list[str]:
+    """Return tests in order, but one case of each function before the others."""
+    seen: dict[str, int] = {}
+    rank = {}
+    for name in names:
+        function = name.partition("[")[0]
+        rank[name] = seen[function] = seen.get(function, -1) + 1
+    return sorted(names, key=lambda name: min(rank[name], 1))
+
+
+def tests_that_reach(root: Path, room: str) -> Reached:
+    """Run the tests of a room in a copy of the project and return what they reach."""
+    kept = root / f".reached-{room}"
+    _forked(root, lambda: _measure(root, room, kept), math.inf)
+    seconds, lines = json.loads(kept.read_text())
+    return Reached(
+        seconds, {path: {int(n): of for n, of in at.items()} for path, at in lines.items()}
+    )
+
+
+def is_noticed(root: Path, change: Change, reached: Reached) -> bool:
+    """Tell whether a test fails with a change."""
+    names = reached.tests_of(change)
+    if not names:
+        return False
+    file = root / change.path
+    kept = file.read_bytes()
+    change.apply(root)
+    try:
+        return _forked(root, lambda: _pytest(["-x", *names]), _LONGEST) != 0
+    finally:
+        file.write_bytes(kept)
+
+
+class _Recorder:
+    """A plugin that keeps the seconds of each test and names it to the measurement."""
+
+    def __init__(self, coverage: Any) -> None:
+        self.coverage = coverage
+        self.seconds: dict[str, float] = {}
+        self.failed: set[str] = set()
+
+    def pytest_runtest_protocol(self, item: Any) -> None:
+        self.coverage.switch_context(item.nodeid)
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        if not report.passed:
+            self.failed.add(report.nodeid)
+
+
+def _measure(root: Path, room: str, kept: Path) -> int:
+    from coverage import Coverage
+
+    coverage = Coverage(data_file=None, source=[str(root / "multipos" / room)])
+    recorder = _Recorder(coverage)
+    coverage.start()
+    status = _pytest([f"tests/{room}"], plugins=[recorder])
+    coverage.stop()
+    data = coverage.get_data()
+    lines = {
+        str(Path(path).relative_to(root)): data.contexts_by_lineno(path)
+        for path in data.measured_files()
+    }
+    passed = {name: s for name, s in recorder.seconds.items() if name not in recorder.failed}
+    kept.write_text(json.dumps([passed, lines]))
+    return status
+
+
+def _pytest(arguments: Sequence[str], plugins: Sequence[object] = ()) -> int:
+    import pytest
+
+    # Hypothesis is among the libraries that are imported before.
+    settings = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    return int(pytest.main([*settings, *arguments], plugins=list(plugins)))
+
+
+def _forked(root: Path, work: Callable[[], int], longest: float) -> int:
+    """Return the status of work in a fork that stands in a copy of the project."""
+    for name in _LIBRARIES:
+        importlib.import_module(name)
+    sys.stdout.flush()
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            _settle(root)
+            status = work()
+        finally:
+            os._exit(status)
+    return _waited(child, longest)
+
+
+def _settle(root: Path) -> None:
+    """Make the copy the project of this process and of those it starts, silent, with one seed."""
+    os.setsid()
+    silent = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        os.dup2(silent, stream)
+    os.chdir(root)
+    elsewhere = {*os.environ.get("PYTHONPATH", "").split(os.pathsep)}
+    sys.path[:] = [str(root), *(path for path in sys.path[1:] if path not in elsewhere)]
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "multipos")]:
+        del sys.modules[name]
+    # Two versions of a file in one second look alike to a byte-code cache.
+    sys.dont_write_bytecode = True
+    os.environ.update(PYTHONPATH=str(root), PYTHONDONTWRITEBYTECODE="1", CI="1")
+
+
+def _waited(child: int, longest: float) -> int:
+    """Return the status of a process; of one that hangs, a failure."""
+    end = time.monotonic() + longest
+    while time.monotonic() < end:
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.02)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return 1
