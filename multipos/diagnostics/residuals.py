@@ -272,9 +272,6 @@ _EXCESS = "the likely cause is variation from rest to rest"
 
 def _cause(c: Calibration) -> tuple[str, str]:
     """Return the likely cause of noise beyond the stated one, and the action in this mode."""
-    missing = significant(c.diagnostics.model_tests)
-    if missing:
-        return f"the likely cause is a missing term, {missing[0].term}", _STATE
     if c.estimator.exact:
         return _cause_at_known(c)
     if c.robust_weight is None and judge_equality(c)[0] < _LEVEL:

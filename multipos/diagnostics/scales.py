@@ -147,7 +147,7 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
         return None  # the other convention, which the fit says by itself
     face = facing(sensitivity)
     words = "Mount it square, or fit with --unknown-orientation for results in sensor axes."
-    if face.least > CLEAR:
+    if face.least > _SLANTED:
         words = f"Confirm with --axes {face.text}."
     how = ", ".join(
         f"{output} senses {axis}"

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.sensor.found import Estimator
 
 UP = mp.read_scheme("fibonacci-24").up
 ZERO = np.array([0.012, -0.02, 0.007])
@@ -32,8 +33,12 @@ class Data:
     columns: dict[str, Any] = field(default_factory=dict)
     sensor: Callable[[np.ndarray], np.ndarray] = lambda f: ZERO + f @ K.T
     unit: str = "g"
+    table: dict[str, Any] = field(default_factory=dict)  # where orientations are not `up`
 
     def fit(self) -> mp.Calibration:
+        if self.table:
+            outputs = dict(zip(("ax", "ay", "az"), self.values.T, strict=True))
+            return mp.fit(self.table | outputs, outputs=list(outputs), **self.options)
         readings = mp.Readings(self.values, up=self.up, unit=self.unit, **self.columns)
         return mp.fit(readings, **self.options)
 
@@ -46,8 +51,8 @@ def error(cal, data, rng):
     """Return the rms error [g] of compensated force over fresh directions."""
     fresh = rng.standard_normal((400, 3))
     fresh /= np.linalg.norm(fresh, axis=1, keepdims=True)
-    force = cal.compensate(data.sensor(fresh))
-    if data.options.get("unknown_orientation"):  # in axes of the sensor: sizes alone compare
+    force = cal.sign * cal.compensate(data.sensor(fresh))
+    if cal.estimator is Estimator.UNKNOWN:  # in axes of the sensor: sizes alone compare
         return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - 1.0) ** 2)))
     return float(np.sqrt(np.mean((force - fresh) ** 2)))
 
@@ -129,6 +134,18 @@ def turned(rng):
         (sense(rng) * signs)[:, [1, 0, 2]],
         sensor=lambda f: ((ZERO + f @ K.T) * signs)[:, [1, 0, 2]],
     )
+
+
+ASLANT = np.array([[0.75**0.5, -0.5, 0.0], [0.5, 0.75**0.5, 0.0], [0.0, 0.0, 1.0]])  # 30° about z
+
+
+def aslant(rng):
+    return Data(sense(rng, UP @ ASLANT.T), sensor=lambda f: ZERO + f @ ASLANT.T @ K.T)
+
+
+def in_sensor_axes(data, finding):
+    assert "fit with --unknown-orientation" in finding.action
+    return replace(data, options={"unknown_orientation": True})
 
 
 def squared(rng):
@@ -242,13 +259,120 @@ def subtract(data, finding):
     return replace(data, columns={"environment": {"temperature": warm}})
 
 
+def state_convention(data, finding):
+    stated = option(finding, r"--convention (\S+?)\.")
+    return replace(data, options={**data.options, "convention": stated})
+
+
+def in_radians(rng):
+    roll, pitch = rng.uniform(-3.1, 3.1, 24), rng.uniform(-1.5, 1.5, 24)
+    up = np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+    return Data(sense(rng, up.T), table={"roll_deg": roll, "pitch_deg": pitch})
+
+
+def convert_angles(data, finding):
+    assert "Convert the angles to degrees" in finding.action
+    return replace(data, table={name: np.degrees(angle) for name, angle in data.table.items()})
+
+
+def exchanged(rng):
+    up = rng.permutation(mp.read_scheme("fibonacci-48").up)
+    values = sense(rng, up)
+    values[24:] += 0.01 + up[24:] @ (0.01 * rng.standard_normal((3, 3)))
+    return Data(values, up)
+
+
+def fit_those_before(data, finding):
+    row = int(option(finding, r"the rows before (\d+) and those from it on separately")) - 1
+    return replace(data, values=data.values[:row], up=data.up[:row])
+
+
+def filtered(rng):
+    up = rng.permutation(UP)
+    values = ZERO + up @ K.T
+    values[1:] = 0.98 * values[1:] + 0.02 * values[:-1]
+    return Data(values + NOISE * rng.standard_normal(up.shape), up)
+
+
+def wait(data, finding):
+    assert "Wait longer at each position" in finding.action
+    noise = NOISE * np.random.default_rng(len(finding.text)).standard_normal(data.up.shape)
+    return replace(data, values=data.sensor(data.up) + noise)
+
+
+def from_one_side(f):
+    return ZERO + 5e-4 + f @ K.T
+
+
+def from_both_sides(rng):
+    side = rng.permutation(np.repeat([-1.0, 1.0], 12))
+    values = from_one_side(UP) + 5e-4 * (side - 1.0)[:, None]
+    values += NOISE * rng.standard_normal(UP.shape)
+    table = dict(zip(("up_x", "up_y", "up_z"), UP.T, strict=True)) | {"approach": side}
+    return Data(values, table=table, sensor=from_one_side)
+
+
+def approach_from_one_side(data, finding):
+    assert "Approach all positions from one side" in finding.action
+    noise = NOISE * np.random.default_rng(len(finding.text)).standard_normal(UP.shape)
+    table = data.table | {"approach": np.ones(24)}
+    return replace(data, values=from_one_side(UP) + noise, table=table)
+
+
+def shaken(rng):
+    sd = (1e-3 + 0.03 * (rng.permutation(24) < 6))[:, None] * np.ones(3)
+    return Data(sense(rng) + sd**2, columns={"sd": sd})
+
+
+def leave_out_named(data, finding):
+    assert "--exclude" in finding.action
+    return replace(data, options={**data.options, "exclude": ",".join(finding.rows)})
+
+
+def on_a_tilted_table(rng):
+    turns = np.linalg.qr(rng.standard_normal((24, 3, 3)))[0]
+    turns *= np.linalg.det(turns)[:, None, None]
+    plumb = np.array([np.sin(np.radians(0.1)), 0.0, np.cos(np.radians(0.1))])
+    return Data(sense(rng, turns @ plumb), turns[:, :, 2], columns={"rotation": turns})
+
+
+def state_level(data, finding):
+    level = float(option(finding, r"--level-sd ([\d.]+?)\.$"))
+    return replace(data, options={**data.options, "level_sd": level})
+
+
+def on_a_dividing_head(rng):
+    angle = np.tile(np.arange(0.0, 360.0, 15.0), 2)
+    axis = np.repeat(["x", "y"], 24)
+    p, q = rng.uniform(0.0, 2.0 * np.pi, 2)
+    t = np.radians(angle)
+    t = t + np.radians(0.1) * (np.sin(t + p) + 0.5 * np.cos(2.0 * t + q))
+    zero, s, c = np.zeros(48), np.sin(t), np.cos(t)
+    up = np.where(axis == "x", [zero, c, s], [c, zero, s]).T
+    return Data(sense(rng, up), table={"roll_axis": axis, "angle_deg": angle})
+
+
+def state_table_error(data, finding):
+    off = float(option(finding, r"--orientation-sd ([\d.]+?)\.$"))
+    return replace(data, options={**data.options, "orientation_sd": off})
+
+
 CASES = {
+    "convention": (gravity_convention, state_convention),
+    "angles-in-radians": (in_radians, convert_angles),
+    "replaced": (exchanged, fit_those_before),
+    "settling": (filtered, wait),
+    "hysteresis": (from_both_sides, approach_from_one_side),
+    "vibration": (shaken, leave_out_named),
+    "level": (on_a_tilted_table, state_level),
+    "table": (on_a_dividing_head, state_table_error),
     "interchanged-rows": (interchanged, exchange),
     "flipped-row": (upside_down, reverse),
     "row-unit": (other_unit, convert),
     "unit": (in_metres, state_unit),
     "permuted-outputs": (swapped, state_axes),
     "turned": (turned, state_axes),
+    "turned by 30 degrees": (aslant, in_sensor_axes),
     "missing-term": (squared, state_model),
     "outlier": (blunder, exclude),
     "placement": (by_hand, estimate_orientations),
@@ -267,6 +391,7 @@ def follow(code, seed):
     """Return whether the finding came and went, and the errors before and after."""
     rng = np.random.default_rng(seed)
     made, advised = CASES[code]
+    code = code.partition(" ")[0]
     data = made(rng)
     before = data.fit()
     found = [each for each in before.findings if each.code == code]
