@@ -443,7 +443,9 @@ def estimate_tied_noise(
         optimum = resume(problem, optimum)
         if np.abs(variance / before - 1.0).max() <= _CONVERGED:
             break
-    return problem, optimum, NoiseEstimate(1.0, float(dof.sum() if m > 1 else dof[0])), dof
+    # of outputs that are told together each has all of them
+    together = dof.sum() if problem.exact.all() else dof[0]
+    return problem, optimum, NoiseEstimate(1.0, float(together)), dof
 
 
 def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Array) -> Solution:

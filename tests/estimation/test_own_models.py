@@ -7,6 +7,7 @@ import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
+from scipy.stats import t as student
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
@@ -145,6 +146,22 @@ def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
         s2 = float(np.sum((values - estimate * up[:, :1]) ** 2)) / (12.0 - w)
     assert_allclose(cal.parameters[0], estimate, rtol=1e-6)
     assert_allclose(cal.u[0], (12.0 / s2 + 1e4) ** -0.5, rtol=1e-4)
+
+
+def test_a_prior_of_unknown_orientations_leaves_their_degrees_of_freedom(tmp_path):
+    """One number a position: 20 − 6, and of each prior what readings tell, C/sd² (eq. (1))."""
+    # eq. (1) of estimation.noise
+    up = mp.read_scheme("fibonacci-20").up
+    values = 1.02 * up + 0.02 * np.random.default_rng(4).standard_normal(up.shape)
+    path = written(tmp_path, "s = {start = 1.0, sd = 0.01}", 'each = "b + s*own"')
+    cal = mp.fit(mp.Readings(values), model=path, unknown_orientation=True)
+    fractions = np.sum(np.diag(cal.covariance)[1::2]) / 0.01**2
+    assert 1.0 < fractions < 3.0
+    assert_allclose(cal.dof, 20 - 6 + fractions, rtol=1e-3)
+    assert_allclose(cal.k, student.ppf(0.975, cal.dof[0]), rtol=1e-6)
+    # a stated noise is judged by 20 readings and 3 priors less 6 parameters
+    stated = mp.fit(mp.Readings(values), model=path, unknown_orientation=True, reading_sd=0.005)
+    assert "on 17 dof" in " ".join(texts(stated))
 
 
 @pytest.mark.parametrize("sd", [0.003, 0.01, 0.03])

@@ -1,5 +1,8 @@
 """Known specific forces beside orientations: reading, fitting, and what follows from them."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from findings_bench import texts
@@ -7,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
 from multipos.errors import MultiposError
+from multipos.estimation.stated_uncertainty import add_reference_noise
 from multipos.positions.scheme import read_scheme
 
 G = 9.81
@@ -215,3 +219,38 @@ def test_a_scheme_of_forces_fits_and_simulates():
 
 def _columns(prefix, values):
     return {f"{prefix}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+
+
+@pytest.mark.parametrize("cross", [0.5, 0.02, 1e-3])
+def test_what_uncertain_forces_add_by_hand(cross):
+    """J = ((1, c), (c, 1)) moves both outputs by u_f = (1, 2) mg: 1 + 4 c², 5 c, c² + 4 mg².
+
+    Beside u = 1 mg they are correlated by 5 c/√10, which counts where it is above 1 %.
+    """
+    # eq. (4) of estimation.stated_uncertainty
+    force = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    readings = mp.Readings(
+        force[:, :2],
+        force=force,
+        outputs=("ax", "ay"),
+        u=np.full((3, 2), 1e-3),
+        reference_u=np.tile([1e-3, 2e-3, 0.0], (3, 1)),
+    )
+    slopes = np.tile([[1.0, cross, 0.0], [cross, 1.0, 0.0]], (3, 1, 1))
+    model = SimpleNamespace(force_jacobian=lambda *_: slopes)
+    solution = SimpleNamespace(
+        model=model, parameters=None, reference=force, residual_sd=np.array([1e-3, 1e-3])
+    )
+    found = add_reference_noise(readings, solution)
+    here = 1e-6 * np.array([[2 + 4 * cross**2, 5 * cross], [5 * cross, 5 + cross**2]])
+    if cross < 0.01:
+        assert found.covariance is None
+        assert_allclose(found.u, np.tile(np.sqrt(np.diag(here)), (3, 1)), rtol=1e-12)
+    else:
+        assert found.u is None
+        assert_allclose(found.covariance, np.kron(np.eye(3), here), rtol=1e-12, atol=1e-20)
+    # readings that state nothing have a noise far below the residuals, whose part is left to them
+    bare = add_reference_noise(replace(readings, u=None), solution)
+    none = here - 1e-6 * np.eye(2)
+    noise = np.diag(bare.covariance)[:2] if bare.u is None else bare.u[0] ** 2
+    assert_allclose(noise, np.diag(none), rtol=1e-4)
