@@ -9,7 +9,6 @@ Beside a stated noise these grow by Welch and Satterthwaite, (u/u_C)⁴ times.
 
 Where runs are distinguished (``regress --run``) the next one has a zero of its own, with the
 scatter of those that were seen: u and U are those of eq. (3) of `multipos.regression.robust`.
- (2)
 
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered, or where all together leave the region that these filled

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import log_bench
 import numpy as np
@@ -17,7 +18,7 @@ import multipos as mp
 from multipos.capturing.evaluation import read_targets, spread_targets
 from multipos.capturing.keeping import Kept
 from multipos.capturing.live_rests import LiveRests, LiveRows
-from multipos.capturing.poses import find_frame, refuse_repeat
+from multipos.capturing.poses import _score, _State, find_frame, refuse_repeat
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
@@ -602,3 +603,15 @@ def test_the_text_screen_shows_the_state(log):
     assert state_of(session)["parameters"] == state["parameters"]
     obey(session, "f\n")
     assert session.asked_to_finish
+
+
+def test_u_and_targets_of_a_direction_by_hand():
+    """N = diag(4, 16), c = 4 and 1, f = 0 and 1/16, ν = 5: U = 2.5706 (1, √(1/8))."""
+    # eqs. (2), (3) of capturing.poses
+    model = SimpleNamespace(names=("a", "b"))
+    parts = {"scale": np.array([4.0, 1.0]), "fixed": np.array([0.0, 1 / 16]), "dof": 5.0}
+    state = _State(SimpleNamespace(model=model), np.diag([4.0, 16.0]), **parts)
+    U = 2.5706 * np.array([1.0, np.sqrt(1 / 8)])  # t at 0.975 on 5, of any table
+    score = _score(state, None, {"a": 2.0, "b": 0.5})
+    assert_allclose(score, -np.log(np.sum((U / [2.0, 0.5]) ** 8)), rtol=1e-4)
+    assert_allclose(_score(state, None, {}), np.log(64.0), rtol=1e-12)

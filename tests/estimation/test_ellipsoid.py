@@ -16,6 +16,7 @@ from multipos.positions.scheme import read_scheme
 )
 @pytest.mark.parametrize("magnitude", [1.0, 0.9987])
 def test_exact_readings_give_bias_and_square_of_the_matrix(gain, offset, magnitude):
+    # eqs. (4), (5) of estimation.unknown_orientations
     up = read_scheme("fibonacci-24").up
     values = offset + gain * Sensor().read(magnitude * up)
     bias, found = ellipsoid_start(values, magnitude, crossed=True)

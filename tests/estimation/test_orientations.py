@@ -650,6 +650,19 @@ def test_robust_noise_makes_the_median_misfit_normal():
     assert "12.7 times the noise" in said[0]
 
 
+def test_a_stated_noise_beside_a_robust_loss_is_judged_by_hand():
+    """Huber's q w² is q up to c² = 3 · 1.345², and c² beyond; the reading set aside is left out."""
+    up = mp.read_scheme("fibonacci-20").up
+    values = 1.02 * up + 0.02 * np.random.default_rng(4).normal(size=up.shape)
+    values[3] += 0.1
+    options = {"orientation_sd": 1e-6, "reading_sd": 0.01, "robust": "huber"}
+    cal = mp.fit(mp.Readings(values, up=up), **options)
+    q = np.delete(np.sum(cal.residuals**2, axis=1) / 1e-4, 3)
+    by_hand = np.sum(np.minimum(q, 3 * 1.345**2))
+    assert cal.diagnostics.claim.chi2 == pytest.approx(by_hand, rel=1e-6)
+    assert cal.diagnostics.claim.dof == 3 * 19 - 12
+
+
 def test_huber_factor_by_hand():
     """Eq. (1): q = 1, 1, 1, 4 count as 1, 1, 1 and 1.345²; ψ' is 1, 1, 1, 0 with variance 3/16."""
     # eq. (1) of estimation.robustness

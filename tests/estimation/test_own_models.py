@@ -29,6 +29,7 @@ def readings(sd=1e-4, seed=1, force=UP, **columns):
 
 
 def test_the_fit_is_that_of_scipy():
+    # eq. (2) of estimation.user_models
     data = readings()
     cal = mp.fit(data, model=SATURATING)
     for i, output in enumerate(cal.outputs):
@@ -69,6 +70,7 @@ def test_a_polynomial_written_both_ways_is_one(formula, model, how):
 
 def test_a_cross_model_of_unknown_orientation_holds_what_a_rotation_leaves_free():
     """With all linear terms the three rotations are free, as in the lower gauge of `linear`."""
+    # eq. (4) of estimation.user_models
     generator = np.random.default_rng(5)
     matrix = np.eye(3) + 0.02 * generator.standard_normal((3, 3))
     values = UP @ matrix.T + 0.02 + 1e-5 * generator.standard_normal(UP.shape)
@@ -201,6 +203,19 @@ def test_bounds_hold_and_are_said(tmp_path):
     assert "`k_az` is at its bound, high = 0.04" in said
 
 
+def test_what_bounds_are_searched_as_by_hand(tmp_path):
+    """k in 0 … .04 as .02 (1 + sin t), s from .5 on as .5 − 1 + √(t² + 1)."""
+    # eq. (2) of sensor.expressions
+    stated = "k = {start = 0.01, low = 0, high = 0.04}\ns = {start = 1, low = 0.5}"
+    model = mp.fit(readings(), model=written(tmp_path, stated, SATURATING_FILE)).model
+    names = [name.partition("_")[0] for name in model.names]
+    t = np.array([{"k": np.pi / 6, "s": np.sqrt(3.0), "b": 7.0}[name] for name in names])
+    outer, slope = model.outward(t)
+    wanted = {"k": (0.03, 0.02 * np.sqrt(0.75)), "s": (1.5, np.sqrt(0.75)), "b": (7.0, 1.0)}
+    assert_allclose(np.column_stack([outer, slope]), [wanted[name] for name in names], rtol=1e-12)
+    assert_allclose(model.inward(outer), t, rtol=1e-9)
+
+
 SATURATING_FILE = 'each = "b + s*own/(1 + k*own^2)"'
 
 
@@ -294,6 +309,7 @@ def test_an_output_is_no_parameter():
 @pytest.mark.slow
 def test_a_bend_within_the_uncertainty_is_said():
     """By simulation: the mean of many estimates is off by what one of them states."""
+    # eq. (3) of estimation.user_models
     up = np.tile([[1.0, 0, 0], [0.6, 0.8, 0], [-0.6, 0.8, 0], [-1.0, 0, 0], [0, 0, 1.0]], (2, 1))
     own = up[:, 0]
     b, s, k = 0.0, 1.0, 1.5

@@ -6,6 +6,7 @@ from fleet_bench import line
 
 import multipos as mp
 from multipos.cli import main
+from multipos.fleets.stations import _beyond
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 
@@ -180,3 +181,14 @@ def test_levels_and_zeros_of_stations_are_one_test_at_one_percent():
     said = off(seed=1, level=level, shift=shift)
     assert "degrees about x" in said["S1"][0]
     assert said["S2"][0].startswith("zero of ay at station S2 is off by ")
+
+
+def test_what_is_off_leaves_the_mean_of_the_others_by_hand():
+    """3, 0, 0 about their mean are 2, −1, −1: without the first the others are 0.
+
+    k u = 1.5 names the first alone, .5 none but it, and 2.5 none.
+    """
+    # eq. (5) of fleets.stations
+    figures = [{"shift": {"ax": {"value": v, "u": 0.5}}, "level_deg": {}} for v in (2.0, -1, -1)]
+    for k, named in ((3.0, [1, 0, 0]), (1.0, [1, 0, 0]), (5.0, [0, 0, 0])):
+        assert [len(each) for each in _beyond(figures, k)] == named

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.finding import serious
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.fit_diagnostics import ModelTest
+from multipos.verification.consistency import judge_together
 
 SD = np.array([1e-3, 1e-2, 3e-3])  # the outputs differ
 
@@ -500,3 +503,19 @@ def test_what_makes_a_calibration_unfit_is_said_of_the_comparison(tmp_path):
     page = tmp_path / "compared.md"
     mp.report(told, page)
     assert "**Not fit for use: " in page.read_text("utf-8")
+
+
+def test_tests_of_several_outputs_are_combined_by_hand():
+    """F(2, ν) is exceeded with (1 + 2 F/ν)^(−ν/2): 2 on 4 and 3 on 2 with 1/4 each, X = 4 ln 4.
+
+    χ² on four degrees is above X with (1 + X/2) exp(−X/2).
+    """
+    # eq. (3) of verification.consistency
+    # eq. (6) of sensor.fit_diagnostics
+    chance = (1.0 + 2.0 * math.log(4.0)) / 16.0
+    words = SimpleNamespace(known="known", one="one", several="several")
+    found = judge_together([(4.0, 2.0, 4.0), (6.0, 2.0, 2.0)], words)
+    assert found == (pytest.approx(4.0 * math.log(4.0)), 4.0, pytest.approx(chance), "several")
+    test = ModelTest("own^2", ("ax", "ay"), (2.0, 3.0), ((2.0, 4.0), (2.0, 2.0)))
+    assert (test.statistic, test.p) == (pytest.approx(4.0 * math.log(4.0)), pytest.approx(chance))
+    assert test.dof == (4.0,)

@@ -76,6 +76,7 @@ def test_compensation_is_the_inverse_matrix():
 @pytest.mark.parametrize("third", [0.0, 0.02])
 def test_tilt_of_a_sensor_at_rest(third):
     """With the third component in the model, |f| = 1 gives it; the inclinometer stands upright."""
+    # eq. (3) of sensor.inverse
     # eq. (2) of sensor.tilt
     bench = make_bench(np.random.default_rng(3), third=third)
     inputs = "x,y,z" if third else "x,y"
