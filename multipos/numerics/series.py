@@ -2,8 +2,12 @@
 
 They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine,
 by SciPy where it is installed; `scipy.signal`, which has them too, takes half a second to import.
-Of few rows, as a session has them, they are a product with that matrix's inverse, for SciPy takes
-longer to import than such a fit.
+Of few rows, as a session has them, sums of 1, 2, 4 … rows are doubled, for SciPy takes longer to
+import than such a fit:
+
+    z ← z + a^m z_{k−m},      m = 1, 2, 4, …, n,                                            (1)
+
+where row k − m is of the same run.
 
 Sample rates that a log may have.
 """
@@ -14,7 +18,8 @@ from numpy.typing import NDArray
 from multipos.errors import UsageError
 from multipos.numerics.arrays import Array
 
-_FEW = 128  # rows
+_FEW = 1024  # rows
+_NOTHING = 1e-20  # of a row, what a sum does not hold
 
 
 def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
@@ -28,7 +33,7 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
         Rows where a run begins, beside the first.
     """
     if len(w) <= _FEW:
-        return np.asarray((_powers(len(w), a, first) @ w.reshape(len(w), -1)).reshape(w.shape))
+        return _doubled(w, a, first)
     try:
         from scipy.linalg.lapack import dtbtrs
     except ImportError:
@@ -39,12 +44,18 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
     return np.asarray(z.reshape(w.shape))
 
 
-def _powers(n: int, a: float, first: NDArray[np.bool_] | None) -> Array:
-    """Return a^(k−j) for j up to k in one run, else 0: the inverse of the two diagonals (n, n)."""
-    run = np.zeros(n) if first is None else np.cumsum(first)
-    apart = np.subtract.outer(np.arange(n), np.arange(n))
-    together = (apart >= 0) & (run[:, None] == run)
-    return np.where(together, a ** np.maximum(apart, 0), 0.0)
+def _doubled(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
+    """Return z by eq. (1)."""
+    z = np.array(w, dtype=np.float64)
+    runs = None if first is None or not first[1:].any() else np.cumsum(first)
+    lag, factor = 1, float(a)
+    while lag < len(z) and abs(factor) > _NOTHING:
+        earlier = factor * z[:-lag]
+        if runs is not None:
+            earlier[runs[lag:] != runs[:-lag]] = 0.0
+        z[lag:] += earlier
+        lag, factor = 2 * lag, factor * factor
+    return z
 
 
 def _recur_by_rows(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:

@@ -1,6 +1,7 @@
 """Recursions of the first order against sums by hand."""
 
 import numpy as np
+import pytest
 
 from multipos.numerics.series import recur
 
@@ -17,3 +18,15 @@ def test_each_run_begins_anew_by_hand():
     first = np.array([True, False, True, False])
     found = recur(np.array([1.0, 1.0, 1.0, 1.0]), -2.0, first)
     np.testing.assert_array_equal(found, [1.0, -1.0, 1.0, -1.0])
+
+
+@pytest.mark.parametrize("n", [1000, 1024, 1025, 3000])
+@pytest.mark.parametrize("a", [0.3, -0.9, 0.999])
+def test_rows_on_both_sides_of_a_thousand_are_summed_one_by_one(n, a):
+    """Whatever way is taken: z_k = w_k + a z_{k−1} by a loop."""
+    rng = np.random.default_rng(n)
+    w, first = rng.normal(size=(n, 2)), rng.random(n) < 0.01
+    expected = w.copy()
+    for k in range(1, n):
+        expected[k] += 0.0 if first[k] else a * expected[k - 1]
+    np.testing.assert_allclose(recur(w, a, first), expected, rtol=0.0, atol=1e-11)

@@ -3,6 +3,8 @@
 import itertools
 import json
 import re
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -640,3 +642,16 @@ def test_noise_of_a_record_is_in_the_unit_of_its_header(tmp_path):
     np.savetxt(other, still, delimiter=",", header="time,mx,my,mz", comments="", fmt="%.5f")
     with pytest.raises(mp.MultiposError, match="no stated unit"):
         mp.stability(path, other)
+
+
+def test_a_waved_log_takes_numpy_alone(tmp_path):
+    """SciPy takes longer to import than 6,000 rows take to calibrate."""
+    path = tmp_path / "wave.csv"
+    log = wave(6000, 5)
+    table = np.column_stack([*log.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(log), comments="", fmt="%.5f")
+    called = "import sys; from multipos.cli import main; main(sys.argv[1:]); "
+    run = [sys.executable, "-c", f"{called}print('scipy' in sys.modules)"]
+    run += ["calibrate", str(path), "--unit", "uT"]
+    out = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert out.endswith("False\n")
