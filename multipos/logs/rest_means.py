@@ -50,7 +50,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median
 from multipos.results import Result
 
 Counts = NDArray[np.signedinteger[Any]]
@@ -134,7 +134,13 @@ _COSINES = np.cos(np.pi * np.outer(np.arange(_BLOCKS) + 0.5, np.arange(1, COSINE
 _PARTS = ((64, 80.0), (32, 40.0), (16, 20.0), (8, 11.6), (4, 4.2))
 _SETTLES = -0.45  # slope of ln σ² below which the mean settles; white noise has −1(.17)
 _RISES = 0.1  # slope over short times, above which noise has a memory; flicker has 0
-_ROUNDED = 0.1  # of u, from which rounding counts
+_COUNTS = 0.1  # of u, from which rounding counts
+_APART = 2.5  # standard deviations of a mean, at which outputs differ
+_BY_PLACE = 0.25  # q², the most that rounding to steps q adds to a variance
+_NOISE = np.linspace(0.0, 1.0, 401)  # v of eq. (4), its B, and what samples vary by
+_HARMONICS = np.arange(1, 100)[:, None] ** 2 * np.pi**2
+_ROUNDED = (np.exp(-4.0 * _HARMONICS * _NOISE) / (2.0 * _HARMONICS)).sum(axis=0)
+_VARIES = _NOISE + 1.0 / 12.0 - _ROUNDED
 _WALKS = 0.6  # slope over long times, above which it is more than a memory
 
 
@@ -194,21 +200,28 @@ class RestMean(Result):
         return np.asarray(np.where((self.u > 0.0) & (self.sd > 0.0), ratio, self.n))
 
 
-def with_rounding(rests: Sequence[RestMean], resolution: Array) -> list[RestMean]:
-    """Return rests with what rounding to steps q adds to u of their means.
+def with_rounding(found: Sequence[RestMean], resolution: Array) -> list[RestMean]:
+    """Return rests of one sensor with what rounding to steps q adds to u of their means.
 
-    That is q/√12 of samples that are all one code; noise of variance σ² = s² − q²/12 averages the
-    rounding out, to exp(−2π²σ²/q²) of it.
+    Noise of variance v q² averages rounding out, to the variance B q² over where a mean stands in
+    its step, and the samples of a rest then vary by (v + 1/12 − B) q²:
+
+        B = Σ_k exp(−4π²k²v) / (2π²k²).                                                     (4)
+
+    So v is that of the mean over rests, as one rest varies by where it stands, by up to q²/4, and
+    the more of a rest that varies by more than that; of outputs together unless they differ.
     """
-    q = np.where(resolution > 0.0, resolution, 0.0)
-    u = np.array([each.u for each in rests])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        size = np.array([each.sd for each in rests]) / q
-        noise = np.nan_to_num(np.maximum(size**2 - 1.0 / 12.0, 0.0))
-    rounding = q / np.sqrt(12.0) * np.exp(-2.0 * np.pi**2 * noise)
-    raised = rounding > _ROUNDED * u
+    q = np.where(resolution > 0.0, resolution, np.inf)
+    share = (np.array([each.sd for each in found]) / q) ** 2
+    kept = np.minimum(share, median(share, axis=0) + _BY_PLACE)
+    usual, off = kept.mean(axis=0), _APART * kept.std(axis=0) / np.sqrt(len(kept))
+    usual = np.where(np.abs(usual - usual.mean()) <= off, usual.mean(), usual)
+    v = np.maximum(np.interp(usual, _VARIES, _NOISE), share - _BY_PLACE)
+    rounding = np.where(resolution > 0.0, resolution, 0.0) * np.sqrt(np.interp(v, _NOISE, _ROUNDED))
+    u = np.array([each.u for each in found])
+    raised = rounding > _COUNTS * u
     u = np.where(raised, np.hypot(u, rounding), u)
-    return [replace(each, u=u[i]) if raised[i].any() else each for i, each in enumerate(rests)]
+    return [replace(each, u=u[i]) if raised[i].any() else each for i, each in enumerate(found)]
 
 
 def is_one_code(found: RestMean) -> NDArray[np.bool_]:
