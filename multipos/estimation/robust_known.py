@@ -51,7 +51,7 @@ from multipos.estimation.robustness import (
 from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
 from multipos.numerics.arrays import Array, Places, median
-from multipos.numerics.losses import EFFICIENCY, Loss, loss, loss_slope, loss_weight
+from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
@@ -359,7 +359,7 @@ def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: b
     if name != _HUBER:
         on.search(np.flatnonzero(on.converged), name)
     weight = np.where(on.kept, loss_weight(name, on.q, linear.degrees), 0.0)
-    dof = np.maximum(weight.sum(axis=1) - b.shape[1], 1.0)
+    dof = np.maximum(counted(name, weight, linear.degrees) - b.shape[1], 1.0)
     factor = _factors(on, name, dof)
     rejected = np.full(count, np.nan)
     if stated is not None:

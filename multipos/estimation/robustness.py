@@ -12,7 +12,8 @@ The covariance is the one without weights, times Huber's factor, with psi(z) = z
     K² [sum q w² / nu] / mean(psi')²,     K = 1 + (p/N) var(psi')/mean(psi')²,              (1)
 
 which is the empirical spread of the estimating equations. Positions count with their weight in
-the degrees of freedom, nu = sum w m − p: with all in full, 95 % intervals
+the degrees of freedom, nu = a sum w m − p, a the mean weight of Huber's loss over that of this one
+under the normal law: with all in full, 95 % intervals
 cover 93 % at 24 positions. Where the noise is stated and the
 weighted residuals do not reject it, the factor is what the loss costs under the normal law.
 
@@ -36,7 +37,7 @@ from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.problem import Optimum, Problem
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
-from multipos.numerics.losses import EFFICIENCY, Loss, loss_slope, loss_weight
+from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.fit_diagnostics import NoiseTest
 
@@ -100,13 +101,11 @@ def judge_robustly(
             noise = NoiseEstimate(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
             return problem, optimum, noise
         claim = NoiseTest(chi2, nu)
-    counted = max(float(np.sum(weight * problem.degrees)) - problem.unknowns, 1.0)
-    factor = _huber_factor(problem, optimum, counted)
-    return (
-        problem,
-        optimum,
-        NoiseEstimate(factor, counted, None, tuple(said), weight=weight, claim=claim),
+    left = max(float(counted(loss, weight, problem.degrees)) - problem.unknowns, 1.0)
+    noise = NoiseEstimate(
+        _huber_factor(problem, optimum, left), left, None, tuple(said), weight=weight, claim=claim
     )
+    return problem, optimum, noise
 
 
 def aside_finding(label: str, misfit: float) -> Finding:

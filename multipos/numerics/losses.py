@@ -24,6 +24,7 @@ from multipos.numerics.arrays import Array
 EFFICIENCY = 0.95  # of each loss at its constant, under the normal law
 Loss = Literal["huber", "soft-l1", "cauchy"]
 LOSSES: dict[Loss, float] = {"huber": 1.345, "soft-l1": 1.345, "cauchy": 2.385}
+_USUAL: dict[Loss, float] = {"huber": 0.9599, "soft-l1": 0.8507, "cauchy": 0.8774}  # mean weight
 
 
 def loss(name: Loss | None, q: Array, degrees: Array) -> Array:
@@ -61,3 +62,12 @@ def loss_weight(name: Loss | None, q: Array, degrees: Array) -> Array:
     if name == "soft-l1":
         return np.asarray(1.0 / np.sqrt(1.0 + q / c2))
     return np.asarray(1.0 / (1.0 + q / c2))
+
+
+def counted(name: Loss, weight: Array, degrees: Array) -> Array:
+    """Return how many degrees of freedom weights (…, n) leave, in units of what Huber's would.
+
+    Under the normal law the mean weight of others is smaller, of positions that all fit.
+    """
+    share = _USUAL["huber"] / _USUAL[name]
+    return np.asarray(np.minimum(share * np.sum(weight * degrees, axis=-1), degrees.sum()))

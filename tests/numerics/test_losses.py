@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from multipos.numerics.losses import EFFICIENCY, LOSSES, loss, loss_slope, loss_weight
+from multipos.numerics.losses import EFFICIENCY, LOSSES, counted, loss, loss_slope, loss_weight
 
 every_loss = pytest.mark.parametrize("name", [None, *LOSSES])
 Z = np.concatenate([np.linspace(0.01, 6.0, 61), [20.0, 1e3]])
@@ -73,3 +73,11 @@ def test_losses_and_weights_by_hand(name, rho, weight):
     q, degrees = np.array([12.0]), np.array([3.0])
     assert loss(name, q, degrees) == pytest.approx([rho], rel=1e-12)
     assert loss_weight(name, q, degrees) == pytest.approx([weight], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_losses_leave_as_many_degrees_of_freedom_under_the_normal_law(name):
+    z = np.linspace(-12.0, 12.0, 200_001)
+    density = np.exp(-(z**2) / 2.0) / np.sqrt(2.0 * np.pi) * (z[1] - z[0])
+    left = counted(name, loss_weight(name, z**2, np.ones_like(z)), density)
+    assert left == pytest.approx(0.9599, abs=2e-4)  # of Huber's at 1.345
