@@ -623,7 +623,8 @@ def long_enough(rests: Sequence[Rest], grid: Grid) -> tuple[list[Rest], list[Res
     """Return the rests, the stretches too short for one, and the samples that the shortest has."""
     lengths = np.sort([rest.end - rest.start for rest in rests])[:-1]
     shortest = grid.shortest
-    if grid.adapts and not all(is_long(rest, shortest, grid) for rest in rests):
+    adapts = grid.adapts and len(lengths) > 0
+    if adapts and not all(is_long(rest, shortest, grid) for rest in rests):
         half = lengths[int(np.searchsorted(np.cumsum(lengths), lengths.sum() / 2.0))]
         usual = min(half, median(lengths))
         least = _LEAST * grid.block

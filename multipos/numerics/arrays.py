@@ -48,7 +48,7 @@ def median(values: ArrayLike, *, axis: int | None = None) -> Array:
         return np.asarray(np.full(array.shape[1:], np.nan))
     middle = [(count - 1) // 2, count // 2]
     low, high = np.partition(array, middle, axis=0)[middle]
-    return np.where(np.isnan(array).any(axis=0), np.nan, (low + high) / 2.0)
+    return np.where(np.isnan(array).any(axis=0), np.nan, low / 2.0 + high / 2.0)
 
 
 _DIVISORS = 16  # of the least difference, that a grid is sought at

@@ -180,3 +180,17 @@ def test_labels_of_parquet_come_through_the_door_of_csv(capsys, tmp_path, readin
         assert status == 1
         assert line.startswith(f"multipos: error: {path}: ")
         assert says in line
+
+
+def test_a_log_of_one_short_rest_is_refused(capsys, tmp_path):
+    """As the fuzzer found it: no other rest tells how long the usual one is."""
+    rng = np.random.default_rng(1)
+    mean = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [60, 43], axis=0)
+    mean[60:] = rng.standard_normal((43, 3))
+    path = tmp_path / "log.csv"
+    mp.write_table(
+        path, dict(zip("abc", (mean + 1e-3 * rng.standard_normal((103, 3))).T, strict=True))
+    )
+    status, line = said(capsys, "average", path, "--scheme", "faces-6")
+    assert status == 1
+    assert "no rest of" in line

@@ -27,3 +27,8 @@ def test_digit_by_digit_that_of_numpy(shape, axis):
     rng = np.random.default_rng(1)
     for values in (rng.normal(size=shape), rng.integers(0, 3, size=shape)):
         assert_array_equal(median(values, axis=axis), np.median(values, axis=axis))
+
+
+def test_a_median_of_numbers_near_the_largest_there_is():
+    assert median([1.7e308, 1.5e308, -1.0]) == 1.5e308
+    assert median([1.5e308, 1.7e308]) == 1.6e308  # half of the sum, which is no number
