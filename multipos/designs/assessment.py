@@ -31,6 +31,7 @@ Source: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs,
 """
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -303,11 +304,14 @@ def read_setting(
     reading_sd: float,
 ) -> Setting:
     """Return the setting of options as `schemes` takes them; a calibration's model has its own."""
+    text: str | os.PathLike[str]
     if isinstance(model, Model):
-        model, axes, inputs = model.text, model.axes, model.inputs
+        text, axes, inputs = model.text, model.axes, model.inputs
+    else:
+        text = model
     names = default_axes((), axes)
     seen = split_names(inputs, "--inputs")
-    written = read_model(model)
+    written = read_model(text)
     # a second output on an axis is ax2
     outputs = tuple(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
