@@ -59,7 +59,7 @@ def beside(value: float, u: float, U: float) -> tuple[str, str]:
     if decimals is None or not math.isfinite(value):
         return f"{value:.10g}", "-"
     shown = f"{U:.{decimals}f}" if math.isfinite(U) else "-"
-    return f"{value + 0.0:.{decimals}f}", shown
+    return f"{value:z.{decimals}f}", shown
 
 
 def readable_unit(size: float, unit: str) -> tuple[float, str]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import (
+    beyond_rounding,
     chance,
     common_units,
     decimals_of,
@@ -273,9 +274,10 @@ def _values_of(entry: Mapping[str, Any], shown: tuple[float, str]) -> list[str]:
     sd = factor * _or_nan(entry["sd"])
     decimals = decimals_of(sd)
     form = ".7g" if decimals is None else f".{decimals + 1}f"
+    middle = factor * _or_nan(entry["mean"])
     cells = ["-" if np.isnan(value) else f"{value:{form}}" for value in factor * values]
-    drift = None if entry["drift"] is None else factor * entry["drift"]
-    mean = uncertain(factor * _or_nan(entry["mean"]), sd)
+    drift = None if entry["drift"] is None else beyond_rounding(factor * entry["drift"])
+    mean = f"{middle:{form}}" if decimals is None else uncertain(middle, sd)
     return [unit, *cells, mean, plain_number(drift, 2)]
 
 

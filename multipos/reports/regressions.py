@@ -7,6 +7,7 @@ because an error that is corrected a hundredfold is a flat line on the other's s
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -77,15 +78,12 @@ def regression_content(
     several = all_of(regression)
     table = _rows_of_fit(several[0], data, beside)
     sections: list[Section] = []
+    results = []
     for r in several:
         of = partial(_titled, tr, r.response if len(several) > 1 else None)
-        sections += [
-            _knowledge(r, of, tr),
-            *_figures(r, table, of, tr),
-            _tests(r, of, tr),
-            _terms(r, of, tr),
-            *_paths(r, of, tr),
-        ]
+        result, rest = _first(r, [_figures(r, table, of, tr), _tests(r, of, tr), _terms(r, of, tr)])
+        results.append(replace(result, title=of("Result")))
+        sections += [*results[1:][-1:], _knowledge(r, of, tr), *rest, *_paths(r, of, tr)]
     return Content(
         language=language,
         title=tr("Regression report"),
@@ -96,11 +94,26 @@ def regression_content(
         ),
         sentence=" ".join(tr.message(regression_sentence(r)) for r in several),
         unfit=False,
+        result=results[0],
         findings=tuple(tr.message(each.text) for each in serious(regression.findings)),
         fields=lab_fields(said, tr),
         sections=with_annex((*sections, _method(several, tr)), tr),
         lab=said,
     )
+
+
+def _first(r: Regression, sections: list[Section]) -> tuple[Section, list[Section]]:
+    """Return what comes first of before and after, tests and terms, and the sections of the rest.
+
+    The table is that of the terms where there is one segment, else that of the segments.
+    """
+    place = 2 if len(r.segments) == 1 else 1
+    figures, holds = sections[0], sections[place]
+    rest = [*sections]
+    rest[0] = replace(figures, paragraphs=(), figures=figures.figures[1:])
+    rest[place] = replace(holds, tables=holds.tables[1:])
+    first = replace(figures, figures=figures.figures[:1], tables=holds.tables[:1])
+    return first, [each for each in rest if each.figures or each.tables]
 
 
 def _titled(tr: Translator, response: str | None, title: str) -> str:
@@ -262,12 +275,12 @@ def _draw_path(segment: Segment, axes: Any) -> None:
     draw_path(segment, axes[0])
 
 
-def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> list[Section]:
+def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> Section:
     """Return before and after against the variable of the segments and against time."""
     if table is None:
         said = "The rows of the fit ({source}) are not here; --data draws before and after."
         sentences = tr(said, source=str(r.source))
-        return [Section(of("Before and after"), paragraphs=(sentences,))]
+        return Section(of("Before and after"), paragraphs=(sentences,))
     complete = _complete(r, table)
     columns = read_predictors(r, complete, read_runs(r, complete))
     variable, x = range_column(r, complete, columns)
@@ -301,7 +314,7 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
         rms=f"{rms:.4g}",
         rms_left=f"{rms_left:.4g}",
     )
-    return [Section(of("Before and after"), paragraphs=(sentences,), figures=figures)]
+    return Section(of("Before and after"), paragraphs=(sentences,), figures=figures)
 
 
 def _draw_both(

@@ -8,11 +8,12 @@ import numpy as np
 from multipos.files.numbers import beyond_rounding, in_unit
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import CONSTANT
+from multipos.numerics.terms import COMPONENTS, CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration, rms_before
 from multipos.sensor.found import Estimator
+from multipos.sensor.inverse import sensed_axes
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 
@@ -42,7 +43,7 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
     said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
     parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
     if math.isfinite(c.rms):
-        before, after = rms_before(c), _shown(c, c.rms)
+        before, after = rms_before(c), _with_angle(c, c.rms, tr, "{angle} near level")
         said = (
             ": rms error {after}"
             if before is None
@@ -50,7 +51,7 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
         )
         parts[0] += tr(said, before=in_unit(before or 0.0, "g"), after=after)
     bias, scale = _largest_expanded(c)
-    sizes = [tr("{size} of bias", size=_shown(c, bias))] if math.isfinite(bias) else []
+    sizes = [tr("{size} of bias", size=_with_angle(c, bias, tr))] if math.isfinite(bias) else []
     sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
     if sizes:
         percent = f"{100.0 * c.confidence:g}"
@@ -59,6 +60,14 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
         )
     head = tr("Not fit for use: ") if errors_of(c.findings) else ""
     return f"{head}{tr('; ').join([*parts, counted_findings(c.findings, tr)])}{tr('.')}"
+
+
+def _with_angle(c: Calibration, size: float, tr: Translator, form: str = "{angle}") -> str:
+    """Return a size, of an inclinometer with the angle near level that it is."""
+    shown = _shown(c, size)
+    if c.field.magnetic or len(sensed_axes(c.model)) == len(COMPONENTS):
+        return shown
+    return f"{shown} ({tr(form, angle=in_unit(math.degrees(size), 'deg'))})"
 
 
 def _shown(c: Calibration, size: float) -> str:

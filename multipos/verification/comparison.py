@@ -32,6 +32,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import (
     beside,
+    beyond_rounding,
     chance,
     number,
     p_in_words,
@@ -492,7 +493,7 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
                 each["name"],
                 shown,
                 *_beside(factor, each["change"], each["U"]),
-                number(each["En"], 2),
+                number(each["En"] and beyond_rounding(each["En"]), 2),
                 *(("", "") if rate is None else _beside(factor, rate["value"], rate["U"])),
                 _limit_in_words(each["limit"], factor),
                 {True: "yes", False: "NO", None: ""}[each["within"]],
