@@ -212,3 +212,15 @@ def test_paper(cal, tmp_path, monkeypatch, way):
     assert made.startswith(b"%PDF")
     assert len(made) < 1_000_000
     assert said  # that it goes on
+
+
+def test_an_inclinometer_says_degrees_near_level():
+    # 1 mg across the vertical is 1e-3 rad: .0573 degrees
+    noise = 1e-3 * np.random.default_rng(1).standard_normal((len(UP), 2))
+    cal = mp.fit(mp.Readings(UP[:, :2] + noise, outputs=("ax", "ay"), up=UP, unit="g"))
+    said = build_content(cal).sentence
+    size, unit, angle = re.search(r"([\d.]+) ([mµ]g) \(([\d.]+)° near level\)", said).groups()
+    force = float(size) * {"mg": 1e-3, "µg": 1e-6}[unit]
+    assert float(angle) == pytest.approx(np.degrees(force), rel=0.01)
+    assert re.search(r"g \([\d.]+°\) of bias", said)
+    assert "°" not in build_content(cal, language="zh").sentence.partition("近水平")[0]

@@ -116,3 +116,18 @@ def test_runs_and_several_responses(folder):
     text = page("r.txt")
     assert "3 switch-ons are separated by 'run'" in text
     assert "Tests of other" in text
+
+
+@pytest.mark.parametrize("segments", [1, 2])
+def test_the_first_table_is_of_the_terms_or_of_the_segments(folder, segments):
+    if segments == 1:
+        options = ["--terms", "1 + temperature", "-o", "reg.json"]
+        assert main(["regress", "data.csv", "--response", "error", *options]) == 0
+    content = regression_content(mp.load_regression("reg.json"), beside="reg.json")
+    assert content.result is not None
+    (table,) = content.result.tables
+    assert table.header[:2] == (("term", "value(u)"), ("segment", "n"))[segments - 1]
+    assert len(table.rows) == 2
+    assert len(content.result.figures) == 1
+    later = [each.caption for section in content.sections for each in section.tables]
+    assert table.caption not in later  # once
