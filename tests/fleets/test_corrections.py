@@ -192,3 +192,14 @@ def test_what_is_off_leaves_the_mean_of_the_others_by_hand():
     figures = [{"shift": {"ax": {"value": v, "u": 0.5}}, "level_deg": {}} for v in (2.0, -1, -1)]
     for k, named in ((3.0, [1, 0, 0]), (1.0, [1, 0, 0]), (5.0, [0, 0, 0])):
         assert [len(each) for each in _beyond(figures, k)] == named
+
+
+def test_a_unit_far_from_its_model_tells_nothing_of_the_nest():
+    _, turned, _ = turned_nest("fibonacci-24", 0.2, 4)
+    table = line(30, turned=turned[None], noise=2e-4)
+    table["ax"][24 * 7 + 3] += 0.5
+    kept = np.asarray(table["unit"]) != "U0007"
+    without = {name: np.asarray(column)[kept] for name, column in table.items()}
+    with_it, alone = correction_of(table), correction_of(without)
+    np.testing.assert_allclose(corrected_up(with_it), corrected_up(alone), rtol=0, atol=1e-12)
+    assert with_it["budget"]["orientation"]["dof"] == 28.0

@@ -192,6 +192,23 @@ def test_verdicts_of_units_that_fail_or_are_doubted():
     assert found.calibrations["reason"].nbytes <= 8 * 6
 
 
+def test_station_effects_are_generalised_least_squares():
+    """Six units at both stations, four and three at one, by the covariance of eq. (1) in full."""
+    rng = np.random.default_rng(3)
+    who = np.concatenate([np.repeat(np.arange(6), 2), np.arange(6, 13)])
+    stations = np.concatenate([np.tile([0, 1], 6), [0, 0, 0, 0, 1, 1, 1]])
+    values = rng.normal(size=13)[who] + 0.5 * stations + 0.3 * rng.normal(size=19)
+    X = np.eye(2)[stations]
+    total = np.sum((values - X @ np.linalg.lstsq(X, values, rcond=None)[0]) ** 2) / 17
+    within = np.var(values[1:12:2] - values[0:12:2], ddof=1) / 2.0
+    V = within * np.eye(19) + (total - within) * (who[:, None] == who)
+    covariance = np.linalg.inv(X.T @ np.linalg.solve(V, X))
+    effect = covariance @ X.T @ np.linalg.solve(V, values)
+    found = station_effects(values, stations, who)
+    assert_allclose(found[0], effect, rtol=1e-9)
+    assert_allclose(found[1], covariance, rtol=1e-9)
+
+
 def test_one_unit_at_two_stations_does_not_tell_what_is_left_within_units():
     values = np.array([1.0, 2.0, 4.0, 3.0, 7.0])
     stations, who = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 3])
