@@ -18,7 +18,7 @@ import multipos as mp
 from multipos.capturing.evaluation import read_targets, spread_targets
 from multipos.capturing.keeping import Kept
 from multipos.capturing.live_rests import LiveRests, LiveRows
-from multipos.capturing.poses import _score, _State, find_frame, refuse_repeat
+from multipos.capturing.poses import _score, _State, find_frame, refuse_repeat, refuse_rest
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
@@ -576,6 +576,30 @@ def test_five_degrees_are_a_repeat():
         said = refuse_repeat(np.array([np.sin(angle), 0.0, np.cos(angle)]), taken, ["7"])
         assert (said is not None) == repeats
         assert not repeats or "pose 7, 4.9 degrees" in said
+
+
+def test_a_rest_is_refused_by_what_it_read():
+    """Drifts count from five of their u and the threshold on; one output alone may be stuck."""
+
+    def refused(sd=(1e-3, 1e-3), drift=(0.0, 0.0), u=1e-3, saturated=()):
+        found = SimpleNamespace(
+            n=400,
+            sd=np.array(sd),
+            low=np.array([0.25, 0.0]),
+            drift=np.array(drift),
+            drift_u=np.array([u, u]),
+        )
+        return refuse_rest(SimpleNamespace(found=found, saturated=saturated), ("ax", "ay"), 0.02)
+
+    assert refused() is None
+    assert refused(sd=(0.0, 1e-3)).startswith("saturated or stuck: ")
+    assert "0.25" in refused(sd=(0.0, 1e-3))
+    assert refused(sd=(0.0, 0.0)) is None  # readings without noise
+    assert refused(saturated=("'ay' stands at its end",)).startswith("saturated: 'ay'")
+    assert refused(drift=(0.0, -0.021)).startswith("moving: 'ay' drifted by -0.021 ")
+    assert refused(drift=(0.0, -0.019)) is None  # below the threshold
+    assert refused(drift=(0.021, 0.0), u=0.0041) is not None
+    assert refused(drift=(0.021, 0.0), u=0.0043) is None  # less than five of its u
 
 
 def test_a_pose_in_words():
