@@ -51,6 +51,7 @@ def test_unweighted_fit_by_hand():
 
 
 def test_weighted_fit_by_hand():
+    # eq. (3) of estimation.known
     # eq. (1) of estimation.noise
     rng = np.random.default_rng(1)
     u = rng.uniform(0.5e-3, 2e-3, (14, 3))

@@ -20,6 +20,7 @@ from orientation_bench import (
     readings_of,
     scatter,
 )
+from scipy.optimize import least_squares
 
 import multipos as mp
 from multipos.estimation.gains import restate, return_to_optimum, uncertain_gain
@@ -661,6 +662,29 @@ def test_a_stated_noise_beside_a_robust_loss_is_judged_by_hand():
     by_hand = np.sum(np.minimum(q, 3 * 1.345**2))
     assert cal.diagnostics.claim.chi2 == pytest.approx(by_hand, rel=1e-6)
     assert cal.diagnostics.claim.dof == 3 * 19 - 12
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
+def test_a_robust_fit_at_known_orientations_is_that_of_scipy(loss):
+    """Output by output, beside a stated noise that residuals do not deny; nothing is set aside."""
+    # eq. (1) of estimation.robust_known
+    up = mp.read_scheme("fibonacci-20").up
+    values = 1.02 * up + 0.01 + 0.01 * np.random.default_rng(4).normal(size=up.shape)
+    values[3] += 0.03
+    cal = mp.fit(mp.Readings(values, up=up), reading_sd=0.012, robust=loss)
+    X, c = np.column_stack([np.ones(20), up]), 2.385 if loss == "cauchy" else 1.345
+    name = loss.replace("-", "_")
+    for i in range(3):
+        found = least_squares(
+            lambda b, i=i: (values[:, i] - X @ b) / 0.012,
+            np.linalg.lstsq(X, values[:, i], rcond=None)[0],
+            loss=name,
+            f_scale=c,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-12,
+        )
+        assert_allclose(cal.parameters[4 * i : 4 * i + 4], found.x, rtol=0, atol=1e-7)
 
 
 def test_huber_factor_by_hand():

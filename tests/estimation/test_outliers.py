@@ -1,6 +1,7 @@
 """Rows that hide each other: readings of a generator of its own, with errors put in by hand."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.special import betainc
 
 import multipos as mp
-from multipos.estimation.outliers import _log_beta_tail
+from multipos.estimation.outliers import _is_beyond, _log_beta_tail
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
 ZERO = np.array([0.012, -0.021, 0.034])
@@ -137,3 +138,13 @@ def test_a_missing_term_is_no_outlier(scheme, unknown):
     cal = mp.fit(bent, unknown_orientation=unknown, exclude="auto")
     assert not cal.excluded
     assert "missing-term" in {each.code for each in cal.findings}
+
+
+def test_four_rows_of_which_two_lie_beyond_by_hand():
+    """ν = 16, i = 4, j = 2: I_x(6, 1) is x⁶, times M outputs and C(18, 2) = 153, and .75 %/m."""
+    # eq. (1) of estimation.outliers
+    for outputs in (1, 2):
+        view = [SimpleNamespace(dof=16.0, values=np.zeros((20, outputs)))]
+        limit = (0.0075 / 5 / 153 / outputs) ** (1 / 6)
+        for x, beyond in ((0.999 * limit, True), (1.001 * limit, False)):
+            assert _is_beyond(view, np.array([x, 0.99])[:outputs], 4, 2, 5) == beyond
