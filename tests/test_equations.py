@@ -31,7 +31,6 @@ UNTESTED: dict[str, str] = {
     "estimation.gains": "3",
     "estimation.orientation_variance": "2",
     "estimation.outliers": "2",
-    "estimation.stated_uncertainty": "1 2",
     "estimation.uncertain_orientations": "1",
     "estimation.user_models": "1",
     "exports.c_body": "3",

@@ -244,11 +244,13 @@ def test_any_other_ending_is_the_commands_own_format(here, capsys):
     assert isinstance(json.loads(printed), dict)
 
 
-def test_the_same_figure_gives_the_same_bytes(here, capsys):
-    for ending in ("svg", "png", "pdf"):
-        for name in "ab":
-            assert run(capsys, "compare", "cal.json", "cal.json", "-o", f"{name}.{ending}")[0] == 0
-        assert Path(f"a.{ending}").read_bytes() == Path(f"b.{ending}").read_bytes()
+@pytest.mark.parametrize(
+    "ending", ["svg", *(pytest.param(each, marks=pytest.mark.slow) for each in ("png", "pdf"))]
+)
+def test_the_same_figure_gives_the_same_bytes(ending, here, capsys):
+    for name in "ab":
+        assert run(capsys, "compare", "cal.json", "cal.json", "-o", f"{name}.{ending}")[0] == 0
+    assert Path(f"a.{ending}").read_bytes() == Path(f"b.{ending}").read_bytes()
 
 
 # --- stdout

@@ -449,7 +449,9 @@ def test_design_keeps_its_promises():
     assert_allclose(again["positions"], found["positions"])
 
 
-@pytest.mark.parametrize("criterion", ["D", "A", "I", "G", "u:ax:x^2"])
+@pytest.mark.parametrize(
+    "criterion", ["D", "A", "I", pytest.param("G", marks=pytest.mark.slow), "u:ax:x^2"]
+)
 def test_each_criterion_is_best_at_its_own(criterion):
     designs = {name: mp.design("own-quadratic", 8, criterion=name) for name in ("D", criterion)}
     mine, other = designs[criterion]["scheme"], designs["D"]["scheme"]

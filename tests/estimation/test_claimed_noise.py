@@ -46,7 +46,7 @@ def test_uncertainties_that_differ_indeed_stay_and_known_ones_are_not_touched():
     found = shrink_variances(readings(u, 8.0)).u
     assert (np.diff(found, axis=0) > 0.0).all()
     assert np.abs(np.log(found / u)).max() < np.log(2.0)  # of a range of 1e4
-    # by SciPy's functions: eqs. (1), (2) of estimation.stated_uncertainty
+    # eqs. (1), (2) of estimation.stated_uncertainty, with SciPy's functions
     e = np.log(u[:, 0] ** 2) - special.digamma(4.0) + np.log(4.0)
     excess = e.var(ddof=1) - special.polygamma(1, 4.0)
     prior = 2.0 * float(inverse_trigamma(excess))

@@ -20,6 +20,8 @@ _OTHER: dict[type, type] = {
     ast.And: ast.Or,
     ast.Or: ast.And,
 }
+# Whose two arguments may be interchanged.
+_SYMMETRIC = ("max", "min", "maximum", "minimum", "fmax", "fmin", "hypot", "isclose", "array_equal")
 _FACTOR = 1.5  # by which a number is changed that is neither 0 nor 1
 
 
@@ -108,7 +110,8 @@ def _others(node: ast.AST) -> Iterator[ast.expr]:
         yield ast.Constant(node.value * _FACTOR)
     elif isinstance(node, ast.Call) and len(node.args) == 2 and not node.keywords:
         first, second = node.args
-        if not any(isinstance(arg, ast.Starred) for arg in node.args):
+        symmetric = ast.unparse(node.func).rpartition(".")[2] in _SYMMETRIC
+        if not (symmetric or any(isinstance(arg, ast.Starred) for arg in node.args)):
             yield ast.Call(node.func, [second, first], [])
 
 
