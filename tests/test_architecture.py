@@ -36,7 +36,7 @@ ORDER = (
 # NumPy alone starts in a tenth of the time of all of these: they are imported where they are used.
 SLOW_TO_IMPORT = {"scipy", "casadi", "matplotlib", "jinja2", "pandas"}
 SLOW_TO_IMPORT |= {"distributed", "h5py", "openpyxl", "pyarrow", "pymavlink", "pyulog", "rosbags"}
-SLOW_TO_IMPORT |= {"serial", "uncertainties", "weasyprint"}
+SLOW_TO_IMPORT |= {"serial", "uncertainties", "weasyprint", "xlrd"}
 FORBIDDEN_IMPORTS = ("pickle", "scipy.stats", "matplotlib.pyplot", "pylab")
 FORBIDDEN_CALLS = {"eval", "exec"}
 

@@ -19,6 +19,7 @@ LEFT_OUT = (
     "pandas",
     "pyarrow",
     "openpyxl",
+    "xlrd",
 )
 PROGRAM = f"""
 import contextlib, io, json, sys

@@ -36,7 +36,7 @@ from multipos.files.handed import (
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
 from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
 from multipos.files.whole import read_bytes, reading, write_text
-from multipos.files.workbooks import ZIP, require_extra, workbook_text
+from multipos.files.workbooks import OLE, ZIP, require_extra, workbook_text
 
 _FINITE = float(np.finfo(np.float64).max)
 _FEW = 1000  # rows, up to which cells are written one by one
@@ -260,7 +260,7 @@ def _read_file(path: str | os.PathLike[str], what: str) -> Table:
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
     sha256 = hashlib.sha256(raw).hexdigest()
-    if raw.startswith(ZIP):
+    if raw.startswith((ZIP, OLE)):
         raw = workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()

@@ -4,14 +4,17 @@ import csv
 import datetime
 import io
 import os
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.pipes import Unpacked
+from multipos.files.whole import first_bytes
 
 ZIP = b"PK\x03\x04"
+OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # of .xls, as phyphox and old programs write it
 
 
 def require_extra(
@@ -50,23 +53,44 @@ def workbook_text(path: str | os.PathLike[str]) -> str:
     Raises
     ------
     MultiposError
-        It cannot be read, or `openpyxl` is not installed.
+        It cannot be read, or `openpyxl` or `xlrd`, which reads it, is not installed.
     """
-    require_extra(path, "an Excel workbook", "openpyxl", "excel")
-    from openpyxl import load_workbook
-
+    old = first_bytes(path, len(OLE)) == OLE
+    require_extra(path, "an Excel workbook", "xlrd" if old else "openpyxl", "excel")
     text = io.StringIO()
     try:
-        with Path(path).open("rb") as stream:
-            book = load_workbook(stream, read_only=True, data_only=True)
-            rows = book.active.iter_rows(values_only=True)
-            csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
+        rows = _rows_of_xls(path) if old else _rows_of_xlsx(path)
+        csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
     except Exception as error:  # of a damaged file whatever its library raises
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise MultiposError(
             f"{path}: cannot read the workbook: {reason}; save it again as .xlsx or CSV."
         ) from None
     return text.getvalue()
+
+
+def _rows_of_xlsx(path: str | os.PathLike[str]) -> Iterator[tuple[Any, ...]]:
+    from openpyxl import load_workbook
+
+    with Path(path).open("rb") as stream:
+        book = load_workbook(stream, read_only=True, data_only=True)
+        yield from book.active.iter_rows(values_only=True)
+
+
+def _rows_of_xls(path: str | os.PathLike[str]) -> Iterator[tuple[Any, ...]]:
+    import xlrd
+
+    with xlrd.open_workbook(path, logfile=io.StringIO()) as book:
+        sheet = next(
+            (each for each in book.sheets() if each.sheet_selected), book.sheet_by_index(0)
+        )
+        for row in sheet.get_rows():
+            yield tuple(
+                xlrd.xldate_as_datetime(cell.value, book.datemode)
+                if cell.ctype == xlrd.XL_CELL_DATE
+                else cell.value
+                for cell in row
+            )
 
 
 def unpack_workbook(path: os.PathLike[str]) -> Unpacked:

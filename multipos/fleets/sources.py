@@ -38,7 +38,7 @@ _ENDINGS = (".csv", ".parquet")
 _PACKED = (".gz", ".xz", ".zst")
 _LOGS = (
     *(".csv", ".txt", ".tsv", ".log", ".dat", ".parquet", ".feather", ".h5", ".mat", ".xlsx"),
-    *(".ulg", ".bin", ".bag", ".db3", ".mcap"),
+    *(".xls", ".ulg", ".bin", ".bag", ".db3", ".mcap"),
 )
 _UNIT = "unit"  # the column of units where none is named
 _SHOWN = 5  # equal files that a message lists

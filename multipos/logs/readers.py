@@ -30,7 +30,7 @@ import numpy as np
 
 from multipos.files.handed import XZ, ZSTD, is_json, read_arrow, unpack
 from multipos.files.pipes import GZIP, UTF_16, unpack_text
-from multipos.files.workbooks import ZIP, unpack_workbook
+from multipos.files.workbooks import OLE, ZIP, unpack_workbook
 from multipos.logs.array_logs import (
     load_hdf,
     read_mat,
@@ -204,6 +204,7 @@ READERS = (
     Reader("text in UTF-16, big-endian", (), UTF_16[1], None, unpack_text),
     Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
     Reader(".xlsx", (".xlsx",), ZIP, None, unpack_workbook, "xl/workbook.xml"),
+    Reader(".xls", (".xls",), OLE, None, unpack_workbook),
     Reader(".zip of a phone", (".zip",), ZIP, None, unpack_phone, ".csv"),
     Reader(".npz", (".npz",), ZIP, read_npz),
     Reader(".mat", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),

@@ -139,6 +139,34 @@ def test_excel(preamble, log, tmp_path, capsys):
     assert bool(preamble) == any("the table begins on line" in note for note in texts(found))
 
 
+@pytest.mark.parametrize("dated", [False, True])
+def test_old_excel_as_phyphox_writes_it(dated, log, tmp_path):
+    """One sheet of samples, then sheets about the device."""
+    pytest.importorskip("xlrd")
+    xlwt = pytest.importorskip("xlwt")
+    part = {name: column[:1400] for name, column in log.items()}
+    book = xlwt.Workbook()
+    sheet = book.add_sheet("Raw Data")
+    style = xlwt.easyxf(num_format_str="YYYY-MM-DD HH:MM:SS.000")
+    names = ["Time (s)", *(f"Acceleration {axis} (m/s^2)" for axis in "xyz")]
+    for j, (name, key) in enumerate(zip(names, ("time", *OUTPUTS), strict=True)):
+        sheet.write(0, j, "when" if dated and not j else name)
+        for i, value in enumerate(part[key], 1):
+            if dated and not j:
+                sheet.write(i, j, 45413.0 + float(value) / 86400.0, style)  # 2024-05-01
+            else:
+                sheet.write(i, j, float(value))
+    book.add_sheet("Metadata Device").write(0, 0, "property")
+    path = tmp_path / "Accelerometer.xls"
+    book.save(str(path))
+    found = mp.average(path)
+    expected = mp.average(part, outputs=OUTPUTS).readings.values
+    np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
+    assert found.sample_rate == pytest.approx(100.0, rel=1e-4)
+    assert found.unit == "m/s^2"
+    assert len(mp.read_table(path).numbers(names[1])) == 1400
+
+
 # --- autopilots
 
 
@@ -332,6 +360,23 @@ def test_without_openpyxl_the_extra_is_named(tmp_path, monkeypatch):
     path = archive(tmp_path / "log.dat", {"xl/workbook.xml": "<a/>"})
     monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
     with pytest.raises(mp.MultiposError, match=r"openpyxl reads.*'multipos\[excel\]'"):
+        mp.average(path)
+
+
+def test_old_excel_without_its_library_names_the_extra(tmp_path, monkeypatch):
+    path = tmp_path / "Accelerometer.xls"
+    path.write_bytes(workbooks.OLE + bytes(600))
+    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
+    for read in (mp.average, mp.read_readings):
+        with pytest.raises(mp.MultiposError, match=r"xlrd reads.*'multipos\[excel\]'"):
+            read(path)
+
+
+def test_a_damaged_old_excel_is_one_line(tmp_path):
+    pytest.importorskip("xlrd")
+    path = tmp_path / "Accelerometer.xls"
+    path.write_bytes(workbooks.OLE + bytes(600))
+    with pytest.raises(mp.MultiposError, match=r"cannot read the workbook: .*save it again"):
         mp.average(path)
 
 
