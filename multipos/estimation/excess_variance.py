@@ -253,7 +253,11 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
     size = 1.0 / np.mean(precisions, axis=1)
     weighted = size * sum(np.sum(part.square / part.stated_variance, axis=1) for part in parts)
     plain = np.sum(np.concatenate([part.square for part in parts], axis=1), axis=1)
-    return integrate(lambda nodes: _evaluate(parts, nodes, size), dof, size, (weighted, plain))
+
+    def evaluate(nodes: Array, *, whole: bool) -> Found:
+        return _evaluate(parts, nodes, size)
+
+    return integrate(evaluate, dof, size, (weighted, plain))
 
 
 def _evaluate(parts: Sequence[Part], nodes: Array, size: Array) -> Found:

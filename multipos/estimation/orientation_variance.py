@@ -90,16 +90,19 @@ class Linear(NamedTuple):
 
 
 class _Rotated(NamedTuple):
-    """The linear models in the axes of eq. (2), N single numbers a unit."""
+    """The linear models in the axes of eq. (2), N single numbers a unit, or so many of a kind."""
 
     products: Array  # of D and d with each other, (B, N, (P + 1)(P + 2)/2)
     fixed: Array  # a, (B, N)
     moving: Array  # c, (B, N)
+    count: Array  # how many each stands for, (N,)
     axes: tuple[Array, ...]  # of each block, (B, k, r, r)
 
     def of(self, units: slice) -> "_Rotated":
         """Return some of the units, for which the axes are no longer asked."""
-        return _Rotated(self.products[units], self.fixed[units], self.moving[units], ())
+        return self._replace(
+            products=self.products[units], fixed=self.fixed[units], moving=self.moving[units]
+        )
 
 
 def sum_of_squares(*arrays: Array) -> Array:
@@ -372,8 +375,11 @@ def _axes(block: Block) -> tuple[Array, Array, Array]:
     return np.swapaxes(U, 2, 3), singular**2, np.zeros_like(singular)
 
 
-def _rotated(linear: Linear) -> _Rotated:
-    """Return the linear models in the axes of eq. (2), at F = 1 where these depend on it."""
+def _rotated(linear: Linear, *, joined: bool) -> _Rotated:
+    """Return the linear models in the axes of eq. (2), at F = 1 where these depend on it.
+
+    Numbers of equal a that no orientation error moves have one weight, and are `joined`.
+    """
     axes, fixed, moving = zip(*(_axes(block) for block in linear.blocks), strict=True)
     both = (
         np.concatenate([block.design, block.error[..., None]], axis=3) for block in linear.blocks
@@ -381,11 +387,19 @@ def _rotated(linear: Linear) -> _Rotated:
     rows = [_flat(each @ row) for each, row in zip(axes, both, strict=True)]
     whole = rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
     first, second = np.triu_indices(whole.shape[2])
-
-    def joined(parts: tuple[Array, ...]) -> Array:
-        return np.concatenate([each.reshape(len(each), -1) for each in parts], axis=1)
-
-    return _Rotated(whole[:, :, first] * whole[:, :, second], joined(fixed), joined(moving), axes)
+    a, c = (
+        np.concatenate([each.reshape(len(each), -1) for each in parts], axis=1)
+        for parts in (fixed, moving)
+    )
+    still = (c == 0.0).all(axis=0)
+    if not (joined and still.sum() > 1) or np.ptp(a[:, still], axis=1).any():
+        return _Rotated(whole[:, :, first] * whole[:, :, second], a, c, np.ones(a.shape[1]), axes)
+    place, equal, others = np.flatnonzero(still)[:1], whole[:, still], whole[:, ~still]
+    gram = (equal.transpose(0, 2, 1) @ equal)[:, None, first, second]
+    products = np.concatenate([others[:, :, first] * others[:, :, second], gram], axis=1)
+    a, c = (np.concatenate([each[:, ~still], each[:, place]], axis=1) for each in (a, c))
+    count = np.append(np.ones(others.shape[1]), float(still.sum()))
+    return _Rotated(products, a, c, count, axes)
 
 
 class _Evaluator:
@@ -394,20 +408,20 @@ class _Evaluator:
     def __init__(self, linear: Linear, size: Array) -> None:
         self._linear, self._size = linear, size
         self._keeps_axes = all(block.keeps_axes for block in linear.blocks)
-        self._rotated = _rotated(linear)
+        self._rotated = _rotated(linear, joined=self._keeps_axes)
         self._prior = _prior_products(linear)
 
-    def at_excess(self, nodes: Array) -> Found:
-        """Return what is found at values of τ² (B, G)."""
+    def at_excess(self, nodes: Array, *, whole: bool) -> Found:
+        """Return what is found at values of τ² (B, G), of the parameters only if `whole`."""
         rotated, parts = self._rotated, []
         for units, places in _pieces(*nodes.shape):
             mine = rotated.of(units)
             tau2 = nodes[units, places]
             weight = 1.0 / ((mine.fixed + mine.moving)[:, None] + tau2[..., None])
-            log, L = self._likelihood(mine.products, weight)
-            log += 0.5 * np.log(np.einsum("bgi,bgi->bg", weight, weight))
+            log, L = self._likelihood(mine, weight)
+            log += 0.5 * np.log((weight * weight) @ mine.count)
             parts.append((units, places, log + np.log(tau2 + self._size[units, None]), L))
-        return self._joined(nodes.shape, parts, whole=True)
+        return self._joined(nodes.shape, parts, whole=whole)
 
     def at_both(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
         """Return what is found at all pairs of τ² (B, G) and F (B, C), F running fastest.
@@ -419,11 +433,12 @@ class _Evaluator:
         tau2, F = _pairs(factors, nodes)
         rotated, parts = self._rotated, []
         powers = np.stack([np.ones_like(rotated.moving), rotated.moving, rotated.moving**2], axis=2)
+        powers *= rotated.count[:, None]
         for units, places in _pieces(*tau2.shape):
             mine, some, at = rotated.of(units), F[units, places], tau2[units, places]
             scaled = some[..., None] * mine.moving[:, None]
             weight = 1.0 / (mine.fixed[:, None] + scaled + at[..., None])
-            log, L = self._likelihood(mine.products, weight)
+            log, L = self._likelihood(mine, weight)
             sums = np.moveaxis((weight * weight) @ powers[units], 2, 0)
             log += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
             parts.append((units, places, log, L))
@@ -442,10 +457,11 @@ class _Evaluator:
         blocks = self._linear.of([unit] * C).blocks
         root = np.sqrt(factors)[:, None, None, None]
         rotated = _rotated(
-            Linear(tuple(block._replace(spread=root * block.spread) for block in blocks))
+            Linear(tuple(block._replace(spread=root * block.spread) for block in blocks)),
+            joined=False,
         )
         weight = 1.0 / ((rotated.fixed + rotated.moving)[:, None] + nodes[:, None])
-        log, L = self._likelihood(rotated.products, weight)
+        log, L = self._likelihood(rotated, weight)
         sums = np.zeros((3, C, G))
         first = 0
         for block, axes in zip(blocks, rotated.axes, strict=True):
@@ -465,9 +481,9 @@ class _Evaluator:
         both = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
         return Found(log.T.reshape(shape), *both)
 
-    def _likelihood(self, products: Array, weight: Array) -> tuple[Array, Array]:
+    def _likelihood(self, rotated: _Rotated, weight: Array) -> tuple[Array, Array]:
         """Return ln L (B, G), and the Cholesky factors of eq. (4)."""
-        sums = weight @ products
+        sums = weight @ rotated.products
         sums += self._prior
         P = int(np.sqrt(2 * sums.shape[2])) - 1
         both = np.zeros((*sums.shape[:2], P + 1, P + 1))
@@ -477,7 +493,7 @@ class _Evaluator:
         both[:, :, P, P] += _TINY
         L = np.asarray(np.linalg.cholesky(both), dtype=np.float64)  # of the lower triangle
         logs = np.log(np.einsum("bgpp->bgp", L)[:, :, :P]).sum(axis=2)
-        return 0.5 * (np.log(weight).sum(axis=2) - L[:, :, P, P] ** 2) - logs, L
+        return 0.5 * (np.log(weight) @ rotated.count - L[:, :, P, P] ** 2) - logs, L
 
     def _joined(
         self,

@@ -19,7 +19,6 @@ for B units at once, which share nothing but the number of nodes; a single fit i
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -125,8 +124,15 @@ def stated_weight(dof: float) -> float:
     return float(_STATED_WEIGHT * max(_FEW / dof, 1.0) ** _RISE)
 
 
+class EvaluateExcess(Protocol):
+    """What knows the posterior density at values of τ² (B, G)."""
+
+    def __call__(self, nodes: Array, *, whole: bool) -> Found:
+        """Return it; shifts and variances of parameters if `whole`."""
+
+
 def integrate(
-    evaluate: Callable[[Array], Found],
+    evaluate: EvaluateExcess,
     dof: float,
     size: Array,
     squares: tuple[Array, Array],
@@ -137,8 +143,7 @@ def integrate(
 
     Parameters
     ----------
-    evaluate : callable
-        Takes values of τ² (B, G).
+    evaluate : EvaluateExcess
     dof : float
         Degrees of freedom, above 0.
     size : (B,) array
@@ -157,7 +162,7 @@ def integrate(
     searched = np.ones(len(size), dtype=np.bool_)
     for _ in range(_NARROWED):
         x = np.linspace(low, high, count // 2, axis=1)
-        log = evaluate(_nodes(x, size)).log
+        log = evaluate(_nodes(x, size), whole=False).log
         probable = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
         first, last = _ends(x, probable)
         low, high = np.where(searched, first, low), np.where(searched, last, high)
@@ -166,7 +171,7 @@ def integrate(
             break
     x = np.linspace(low, high, count, axis=1)
     nodes = np.concatenate([np.zeros((len(size), 1)), _nodes(x, size)], axis=1)
-    found = evaluate(nodes)
+    found = evaluate(nodes, whole=True)
     log = found.log[:, 1:]
     top = log.max(axis=1, keepdims=True)
     weights = np.exp(log - top) * (x[:, 1:2] - x[:, :1])

@@ -260,18 +260,28 @@ class UncertainSearch:
 
     def _assembled(self, place: Place, marginal: Array, reduced: Array) -> tuple[Array, Array]:
         """Return S and g of W (M, M, B, n) and what pushes the outputs (M, B, n)."""
-        count, p = place.theta.shape
+        (count, p), (m, width) = place.theta.shape, (len(reduced), len(place.phi))
+        phi = np.ascontiguousarray(place.phi.transpose(1, 2, 0))
+        pairs = (phi[:, :, :, None] * phi[:, :, None]).reshape(*phi.shape[:2], -1)
+        both = marginal.reshape(m * m, count, -1).transpose(1, 0, 2) @ pairs
+        both = both.reshape(count, m, m, width, width).transpose(0, 1, 3, 2, 4)
+        both = both.reshape(count, m * width, m * width)
+        along = (reduced.transpose(1, 0, 2) @ phi).reshape(count, -1)
+        own, places = self._columns
+        if len(places) == p:
+            own = own[np.argsort(places)]
+            return both[:, own[:, None], own], along[:, own]
         information, gradient = np.zeros((count, p, p)), np.zeros((count, p))
-        phi = np.ascontiguousarray(place.phi.transpose(1, 0, 2))
-        slopes = [phi.take(columns, axis=1) for columns, _ in self.model.contributions]
-        for i, (_, places) in enumerate(self.model.contributions):
-            gradient[:, places] += (slopes[i] @ reduced[i][:, :, None])[:, :, 0]
-            for j, (_, others) in enumerate(self.model.contributions[i:], start=i):
-                block = (slopes[i] * marginal[i, j][:, None]) @ slopes[j].transpose(0, 2, 1)
-                information[:, places[:, None], others] += block
-                if j > i:
-                    information[:, others[:, None], places] += block.transpose(0, 2, 1)
+        np.add.at(information, (slice(None), places[:, None], places), both[:, own[:, None], own])
+        np.add.at(gradient, (slice(None), places), along[:, own])
         return information, gradient
+
+    @property
+    def _columns(self) -> tuple[Places, Places]:
+        """Return the columns that outputs use, among those of all outputs, and their parameters."""
+        width, each = len(self.model.basis_terms), self.model.contributions
+        own = [output * width + columns for output, (columns, _) in enumerate(each)]
+        return np.concatenate(own), np.concatenate([places for _, places in each])
 
     def move(self, place: Place, equations: _Equations, step: Array, damping: Array) -> Place:
         """Return places after steps (B, p) of the parameters, each position following."""

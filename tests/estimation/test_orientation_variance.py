@@ -113,7 +113,7 @@ def test_posterior_is_its_definition(kind, both, unequal):
         found = evaluator.at_both(FACTORS[None], NODES[None], whole=True)
         pairs = [(tau2, factor) for tau2 in NODES for factor in FACTORS]
     else:
-        found, pairs = evaluator.at_excess(NODES[None]), [(tau2, 1.0) for tau2 in NODES]
+        found, pairs = evaluator.at_excess(NODES[None], whole=True), [(tau2, 1.0) for tau2 in NODES]
     wanted = [by_definition(linear, *pair) for pair in pairs]
     # s = 100 rad in the place of an unknown direction leaves 1e-4 of its curvature
     free = linear.rolled.any() or np.isinf(linear.orientation_sd).any()
@@ -176,5 +176,5 @@ def test_what_nothing_determines_is_left_out():
     linear = linear_model(problem, SimpleNamespace(state=state, point=evaluate(problem, state)))
     p, unknowns = len(state.theta), len(state.theta) + problem.shared
     assert linear.outer.shape == (p, unknowns - 1)
-    found = _Evaluator(linear, np.array([1e-4])).at_excess(NODES[None])
+    found = _Evaluator(linear, np.array([1e-4])).at_excess(NODES[None], whole=True)
     assert np.isfinite(found.variances).all()

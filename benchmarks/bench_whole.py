@@ -1,0 +1,214 @@
+"""Whole calls on ordinary data, in processor time.
+
+A set with something to say of it (positions off by .2°, a missing term, an outlier) beside the same
+set without; batches of what `fit` does least quickly beside a loop of it; growth with positions and
+outputs; and calls of which a time is asked, where the peer is that time.
+"""
+
+import os
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+import multipos as mp
+from benchmarks.bench_orientations import jacobian, natural_start, residuals, simulate
+from benchmarks.timing import Ratio, paired_ratio
+
+Array = NDArray[np.float64]
+
+NOISE = 3e-4  # [g]
+FOUND = {"off by .2°": "off", "a missing term": "cubic", "an outlier": "outlier"}
+WAYS: dict[str, dict[str, Any]] = {
+    "known": {},
+    "u of every reading": {},
+    "stepwise": {"stepwise": True, "model": "full-quadratic"},
+}
+OWN = "each = b + s*own/(1 + k*own^2)"
+LARGE = """
+import resource, time
+import numpy as np
+import multipos as mp
+rng = np.random.default_rng(0)
+up = rng.standard_normal((1_000_000, 3))
+up /= np.linalg.norm(up, axis=1)[:, None]
+values = 0.02 + up @ (np.eye(3) + 0.01) + 3e-4 * rng.standard_normal(up.shape)
+begun = time.process_time()
+mp.fit(mp.Readings(values, up=up))
+print(time.process_time() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+RECORD = """
+import time
+import numpy as np
+import multipos as mp
+record = {"ax": np.random.default_rng(0).standard_normal(1_000_000)}
+begun = time.process_time()
+mp.stability(record, rate=100.0)
+print(time.process_time() - begun)
+"""
+
+
+def run() -> list[Ratio]:
+    warnings.simplefilter("ignore", mp.CalibrationWarning)
+    return [
+        *(
+            with_finding(way, n, name)
+            for way in WAYS
+            for n in (24, 400, 4000)
+            for name in FOUND
+            if not (way == "stepwise" and n > 400)
+        ),
+        one_unit({}),
+        one_unit({"reading_sd": NOISE}),
+        one_unit({"robust": "huber"}),
+        own_models(),
+        beside_lm(),
+        *(auto(n, goal) for n, goal in ((24, 0.3), (400, 0.3), (10_000, 0.2))),
+        many_outputs(),
+        *large(),
+        threads(),
+    ]
+
+
+def cpu(ours: Callable[[], object], peer: Callable[[], object], repeats: int, inner: int) -> Any:
+    return paired_ratio(ours, peer, repeats=repeats, inner=inner, timer=time.process_time)
+
+
+def readings(n: int, kind: str, *, stated: bool = False, seed: int = 0) -> mp.Readings:
+    """Return readings at n positions in which something is to be found, or nothing."""
+    rng = np.random.default_rng(seed)
+    up = mp.read_scheme(f"fibonacci-{n}").up
+    turned = np.radians(0.2) * rng.standard_normal((n, 3)) if kind == "off" else np.zeros((n, 3))
+    force = up + np.cross(turned, up)
+    values = 0.02 + force @ (np.eye(3) + 0.01 * rng.standard_normal((3, 3))).T
+    values += 2e-3 * force**3 if kind == "cubic" else 0.0
+    values += NOISE * rng.standard_normal(values.shape)
+    values[7, 1] += 1e-2 if kind == "outlier" else 0.0
+    u = np.random.default_rng(9).uniform(0.8, 1.2, values.shape) * NOISE
+    return mp.Readings(values, up=up, u=u if stated else None)
+
+
+def with_finding(way: str, n: int, name: str) -> Ratio:
+    stated, options = way.startswith("u"), WAYS[way]
+    sets = [
+        [readings(n, kind, stated=stated, seed=seed) for seed in range(4)]
+        for kind in (FOUND[name], "clean")
+    ]
+    work = [lambda mine=mine: [mp.fit(each, **options) for each in mine] for mine in sets]
+    pairs = cpu(*work, repeats=5, inner=1)
+    return Ratio(f"fit, {way}, {n:,} positions, {name}", "the same without", pairs, 3)
+
+
+def table(units: int) -> dict[str, Array]:
+    """Return the rows of units at 24 positions."""
+    rows = [readings(24, "clean", seed=seed).values for seed in range(units)]
+    columns = dict(zip(("ax", "ay", "az"), np.concatenate(rows).T, strict=True))
+    return {"unit": np.repeat(np.arange(units), 24), **columns}
+
+
+def one_unit(options: dict[str, Any]) -> Ratio:
+    options = {"scheme": "fibonacci-24", **options}
+    both = table(1)
+    rows = {name: column for name, column in both.items() if name != "unit"}
+    pairs = cpu(
+        lambda: mp.fit_many(both, unit_column="unit", **options),
+        lambda: mp.fit(rows, **options),
+        15,
+        5,
+    )
+    said = ", ".join(list(options)[1:]) or "known"
+    return Ratio(f"fit_many of one unit, {said}", "fit", pairs, 1.2)
+
+
+def own_models() -> Ratio:
+    units, options = 60, {"scheme": "fibonacci-24", "model": OWN}
+    both = table(units)
+    rows = [
+        {name: column[24 * i : 24 * i + 24] for name, column in both.items() if name != "unit"}
+        for i in range(units)
+    ]
+    pairs = cpu(
+        lambda: mp.fit_many(both, unit_column="unit", **options),
+        lambda: [mp.fit(each, **options) for each in rows],
+        5,
+        1,
+    )
+    return Ratio(f"fit_many, {units} units, a user-defined model", "a loop of fit", pairs, 1 / 20)
+
+
+def beside_lm() -> Ratio:
+    _, values = simulate(24)
+
+    def peer() -> object:
+        found = least_squares(
+            residuals, natural_start(values), jac=jacobian, method="lm", args=(values,)
+        )
+        return found.x, np.linalg.inv(found.jac.T @ found.jac) * 2.0 * found.cost / 12
+
+    def ours() -> object:
+        given = mp.Readings(values, unit="g")
+        return mp.fit(given, model="own-quadratic", unknown_orientation=True)
+
+    what, by = "fit, 24 unknown orientations", "scipy lm, analytic slopes, with covariance"
+    return Ratio(what, by, cpu(ours, peer, 15, 10), 3)
+
+
+def seconds(work: Callable[[], object]) -> float:
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
+
+
+def auto(n: int, goal: float) -> Ratio:
+    """Return the time of `--orientation-sd auto`, in milliseconds a position."""
+    given = readings(n, "off")
+    each = [1e3 / n * seconds(lambda: mp.fit(given, orientation_sd="auto")) for _ in range(4)]
+    what = f"fit, --orientation-sd auto, a position of {n:,}"
+    return Ratio(what, "a millisecond", each[1:], goal)
+
+
+def many_outputs() -> Ratio:
+    def fit(outputs: int) -> Callable[[], object]:
+        rng = np.random.default_rng(2)
+        up = mp.read_scheme("fibonacci-24").up
+        values = np.tile(up, outputs // 3) + NOISE * rng.standard_normal((24, outputs))
+        names = [f"a{i}" for i in range(outputs)]
+        given = mp.Readings(values, up=up, outputs=names)
+        axes = ["x", "y", "z"] * (outputs // 3)
+        return lambda: mp.fit(given, axes=axes, orientation_sd=0.1)
+
+    pairs = cpu(fit(48), fit(12), 3, 1)
+    return Ratio("fit, uncertain orientations, 48 outputs", "12 outputs", pairs, 4**1.3)
+
+
+def printed(program: str, **environment: str) -> list[float]:
+    """Return the numbers that a program prints, in a process of its own."""
+    kept = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    found = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program],
+        env={**kept, **environment},
+        stdout=subprocess.PIPE,
+        check=True,
+        text=True,
+    )
+    return [float(each) for each in found.stdout.split()]
+
+
+def large() -> list[Ratio]:
+    times, sizes = zip(*(printed(LARGE, OMP_NUM_THREADS="1") for _ in range(3)), strict=True)
+    what = "fit, 1,000,000 known positions"
+    return [
+        Ratio(what, "a second", times, 1.5),
+        Ratio(f"{what}, memory", "500 MB", [size / 500 for size in sizes], 1),
+    ]
+
+
+def threads() -> Ratio:
+    pairs = [printed(RECORD)[0] / printed(RECORD, OMP_NUM_THREADS="1")[0] for _ in range(3)]
+    return Ratio("stability, 10⁶ rows, threads by default", "one thread", pairs, 1.1)
