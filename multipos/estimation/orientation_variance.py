@@ -95,7 +95,7 @@ class _Rotated(NamedTuple):
     products: Array  # of D and d with each other, (B, N, (P + 1)(P + 2)/2)
     fixed: Array  # a, (B, N)
     moving: Array  # c, (B, N)
-    count: Array  # how many each stands for, (N,)
+    number: Array  # how many each stands for, (N,)
     axes: tuple[Array, ...]  # of each block, (B, k, r, r)
 
     def of(self, units: slice) -> "_Rotated":
@@ -419,7 +419,7 @@ class _Evaluator:
             tau2 = nodes[units, places]
             weight = 1.0 / ((mine.fixed + mine.moving)[:, None] + tau2[..., None])
             log, L = self._likelihood(mine, weight)
-            log += 0.5 * np.log((weight * weight) @ mine.count)
+            log += 0.5 * np.log((weight * weight) @ mine.number)
             parts.append((units, places, log + np.log(tau2 + self._size[units, None]), L))
         return self._joined(nodes.shape, parts, whole=whole)
 
@@ -433,7 +433,7 @@ class _Evaluator:
         tau2, F = _pairs(factors, nodes)
         rotated, parts = self._rotated, []
         powers = np.stack([np.ones_like(rotated.moving), rotated.moving, rotated.moving**2], axis=2)
-        powers *= rotated.count[:, None]
+        powers *= rotated.number[:, None]
         for units, places in _pieces(*tau2.shape):
             mine, some, at = rotated.of(units), F[units, places], tau2[units, places]
             scaled = some[..., None] * mine.moving[:, None]
@@ -493,7 +493,7 @@ class _Evaluator:
         both[:, :, P, P] += _TINY
         L = np.asarray(np.linalg.cholesky(both), dtype=np.float64)  # of the lower triangle
         logs = np.log(np.einsum("bgpp->bgp", L)[:, :, :P]).sum(axis=2)
-        return 0.5 * (np.log(weight) @ rotated.count - L[:, :, P, P] ** 2) - logs, L
+        return 0.5 * (np.log(weight) @ rotated.number - L[:, :, P, P] ** 2) - logs, L
 
     def _joined(
         self,

@@ -250,15 +250,23 @@ class _Units:
 
     def of(self, part: slice) -> "_Units":
         """Return some of the units, one after another."""
-        linear = Linear(self.linear.design, self.linear.plain[part], self.linear.residuals[part])
-        arrays = (self.variance, self.kept, self.moves, self.residuals, self.converged)
-        ends = (self.iterations, self.last_step, self.decrement)
-        aside = [
-            (unit - part.start, row, misfit)
-            for unit, row, misfit in self.aside
-            if part.start <= unit < part.stop
-        ]
-        return _Units(linear, *(each[part] for each in (*arrays, *ends)), aside)
+        linear = self.linear
+        return _Units(
+            Linear(linear.design, linear.plain[part], linear.residuals[part]),
+            self.variance[part],
+            self.kept[part],
+            self.moves[part],
+            self.residuals[part],
+            self.converged[part],
+            self.iterations[part],
+            self.last_step[part],
+            self.decrement[part],
+            [
+                (unit - part.start, row, misfit)
+                for unit, row, misfit in self.aside
+                if part.start <= unit < part.stop
+            ],
+        )
 
     def search(self, units: Places, name: Loss) -> None:
         """Search on from where units are."""
@@ -326,8 +334,16 @@ def fit_outputs(
         fits = _fit(design, y, noise, name, alone=count == 1)
         for place, output in enumerate(design.outputs):
             part = slice(place * count, (place + 1) * count)
-            arrays = (each[part] for each in fits[:-1])
-            found[output] = RobustFits(*arrays, fits.units.of(part))
+            found[output] = RobustFits(
+                fits.parameters[part],
+                fits.cofactors[part],
+                fits.factor[part],
+                fits.dof[part],
+                fits.weight[part],
+                fits.rejected[part],
+                fits.plain[part],
+                fits.units.of(part),
+            )
     return [found[output] for output in range(len(values))]
 
 

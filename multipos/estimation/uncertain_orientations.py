@@ -268,13 +268,12 @@ class UncertainSearch:
         both = both.reshape(count, m * width, m * width)
         along = (reduced.transpose(1, 0, 2) @ phi).reshape(count, -1)
         own, places = self._columns
+        both, along = both[:, own[:, None], own], along[:, own]
         if len(places) == p:
-            own = own[np.argsort(places)]
-            return both[:, own[:, None], own], along[:, own]
-        information, gradient = np.zeros((count, p, p)), np.zeros((count, p))
-        np.add.at(information, (slice(None), places[:, None], places), both[:, own[:, None], own])
-        np.add.at(gradient, (slice(None), places), along[:, own])
-        return information, gradient
+            order = np.argsort(places)
+            return both[:, order[:, None], order], along[:, order]
+        shared = np.eye(p)[places]  # a parameter of several columns
+        return shared.T @ both @ shared, along @ shared
 
     @property
     def _columns(self) -> tuple[Places, Places]:
