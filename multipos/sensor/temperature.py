@@ -213,6 +213,41 @@ def _spread(soaks: _Soaks) -> float:
     return max(soaks.sd, abs(float(found["value"])) / 2.0)
 
 
+def zeros_of_soaks(c: Calibration, X: Array, run: Readings) -> tuple[Array, Array]:
+    """Return what zeros of soaks do to a run, and their degrees of freedom.
+
+    Parameters
+    ----------
+    c : Calibration
+    X : (n, M, p) array
+        Derivatives of the run's readings by the parameters.
+    run : Readings
+
+    Returns
+    -------
+    (n, M, k), (M,) arrays
+        One standard deviation of the zero of every soak, of the calibration and of the run; q of
+        eq. (2). Without soaks no column, and infinite.
+    """
+    parts, dof = [np.zeros((*X.shape[:2], 0))], np.full(X.shape[1], np.inf)
+    if COLUMN not in c.model.environment:
+        return parts[0], dof
+    numbers = soaks_of(run)
+    if numbers is None:  # fewer than a calibration is judged by
+        numbers = _soaks_in_order(run.environment[COLUMN])
+    for i, output in enumerate(c.outputs):
+        soaks = _soaks(c, i)
+        if soaks is None or not soaks.sd > 0.0:
+            continue
+        spread, stated = _spread(soaks), _stated_zero(c, output)
+        own = np.zeros((*X.shape[:2], int(np.max(numbers)) + 1))
+        own[np.arange(len(X)), i, numbers] = spread
+        beyond = np.sqrt(max(spread**2 - stated**2, 0.0))
+        parts += [beyond * (X @ soaks.moves), own]
+        dof[i] = soaks.dof
+    return np.concatenate(parts, axis=2), dof
+
+
 def _stated_zero(c: Calibration, output: str) -> float:
     """Return the standard deviation of an output's zero that ``[stability]`` states."""
     table = c.budget_tables.get("stability", {})
@@ -243,13 +278,18 @@ def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
     """
     if not np.isfinite(temperature).all() or not np.ptp(temperature) > 0.0:
         return None
-    runs = np.concatenate([[0], np.cumsum(np.abs(np.diff(temperature)) > _SOAK)]).astype(np.intp)
+    runs = _soaks_in_order(temperature)
     if runs[-1] + 1 <= len(runs) / 3.0:
         return _enough(runs)
     order = np.argsort(temperature, kind="stable")
     level = np.empty(len(order), dtype=np.intp)
     level[order] = np.concatenate([[0], np.cumsum(np.diff(temperature[order]) > _SOAK)])
     return _enough(level)
+
+
+def _soaks_in_order(temperature: Array) -> NDArray[np.intp]:
+    changes = np.cumsum(np.abs(np.diff(temperature)) > _SOAK)
+    return np.concatenate([[0], changes]).astype(np.intp)
 
 
 def _enough(soak: NDArray[np.intp]) -> NDArray[np.intp] | None:

@@ -3,11 +3,12 @@
 The run reads y at known references f; the calibration expects h(p, f). With X = dh/dp,
 J = dh/df and C the covariance of the parameters, r = y − h has the covariance
 
-    V = D + L L',    L = (X C^(1/2), unseen terms),    D = diag(s²) + J T J' row by row,      (1)
+    V = D + L L',    L = (X C^(1/2), unseen terms, soaks),    D = diag(s²) + J T J',         (1)
 
-where s is the noise of the run's readings and T what is not known of where they were taken: the
-orientation error σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` … squared. As
-long as as many outputs as components are sensed, r and the errors e of
+row by row in D, where s is the noise of the run's readings and T what is not known of where they
+were taken: the orientation error σ² f² (I − uu') of ``orientation_sd_deg``, and ``reference_u_x`` …
+squared. Where zeros differ from soak to soak (`multipos.sensor.temperature`) those of calibration
+and run are columns of L. As long as as many outputs as components are sensed, r and the errors e of
 `multipos.verification.checks` are one and the same to first order, e = J⁻¹ r, and so is the
 statistic
 
@@ -16,7 +17,7 @@ statistic
 which is χ² where the noise is known. Errors of one run share those of the parameters: a zero that
 has moved by much of its U hides in the U of every single error, and not in Q. Where an output's
 noise was estimated, with ν degrees of freedom, V holds it as a factor and Q/N follows F on N and
-ν, exactly where all of V does; where only a share w of V was estimated, ν/w² is taken. Outputs
+ν, exactly where all of V does; where only shares w of V were estimated, 1/Σ w²/ν is taken. Outputs
 whose noise is their own are judged each by its own F, together by Fisher's method
 (`multipos.verification.consistency`, eq. (3)); where V ties them, by the fewest of their ν.
 
@@ -50,6 +51,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Keyed
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.temperature import zeros_of_soaks
 from multipos.uncertainty.validity import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together
 
@@ -90,13 +92,15 @@ class _Moved(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """A run whitened by D; all (n, M, …) but `share` (M,)."""
+    """A run whitened by D; all (n, M, …) but `nu` (M,)."""
 
     r: Array
     L: Array
     X: Array
     free: Array  # the columns of a free rotation
-    share: Array  # of the variance of an output, what was estimated
+    nu: Array  # (M,) degrees of freedom of an output's variance
+    soaks: int  # columns of L, the last, that are zeros of soaks
+    q: Array  # (M,) their degrees of freedom
     apart: bool
 
 
@@ -137,7 +141,7 @@ def judge_run(
     run = _whiten(c, data, known, noise, estimated)
     if run.r.size <= run.free.shape[2] or not np.isfinite(run.r).all():
         return no_agreement("too few rows at which the model has a value"), carried
-    found, moved = _judge(c, run), _moved(c, run)
+    found, moved = _judge(run), _moved(c, run)
     whole = found.p < RATE / 2.0
     if not (whole or moved):
         return found, carried
@@ -176,7 +180,8 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     X = parameter_jacobian(c.model, c.parameters, known, environment)
     J = c.model.force_jacobian(c.parameters, known, environment)
     unseen = unseen_moves(c, known, environment)
-    L = np.concatenate([X @ root_of(c.covariance), unseen], axis=2)
+    soaks, q = zeros_of_soaks(c, X, data)
+    L = np.concatenate([X @ root_of(c.covariance), unseen, soaks], axis=2)
     of_orientation = _orientation_error(data, known)
     D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(
         "nmi,nij,nkj->nmk", J, of_orientation, J
@@ -185,13 +190,19 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     predicted = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
     whole = np.einsum("nmm->nm", D) + np.sum(L**2, axis=2)
     free = np.zeros((*r.shape, 0)) if c.model.gauge is None else _turns(c, data, known)
+    of_noise = np.mean(predicted / whole, axis=0)
+    of_soaks = np.mean(np.sum(soaks**2, axis=2) / whole, axis=0)
+    with np.errstate(divide="ignore"):
+        nu = 1.0 / (of_noise**2 / c.dof + of_soaks**2 / q)
     tied = of_orientation.any() or unseen.size or free.size
     return _Run(
         r=(W @ r[:, :, None])[:, :, 0],
         L=W @ L,
         X=W @ X,
         free=W @ free,
-        share=np.mean(predicted / whole, axis=0),
+        nu=nu,
+        soaks=soaks.shape[2],
+        q=q,
         apart=not tied and is_apart(c, c.covariance, c.model.output_of),
     )
 
@@ -215,9 +226,8 @@ def root_of(covariance: Array) -> Array:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _judge(c: Calibration, run: _Run) -> Agreement:
-    with np.errstate(divide="ignore"):
-        nu = np.where(np.isinf(c.dof), np.inf, c.dof / run.share**2)
+def _judge(run: _Run) -> Agreement:
+    nu = run.nu
     if np.isinf(nu).all():
         nu_of = [np.inf]
         parts: list[Any] = [slice(None)]
@@ -259,13 +269,13 @@ def _moved(c: Calibration, run: _Run) -> list[_Moved]:
     flat = [a.reshape(run.r.size, -1) for a in (run.L, run.free, run.X, run.r)]
     weighed = _Weights(*flat[:2])
     gram, right = weighed.product(flat[2], flat[2]), weighed.product(flat[2], flat[3])[:, 0]
-    nu = float(np.min(c.dof))
+    nu = _dof_of_steps(c, run, weighed, flat)
     chosen: list[int] = []
     steps: Array = np.zeros(0)
     while len(chosen) < _MOST_NAMED:
         taken = _taken(gram, right, chosen, steps)
         best = int(np.argmax(taken))
-        if not f_tail(float(taken[best]), 1.0, nu) < RATE / 2.0 / len(right):
+        if not f_tail(float(taken[best]), 1.0, float(nu[best])) < RATE / 2.0 / len(right):
             break
         chosen.append(best)
         steps = np.asarray(
@@ -275,6 +285,20 @@ def _moved(c: Calibration, run: _Run) -> list[_Moved]:
         _Moved(c.names[j], float(by), float(abs(by) / c.U[j]), c.model.units[j])
         for j, by in zip(chosen, steps, strict=True)
     ]
+
+
+def _dof_of_steps(c: Calibration, run: _Run, weighed: _Weights, flat: list[Array]) -> Array:
+    """Return the degrees of freedom (p,) of the variance of each step: by its share from soaks."""
+    nu = np.full(len(c.parameters), float(np.min(c.dof)))
+    if not run.soaks:
+        return nu
+    L, free, X, _ = flat
+    without = _Weights(L[:, : -run.soaks], free)
+    known, whole = (np.diag(each.product(X, X)) for each in (without, weighed))
+    share = 1.0 - np.divide(whole, known, out=np.ones_like(known), where=known > 0.0)
+    q = run.q[np.asarray(c.model.output_of)]
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / (share**2 / q + (1.0 - share) ** 2 / nu))
 
 
 def _taken(gram: Array, right: Array, chosen: list[int], steps: Array) -> Array:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -170,3 +171,35 @@ def test_a_run_in_control_is_inconsistent_in_one_of_twenty_and_fails_as_seldom()
         inconsistent += mp.check(cal, run(2 * seed + 1001)).consistency.p < 0.05
     assert 3 <= inconsistent <= 29
     assert failed <= 29
+
+
+def over_soaks(temperatures, rng, zeros, shift=0.0):
+    """Return six faces at every temperature: bias and scale by hand, a zero of its own each."""
+    faces = mp.read_scheme("faces-6").up
+    T = np.repeat(np.array(temperatures), 6)
+    up = np.tile(faces, (len(temperatures), 1))
+    own = np.repeat(rng.normal(0.0, zeros, (len(temperatures), 3)), 6, axis=0)
+    values = up * (1.0 + 1e-5 * (T - 20.0))[:, None] + 2e-5 * (T - 20.0)[:, None]
+    values += 1e-3 + shift + own + rng.normal(0.0, 1e-4, values.shape)
+    names = ("up_x", "up_y", "up_z", "ax", "ay", "az")
+    return dict(zip(names, (*up.T, *values.T), strict=True)) | {"temperature": T}
+
+
+@pytest.mark.parametrize("run", [(20.0,), (-30.0, 0.0, 50.0)])
+@pytest.mark.parametrize("zeros", [0.0, 5e-4])
+def test_zeros_of_soaks_make_no_run_disagree(run, zeros):
+    """60 sensors of five soaks: at 1 % no more than four runs (binomial, .3 %) disagree."""
+    found = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        table = over_soaks((-40.0, -15.0, 10.0, 35.0, 60.0), rng, zeros)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            cal = mp.fit(table, model="1 + own + temperature + temperature*own", unit="g")
+            checked = mp.check(cal, over_soaks(run, rng, zeros))
+        found += "run-disagrees" in [one.code for one in checked.findings]
+    assert found <= 4
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        far = mp.check(cal, over_soaks(run, rng, zeros, shift=2e-2))
+    assert "run-disagrees" in [one.code for one in far.findings]
