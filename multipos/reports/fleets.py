@@ -59,9 +59,11 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     """
     tr = Translator(language)
     outliers, named = outlier_rows(found)
+    header, stations = station_rows(found)
+    alone = len(stations) == 1 and len(header) == len(("station", "units"))
     sections = [
         _section("Why units do not pass", cause_rows(found), tr),
-        _section("Stations", station_rows(found), tr, (_STATIONS,)),
+        None if alone else _section("Stations", (header, stations), tr, (_STATIONS,)),
         _section("Parameters", parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)),
         _risks(found, tr),
         _fixtures(found, tr),
