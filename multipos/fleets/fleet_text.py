@@ -218,7 +218,8 @@ def fleet_sentence(found: Mapping[str, Any]) -> str:
     reasons = [f"{cause} {count}" for cause, count in found["causes"].items()]
     off = [each["station"] for each in found["stations"] if each.get("findings")]
     why = [f"why: {', '.join(reasons[:_REASONS])}"] if reasons else []
-    where = [f"stations off: {', '.join(off[:_REASONS])}"] if off else []
+    named = f"stations off: {', '.join(off[:_REASONS])}" if any(off) else "fixture off"
+    where = [named] if off else []
     more = [f"{len(off) - _REASONS} more"] if len(off) > _REASONS else []
     said = "; ".join([counts, *why, ", ".join(where + more)]).removesuffix("; ")
     return (

@@ -245,10 +245,8 @@ def find_off(station: Mapping[str, Any], beyond: set[tuple[str, str]], unit: str
     if angles:
         size, what, axis, u, rows = max(angles, key=lambda each: each[0])
         more = f", and {len(angles) - 1} more" if len(angles) > 1 else ""
-        text = (
-            f"{what} of station {name} is off by {size:.2g} degrees about {axis} "
-            f"(u = {u:.2g}){more}"
-        )
+        at = f" of station {name}" if name else ""
+        text = f"{what}{at} is off by {size:.2g} degrees about {axis} (u = {u:.2g}){more}"
         action = "Correct the fixture, or use its correction."
         found.append(Finding("station", "warning", text, action, rows=rows))
     if shifts:

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import multipos as mp
 from multipos.cli import main
 from multipos.fleets import folder as fleet_folder
+from multipos.fleets.fleet_text import fleet_sentence
 
 LIMITS = "name,lsl,usl\nbias_ax,-0.02,0.02\nscale_ax,0.9,\nU:bias_ay,,0.01\n"
 APART = ["--unit-column", "unit", "--station-column", "station"]
@@ -417,15 +418,21 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
             for k, (listed, value) in enumerate(zip(up.tolist(), values.tolist(), strict=True))
         ]
     names = ("unit", "station", "position", "up_x", "up_y", "up_z", "ax", "ay", "az")
-    found = mp.fleet(
-        dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)),
-        unit_column="unit",
-        station_column="station",
-    )
+    table = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    found = mp.fleet(table, unit_column="unit", station_column="station")
     off = {station["station"]: station["findings"] for station in found["stations"]}
     assert [each["code"] for each in off["B"]] == ["station"]
     assert "position 3 of station B is off by 0." in off["B"][0]["text"]
     assert off["B"][0] in found.to_dict()["findings"]
+    of_b = {
+        name: [c for c, at in zip(table[name], table["station"], strict=True) if at == "B"]
+        for name in names
+        if name != "station"
+    }
+    alone = mp.fleet(of_b, unit_column="unit")
+    said = alone.to_dict()["findings"]
+    assert any(each["text"].startswith("position 3 is off by 0.") for each in said)
+    assert fleet_sentence(alone.to_dict()).endswith("; fixture off.")
 
 
 def test_a_file_with_other_columns_fails_its_units_and_not_the_run(tmp_path):
