@@ -590,22 +590,23 @@ def _change(samples: Array, reach: int, limits: Limits) -> int | None:
 
     None where all of them are.
     """
-    away = samples - samples[:, :reach].mean(axis=1, keepdims=True)
+    away = samples - samples[:, :reach].sum(axis=1, keepdims=True) / reach
     rest = away[:, :reach]
     variance = np.einsum("ij,ij->i", rest, rest) / reach
     sd = np.maximum(np.sqrt(variance), _QUIETEST * limits.size)
     z = away[:, reach:] / sd[:, None]
     square = np.einsum("ij,ij->j", z, z)
     gain = 0.5 * (square * (1.0 - 1.0 / _TIMES) - len(z) * np.log(_TIMES))
-    total = np.concatenate([[0.0], np.cumsum(gain)])
-    clear = np.flatnonzero(np.abs(z).max(axis=0) > _CLEAR)
-    seen = int(clear[0]) + 1 if len(clear) else z.shape[1]
+    total = np.zeros(len(gain) + 1)
+    np.cumsum(gain, out=total[1:])
+    clear = np.abs(z).max(axis=0) > _CLEAR
+    seen = int(clear.argmax()) + 1 if clear.any() else len(clear)
     lowest = total[: seen + 1].min()
     if total[seen] - lowest < _ALARM:
         return None
     # Noise that remembers goes astray for a while by chance.
     lagged = np.einsum("ij,ij->i", rest[:, 1:], rest[:, :-1]) / (reach - 1)
-    memory = float(np.clip(lagged / sd**2, 0.0, 0.95).mean())
+    memory = float(np.minimum(np.maximum(lagged / sd**2, 0.0), 0.95).sum()) / len(z)
     astray = _ASTRAY * len(z) * 2.0 * memory / (1.0 - memory)
     change = int(np.flatnonzero(total[: seen + 1] <= lowest + astray)[-1])
     return _onset(z[:, :seen], min(change, seen - 1), astray)
