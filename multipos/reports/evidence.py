@@ -10,7 +10,14 @@ import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
 from multipos.errors import MultiposError
-from multipos.files.numbers import in_unit, largest_rows, number, plain_number
+from multipos.files.numbers import (
+    beyond_rounding,
+    in_unit,
+    largest_rows,
+    number,
+    plain_number,
+    readable_unit,
+)
 from multipos.numerics.rotations import directions
 from multipos.plots.calibration import compensated_error, size_residuals
 from multipos.plots.check import draw_check, errors_apart
@@ -44,10 +51,13 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     names = [*(c.readings.labels[row] for row in shown), "s", tr("dof")]
     columns = []
     sizes = np.abs(c.readings.values).max(axis=0).tolist()
+    largest = np.abs(np.vstack([c.residuals[shown], c.residual_sd]))
+    size = float(np.max(largest[np.isfinite(largest)], initial=0.0))
+    unit = readable_unit(beyond_rounding(size, max(sizes)), c.model.unit)
     for output, left, sd, dof, size in zip(
         c.outputs, c.residuals.T, c.residual_sd.tolist(), c.dof.tolist(), sizes, strict=True
     ):
-        printed = column([*left[shown], sd], c.model.unit, sd, signed=True, scale=size)
+        printed = column([*left[shown], sd], unit, sd, signed=True, scale=size)
         s = printed.cells.pop().removeprefix("+")
         columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, number(dof)]))
     paragraphs = [_kind_of_residual(c, tr)]

@@ -129,7 +129,7 @@ def with_u(
 
 def column(
     values: Sequence[float] | Array,
-    unit: str,
+    unit: str | tuple[float, str],
     u: float | None = None,
     *,
     signed: bool = False,
@@ -137,12 +137,15 @@ def column(
 ) -> Column:
     """Return numbers as cells of one unit, to the digits of `u`, else to three.
 
-    What is but the rounding of numbers of size `scale` is 0.
+    What is but the rounding of numbers of size `scale` is 0. `unit` is that of the numbers, or
+    the one to print with its factor, as of `readable_unit`.
     """
     values = [beyond_rounding(x, scale) for x in np.asarray(values, dtype=np.float64).tolist()]
     u = None if u is None else beyond_rounding(u, scale)
     sizes = np.abs(np.asarray(values))
-    factor, shown = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
+    if isinstance(unit, str):
+        unit = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
+    factor, shown = unit
     decimals = None if u is None else decimals_of(factor * u)
     cells = []
     for value in (factor * np.asarray(values, dtype=np.float64)).tolist():

@@ -224,3 +224,12 @@ def test_an_inclinometer_says_degrees_near_level():
     assert float(angle) == pytest.approx(np.degrees(force), rel=0.01)
     assert re.search(r"g \([\d.]+°\) of bias", said)
     assert "°" not in build_content(cal, language="zh").sentence.partition("近水平")[0]
+
+
+def test_residuals_of_all_outputs_have_one_unit():
+    # of 3 mg and of 50 µg: each would be read in a unit of its own
+    noise = np.random.default_rng(2).standard_normal(UP.shape) * [3e-3, 5e-5, 3e-3]
+    cal = mp.fit(mp.Readings(UP + noise, outputs=("ax", "ay", "az"), up=UP, unit="g"))
+    tables = [each for section in build_content(cal).sections for each in section.tables]
+    header = next(each.header for each in tables if each.caption.startswith("Residuals at"))
+    assert header[1:4] == ("ax [mg]", "ay [mg]", "az [mg]")
