@@ -213,7 +213,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             "The calibration holds within what was applied, up to {size} {unit}. Beyond, omitted "
             "terms may grow without limit.",
             size=f"{seen.largest:.4g}",
-            unit=c.field.unit,
+            unit=pretty_unit(c.field.unit),
         ),
     ]
     if hidden:
@@ -280,7 +280,7 @@ def _sphere_rows(
                 rows.append(
                     (
                         tr(text, axis=axis),
-                        f"{size:g} {c.field.printed}"
+                        f"{size:g} {pretty_unit(c.field.printed)}"
                         + ("" if size <= seen or c.field.magnetic else " *"),
                         *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),
                         shown,

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multipos.files.numbers import common_units, decimals_of, most_of, plain_number
+from multipos.files.numbers import common_units, decimals_of, most_of, plain_number, pretty_unit
 from multipos.plots.pictures import error_picture
 from multipos.reports.quantities import (
     Quantity,
@@ -81,7 +81,8 @@ def _picture(c: Calibration, tr: Translator) -> Figure:
 def _validity(c: Calibration, tr: Translator) -> str:
     """Return within what the calibration holds."""
     said = tr(
-        "Valid for forces {range}", range=tr.message(applied(c).in_words(sensed_axes(c.model)))
+        "Valid for forces {range}",
+        range=tr.message(pretty_unit(applied(c).in_words(sensed_axes(c.model)))),
     )
     for name in c.model.environment:
         column = c.readings.environment[name]

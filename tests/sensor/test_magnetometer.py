@@ -614,6 +614,7 @@ def test_what_other_commands_print_of_a_magnetometer(tmp_path, capsys):
     (row,) = [line for line in report.splitlines() if line.startswith("| the field | B ")]
     assert row.split("|")[4:6] == [" 100 ", " nT "]
     assert "Up vector" not in report
+    assert "Valid for fields up to 48.6 µT" in report
     assert main(["worth", str(cal)]) == 0
     out = capsys.readouterr().out
     assert "Best next position: field (" in out
