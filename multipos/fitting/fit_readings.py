@@ -340,6 +340,8 @@ def fit(
         level_sd=level_sd,
     )
     stated = None if budget is None else read_budget(budget)
+    if stated is not None and (grid := stated.quantities.get("resolution")) is not None:
+        options = replace(options, resolution=grid.u)
     before = None if nominal is None else read_nominal(nominal)
     local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
     check_field_kind(field)
@@ -513,10 +515,13 @@ def with_excluded(
 _WITHIN = 1e6  # degrees of freedom of a rounding
 
 
-def _with_grid_variance(readings: Readings, solution: Solution) -> Readings | None:
+def _with_grid_variance(
+    readings: Readings, solution: Solution, resolution: float
+) -> Readings | None:
     """Return readings whose u is that of their grid, where it is coarser than their scatter.
 
-    None where it is not; u of other outputs is what their residuals show.
+    The grid is seen in the readings, or stated by its u, which stated noise does not hold. None
+    where it is finer; u of other outputs is what their residuals show.
     """
     sd, noise = solution.residual_sd, readings.noise
     if not np.isfinite(sd).all() or (noise is not None and noise.ndim == 2):
@@ -524,6 +529,8 @@ def _with_grid_variance(readings: Readings, solution: Solution) -> Readings | No
     if readings.samples is not None:  # means of many lie between the steps
         return None
     steps = coarse_steps(readings.values, sd)
+    if readings.u is None:
+        steps = np.maximum(steps, np.where(sd < resolution, math.sqrt(12.0) * resolution, 0.0))
     if not steps.any():
         return None
     lower_bound = np.broadcast_to(steps / math.sqrt(12.0), readings.values.shape)
@@ -564,7 +571,9 @@ def calibrate_at(
         tested = readings.noise is not None
         readings = add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, stated_up, options, tested=tested)(model)
-    bounded_below = None if options.robust is not None else _with_grid_variance(readings, solution)
+    bounded_below = None
+    if options.robust is None:
+        bounded_below = _with_grid_variance(readings, solution, options.resolution)
     if bounded_below is not None:
         readings = bounded_below
         solution = _solver(estimator, readings, stated_up, options, tested=False)(model)

@@ -39,6 +39,8 @@ class Options:
         Instead of the readings' own.
     estimate_orientation_sd : bool
     level_sd : float [rad]
+    resolution : float
+        Standard uncertainty by the resolution that a budget states, in reading units.
     """
 
     convention: Convention = "specific-force"
@@ -52,6 +54,7 @@ class Options:
     orientation_sd: float | None = None
     estimate_orientation_sd: bool = False
     level_sd: float = 0.0
+    resolution: float = 0.0
 
 
 def check_options(

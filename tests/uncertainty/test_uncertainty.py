@@ -545,3 +545,20 @@ def test_a_file_whose_parameters_nothing_determines_is_refused(tmp_path):
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(mp.MultiposError, match="do not determine its parameters"):
         evaluate_budget(mp.load(path))
+
+
+def test_a_stated_resolution_is_the_least_noise_of_readings():
+    """JCGM 100, F.2.2.1: readings that repeat on a step q are known to q/√12 and no better."""
+    up = mp.read_scheme("icosahedron-12").up
+    rng, step = np.random.default_rng(1), 1e-3
+    found = []
+    for noise in (1e-6, 3e-3):
+        values = up + noise * rng.standard_normal(up.shape)
+        readings = mp.Readings(values, up=up, unit="g")
+        pair = [mp.fit(readings), mp.fit(readings, budget={"resolution": {"step": step}})]
+        found.append([c["bias_ax"] for c in pair])
+    quiet, loud = found
+    assert quiet[0].u < 1e-6 < quiet[1].u
+    # the mean of twelve; residuals of a rounding say nothing more
+    assert quiet[1].u == pytest.approx(step / np.sqrt(12.0) / np.sqrt(12.0), rel=0.1)
+    assert loud[1].u == pytest.approx(loud[0].u, rel=1e-12)
