@@ -68,6 +68,7 @@ _STEPS = 100_000
 _NEARLY_NORMAL = 1e5  # degrees of freedom from which on t has its expansion
 _NORMAL = 1e9  # degrees of freedom from which on a law is taken as normal
 _EPS = 1e-16
+_ROUNDING = 1e-15  # of a logarithm, which the function's own rounding moves
 _TINY = 1e-300
 
 
@@ -163,7 +164,8 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
     """Return the positive x at which a monotone positive function has a value.
 
     The logarithm of the function is all but linear in that of x far out on either side: a
-    bracket is halved, or cut where the line between its ends meets the value, whichever is better.
+    bracket is cut where the line between its ends meets the value, of which one that stays twice
+    is halved (Illinois).
     """
     goal = math.log(target)
 
@@ -182,6 +184,7 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
             high, at_high, low = low, at_low, low - step
             at_low = off(low)
         step *= 2.0
+    last, side = math.inf, 0
     for _ in range(200):
         if at_low == 0.0 or at_high == 0.0 or high - low <= 2e-16 * max(abs(low), abs(high), 1.0):
             break
@@ -189,10 +192,15 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
         if not low < middle < high:
             middle = 0.5 * (low + high)
         at = off(middle)
+        if abs(middle - last) <= _ROUNDING * max(abs(middle), 1.0):
+            return math.exp(middle)
+        last = middle
         if at * at_low > 0.0:
-            low, at_low, at_high = middle, at, 0.5 * at_high
+            low, at_low = middle, at
+            at_high, side = (0.5 * at_high if side < 0 else at_high), -1
         else:
-            high, at_high, at_low = middle, at, 0.5 * at_low
+            high, at_high = middle, at
+            at_low, side = (0.5 * at_low if side > 0 else at_low), 1
     return math.exp(low if abs(at_low) < abs(at_high) else high)
 
 
@@ -269,9 +277,11 @@ def t_quantile(p: float, dof: float) -> float:
     central = 1.0 - 2.0 * p
     if central == 0.0:
         return 0.0
+    z = -normal_quantile(p)
+    start = z + (z**3 + z) / (4.0 * max(dof, 1.0))
     if central < 0.5:
-        return -solve(lambda t: _t_tails(t, dof)[1], central, 1.0)
-    return -solve(lambda t: _t_tails(t, dof)[0], 2.0 * p, 1.0)
+        return -solve(lambda t: _t_tails(t, dof)[1], central, start)
+    return -solve(lambda t: _t_tails(t, dof)[0], 2.0 * p, start)
 
 
 def t_tail(t: float, dof: float) -> float:
