@@ -53,7 +53,7 @@ FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits va
 
 _NO_NOISE = (
     "the orientation errors may explain the residuals of too many positions to estimate the noise "
-    "beside them robustly; state --reading-sd, a smaller --orientation-sd, or add positions."
+    "robustly; state --reading-sd, a smaller --orientation-sd, or add positions."
 )
 
 
