@@ -7,7 +7,12 @@ from scipy.optimize import brentq
 from scipy.stats import t as student
 
 import multipos as mp
-from multipos.estimation.unequal_axes import _half_interval, allow_for_axes
+from multipos.estimation.unequal_axes import (
+    _divide,
+    _half_interval,
+    _most_likely,
+    allow_for_axes,
+)
 from multipos.fitting import fit_readings
 from multipos.numerics.quantiles import coverage_factor
 
@@ -88,6 +93,29 @@ def test_the_prior_of_ratios_is_the_stated_one():
     u = [np.sqrt(np.diag(allowed(*each))) for each in sets]
     ratios = [np.log(found / integrated(*each)) for found, each in zip(u, sets, strict=True)]
     assert_allclose(np.exp(np.mean(ratios)), 1.0, rtol=0.02)
+
+
+def test_the_spread_of_ratios_is_that_of_their_likelihood():
+    """The root of their covariance against second differences of eq. (3) and the prior."""
+    a, r, share, inverse = some_rows(4000, 3, (1.0, 2.0, 5.0))
+    parts = _divide(a.T[None], r[None], share[None, :, 1:].transpose(0, 2, 1), inverse[None])
+    x, root = (each[0] for each in _most_likely(parts))
+    left = np.eye(4000) - a @ inverse @ a.T
+    weight, V = np.diag(left), left**2 @ share
+    axes = np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 1.0, 1.0, -2.0]]) / np.sqrt([[2.0], [6.0]])
+
+    def log(x):
+        v = V @ np.exp(x @ axes)
+        q = weight @ (r**2 / v)
+        return -0.5 * (weight @ np.log(v) + weight.sum() * np.log(q) + x @ x / 16.0)
+
+    step = 0.05 * np.eye(2)
+    bend = [
+        [log(x + i + j) - log(x + i - j) - log(x - i + j) + log(x - i - j) for j in step]
+        for i in step
+    ]
+    # the expected information, of thousands of positions, is that of these to a few percent
+    assert_allclose(root @ root.T, np.linalg.inv(np.array(bend) / -0.01), rtol=0.15)
 
 
 def test_many_positions_leave_the_sandwich():

@@ -365,6 +365,25 @@ def test_influence_against_leaving_positions_out():
         )
 
 
+def test_influence_beside_unequal_stated_noise_by_leaving_positions_out():
+    """Weighted least squares of the other thirteen, in units of u that residuals make of it."""
+    scheme = read_scheme("faces-corners-14")
+    rng = np.random.default_rng(2)
+    u = rng.uniform(1e-3, 4e-3, (14, 3))
+    values = 1.01 * scheme.up + 0.02 + u * rng.standard_normal((14, 3))
+    c = mp.fit(mp.Readings(values, up=scheme.up, u=u))
+    found = find_influence(c)
+    X, sd = np.column_stack([np.ones(14), scheme.up]), np.sqrt(c.noise).reshape(14, 3)
+    for i in range(3):
+        A, y = X / sd[:, [i]], values[:, i] / sd[:, i]
+        b, rss = np.linalg.lstsq(A, y, rcond=None)[:2]
+        own = np.sqrt(rss / 10.0 * np.diag(np.linalg.inv(A.T @ A)))
+        for row in (0, 9):
+            other = np.linalg.lstsq(np.delete(A, row, 0), np.delete(y, row), rcond=None)[0]
+            largest = np.abs((other - b) / own).max()
+            assert found.shift[row, i] == pytest.approx(largest, rel=1e-6)
+
+
 def test_influence_where_a_position_decides_alone():
     c = mp.demo().calibration
     found = find_influence(c)
