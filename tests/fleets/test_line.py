@@ -175,6 +175,15 @@ def test_false_discoveries_are_as_rare_as_they_say():
     assert wrong / runs < 0.02
 
 
+def test_the_commonest_cause_comes_first():
+    table = line(5, scheme="faces-corners-14")
+    table["ax"][14 * 2 : 14 * 3] = 0.5
+    table["ay"][[1, 14 * 4 + 1]] = np.nan
+    causes = mp.fleet(table, **APART)["causes"]
+    assert next(iter(causes.items())) == ("no calibration", 2)
+    assert causes["dead-output"] == 1
+
+
 def test_verdicts_of_units_that_fail_or_are_doubted():
     table = line(6, scheme="faces-corners-14")
     table["ax"][14 * 2 : 14 * 3] = 0.5  # U0002: an output that stands still
