@@ -15,6 +15,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeGuard
 
 import multipos
 from multipos import plots
@@ -293,7 +294,7 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
         for part in (*functions, tree):
             names = assigned(part)
             for node in ast.walk(part):
-                if isinstance(node, ast.Call) and id(node) not in seen:
+                if _is_made(node) and id(node) not in seen:
                     seen.add(id(node))
                     yield from _message(node, _at(node.lineno, part, names), put_in)
 
@@ -341,9 +342,12 @@ def _of_rests(tree: ast.Module, put_in: str) -> Iterator[Message]:
                 yield Message((code,), (), (text,), (action,) if action else ())
 
 
+def _is_made(node: ast.AST) -> TypeGuard[ast.Call]:
+    called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+    return called in ("Finding", "add") and len(node.args) > 2  # type: ignore[attr-defined]
+
+
 def _message(node: ast.Call, names: dict[str, list[ast.expr]], put_in: str) -> Iterator[Message]:
-    if getattr(node.func, "id", "") not in ("Finding", "add") or len(node.args) < 3:
-        return
     code, level, text, *rest = node.args
     levels = tuple(texts_of(level, {}, put_in))
     if put_in in levels:
@@ -422,10 +426,13 @@ def errors_page() -> str:
 
 def _raised(tree: ast.Module) -> Iterator[str]:
     """Yield the texts of what a module raises, where they are sentences."""
+    constants = [node for node in tree.body if isinstance(node, ast.Assign)]
+    kept = assigned(ast.Module(constants, []))
     for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        names = kept | assigned(function)
         for node in ast.walk(function):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
-                for text in texts_of(node.exc.args[0], assigned(function), "…"):
+                for text in texts_of(node.exc.args[0], names, "…"):
                     if len(re.findall(r"[a-z]{2,}", text)) > _SENTENCE:
                         yield re.sub("…+", "…", text)
 
