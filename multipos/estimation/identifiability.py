@@ -26,9 +26,10 @@ CANDIDATES /= np.linalg.norm(CANDIDATES, axis=1)[:, None]
 
 def condition(information: Array) -> float:
     """Return the 2-norm condition of the scaled problem whose information is given."""
-    scale = np.sqrt(np.diag(information))
-    if not (scale > 0.0).all():
+    diagonal = np.diag(information)
+    if not (diagonal > 0.0).all():
         return np.inf
+    scale = np.sqrt(diagonal)
     eigenvalues = np.linalg.eigvalsh(information / np.outer(scale, scale))
     if eigenvalues[0] <= _UNSEEN * eigenvalues[-1]:
         return np.inf

@@ -1044,3 +1044,9 @@ def test_gain_of_a_position_set_aside_is_nothing():
 def test_reference_chi2_is_where_denial_begins():
     """The 99.9 % point itself, so that the rule is INTERFACE's."""
     assert chi2_quantile(0.999, 15) == pytest.approx(37.697, abs=1e-3)
+
+
+def test_information_that_rounding_made_negative_determines_nothing():
+    """As the fuzzer found it, at a minimum of outputs that share a parameter."""
+    assert condition(np.diag([1.0, -1e-3])) == np.inf
+    assert condition(np.diag([4.0, 1.0])) == 1.0
