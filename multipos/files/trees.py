@@ -118,7 +118,7 @@ def read_json_value(path: str | os.PathLike[str], what: str) -> Any:
     except json.JSONDecodeError as error:
         raise MultiposError(
             f"{path}: line {error.lineno}, column {error.colno}: not valid JSON ({error.msg}); "
-            "the file is truncated or of another kind, write it again."
+            f"the file is truncated or of another kind; give the {what} as JSON, or write it again."
         ) from None
 
 

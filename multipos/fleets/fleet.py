@@ -190,6 +190,11 @@ class Fleet(Result, Drawn):
     def __getitem__(self, key: str) -> Any:
         return self.summary[key]
 
+    @property
+    def findings(self) -> Findings:
+        """What the fleet as a whole shows: units without a calibration, stations that are off."""
+        return read_findings(self.summary)
+
     def to_dict(self) -> dict[str, Any]:
         """Return what `fleet.json` holds."""
         head = {"schema": SCHEMA, "multipos_version": self.version, "created": self.created}

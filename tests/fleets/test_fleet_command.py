@@ -424,6 +424,7 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
     assert [each["code"] for each in off["B"]] == ["station"]
     assert "position 3 of station B is off by 0." in off["B"][0]["text"]
     assert off["B"][0] in found.to_dict()["findings"]
+    assert [f.to_dict() for f in found.findings] == found.to_dict()["findings"]
     of_b = {
         name: [c for c, at in zip(table[name], table["station"], strict=True) if at == "B"]
         for name in names
