@@ -170,6 +170,7 @@ def test_it_listens_on_loopback_alone(live):
 
 
 def test_two_streams_see_the_same(live):
+    live.wait(lambda state: len(state["taken"]) == 11)  # all that the log has so far
     seen = []
     for _ in range(2):
         connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=20)
