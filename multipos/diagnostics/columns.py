@@ -92,7 +92,9 @@ def counter_column(c: Calibration) -> Finding | None:
         least = 1e-9 * abs(step)
         if step == 0.0 or abs(third[i] - second[i] - step) > least:
             continue  # as nearly always: the rest need not be looked at
-        if float(np.abs(np.diff(values[:, i]) - step).max()) <= least:
+        if float(np.abs(np.diff(values[:, i]) - step).max()) > least:
+            continue
+        if float(np.abs(c.residuals[:, i]).max()) > 1e3 * least:  # else the positions are a spiral
             counters.append(output)
     if not counters:
         return None

@@ -132,6 +132,11 @@ def test_good_readings_raise_no_doubt_of_the_data(scheme):
     assert codes(sense(up), up)[0] == []
 
 
+def test_a_spiral_of_positions_without_noise_is_no_counter():
+    up = mp.read_scheme("fibonacci-40").up  # z falls by one step from row to row
+    assert codes(0.01 + 1.02 * up, up)[0] == []
+
+
 def test_a_repair_names_rows_and_the_rms_before_and_after():
     up = mp.read_scheme("song-qin-6").up
     values = sense(up)
