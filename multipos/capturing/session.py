@@ -81,7 +81,7 @@ class Session:
         self.plan: SessionPlan = plan
         self._reading = reading
         self._notify = notify
-        self._told: list[tuple[int, int]] = []  # the rests that it was told
+        self._reported: list[tuple[int, int]] = []  # the rests that were reported
         self.changed: threading.Condition = threading.Condition()
         self.version: int = 0
         self.ticks: int = 0
@@ -296,10 +296,10 @@ class Session:
     def _tell(self, still: Still) -> None:
         """Tell of the newest pose: once before the threshold is fixed, and again if it moved."""
         place = len(self.poses) - 1
-        before = self._told[place : place + 1]
+        before = self._reported[place : place + 1]
         if self._notify is None or (before and (self.threshold is None or before == [still.rows])):
             return
-        self._told[place : place + 1] = [still.rows]
+        self._reported[place : place + 1] = [still.rows]
         self._notify(self)
 
     def _judge(self, still: Still, number: str) -> Pose:

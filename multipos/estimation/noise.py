@@ -443,7 +443,7 @@ def estimate_tied_noise(
         optimum = resume(problem, optimum)
         if np.abs(variance / before - 1.0).max() <= _CONVERGED:
             break
-    # of outputs that are told together each has all of them
+    # of outputs that are fitted together each has all of them
     together = dof.sum() if problem.exact.all() else dof[0]
     return problem, optimum, NoiseEstimate(1.0, float(together)), dof
 
