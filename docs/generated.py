@@ -92,7 +92,14 @@ SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
 def commands_page() -> str:
     """Return the page of all commands."""
-    return "\n".join([COMMANDS_HEAD, *map(command_section, COMMANDS)])
+    return "\n".join([COMMANDS_HEAD, options_index(), *map(command_section, COMMANDS)])
+
+
+def options_index() -> str:
+    """Return index entries of all options: search leaves out words such as the `to` of `--to`."""
+    actions = [action for name in COMMANDS for action in command_parser(name)._actions]
+    names = {name for action in actions for name in action.option_strings if name[:2] == "--"}
+    return "\n".join(["```{index} " + ", ".join(sorted(names)), "```", ""])
 
 
 def command_section(name: str) -> str:

@@ -57,8 +57,14 @@ class Index:
         return {self.language.stem(word) for word in asked if word not in self.language.stopwords}
 
     def finds(self, query: str) -> set[str]:
-        """Return the pages that hold all terms of a query, or all of three letters and more."""
+        """Return the pages that hold all terms of a query, or all of three letters and more.
+
+        Without a term in it, those that have the query among their index entries.
+        """
         terms = self.terms(query)
+        if not terms:
+            entries = self.content["indexentries"].get(query.lower(), ())
+            return {self.content["docnames"][entry[0]] for entry in entries}
         held = Counter(page for term in terms for page in self.pages_of(term))
         enough = {len(terms), sum(len(term) > 2 for term in terms)}
         return {page for page, count in held.items() if count in enough}
