@@ -72,7 +72,8 @@ class Index:
 
 @pytest.fixture(scope="module")
 def index(tmp_path_factory) -> Index:
-    pytest.importorskip("sphinx")
+    for library in ("sphinx", "myst_parser", "furo", "sphinx_copybutton"):
+        pytest.importorskip(library)
     built = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "sphinx", "-q", "-b", "html", str(DOCS), str(built)]
     subprocess.run(command, check=True)

@@ -146,7 +146,7 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
     if (cosines(sensitivity, -expected) > _SLANTED).all() and len(c.outputs) != 2:
         return None  # the other convention, which the fit says by itself
     face = facing(sensitivity)
-    words = "Mount it square, or fit with --unknown-orientation for results in sensor axes."
+    words = "Mount it square in its case."
     if face.least > _SLANTED:
         words = f"Confirm with --axes {face.text}."
     how = ", ".join(

@@ -141,7 +141,7 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
         change = abs(np.log(ratio))
         if change < SETTLED:
             break
-        if done >= _EARLY and change > max(_ADRIFT, 0.9 * before):
+        if tied.any() and done >= _EARLY and change > max(_ADRIFT, 0.9 * before):
             raise MultiposError(_NO_NOISE)
         before = change
     # where each has its own direction, all may be explained by these and the parameters alone

@@ -32,9 +32,12 @@ def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
 def _beyond_rounding(found: Check) -> Check:
     """Return the check with 0 for errors and U that are rounding."""
     sizes = {"before": found.before, "after": found.after, "U": found.U}
-    shown = np.vectorize(beyond_rounding, otypes=[np.float64])
     scale = max(1.0, float(np.nanmax(np.abs(found.reference), initial=0.0)))
-    return replace(found, **{name: shown(each, scale) for name, each in sizes.items()})
+    shown = {
+        name: np.reshape([beyond_rounding(one, scale) for one in each.ravel().tolist()], each.shape)
+        for name, each in sizes.items()
+    }
+    return replace(found, **shown)
 
 
 def _by_axis(found: Check) -> Sheet:
