@@ -24,6 +24,8 @@ from multipos.results import Result, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import GRAVITY, Field
 
+_ROUNDING = 1e-12  # of a difference, in units of the field: that of double precision
+
 
 class Wish(NamedTuple):
     """What the user of `export` asks for.
@@ -151,9 +153,7 @@ class Verification(Result):
     @property
     def sentence(self) -> str:
         """Whether the file holds, and the largest difference."""
-        unit = f" {self.field.unit}".rstrip()
-        largest = "" if self.difference is None else f"{number(self.difference, 2)}{unit}"
-        return in_a_sentence(self.target, self.findings, largest)
+        return in_a_sentence(self.target, self.findings, self.difference, self.field.unit)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
@@ -253,8 +253,14 @@ def find_strange(path: str, difference: float, allowed: float, field: Field = GR
     return (Finding("export-differs", "error", text, "Export again."),)
 
 
-def in_a_sentence(target: str, findings: Findings, largest: str) -> str:
-    """Return whether a file holds what its calibration gives, and the largest difference."""
+def in_a_sentence(target: str, findings: Findings, largest: float | None, of: str) -> str:
+    """Return whether a file holds what its calibration gives, and the largest difference of what.
+
+    Rounding, whose last digits differ from machine to machine, has no number.
+    """
     holds = "does not hold" if errors_of(findings) else "holds"
-    difference = f": largest difference from multipos {largest}" if largest else ""
-    return f"The file for {target} {holds}{difference}."
+    if largest is None:
+        return f"The file for {target} {holds}."
+    size = f"below {_ROUNDING:g}" if largest < _ROUNDING else number(largest, 2)
+    difference = f"{size} {of}".rstrip()
+    return f"The file for {target} {holds}: largest difference from multipos {difference}."

@@ -142,8 +142,8 @@ class Replay(Result):
     @property
     def sentence(self) -> str:
         """Whether the file holds, and the largest difference."""
-        largest = f"{number(float(self.difference.max()), 2)} over {self.rows} rows"
-        return in_a_sentence(self.target, self.findings, largest)
+        largest = float(self.difference.max())
+        return in_a_sentence(self.target, self.findings, largest, f"over {self.rows} rows")
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
