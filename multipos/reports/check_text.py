@@ -16,6 +16,7 @@ from multipos.files.numbers import (
     plain_number,
     readable_unit,
 )
+from multipos.numerics.arrays import Array
 from multipos.reports.sheets import Sheet
 from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
@@ -31,13 +32,13 @@ def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
 
 def _beyond_rounding(found: Check) -> Check:
     """Return the check with 0 for errors and U that are rounding."""
-    sizes = {"before": found.before, "after": found.after, "U": found.U}
     scale = max(1.0, float(np.nanmax(np.abs(found.reference), initial=0.0)))
-    shown = {
-        name: np.reshape([beyond_rounding(one, scale) for one in each.ravel().tolist()], each.shape)
-        for name, each in sizes.items()
-    }
-    return replace(found, **shown)
+
+    def shown(errors: Array) -> Array:
+        cells = [beyond_rounding(error, scale) for error in errors.ravel().tolist()]
+        return np.array(cells).reshape(errors.shape)
+
+    return replace(found, before=shown(found.before), after=shown(found.after), U=shown(found.U))
 
 
 def _by_axis(found: Check) -> Sheet:
