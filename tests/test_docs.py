@@ -14,7 +14,7 @@ in this process, which has the libraries loaded; whatever needs a shell runs in 
 
 import difflib
 import doctest
-import importlib.util
+import importlib
 import inspect
 import io
 import os
@@ -30,9 +30,9 @@ import traceback
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from docs_programs import load
 
 import multipos
 from multipos.cli import main
@@ -290,15 +290,6 @@ def test_docstring_examples_print_what_they_say(name, tmp_path, monkeypatch):
         runner.run(test, out=report.write)
     if report.getvalue():
         pytest.fail(report.getvalue(), pytrace=False)
-
-
-def load(name: str) -> ModuleType:
-    """Return one of the programs that write pages."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where its dataclasses look for themselves
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_pictures_are_small_and_each_is_shown():

@@ -1,24 +1,15 @@
 """Notebooks of docs/ run without Jupyter, and give what is kept in them."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import pytest
+from docs_programs import load
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-def runner():
-    spec = importlib.util.spec_from_file_location("notebooks", DOCS / "notebooks.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-NOTEBOOKS = runner()
+NOTEBOOKS = load("notebooks")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS.NOTEBOOKS, ids=lambda path: path.name)

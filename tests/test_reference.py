@@ -1,13 +1,13 @@
 """The page of formats and options says what the code does."""
 
-import importlib.util
+import importlib
 import re
-import sys
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
+from docs_programs import load
 
 import multipos as mp
 from multipos.cli import COMMANDS
@@ -157,10 +157,7 @@ def test_every_key_of_a_stability_result_is_described():
 
 @pytest.mark.parametrize("name", ["commands", "errors", "messages", "names"])
 def test_the_pages_that_the_program_writes_are_of_this_program(name):
-    spec = importlib.util.spec_from_file_location("generated", DOCS / "generated.py")
-    generated = importlib.util.module_from_spec(spec)
-    sys.modules["generated"] = generated
-    spec.loader.exec_module(generated)
+    generated = load("generated")
     page = (DOCS / f"reference/{name}.md").read_text("utf-8")
     if page != getattr(generated, f"{name}_page")():
         pytest.fail(f"reference/{name}.md is of another version; run `python docs/generated.py`")

@@ -1,6 +1,5 @@
 """A reader finds by search every code, every option and every word of a message."""
 
-import importlib.util
 import json
 import re
 import subprocess
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from docs_programs import load
 
 from multipos.cli import COMMANDS, command_parser
 
@@ -20,13 +20,7 @@ FILES = sorted((DOCS.parent / "multipos").rglob("*.py"))
 
 @pytest.fixture(scope="module")
 def program() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("generated", DOCS / "generated.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["generated"] = module
-    spec.loader.exec_module(module)
-    return module
+    return load("generated")
 
 
 class Index:

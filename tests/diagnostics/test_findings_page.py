@@ -1,14 +1,12 @@
 """Every finding of the program is on its page, and its text has a Chinese one."""
 
 import ast
-import importlib.util
 import re
-import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from docs_programs import load
 
 from multipos.reports.sections import Translator
 
@@ -17,18 +15,7 @@ PUT_IN = "7"  # where a text has a number or a name
 FILES = [p for p in sorted((ROOT / "multipos").rglob("*.py")) if "Finding(" in p.read_text("utf-8")]
 
 
-def generated() -> ModuleType:
-    """Return the program that reads the findings from the code."""
-    spec = importlib.util.spec_from_file_location("generated", ROOT / "docs/generated.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["generated"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-PROGRAM = generated()
+PROGRAM = load("generated")
 MADE = list(PROGRAM.messages(FILES, PUT_IN))
 
 
