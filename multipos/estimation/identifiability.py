@@ -104,9 +104,10 @@ def helpful_positions(information: Array, gains: Array, count: int) -> list[int]
     information : (p, p) array
         What is known already.
     gains : (c, p, p) array
-        What each candidate would add.
+        What each candidate would add; one without finite slopes adds nothing.
     count : int
     """
+    gains = np.where(np.isfinite(gains).all(axis=(1, 2), keepdims=True), gains, 0.0)
     scale = np.sqrt(np.maximum(np.diag(gains.sum(axis=0)), 1e-300))
     unit = np.outer(scale, scale)
     # A ridge far below any real information lets the determinant rank singular ones.

@@ -24,7 +24,12 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from multipos.estimation.gains import restate, return_to_optimum, uncertain_gain
-from multipos.estimation.identifiability import CANDIDATES, condition, plausible_range
+from multipos.estimation.identifiability import (
+    CANDIDATES,
+    condition,
+    helpful_positions,
+    plausible_range,
+)
 from multipos.estimation.robustness import _huber_factor
 from multipos.estimation.starts import _require_sphere
 from multipos.estimation.uncertain import _scale_bias
@@ -1050,3 +1055,14 @@ def test_information_that_rounding_made_negative_determines_nothing():
     """As the fuzzer found it, at a minimum of outputs that share a parameter."""
     assert condition(np.diag([1.0, -1e-3])) == np.inf
     assert condition(np.diag([4.0, 1.0])) == 1.0
+
+
+def test_positions_where_the_model_has_no_slopes_are_not_proposed():
+    gains = np.array([np.diag([np.nan, np.nan]), np.diag([1.0, 0.0]), np.diag([0.0, 2.0])])
+    # |diag(9, 1) + gain| by hand: 10 * 1 for the second position, 9 * 3 for the third, and then
+    # 10 * 3 against 9 * 5.
+    assert helpful_positions(np.diag([9.0, 1.0]), gains, 2) == [2, 2]
+    assert helpful_positions(np.diag([1.0, 9.0]), gains, 2) == [
+        1,
+        1,
+    ]  # 2 * 9, 1 * 11; 3 * 9, 2 * 11
