@@ -131,7 +131,7 @@ def _differentiate(
     """Return a function of the linear part (batch, M, 4) and its derivative (q, p)."""
     to_linear = model.linear_map(environment)
     linear = to_linear @ parameters
-    step = np.full(linear.size, _STEP * np.abs(linear).max())
+    step = np.full(linear.size, _STEP * (np.abs(linear).max() or 1.0))  # 1: readings all zero
     values, gradient = _central(
         lambda batch: function(batch.reshape(-1, *linear.shape)), linear.ravel(), step
     )

@@ -144,3 +144,10 @@ def test_leans_of_what_is_there():
     assert {k: v["value"] for k, v in found.items()} == pytest.approx({"yz": angle, "zy": -angle})
     twice = build_model("linear", ("a", "b"), ("x", "x"))
     assert installation_deg(twice, np.ones(8), np.eye(8), {}) == {}
+
+
+def test_readings_that_are_all_zero_are_not_divided_by():
+    built, parameters = linear([0.0] * 3, np.zeros((3, 3)))
+    with np.errstate(all="raise"):
+        found = installation_deg(built, parameters, np.zeros((12, 12)), {})
+    assert [(lean["value"], lean["u"]) for lean in found.values()] == [(0.0, 0.0)] * 6
