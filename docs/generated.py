@@ -299,11 +299,11 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
         yield from _of_rests(tree, put_in)
         seen: set[int] = set()
         for part in (*functions, tree):
-            names = assigned(part)
-            for node in ast.walk(part):
-                if _is_made(node) and id(node) not in seen:
-                    seen.add(id(node))
-                    yield from _message(node, _at(node.lineno, part, names), put_in)
+            made = [node for node in ast.walk(part) if _is_made(node) and id(node) not in seen]
+            seen |= {id(node) for node in made}
+            names = assigned(part) if made else {}
+            for node in made:
+                yield from _message(node, _at(node.lineno, part, names), put_in)
 
 
 def _at(line: int, part: ast.AST, names: dict[str, list[ast.expr]]) -> dict[str, list[ast.expr]]:

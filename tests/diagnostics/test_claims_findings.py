@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 from findings_bench import texts
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
+from scipy.stats import f as fisher
 
 import multipos as mp
 from multipos.diagnostics import noise_causes
@@ -140,3 +142,61 @@ def test_groups_that_leave_directions_free_end_no_fit(seed):
     columns["group"] = list(map(int, group))
     fitted = mp.fit(columns, orientation_sd=0.1, reading_sd=0.001)
     assert 0.0 <= judge_equality(fitted)[0] <= 1.0
+
+
+def test_steps_follow_the_slopes_of_the_deviance():
+    """Slopes by differences of D, the step by hand; what is held at zero does not move."""
+    rng = np.random.default_rng(1)
+    force = read_scheme("fibonacci-24").up
+    found = noise_causes.Residuals(
+        1e-4 * rng.standard_normal((2, 24, 3)),
+        np.column_stack([np.ones(24), force]),
+        [np.arange(4)] * 3,
+        np.tile(MATRIX, (2, 1, 1, 1)),
+        force,
+        np.full((2, 24, 3), 4e-9),
+    )
+    parts = [np.eye(3)[None, None], found.across]
+    theta, by = np.array([[9e-9, 2e-9], [4e-9, 1e-9]]), np.diag([1e-12, 1e-12])
+    here = noise_causes._evaluate(found, parts, theta)
+    slopes = np.empty((2, 2))
+    for j in range(2):
+        up, down = (noise_causes._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
+        slopes[:, j] = (up.deviance - down.deviance) / 2e-12
+    assert_allclose(here.expected - here.observed, slopes, rtol=1e-3)
+    step, gain = noise_causes._step(theta, here)
+    for b in range(2):
+        newton = -np.linalg.solve(here.curvature[b], slopes[b])
+        assert_allclose(step[b], newton, rtol=3e-3)
+        assert gain[b] == pytest.approx(-0.5 * newton @ slopes[b], rel=3e-3)
+    held = here._replace(observed=np.where([[True, False]], 0.5 * here.expected, here.observed))
+    still = noise_causes._step(theta * [0.0, 1.0], held)[0]
+    assert_array_equal(still[:, 0], 0.0)
+    assert_allclose(still[:, 1], -slopes[:, 1] / here.curvature[:, 1, 1], rtol=3e-3)
+
+
+def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
+    """R with projections of its own and SciPy's F, half of the units with rows turned."""
+    # eq. (4) of diagnostics.noise_causes
+    rng = np.random.default_rng(2)
+    force = read_scheme("fibonacci-24").up
+    design = np.column_stack([np.ones(24), force])
+    left = np.eye(24) - design @ np.linalg.pinv(design)
+    noise = rng.standard_normal((400, 24, 3))
+    noise[200:] += 2.0 * np.cross(rng.standard_normal((200, 24, 3)), force)
+    e = np.einsum("kl,blm->bkm", left, noise)
+    found = noise_causes.Residuals(
+        e, design, [np.arange(4)] * 3, np.eye(3)[None, None], force, np.zeros(e.shape)
+    )
+    every = np.hstack([force[:, [i]] * design for i in range(3)])  # of what is along the force
+    along_nu = 24 - np.linalg.matrix_rank(every)
+    across_nu = 3 * 20 - along_nu
+    sd = np.sqrt(np.sum(e**2, axis=1) / 20.0)[:, None]
+    normal = force * sd
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    along = np.sum(np.sum(normal * (e / sd), axis=2) ** 2, axis=1)
+    ratio = (60.0 - along) / across_nu / (along / along_nu)
+    said = (ratio > fisher.ppf(0.98, across_nu, along_nu)) & (3.0 * along <= 60.0)
+    assert_array_equal(noise_causes.across_the_force(found), said)
+    assert said[:200].mean() < 0.06
+    assert said[200:].mean() > 0.3

@@ -1,12 +1,18 @@
 """Every gross error, planted in readings otherwise good, and good readings that are strange."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from findings_bench import texts
 
 import multipos as mp
+from multipos.diagnostics import gross_errors
 from multipos.diagnostics.columns import resolution
-from multipos.diagnostics.linear_view import look
+from multipos.diagnostics.linear_view import View, look
+from multipos.diagnostics.repairs import Repair, _interchanges, _single_factors
+from multipos.diagnostics.scales import facing
 
 MATRIX = np.array([[0.98, 0.01, -0.005], [0.004, 1.02, 0.01], [-0.01, 0.003, 0.99]])
 G = 9.80665
@@ -234,7 +240,7 @@ def test_the_step_of_a_converter(values, step):
 
 
 def test_the_linear_view_is_least_squares():
-    # eq. (1) of diagnostics.linear_view
+    # eqs. (1), (2) of diagnostics.linear_view
     up = mp.read_scheme("all-26").up
     values = sense(up)
     view = look(mp.fit(mp.Readings(values, up=up), model="ieee"))
@@ -266,3 +272,85 @@ def test_a_reading_in_which_all_others_drown_leaves_no_result(known):
     readings = mp.Readings(values, up=None if "unknown_orientation" in known else up)
     with pytest.raises(mp.MultiposError, match=r"position 6: .* is 1e\+17, next to which"):
         mp.fit(readings, **known, reading_sd=1e-3)
+
+
+@pytest.mark.parametrize(("size", "calm"), [(0.19, True), (0.21, False), (-0.21, False)])
+def test_terms_of_a_fifth_of_the_signal_are_looked_at(size, calm):
+    up = mp.read_scheme("fibonacci-24").up
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
+    c = mp.fit(mp.Readings(up + size * up**2 + noise, up=up), model="own-quadratic")
+    assert gross_errors._is_calm(c) == calm
+
+
+@pytest.mark.parametrize(
+    ("tried", "fitted", "gross", "said"),
+    [
+        (9, False, False, True),  # 9 (.05/.5)^6 below 1e-5
+        (11, False, False, False),
+        (4990, False, True, True),  # below .005
+        (5010, False, True, False),
+        (499, True, True, True),  # a number is fitted: to the fifth power
+        (501, True, True, False),
+    ],
+)
+def test_a_repair_is_accepted_by_its_chance_by_hand(tried, fitted, gross, said, monkeypatch):
+    # eq. (1) of diagnostics.gross_errors
+    monkeypatch.setattr(gross_errors, "_sticks_out", lambda *_: False)
+    view = SimpleNamespace(misfit=0.5, misfit_but_one=0.5, dof=2, values=np.zeros((6, 3)))
+    after = SimpleNamespace(misfit=0.05)
+    repair = Repair("interchanged-rows", (0, 1), after, outputs=(1,), fitted=fitted)
+    assert gross_errors.explains(repair, view, tried, gross=gross) == said
+
+
+def test_of_several_repairs_the_least_probable_by_hand():
+    # eq. (2) of diagnostics.gross_errors: log 7 + 4 log(.1) + 3 log(.2 √(4/3)) + log 9
+    view = SimpleNamespace(residuals=np.array([[1.0, 3.0]]), values=np.ones((6, 2)), dof=4)
+    after = SimpleNamespace(residuals=np.array([[0.1, 0.6]]))
+    repair = Repair("wrapped", (0,), after, (1,), tried=7, fitted=True, shrunk=math.log(9.0))
+    by_hand = math.log(7 * 0.1**4 * (0.2 * math.sqrt(4 / 3)) ** 3 * 9)
+    assert gross_errors._chance(repair, view) == pytest.approx(by_hand, rel=1e-12)
+    # within 1.5 of the best for each degree of freedom, 8 in all
+    other = [Repair("wrapped", (0,), after, (1,), 1.0, tried, True) for tried in (1, 25, 26)]
+    kept = gross_errors.as_good_as_best(other, view)
+    assert [each.tried for each in kept] == [1, 25]  # 1.5⁸ = 25.6
+
+
+def test_repairs_of_rows_are_the_best_of_all_that_one_may_try():
+    """Every interchange and factor refitted: the least sum of squares over variances."""
+    # eq. (1) of diagnostics.repairs
+    rng = np.random.default_rng(3)
+    up = rng.permutation(mp.read_scheme("fibonacci-12").up)
+    values = up @ np.array([[1.0, 0.02, 0.0], [0.0, 0.9, 0.01], [0.03, 0.0, 1.1]]) + 0.02
+    values += 0.01 * rng.standard_normal(values.shape)
+    values[[2, 7]] = values[[7, 2]]
+    view = View(np.ones((12, 1)), up, values)
+    design = np.column_stack([np.ones(12), up])
+
+    def total(changed):
+        left = changed - design @ np.linalg.lstsq(design, changed, rcond=None)[0]
+        return float(np.sum(left**2, axis=0) @ (1.0 / np.var(values, axis=0)))
+
+    def exchanged(i, j):
+        rows = np.arange(12)
+        rows[[i, j]] = j, i
+        return total(values[rows])
+
+    sums = {(i, j): exchanged(i, j) for i in range(12) for j in range(i + 1, 12)}
+    found, tried = _interchanges(view, np.arange(12))
+    assert tried == len(sums) == 66
+    assert [each.rows for each in found] == sorted(sums, key=sums.__getitem__)[:6]
+    assert found[0].rows == (2, 7)
+    values[[2, 7]] = values[[7, 2]]
+    values[5] *= 9.80665
+    view = View(np.ones((12, 1)), up, values)
+    best = _single_factors(view, np.arange(12))[0][0]
+    assert (best.rows, best.shrunk) == ((5,), pytest.approx(3.0 * math.log(9.80665)))
+    assert best.size == pytest.approx(9.80665)
+
+
+def test_which_axes_outputs_face_by_hand():
+    # eq. (1) of diagnostics.scales: .8 + .9 + .7 against 0 + .1 + .3 and all others
+    seen = np.array([[0.1, -1.6, 1.2], [0.0, 0.3, 0.9], [0.9, -0.3, 0.3]])
+    found = facing(seen)
+    assert (found.axes, found.signs, found.text) == ((1, 2, 0), (-1.0, 1.0, 1.0), "-y,z,x")
+    assert found.least == pytest.approx(1.6 / math.sqrt(0.01 + 2.56 + 1.44))

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.diagnostics.model_error import _way_out
-from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.diagnostics.projections import hides, lacking
+from multipos.diagnostics.score_tests import judge_included, judge_model, significant
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration_file import from_dict
 
@@ -183,3 +184,57 @@ def test_a_term_that_shows_only_beside_another_is_asked_for_where_all_of_it_show
     c = mp.fit(readings("faces-6", "nothing", 8))
     assert "own*|own|" not in {test.term for test in c.diagnostics.model_tests}
     assert _way_out(c, ("own*|own|",)).endswith("at positions that show all of it.")
+
+
+def test_noise_that_differs_between_outputs_weighs_their_sums():
+    """R of one test of all outputs by two fits, every sum over the variance of its output."""
+    sd = np.array([2e-4, 4e-4, 8e-4])  # twice what they have, so that nothing is beyond it
+    data = readings("fibonacci-24", "nothing", 2, sd=sd / 2.0)
+    c, larger = (mp.fit(data, model=m, reading_sd=sd) for m in ("linear", "own-quadratic"))
+    test = next(t for t in c.diagnostics.model_tests if t.term == "own^2")
+    few, many = (float(np.sum((fit.residuals / sd) ** 2)) for fit in (c, larger))
+    assert_allclose(test.statistic, (few - many) / 3 / (many / 57), rtol=3e-3)  # a part of excess, by its prior
+
+
+def test_terms_that_a_model_has_by_the_fit_without_them():
+    """Wald's statistic of a linear model is what leaving the terms out adds to χ²."""
+    data = readings("fibonacci-24", "own^2", 4, size=1e-4)
+    few, many = (mp.fit(data, model=m, reading_sd=2e-4) for m in ("linear", "own-quadratic"))
+    added = float(np.sum(few.residuals**2) - np.sum(many.residuals**2))
+    (test,) = judge_included(many)
+    assert (test.term, test.outputs) == ("own^2", ())
+    assert_allclose(test.statistic, added / 4e-8 / 3, rtol=3e-3)
+
+
+def test_a_term_is_hidden_by_hand():
+    """√(r/l) beside its limit of two: one term, and the worse combination of two."""
+    # eq. (1) of diagnostics.projections
+    ones, small = np.ones((4, 1)), np.full((4, 1), 0.3)
+    assert hides(np.array([[0.0224]]), small, ones, 1.0)  # r = .09/.0224 above 4
+    assert not hides(np.array([[0.0226]]), small, ones, 1.0)
+    assert hides(np.array([[0.0112]]), small, ones, 2.0)
+    assert not hides(np.array([[0.0113]]), small, ones, 2.0)
+    assert not hides(np.array([[1e-9]]), np.full((4, 1), 0.09), ones, 1.0)  # the model does it
+    # E'E = diag(1, .25)/2 and V'V = [[a, b], [b, a]]: r is the larger root of
+    # (a² − b²) r² − (1/2 + 1/8) a r + 1/16 = 0, with a = .2 and b = .1: 3.80
+    error = np.array([[1.0, 0.0], [0.0, 0.5]])
+    gram = np.array([[0.2, 0.1], [0.1, 0.2]])
+    r = (0.125 + np.sqrt(0.125**2 - 4.0 * 0.03 / 16.0)) / 0.06
+    assert hides(gram, error, np.eye(2), 0.99 * r / 4.0)
+    assert not hides(gram, error, np.eye(2), 1.01 * r / 4.0)
+
+
+def test_the_terms_that_a_model_may_lack_by_name():
+    """IEEE Std 1293: K2, Koq, K3, Kip and Kio of an output along x; powers of a column."""
+    # eq. (2) of diagnostics.projections
+    column = {"environment": {"temperature": np.linspace(20.0, 30.0, 24)}}
+    c = mp.fit(readings("fibonacci-24", "nothing", 1, **column))
+    found = {kind.name: [str(term) for term in kind.terms[0]] for kind in lacking(c)}
+    assert found == {
+        "own^2": ["x^2"],
+        "own*|own|": ["x*|x|"],
+        "own^3": ["x^3"],
+        "own*other": ["x*y", "x*z"],
+        "temperature": ["temperature"],
+        "temperature*own": ["temperature*x"],
+    }
