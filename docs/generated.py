@@ -294,16 +294,23 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
     """Yield every finding that is made in files, something put in for numbers and names."""
     for path in files:
         tree = ast.parse(path.read_text("utf-8"))
-        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        nodes = list(ast.walk(tree))
+        functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
         yield from _said(tree, functions, put_in)
         yield from _of_rests(tree, put_in)
+        lines = [node.lineno for node in nodes if _is_made(node)]
         seen: set[int] = set()
-        for part in (*functions, tree):
+        for part in (*_around(lines, functions), tree) if lines else ():
             made = [node for node in ast.walk(part) if _is_made(node) and id(node) not in seen]
             seen |= {id(node) for node in made}
             names = assigned(part) if made else {}
             for node in made:
                 yield from _message(node, _at(node.lineno, part, names), put_in)
+
+
+def _around(lines: list[int], functions: list[ast.FunctionDef]) -> list[ast.FunctionDef]:
+    """Return the functions that hold one of some lines, of which few do."""
+    return [f for f in functions if any(f.lineno <= n <= (f.end_lineno or 0) for n in lines)]
 
 
 def _at(line: int, part: ast.AST, names: dict[str, list[ast.expr]]) -> dict[str, list[ast.expr]]:
@@ -435,7 +442,9 @@ def _raised(tree: ast.Module) -> Iterator[str]:
     """Yield the texts of what a module raises, where they are sentences."""
     constants = [node for node in tree.body if isinstance(node, ast.Assign)]
     kept = assigned(ast.Module(constants, []))
-    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+    nodes = list(ast.walk(tree))
+    lines = [node.lineno for node in nodes if isinstance(node, ast.Raise)]
+    for function in _around(lines, [each for each in nodes if isinstance(each, ast.FunctionDef)]):
         names = kept | assigned(function)
         for node in ast.walk(function):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:

@@ -243,6 +243,12 @@ METHODS = {
 every_result = pytest.mark.parametrize("name", RESULTS)
 
 
+@cache
+def result_of(name):
+    """Return a result, made once: they are frozen."""
+    return RESULTS[name]()
+
+
 def arrays(value):
     """Yield the arrays that a result holds, as deep as they lie."""
     if isinstance(value, np.ndarray):
@@ -294,7 +300,7 @@ def nudges(value):
 
 @every_result
 def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
-    result = RESULTS[name]()
+    result = result_of(name)
     str(result)  # whatever it caches stays behind
     again = [pickle.loads(pickle.dumps(result, protocol)) for protocol in range(2, 6)]
     for found in (*again, copy.deepcopy(result), copy.copy(result)):
@@ -306,7 +312,7 @@ def test_a_pickle_and_a_copy_equal_the_result_and_are_frozen(name):
 
 @every_result
 def test_a_result_with_another_number_is_another(name):
-    result = RESULTS[name]()
+    result = result_of(name)
     others = list(nudges(result))
     if name in ("Finding", "Exported"):  # those without a number
         others = [replace(result, text=result.text.replace("1", "7", 1))]
@@ -317,7 +323,7 @@ def test_a_result_with_another_number_is_another(name):
 
 
 def test_every_public_type_of_results_is_among_them():
-    kinds = {type(make()) for make in RESULTS.values()}
+    kinds = {type(result_of(name)) for name in RESULTS}
     public = {getattr(mp, name) for name in mp.__all__ if isinstance(getattr(mp, name), type)}
     assert {kind for kind in public if not issubclass(kind, Exception | str)} <= kinds
 
@@ -345,7 +351,7 @@ def test_every_result_of_a_public_function_has_the_methods_it_should():
 
 @every_result
 def test_tables_are_frames_and_figures_are_axes(name):
-    result = RESULTS[name]()
+    result = result_of(name)
     for one in result if isinstance(result, tuple) else [result]:
         has = METHODS.get(type(one).__name__, set())
         if "to_pandas" in has:
@@ -359,12 +365,12 @@ def test_tables_are_frames_and_figures_are_axes(name):
 
 
 def test_tables_hold_what_the_results_hold():
-    budget = RESULTS["Evaluation"]()
+    budget = result_of("Evaluation")
     frame = budget.to_pandas()
     held = frame[~frame["contained"]]
     u = np.sqrt((held["contribution"] ** 2).groupby(held["parameter"], sort=False).sum())
     np.testing.assert_allclose(u[list(budget.names)], np.sqrt(np.diag(budget.covariance)))
-    sphere = RESULTS["Sphere"]()
+    sphere = result_of("Sphere")
     assert sphere.to_pandas()["U"].tolist() == [
         told["U"] for axes in (sphere.force, sphere["tilt_deg"]) for told in axes.values()
     ]
@@ -373,7 +379,7 @@ def test_tables_hold_what_the_results_hold():
     assert both["value"].tolist() == 2 * regressed().to_pandas()["value"].tolist()
     tumbles = tumbled_all().to_pandas()
     assert set(tumbles["output"]) == {"ax", "ay"}
-    trials = RESULTS["MonteCarlo"]()
+    trials = result_of("MonteCarlo")
     assert (trials.to_pandas()["low"] < trials.mean).all()
 
 
@@ -409,7 +415,7 @@ tables = pytest.mark.parametrize("name", ["apply", "correct", "simulate", "simul
 
 @keyed
 def test_a_result_with_parts_is_read_by_attribute_and_by_key(name):
-    found = RESULTS[name]()
+    found = result_of(name)
     assert isinstance(found, Keyed)
     names = [field.name for field in fields(found)]
     assert list(found) == list(found.keys()) == list(found.to_dict()) == names
@@ -428,7 +434,7 @@ def test_a_result_with_parts_is_read_by_attribute_and_by_key(name):
 
 @tables
 def test_a_table_is_read_by_attribute_and_by_key(name):
-    found = RESULTS[name]()
+    found = result_of(name)
     assert isinstance(found, Columns)
     column = found["outside" if "outside" in found else "ax"]
     assert (found.outside if "outside" in found else found.ax) is column
@@ -461,11 +467,11 @@ def test_what_is_a_table_in_a_result_becomes_a_frame():
     assert frame["name"].tolist() == ["faces-6", "roll-x-8"]
     assert frame["log_det"][0] == found.schemes[0].log_det
     assert np.isnan(frame["d_efficiency"][1])
-    best = RESULTS["design"]()
+    best = result_of("design")
     frame = best.to_pandas()
     assert list(frame) == ["position", "up_x", "up_y", "up_z"]
     np.testing.assert_array_equal(frame[["up_x", "up_y", "up_z"]], best.positions)
-    next_ = RESULTS["worth"]()
+    next_ = result_of("worth")
     frame = next_.to_pandas()
     assert frame["up_z"].tolist() == [candidate.up[2] for candidate in next_.candidates]
     assert frame["fall"].is_monotonic_decreasing
@@ -476,7 +482,7 @@ def test_without_pandas_a_frame_is_refused_in_words(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     for name in ("schemes", "design", "worth", "simulate"):
         with pytest.raises(mp.MultiposError, match="needs pandas, which is not installed"):
-            RESULTS[name]().to_pandas()
+            result_of(name).to_pandas()
 
 
 def test_a_frozen_mapping_refuses_every_change():

@@ -108,6 +108,7 @@ def test_the_covariance_of_a_walk_and_of_quantisation_is_the_sum_over_all_pairs(
     between = np.minimum.outer(i, i) - 0.5 - np.diag(np.full(n, 1.0 / 6.0))
     phases = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     # Quantisation is as wide as a sample and falls between lags, which serves shares, not digits.
+    # eq. (3) of bias_stability.allan
     for law, noise, tolerance in ((2, between, 0.03), (3, phases, 0.15)):
         expected = matrix_covariance(lengths, n, noise)
         found = variance_covariance(np.eye(4)[law], lengths, [n])

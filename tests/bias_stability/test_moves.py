@@ -53,3 +53,17 @@ def test_stability_says_what_was_moved():
     said = texts(mp.stability({**record, "ax": values}, unit="g"))
     (text,) = (text for text in said if "moved or knocked" in text)
     assert "ax jumps by 0.01 near 120 s" in text
+
+
+def test_a_movement_is_eight_standard_deviations_by_hand():
+    # eq. (1) of bias_stability.analysis
+    means = np.random.default_rng(2).standard_normal(200)
+    jumps = means[2:] - means[:-2]
+    usual = 1.4826 * np.median(np.abs(jumps - np.median(jumps)))
+    both = max(jumps[100:102]) - np.median(jumps)  # over the blocks before and after the step
+    for times, found in ((7.6, None), (8.4, 1)):
+        knocked = means.copy()
+        knocked[102:] += times * usual - both
+        movement = find_movement(knocked)
+        assert (movement and movement.count) == found
+    assert movement.jump == knocked[movement.block + 1] - knocked[movement.block - 1]

@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -31,31 +33,38 @@ measurement = {performed = 2026-03-01}
 SECTIONS = '{"a": {"start": 0, "end": 90}, "b": {"start": 100, "end": 190}}'
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with an input of every kind, made once."""
+    folder = tmp_path_factory.mktemp("made")
+    with chdir(folder):
+        write_text("six.csv", SIX)
+        cal = mp.fit("six.csv")
+        cal.save("cal.json")
+        up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        rng = np.random.default_rng(1)
+        samples = np.repeat(up, 100, axis=0) + 1e-3 * rng.standard_normal((200, 3))
+        time = np.arange(200) / 100
+        log = dict(zip(("time", "ax", "ay", "az"), [time, *samples.T], strict=True))
+        write_text("log.csv", format_csv(log))
+        write_text("sections.json", SECTIONS)
+        session = {"rate": 20.0, "rest": 3.0, "turn": 1.0, "sample_sd": 1e-3, "seed": 1}
+        write_text("session.csv", format_csv(mp.simulate_log(cal, "faces-6", **session)))
+        write_text("budget.toml", "[level]\nu_deg = 0.01\n")
+        write_text("lab.toml", LAB)
+        mp.check(cal, "six.csv").save("check.json")
+        mp.export(cal, "c").save("imu.c")
+        angles = [(30 * k, np.cos(np.radians(30 * k)) + 1e-3 * (-1) ** k) for k in range(12)]
+        rows = "".join(f"z,{angle},{value:.6f}\n" for angle, value in angles)
+        write_text("tumble.csv", f"roll_axis,angle_deg,ax\n{rows}")
+    return folder
+
+
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A folder with an input of every kind."""
+def here(made, tmp_path, monkeypatch):
+    """A folder of its own with these."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "six.csv").write_text(SIX, encoding="utf-8")
-    cal = mp.fit("six.csv")
-    cal.save("cal.json")
-    up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    rng = np.random.default_rng(1)
-    samples = np.repeat(up, 100, axis=0) + 1e-3 * rng.standard_normal((200, 3))
-    log = dict(zip(("time", "ax", "ay", "az"), [np.arange(200) / 100, *samples.T], strict=True))
-    write_text("log.csv", format_csv(log))
-    (tmp_path / "sections.json").write_text(SECTIONS)
-    session = mp.simulate_log(cal, "faces-6", rate=20.0, rest=3.0, turn=1.0, sample_sd=1e-3, seed=1)
-    write_text("session.csv", format_csv(session))
-    (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
-    (tmp_path / "lab.toml").write_text(LAB)
-    mp.check(cal, "six.csv").save("check.json")
-    mp.export(cal, "c").save("imu.c")
-    (tmp_path / "tumble.csv").write_text(
-        "roll_axis,angle_deg,ax\n"
-        + "".join(
-            f"z,{30 * k},{np.cos(np.radians(30 * k)) + 1e-3 * (-1) ** k:.6f}\n" for k in range(12)
-        )
-    )
     return tmp_path
 
 

@@ -2,10 +2,12 @@
 
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import threading
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
@@ -20,27 +22,35 @@ from multipos.files.tables import format_csv, read_table
 from multipos.files.whole import write_text
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with an input of every kind, made once."""
+    folder = tmp_path_factory.mktemp("made")
+    with chdir(folder):
+        write_text("six.csv", SIX)
+        mp.fit("six.csv").save("cal.json")
+        rng = np.random.default_rng(1)
+        samples = np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2000, axis=0)
+        samples += 1e-3 * rng.standard_normal(samples.shape)
+        columns = [np.arange(4000) / 100, *samples.T]
+        log = dict(zip(("time", "ax", "ay", "az"), columns, strict=True))
+        write_text("log.csv", format_csv(log))
+        np.savez("log.npz", **log)
+        np.save("log.npy", np.column_stack(columns))
+        rests = '{"a": {"start": 0, "end": 1900}, "b": {"start": 2100, "end": 4000}}'
+        write_text("rests.json", rests)
+        write_text("budget.toml", "[level]\nu_deg = 0.01\n")
+        write_text("lab.toml", "[laboratory]\nname = 'Bench'\n")
+        mp.check(mp.load("cal.json"), "six.csv").save("check.json")
+        mp.regress("log.csv", response="ax", variables="ay").save("reg.json")
+    return folder
+
+
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(made, tmp_path, monkeypatch):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # what is kept there must go
-    (tmp_path / "six.csv").write_text(SIX, encoding="utf-8")
-    mp.fit("six.csv").save("cal.json")
-    rng = np.random.default_rng(1)
-    samples = np.repeat([[1.0, 0, 0], [0, 1.0, 0]], 2000, axis=0)
-    samples += 1e-3 * rng.standard_normal(samples.shape)
-    columns = [np.arange(4000) / 100, *samples.T]
-    log = dict(zip(("time", "ax", "ay", "az"), columns, strict=True))
-    write_text("log.csv", format_csv(log))
-    np.savez("log.npz", **log)
-    np.save("log.npy", np.column_stack(columns))
-    (tmp_path / "rests.json").write_text(
-        '{"a": {"start": 0, "end": 1900}, "b": {"start": 2100, "end": 4000}}'
-    )
-    (tmp_path / "budget.toml").write_text("[level]\nu_deg = 0.01\n")
-    (tmp_path / "lab.toml").write_text("[laboratory]\nname = 'Bench'\n")
-    mp.check(mp.load("cal.json"), "six.csv").save("check.json")
-    mp.regress("log.csv", response="ax", variables="ay").save("reg.json")
     return tmp_path
 
 

@@ -13,7 +13,14 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
-from multipos.designs.criteria import Criterion, kernels, make_criterion, objective, sensitivity
+from multipos.designs.criteria import (
+    Criterion,
+    kernels,
+    make_criterion,
+    objective,
+    range_directions,
+    sensitivity,
+)
 from multipos.designs.exchange import choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import optimise_candidates, optimise_sphere
@@ -274,6 +281,7 @@ def test_fewer_outputs_and_redundant_ones_are_described():
 
 
 def test_what_six_faces_cannot_see():
+    # eq. (2) of designs.assessment
     (entry,) = mp.schemes("faces-6", model="linear")["schemes"]
     seen = {(a["output"], a["term"]): a for a in entry["aliases"]}
     # x³ = x and x|x| = x on the faces; x y = 0 there; x² is a third, and shows: ‖x² − 1/3‖/‖x²‖
@@ -673,3 +681,22 @@ def test_the_model_of_a_calibration_is_designed_for():
     assert found.certificate["parameters"] == len(cal.model.names)
     both = [mp.schemes("faces-6", model=model) for model in (cal.model, "own-quadratic")]
     assert both[0] == both[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "axes"), [("tilt:±30", "xyz"), ("tilt:±30", "xz"), ("force:±0.4", "xyz")]
+)
+def test_how_tilt_follows_force_by_differences(name, axes):
+    # eq. (3) of designs.criteria
+    up, directions = range_directions(name, tuple(axes))
+    sensed = ["xyz".index(axis) for axis in axes]
+    for i, along in zip([0, 1] if axes == "xyz" else [0], directions, strict=True):
+
+        def angle(force, i=i):
+            length = np.linalg.norm(force, axis=1) if axes == "xyz" else 1.0
+            return np.arcsin(force[:, i] / length) if name.startswith("tilt") else force[:, i]
+
+        for place, j in enumerate(sensed):
+            step = 1e-6 * np.eye(3)[j]
+            slope = (angle(up + step) - angle(up - step)) / 2e-6
+            assert_allclose(along[:, place], slope, atol=1e-8)

@@ -110,14 +110,14 @@ def sentences() -> dict[str, str]:
     """Return every text of the program with a space in it that is no docstring, by its place."""
     found = {}
     for path in sorted((ROOT / "multipos").rglob("*.py")):
-        tree = ast.parse(path.read_text("utf-8"))
+        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
         apart: set[int] = set()
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.JoinedStr):
                 apart |= {id(part) for part in node.values}
             if isinstance(node, ast.Expr):
                 apart.add(id(node.value))
-        for node in ast.walk(tree):
+        for node in nodes:
             if id(node) in apart or not isinstance(node, ast.JoinedStr | ast.Constant):
                 continue
             parts = node.values if isinstance(node, ast.JoinedStr) else [node]

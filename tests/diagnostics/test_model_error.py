@@ -193,7 +193,9 @@ def test_noise_that_differs_between_outputs_weighs_their_sums():
     c, larger = (mp.fit(data, model=m, reading_sd=sd) for m in ("linear", "own-quadratic"))
     test = next(t for t in c.diagnostics.model_tests if t.term == "own^2")
     few, many = (float(np.sum((fit.residuals / sd) ** 2)) for fit in (c, larger))
-    assert_allclose(test.statistic, (few - many) / 3 / (many / 57), rtol=3e-3)  # a part of excess, by its prior
+    assert_allclose(
+        test.statistic, (few - many) / 3 / (many / 57), rtol=3e-3
+    )  # a part of excess, by its prior
 
 
 def test_terms_that_a_model_has_by_the_fit_without_them():

@@ -112,6 +112,7 @@ def test_sound_readings_have_a_cause_in_one_of_a_hundred_sets_at_most(scheme):
 @pytest.mark.parametrize("unknown", [False, True])
 def test_slow_noise_is_found_as_often_as_chance_says(unknown):
     """The law of its score, by itself at 1 % of all causes over their number."""
+    # eq. (2) of diagnostics.row_order
     plan, _, slopes = residuals_in_order(
         world("", 2, "fibonacci-48", **({"unknown_orientation": True} if unknown else {}))
     )

@@ -25,7 +25,7 @@ def record(rng, correlation, *, up=FACES, rows=30):
 
 def test_likelihood_and_covariance_against_dense_matrices():
     """Every node beside ln det, the residual and B R B' of a covariance written out in full."""
-    # eqs. (3), (5) of estimation.correlated_rows
+    # eqs. (2), (3), (5) of estimation.correlated_rows
     rng = np.random.default_rng(3)
     n, p = 30, 3
     X, e = rng.standard_normal((n, p)), rng.standard_normal(n)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import log_bench
 import numpy as np
 import pytest
-from amounts import few_and_many
+from amounts import few_and_many, rest_slow
 from findings_bench import texts
 from numpy.testing import assert_allclose
 from orientation_bench import (
@@ -598,7 +598,7 @@ MODES = {
 }
 
 
-@pytest.mark.parametrize("off", [0.01, -0.1, 1.0])
+@pytest.mark.parametrize("off", rest_slow([0.01, -0.1, 1.0]))
 @pytest.mark.parametrize("stated", [False, True], ids=["estimated", "stated"])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("loss", LOSSES)

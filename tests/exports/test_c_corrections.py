@@ -106,6 +106,7 @@ def replayed(folder, compiler, c, text, rows, *, single, options=()):
 )
 def test_c_is_apply(tmp_path, compiler, name):
     """1e-12 of the largest output over 1e5 rows, 4 runs, steps of any length, 0 and 1 alike."""
+    # eq. (1) of exports.c_correction
     regression = fitted(name)
     exported = mp.export(regression, "c")
     c = Correction(None, (regression,))
@@ -125,6 +126,7 @@ def test_c_is_apply(tmp_path, compiler, name):
 @pytest.mark.parametrize("name", ["rates and segments", "branches", "no rates"])
 def test_single_precision_keeps_its_figure(tmp_path, name):
     """The file verifies itself by the figure in its header; here the figure is not idle either."""
+    # eq. (2) of exports.c_correction
     regression = fitted(name)
     path = tmp_path / "export.c"
     mp.export(regression, "c", float=True).save(path)

@@ -7,6 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from amounts import rest_slow
 from findings_bench import texts
 from log_bench import sensor, shared
 
@@ -134,9 +135,17 @@ def run_c(compiler, cal, exported, rows, folder):
     return np.frombuffer(done.stdout, dtype=rows.dtype).reshape(-1, axes).astype(float)
 
 
-@pytest.mark.parametrize("compiler", SANITIZERS)
-@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
-@pytest.mark.parametrize("case", SENSORS)
+def builds():
+    """Return every sensor in either precision with the compilers in turn, and the others."""
+    both = [[], []]
+    for i, case in enumerate(SENSORS):
+        for single in (False, True):
+            for j, compiler in enumerate(SANITIZERS):
+                both[(i + single + j) % 2].append((case, single, compiler))
+    return rest_slow([*both[0], *both[1]], quick=len(both[0]))
+
+
+@pytest.mark.parametrize(("case", "single", "compiler"), builds())
 def test_compiled_c_agrees_with_python(case, single, compiler, tmp_path):
     # eq. (1) of exports.c_body
     cal = made(*SENSORS[case])

@@ -44,6 +44,7 @@ def slightly():
     [(slightly, "shrinking"), (bending, "Newton's"), (diagonals, "Newton's")],
 )
 def test_c_does_what_python_does(make, how, single, tmp_path):
+    # eq. (1) of exports.c_expression
     cal = make()
     assert how in c_source(cal, "m", single=single)
     mp.export(cal, "c", float=single).save(tmp_path / "m.c")

@@ -122,7 +122,7 @@ def test_without_a_step_its_chance_is_no_smaller_than_it_says(n):
 def test_a_station_that_moves_is_named_and_the_others_are_not():
     table = line(300, stations=3, noise=3e-4, lot=3e-3)
     moved = (table["station"] == "S1") & (np.arange(len(table["unit"])) > 24 * 150)
-    table["ay"] = table["ay"] + np.where(moved, 0.006, 0.0)
+    table["ay"] = table["ay"] + 0.02 + np.where(moved, 0.006, 0.0)
     found = mp.fleet(table, **APART)["drift"]
     assert {(each["station"], each["name"]) for each in found} == {("S1", "bias_ay")}
     (step,) = found

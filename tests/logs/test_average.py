@@ -4,6 +4,7 @@ import json
 import re
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from log_bench import columns_of, sensor, shared, write_csv
 import multipos as mp
 from multipos.cli import main
 from multipos.logs.averaging import average
-from multipos.logs.faults import _semi_axes, compare_scales, find_faults
+from multipos.logs.faults import _semi_axes, compare_scales, find_faults, suspects
 from multipos.logs.joining import Match, match_directions
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.rest_means import RestMean
@@ -678,3 +679,22 @@ def test_rounding_of_rests_of_a_fifth_of_a_step_is_alike_and_as_large_as_it_is()
         off.append((found.values - truth) / found.u)
     # 1440 means, whose u is known to a fifth from 24 rests
     assert 0.85 < np.sqrt(np.mean(np.square(off))) < 1.15
+
+
+def test_saturation_is_suspected_at_either_end():
+    """Ten samples at an extreme of the log, in an output that is noisy and in one that is not."""
+    ends = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 1.0])
+    rest = SimpleNamespace(
+        n=100,
+        sd=np.array([0.1, 0.1, 1e-9]),
+        low=np.array([-1.0, 0.2, -1.0]),
+        high=np.array([0.5, 1.0, 1.0]),
+        at_low=np.array([30, 1, 30]),
+        at_high=np.array([1, 30, 30]),
+    )
+    survey = SimpleNamespace(lowest=ends[0], highest=ends[1], resolution=np.full(3, 0.01))
+    assert sorted(suspects(rest, survey)) == [(0, False), (1, True)]
+    rest.low[0], rest.high[1] = -0.99, 0.99  # not the ends of the log
+    assert suspects(rest, survey) == []
+    rest.low[0], rest.at_low[0] = -1.0, 1
+    assert suspects(rest, survey) == []

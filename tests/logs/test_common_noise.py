@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 from findings_bench import texts
+from scipy.fft import dct
 from scipy.integrate import quad
 from scipy.special import stdtrit
+from scipy.stats import f
 
 import multipos as mp
 from multipos.logs import common_noise
@@ -171,3 +173,45 @@ def test_the_law_of_very_many_rests_is_known_no_better_than_its_grid():
     assert not law.walk
     assert law.amplitude == pytest.approx(1.0, rel=0.2)  # nodes are 17 % apart
     assert law.spread == pytest.approx(0.05 * law.amplitude, rel=0.1)  # a step over √12
+
+
+def test_slow_cosines_against_quick_ones_by_f():
+    """Means 3 and 1 of three rests: F of 3 on 6 and 12 degrees of freedom."""
+    rows = np.tile([4.0, 2.0, 9.0, 9.0, 0.5, 1.5, 0.5, 1.5], (3, 1))
+    p = float(f.sf(3.0, 6, 12))
+    assert common_noise._falls(rows, 1.01 * p)
+    assert not common_noise._falls(rows, 0.99 * p)
+
+
+def test_one_loud_rest_of_nine_says_nothing_and_all_of_them_do():
+    whole = np.ones((9, 1, 8))
+    whole[:, 0, 0] = 11.0
+    usable, length = np.ones((9, 1), dtype=bool), np.ones(9)
+    one = np.ones((9, 1, 8))
+    one[4, 0, 0] = 91.0  # as much together
+    assert common_noise.find_law(one, usable, length) is None
+    assert common_noise.find_law(whole, usable, length).walk
+
+
+def test_what_a_law_promises_by_hand():
+    # eq. (3) of logs.common_noise
+    # μ as the module says, by three digits
+    for walk, power, growth in ((False, 1, 2.39), (True, 2, 11.6)):
+        law = common_noise.Law(walk, 0.8, 0.5, 0.1)
+        square, dof = law.square(np.array([1.0, 2.0]))
+        expected = 0.8 + growth * 0.5 * np.array([1.0, 2.0]) ** power
+        np.testing.assert_allclose(square, expected, rtol=4e-3)
+        spread = growth * 0.1 * np.array([1.0, 2.0]) ** power
+        np.testing.assert_allclose(dof, 2.0 * (expected / spread) ** 2, rtol=2e-2)
+
+
+def test_slow_cosines_are_those_of_scipy():
+    # eq. (1) of logs.common_noise
+    samples = np.random.default_rng(4).standard_normal((2, 600)).cumsum(axis=1)
+    total = RestSum(600, 2)
+    total.feed(samples)
+    (rest,) = rest_means([total])
+    square = 2.0 / 600**2 * (dct(samples, axis=1)[:, 1:9] / 2.0) ** 2
+    expected = square / (rest.sd**2 / 600)[:, None]
+    # ours are of 64 blocks, whose cosines are off by some (πk/128)²
+    np.testing.assert_allclose(rest.cosines, expected, rtol=0, atol=2e-3 * expected.max())

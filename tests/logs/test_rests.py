@@ -2,12 +2,15 @@
 
 import re
 from itertools import groupby, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from log_bench import ar1, shared
+from scipy.special import ndtr
 
 from multipos import MultiposError, UsageError
+from multipos.logs import rest_means as of_rests
 from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
 from multipos.logs.rests import (
     Finder,
@@ -16,6 +19,7 @@ from multipos.logs.rests import (
     Spikes,
     Survey,
     Windows,
+    _change,
     choose_grid,
     detect_static,
 )
@@ -413,3 +417,62 @@ def test_drift_is_the_rise_of_the_line_over_the_rest():
     rest = RestSum(20, 1)
     rest.feed(np.arange(20.0)[np.newaxis, :] * 0.25)
     assert rest_means([rest])[0].drift == pytest.approx([20 * 0.25], rel=1e-12)
+
+
+def test_motion_begins_where_a_parabola_explains_most():
+    """The onset by least squares of c (i − k)² at every k, where eq. (3) has grown."""
+    # eqs. (3), (4) of logs.rests
+    rng = np.random.default_rng(3)
+    samples = rng.standard_normal((3, 400))
+    samples[0, 250:] += 0.05 * np.arange(150.0) ** 2
+    reach = 200
+    limits = SimpleNamespace(size=np.zeros(3))
+    z = (samples - samples[:, :reach].mean(axis=1, keepdims=True))[:, reach:]
+    z /= samples[:, :reach].std(axis=1)[:, None]
+    gain = np.sum(z**2 * (1.0 - 1.0 / 6.0) - np.log(6.0), axis=0) / 2.0
+    seen = int(np.argmax(np.abs(z).max(axis=0) > 8.0)) + 1
+    total = np.concatenate([[0.0], np.cumsum(gain)])[: seen + 1]
+    assert total[-1] - total.min() > 12.0
+    change = int(np.argmin(total))
+    i = np.arange(1.0, seen + 1.0)
+    left = []
+    for k in range(change + 1):
+        ramp = np.maximum(i - k, 0.0) ** 2
+        c = z[:, :seen] @ ramp / (ramp @ ramp)
+        left.append(np.sum((z[:, :seen] - c[:, None] * ramp) ** 2))
+    found = _change(samples, reach, limits)
+    assert abs(found - int(np.argmin(left))) <= 3  # a memory by chance allows for a few
+    assert abs(found - 50) < 8
+
+
+def test_what_rounding_leaves_by_the_normal_distribution():
+    """The mean rounded value of noise at every place in a step, less the place, squared."""
+    # eq. (4) of logs.rest_means
+    place, code = np.arange(200) / 200.0, np.arange(-8, 9)
+    for v in (0.01, 0.04, 0.1):
+        edges = (code[:, None] + [-0.5, 0.5] - place[:, None, None]) / np.sqrt(v)
+        off = np.sum(code * np.diff(ndtr(edges), axis=2)[:, :, 0], axis=1) - place
+        rounded = np.interp(v, of_rests._NOISE, of_rests._ROUNDED)
+        assert rounded == pytest.approx(
+            np.mean(off**2), rel=0.01, abs=1e-6
+        )  # nodes lie .0025 apart
+
+
+def test_u_of_a_mean_that_does_not_settle_by_the_line_of_its_allan_variances():
+    """Of a walk, by NumPy's polynomial through ln σ² at five lengths: √2 σ at the whole rest."""
+    # eq. (3) of logs.rest_means
+    samples = np.cumsum(np.random.default_rng(8).standard_normal(640))
+    total = RestSum(640, 1)
+    total.feed(samples[None])
+    (rest,) = rest_means([total])
+    phases = np.concatenate([[0.0], np.cumsum(samples - samples.mean())])
+    logs, x, weights = [], [], []
+    for part, weight in of_rests._PARTS:
+        m = 640 // part
+        second = phases[2 * m :] - 2.0 * phases[m:-m] + phases[: -2 * m]
+        logs.append(np.log(np.mean(second**2) / (2.0 * m**2)))
+        x.append(np.log(m / 640))
+        weights.append(np.sqrt(weight))
+    slope, end = np.polyfit(x, logs, 1, w=weights)
+    assert slope > 0.3
+    assert rest.u[0] == pytest.approx(np.sqrt(2.0 * np.exp(end)), rel=1e-9)

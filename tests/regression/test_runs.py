@@ -19,7 +19,7 @@ TWO = {
 
 
 def test_the_constant_is_the_mean_of_the_zeros_by_hand():
-    # eqs. (1), (2) of regression.robust
+    # eqs. (1), (2), (3) of regression.robust
     r = mp.regress(TWO, response="y", variables="x", run="run")
     (segment,) = r.segments
     a, b = segment.coefficients
@@ -124,3 +124,18 @@ def test_files_are_runs(tmp_path, capsys):
     mp.write_table(tmp_path / "c.csv", {"x": [1.0, 2.0]})
     with pytest.raises(MultiposError, match="no column 'y'"):
         mp.regress([*files, str(tmp_path / "c.csv")], response="y", variables="x")
+
+
+def test_rows_that_depend_on_each_other_keep_what_runs_differ_by():
+    """u of the constant is the scatter of four zeros over √4, whatever covariance the rows have."""
+    rng = np.random.default_rng(5)
+    data = runs(3, 4, zero=3.0)
+    noise = rng.standard_normal(len(data["y"]))
+    for k in range(1, len(noise)):
+        noise[k] += 0.9 * noise[k - 1]
+    data["y"] = data["y"] + 0.1 * noise
+    (segment,) = mp.regress(data, response="y", variables="t", run="run").segments
+    assert segment.robust is not None
+    zeros = [np.mean((data["y"] - 2.0 * data["t"])[data["run"] == i]) for i in range(4)]
+    for covariance in (segment.covariance, segment.robust.covariance):
+        assert math.sqrt(covariance[0, 0]) == pytest.approx(np.std(zeros, ddof=1) / 2.0, rel=0.05)
