@@ -58,7 +58,7 @@ from multipos.diagnostics.row_order import (
     slow_score,
 )
 from multipos.diagnostics.scales import gravity
-from multipos.diagnostics.score_tests import judge_model, significant
+from multipos.diagnostics.score_tests import judge_model, score_of_term
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.numerics.arrays import Array
@@ -99,10 +99,7 @@ def _score(c: Calibration, finding: Finding, freedom: float) -> float:
     """Return S of a finding of residuals, as `row_order` has it."""
     n, m = c.residuals.shape
     if finding.code == "missing-term":
-        best = significant(c.diagnostics.model_tests)[0]
-        columns = sum(each for each, _ in best.dofs)
-        tried = len(c.diagnostics.model_tests)
-        return best.gain + columns * (2.0 - math.log(freedom)) - 2.0 * math.log(tried)
+        return score_of_term(c, c.diagnostics.model_tests)
     if finding.code == "placement":
         of = residuals_of(c)
         gain = float((explain_unequal(of).deviance - explain_orientations(of).deviance)[0])

@@ -12,7 +12,8 @@ freedom: no model is fitted again, and at known orientations (1) is the F test o
   unknown orientations have the marginal weights W_k of `multipos.estimation.likelihood`, so that
   V'V = Z'WZ − Z'WA S⁻¹ A'WZ, and V'e = Z'Σ⁻¹r − Z'WA S⁻¹ A'Σ⁻¹r.
 - Rows that are correlated count as the effective number of them: R is multiplied by their share in
-  all rows, and so is ν.
+  all rows, and so is ν; unless a term explains the residuals better than the correlation, by S of
+  `multipos.diagnostics.row_order`.
 
 What positions cannot show, and how V is made and kept, is said in
 `multipos.diagnostics.projections`.
@@ -22,6 +23,7 @@ References
 C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 1293 (the terms).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,6 +43,7 @@ from multipos.diagnostics.projections import (
     sphere,
     terms_of,
 )
+from multipos.diagnostics.row_order import slow_score
 from multipos.estimation.gains import information_at_solution
 from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
@@ -90,7 +93,7 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
             tested = (_at_known if alone else _as_one)(c, kinds, added)
     except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
         return Tested((), ())
-    if not c.effective_rows:
+    if not c.effective_rows or _beats_slow_noise(c, tested.tests):
         return tested
     share = min(c.effective_rows.values()) / len(c.residuals)
     return replace(tested, tests=tuple(_of_fewer(test, share) for test in tested.tests))
@@ -125,6 +128,23 @@ def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
         dofs = tuple((float(len(i)), float(c.parameter_dof[i].min())) for i in blocks)
         tests.append(ModelTest(kind, c.outputs if alone else (), tuple(ratios), dofs))
     return tuple(tests)
+
+
+def _beats_slow_noise(c: Calibration, tests: tuple[ModelTest, ...]) -> bool:
+    """Tell whether a term explains what was taken for correlated rows.
+
+    A scheme in its published order turns a missing term into steps, which look like slow noise.
+    """
+    return bool(significant(tests)) and score_of_term(c, tests) >= slow_score(c)
+
+
+def score_of_term(c: Calibration, tests: Sequence[ModelTest]) -> float:
+    """Return S of `multipos.diagnostics.row_order` of the best of significant tests."""
+    of_misfits = c.estimator is Estimator.UNKNOWN
+    freedom = float((len(c.residuals) if of_misfits else c.residuals.size) - len(c.parameters))
+    best = significant(tests)[0]
+    columns = sum(each for each, _ in best.dofs)
+    return best.gain + columns * (2.0 - math.log(freedom)) - 2.0 * math.log(len(tests))
 
 
 def _of_fewer(test: ModelTest, share: float) -> ModelTest:

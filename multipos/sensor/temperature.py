@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.positions.headers import SOAKS
@@ -164,6 +164,7 @@ class _Soaks(NamedTuple):
     dof: float  # q
     moves: Array  # X⁺Z (p, soaks), in all parameters
     within: float  # s²/s_0²
+    covariance: Array  # (p, p) that follows from s_0
     hysteresis: Mapping[str, Any] | None
 
 
@@ -213,8 +214,27 @@ def _spread(soaks: _Soaks) -> float:
     return max(soaks.sd, abs(float(found["value"])) / 2.0)
 
 
-def zeros_of_soaks(c: Calibration, X: Array, run: Readings) -> tuple[Array, Array]:
-    """Return what zeros of soaks do to a run, and their degrees of freedom.
+class Zeros(NamedTuple):
+    """What zeros of soaks do to a run of n readings.
+
+    Attributes
+    ----------
+    columns : (n, M, k) array
+        One standard deviation of the zero of every soak, of the calibration and of the run; without
+        soaks no column.
+    dof : (M,) array
+        q of eq. (2), infinite without soaks.
+    contained : (n, M) array
+        Their variance that the residuals have brought into that of a prediction, 1 − s²/s_0² of it.
+    """
+
+    columns: Array
+    dof: Array
+    contained: Array
+
+
+def zeros_of_soaks(c: Calibration, X: Array, run: Readings, estimated: Array) -> Zeros:
+    """Return what zeros of soaks do to a run.
 
     Parameters
     ----------
@@ -222,16 +242,13 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings) -> tuple[Array, Arra
     X : (n, M, p) array
         Derivatives of the run's readings by the parameters.
     run : Readings
-
-    Returns
-    -------
-    (n, M, k), (M,) arrays
-        One standard deviation of the zero of every soak, of the calibration and of the run; q of
-        eq. (2). Without soaks no column, and infinite.
+    estimated : (n, M) array
+        The part of the noise of the run's readings that was estimated with the calibration.
     """
     parts, dof = [np.zeros((*X.shape[:2], 0))], np.full(X.shape[1], np.inf)
+    contained = np.zeros(X.shape[:2])
     if COLUMN not in c.model.environment:
-        return parts[0], dof
+        return Zeros(parts[0], dof, contained)
     numbers = soaks_of(run)
     if numbers is None:  # fewer than a calibration is judged by
         numbers = _soaks_in_order(run.environment[COLUMN])
@@ -245,7 +262,11 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings) -> tuple[Array, Arra
         beyond = np.sqrt(max(spread**2 - stated**2, 0.0))
         parts += [beyond * (X @ soaks.moves), own]
         dof[i] = soaks.dof
-    return np.concatenate(parts, axis=2), dof
+        of_fit = estimated[:, i] ** 2
+        if c.noise is None:
+            of_fit = of_fit + quadratic(X[:, i], soaks.covariance)
+        contained[:, i] = max(1.0 - soaks.within, 0.0) * of_fit
+    return Zeros(np.concatenate(parts, axis=2), dof, contained)
 
 
 def _stated_zero(c: Calibration, output: str) -> float:
@@ -316,12 +337,16 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     if q < 1 or nu < 1 or not within > 0.0:
         return None
     variance = max((explained - q * within) / float(np.sum((basis.T @ Z) ** 2)), 0.0)
+    places, inverse = _places(c, output), np.linalg.pinv(X)
     moves = np.zeros((len(c.parameters), Z.shape[1]))
-    moves[_places(c, output)] = np.linalg.pinv(X) @ Z
-    share = within / (float(e @ e) / (len(Z) - X.shape[1]))
+    moves[places] = inverse @ Z
+    s_0 = float(e @ e) / (len(Z) - X.shape[1])
+    covariance = np.zeros(c.covariance.shape)
+    covariance[np.ix_(places, places)] = s_0 * inverse @ inverse.T
     sd = float(np.sqrt(variance))
     means = np.array([e[soak == s].mean() for s in np.unique(soak)])
-    return _Soaks(sd, float(q), moves, share, _hysteresis(c, soak, means, sd))
+    found = _hysteresis(c, soak, means, sd)
+    return _Soaks(sd, float(q), moves, within / s_0, covariance, found)
 
 
 def _places(c: Calibration, output: int) -> NDArray[np.intp]:

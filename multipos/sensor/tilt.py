@@ -85,12 +85,25 @@ def at_rest(
     )
 
 
+class ZerosOfForce(NamedTuple):
+    """What zeros that differ from soak to soak do to force, (n, K, K) each [g²].
+
+    `covariance` is added to that of force and `expanded` is the square of its part of U; what
+    `force_uncertainty` has of it already is `contained`.
+    """
+
+    covariance: Array
+    expanded: Array
+    contained: Array
+
+
 def tilt_at_rest(
     calibration: Calibration,
     rest: Array,
     environment: Mapping[str, Array],
     noise: Array | None = None,
     unseen: Array | None = None,
+    zeros: ZerosOfForce | None = None,
 ) -> Tilt:
     """Return the tilt that a force (n, 3) at rest tells, with its uncertainty.
 
@@ -104,20 +117,27 @@ def tilt_at_rest(
         Standard uncertainty of the readings; `reading_noise` where not given.
     unseen : (n, K, K) array, optional [g²]
         As in `force_uncertainty`.
+    zeros : ZerosOfForce, optional
+        Of soaks.
     """
     axes = list(sensed_axes(calibration.model))
     noise = reading_noise(calibration) if noise is None else noise
-    covariance, dof = force_uncertainty(calibration, rest, environment, noise, unseen)
-    u = np.sqrt(np.einsum("nkk->nk", covariance))
+    own, dof = force_uncertainty(calibration, rest, environment, noise, unseen)
     k = coverage_by_tenths(calibration.confidence, dof)
+    if zeros is None:
+        zeros = ZerosOfForce(*np.zeros((3, *own.shape)))
+    own = own - zeros.contained
     sign, magnitude, force = calibration.sign, magnitude_of(calibration), rest[:, axes]
     if len(axes) == 3:
-        angle_u = triad_tilt_u(force, covariance)
-        return Tilt(triad_tilt(force, sign), angle_u, k * angle_u)
+        U = np.hypot(k * triad_tilt_u(force, own), triad_tilt_u(force, zeros.expanded))
+        return Tilt(triad_tilt(force, sign), triad_tilt_u(force, own + zeros.covariance), U)
+    u2, own2, expanded2 = (
+        np.einsum("nkk->nk", each) for each in (own + zeros.covariance, own, zeros.expanded)
+    )
     return Tilt(
         axis_tilt(force, magnitude, sign, beyond_vertical(calibration)),
-        axis_tilt_interval(force, magnitude, u),
-        axis_tilt_interval(force, magnitude, k * u),
+        axis_tilt_interval(force, magnitude, np.sqrt(u2)),
+        axis_tilt_interval(force, magnitude, np.sqrt(k**2 * own2 + expanded2)),
     )
 
 

@@ -180,7 +180,7 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     X = parameter_jacobian(c.model, c.parameters, known, environment)
     J = c.model.force_jacobian(c.parameters, known, environment)
     unseen = unseen_moves(c, known, environment)
-    soaks, q = zeros_of_soaks(c, X, data)
+    soaks, q, _ = zeros_of_soaks(c, X, data, estimated)
     L = np.concatenate([X @ root_of(c.covariance), unseen, soaks], axis=2)
     of_orientation = _orientation_error(data, known)
     D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(

@@ -17,10 +17,11 @@ tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by 
     e = f − f_ref,    u² = u²(f) + u²(f_ref),    U = k u,                                   (1)
 
 with u(f) of eq. (4) of `multipos.sensor.tilt`, the noise of the run's own readings in it, and
-u(f_ref) from ``orientation_sd_deg`` and ``reference_u_x`` … where it states them. Where readings
-state their u, the scatter from rest to rest that the calibration found beyond what its own readings
-state is in the noise as well. The positions of the run are known, so a component that the sensor
-does not have is taken on its known side.
+u(f_ref) from ``orientation_sd_deg`` and ``reference_u_x`` … where it states them. Zeros that differ
+from soak to soak (`multipos.sensor.temperature`), those of calibration and run, are in u, and in U
+with their own k. Where readings state their u, the scatter from rest to rest that the calibration
+found beyond what its own readings state is in the noise as well. The positions of the run are
+known, so a component that the sensor does not have is taken on its known side.
 
 Linearity is the largest departure from the least-squares line against the reference, in percent of
 that line's span: from −1 to +1 g for force, over the angles of the run for tilt.
@@ -32,6 +33,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,8 +58,17 @@ from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, sensed_axes
+from multipos.sensor.inverse import (
+    Nominal,
+    invert,
+    nominal_force,
+    read_nominal,
+    sensed_axes,
+    sensitivities,
+)
+from multipos.sensor.temperature import zeros_of_soaks
 from multipos.sensor.tilt import (
+    ZerosOfForce,
     at_rest,
     force_uncertainty,
     magnitude_of,
@@ -80,22 +91,27 @@ from multipos.verification.verdicts import (
 Errors = tuple[Array, Array, Array, Array, Array]
 
 
-def run_noise(
-    calibration: Calibration, data: Readings, reading_sd: ArrayLike | None
-) -> tuple[Array, Array]:
-    """Return the standard uncertainty of the run's readings (n, M), and its estimated part."""
+class RunNoise(NamedTuple):
+    """Standard uncertainty of a run's readings (n, M), and the part estimated with the fit."""
+
+    whole: Array
+    estimated: Array
+
+
+def run_noise(calibration: Calibration, data: Readings, reading_sd: ArrayLike | None) -> RunNoise:
+    """Return the noise of a run's readings."""
     shape = data.values.shape
     nothing = np.zeros(shape)
     if reading_sd is not None:
-        return spread_reading_sd(reading_sd, shape), nothing
+        return RunNoise(spread_reading_sd(reading_sd, shape), nothing)
     if data.u is None:
         noise = np.broadcast_to(reading_noise(calibration), shape)
-        return noise, np.where(np.isinf(calibration.dof), 0.0, noise)
+        return RunNoise(noise, np.where(np.isinf(calibration.dof), 0.0, noise))
     found = calibration.variance_components
     if found is None or found.rest_to_rest is None:
-        return data.u, nothing
+        return RunNoise(data.u, nothing)
     scatter = np.array([found.rest_to_rest[output].value for output in calibration.outputs])
-    return np.hypot(data.u, scatter), np.broadcast_to(scatter, shape)
+    return RunNoise(np.hypot(data.u, scatter), np.broadcast_to(scatter, shape))
 
 
 def known_force(calibration: Calibration, data: Readings) -> Array:
@@ -108,7 +124,7 @@ def known_force(calibration: Calibration, data: Readings) -> Array:
 
 
 def force_errors(
-    calibration: Calibration, data: Readings, known: Array, nominal: Nominal, noise: Array
+    calibration: Calibration, data: Readings, known: Array, nominal: Nominal, noise: RunNoise
 ) -> Errors:
     """Return the errors of force [g] against what the run is known to stand in (n, 3)."""
     axes = list(sensed_axes(calibration.model))
@@ -117,15 +133,34 @@ def force_errors(
         rest = np.where(data.forced[:, None], _explained(calibration, data, known), rest)
     reference = known[:, axes]
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
-    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise, unseen)
+    covariance, dof = force_uncertainty(calibration, rest, data.environment, noise.whole, unseen)
     square = np.einsum("ni,ni->n", known, known)[:, None]
     across = np.sqrt(np.maximum(square - reference**2, 0.0))
-    own = np.sqrt(np.einsum("nkk->nk", covariance))
+    zeros = _zeros_of_force(calibration, data, rest, noise)
+    own = np.sqrt(np.einsum("nkk->nk", covariance - zeros.contained))
     u = np.hypot(own, across * _orientation_error(data))
     if data.reference_u is not None:
         u = np.hypot(u, data.reference_u[:, axes])
+    of_zeros, U_zeros = (
+        np.sqrt(np.einsum("nkk->nk", each)) for each in (zeros.covariance, zeros.expanded)
+    )
+    U = np.hypot(_expanded(calibration, own, u, dof) * u, U_zeros)
     before = nominal_force(calibration.model, data.values, nominal) - reference
-    return reference, before, rest[:, axes] - reference, u, _expanded(calibration, own, u, dof) * u
+    return reference, before, rest[:, axes] - reference, np.hypot(u, of_zeros), U
+
+
+def _zeros_of_force(
+    calibration: Calibration, data: Readings, rest: Array, noise: RunNoise
+) -> ZerosOfForce:
+    """Return what zeros of soaks do to the force (n, 3) [g] of a run."""
+    c = calibration
+    held = np.where(np.isfinite(rest), rest, 0.0)
+    inverse, X = sensitivities(c.model, c.parameters, held, data.environment)
+    zeros = zeros_of_soaks(c, X, data, noise.estimated)
+    variance = np.sum(zeros.columns**2, axis=2)
+    factors = coverage_by_tenths(c.confidence, zeros.dof) ** 2
+    each = (variance, factors * variance, zeros.contained)
+    return ZerosOfForce(*((inverse * v[:, None]) @ inverse.transpose(0, 2, 1) for v in each))
 
 
 def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
@@ -155,14 +190,17 @@ def require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
         )
 
 
-def tilt_errors(calibration: Calibration, data: Readings, nominal: Nominal, noise: Array) -> Errors:
+def tilt_errors(
+    calibration: Calibration, data: Readings, nominal: Nominal, noise: RunNoise
+) -> Errors:
     """Return the errors of tilt [degrees] against the positions of the run."""
     assert data.up is not None
     axes = list(sensed_axes(calibration.model))
     reference = true_tilt(data.up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, data.up)
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
-    found = tilt_at_rest(calibration, rest, data.environment, noise, unseen)
+    zeros = _zeros_of_force(calibration, data, rest, noise)
+    found = tilt_at_rest(calibration, rest, data.environment, noise.whole, unseen, zeros)
     of_orientation = _orientation_error(data)
     force = nominal_force(calibration.model, data.values, nominal)
     if len(axes) == 3:
@@ -308,12 +346,12 @@ def check(
     data = _read_run(calibration, readings, scheme, outputs)
     if range is not None:
         require_range(data, range)
-    noise, estimated = run_noise(calibration, data, reading_sd)
+    noise = run_noise(calibration, data, reading_sd)
     require_known(calibration, data, tilt)
     known = known_force(calibration, data)
     limit = limit_deg if tilt else limit_g
     found = _check_run(calibration, data, known, noise, tilt, limit, within_deg, before)
-    agreement, findings = judge_run(calibration, data, known, noise, estimated)
+    agreement, findings = judge_run(calibration, data, known, *noise)
     findings = (*_of_the_run(calibration, data, known), *findings)
     every = in_order((*findings, *found.findings))
     return replace(found, consistency=agreement, findings=every)
@@ -408,7 +446,7 @@ def _check_run(
     calibration: Calibration,
     data: Readings,
     known: Array,
-    noise: Array,
+    noise: RunNoise,
     tilt: bool,
     limit: float | None,
     within_deg: float | None,

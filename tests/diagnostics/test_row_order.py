@@ -217,3 +217,19 @@ def test_one_degree_of_freedom_has_no_cause_of_time():
         readings = mp.Readings(0.01 + up + 1e-3 * rng.standard_normal((6, 3)), up=up)
         cal = mp.fit(readings, model="own-quadratic", pool=True)
         assert not {"slipped", "settling"} & {found.code for found in cal.findings}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_missing_term_of_ordered_positions_is_no_change_and_no_slow_noise(seed):
+    """Faces, edges, corners, in this order and by time: own^2 by itself steps at row 7."""
+    rng = np.random.default_rng(seed)
+    up = mp.read_scheme("all-26").up
+    y = ZERO + up @ K.T + 1.5e-3 * up**2 * np.array([0.5, -0.3, -1.0])
+    y = y + 0.5 * SD * rng.standard_normal(y.shape)
+    table = dict(zip(("ax", "ay", "az"), y.T, strict=True)) | {"time": 6.0 * np.arange(26)}
+    found = mp.fit(table, unit="g", unknown_orientation=True)
+    assert found.effective_rows  # which alone would hide the term
+    (named,) = (each for each in found.findings if each.level == "warning")
+    assert named.code == "missing-term"
+    assert "own^2" in named.text
+    assert mp.fit(table, unit="g", unknown_orientation=True, model="own-quadratic").rms < SD
