@@ -162,7 +162,9 @@ class _General:
 
 
 def _allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array) -> Array:
-    if not np.square(height).any():  # no residual that could differ
+    p, n = rows.shape
+    # No residual that could differ; what a prior on a parameter of one's own leaves is none either.
+    if n <= p or not np.square(height).any():
         return inverse
     from multipos.estimation.unequal_axes import allow_for_axes
 

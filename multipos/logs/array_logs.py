@@ -19,6 +19,7 @@ References
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -195,7 +196,10 @@ def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
 def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
     """Return what a library's reader gives, and refuse a damaged file by its first line."""
     try:
-        return load()
+        with warnings.catch_warnings():
+            # Arrays written by Python 2 are read; their header only takes longer.
+            warnings.filterwarnings("ignore", "Reading `.npy`")
+            return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file
         raise MultiposError(
             f"{path}: cannot read the log: {first_line(error)}; write it again."

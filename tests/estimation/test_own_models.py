@@ -166,6 +166,16 @@ def test_a_prior_of_unknown_orientations_leaves_their_degrees_of_freedom(tmp_pat
     assert "on 17 dof" in " ".join(texts(stated))
 
 
+def test_priors_at_as_many_positions_as_parameters_have_no_unequal_axes(tmp_path):
+    """Six positions, six parameters: what the three priors leave says nothing about the axes."""
+    up = mp.read_scheme("fibonacci-6").up
+    values = 1.02 * up + 0.02 * np.random.default_rng(4).standard_normal(up.shape)
+    path = written(tmp_path, "s = {start = 1.0, sd = 0.01}", 'each = "b + s*own"')
+    cal = mp.fit(mp.Readings(values), model=path, unknown_orientation=True, reading_sd=1e-4)
+    # readings of 0.02 say little beside a prior of 0.01
+    assert_allclose(cal.u[1::2], 0.01, rtol=0.1)
+
+
 @pytest.mark.parametrize("sd", [0.003, 0.01, 0.03])
 def test_a_prior_beside_a_rejected_noise_keeps_its_own_dof(tmp_path, sd):
     """By quadrature over V = σ² + τ²: the sd of the posterior is that of the t of u and dof."""

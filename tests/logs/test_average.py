@@ -527,6 +527,16 @@ def test_a_corrupt_number_is_named(name, value, log, tmp_path, capsys):
     assert f"{where}: {float(value):g} is no number that is measured" in error
 
 
+def test_an_array_of_python_2_is_read_in_silence(tmp_path, capsys):
+    np.save(tmp_path / "log.npy", np.tile([0.0, 0.0, 1.0], (500, 1)))
+    whole = (tmp_path / "log.npy").read_bytes()
+    (tmp_path / "log.npy").write_bytes(whole.replace(b"(500, 3), }  ", b"(500L, 3L), }"))
+    assert main(["average", str(tmp_path / "log.npy"), "--rate", "50"]) == 1
+    err = capsys.readouterr().err
+    assert "every sample of the log is the same" in err  # so it was read
+    assert "Python 2" not in err
+
+
 @pytest.mark.parametrize("shape", [(), (0, 3), (3, 0), (1, 50, 3)])
 def test_an_array_that_is_no_table_is_refused(shape, tmp_path, capsys):
     np.save(tmp_path / "log.npy", np.zeros(shape))
