@@ -29,7 +29,7 @@ def test_no_edge_is_found_in_noise():
     rng = np.random.default_rng(2)
     t = np.linspace(0, 1, 500)
     X = np.column_stack((np.ones_like(t), t))
-    found = [find_edges(t, X, rng.standard_normal(500), minimum=10) for _ in range(20)]
+    found = [find_edges(t, X, rng.standard_normal(500), minimum=10) for _ in range(12)]
     assert sum(bool(edges) for edges in found) <= 1
 
 

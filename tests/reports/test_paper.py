@@ -80,6 +80,7 @@ def assert_holds_together(pages, content):
             assert set(told) & {i for i, page in enumerate(pages) if start in page}
 
 
+@pytest.mark.slow
 @needs_pages
 def test_a_browser_prints_six_pages(content, tmp_path):
     target = tmp_path / "report.html"
@@ -92,6 +93,7 @@ def test_a_browser_prints_six_pages(content, tmp_path):
     assert_holds_together(pages_of(tmp_path / "report.pdf"), content)
 
 
+@pytest.mark.slow
 @needs_pages
 def test_chinese_is_printed_in_a_megabyte(checked, tmp_path):
     # The browser embeds glyphs of OpenType fonts one by one, once for each weight.

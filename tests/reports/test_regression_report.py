@@ -1,6 +1,8 @@
 """The page of a regression: what it says first, its table, and figures on scales that show both."""
 
 import re
+import shutil
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +14,26 @@ from multipos.cli import main
 from multipos.reports.regressions import regression_content
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with a regression and its page, made once."""
+    folder = tmp_path_factory.mktemp("regression")
     rng = np.random.default_rng(1)
     time = np.arange(200.0)
     t = 20.0 * np.sin(time / 15.0)
     error = 2e-3 * t + 5e-3 * (t > 0) + rng.normal(0.0, 1e-4, 200)
-    mp.write_table(tmp_path / "data.csv", {"time": time, "temperature": t, "error": error})
-    monkeypatch.chdir(tmp_path)
+    mp.write_table(folder / "data.csv", {"time": time, "temperature": t, "error": error})
     options = ["--variables", "temperature", "--stepwise", "--segment", "temperature:0", "--free"]
-    assert main(["regress", "data.csv", "--response", "error", *options, "-o", "reg.json"]) == 0
+    with chdir(folder):
+        assert main(["regress", "data.csv", "--response", "error", *options, "-o", "reg.json"]) == 0
+        assert main(["report", "reg.json", "-o", "r.html"]) == 0
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path, monkeypatch):
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
@@ -30,7 +42,6 @@ def page(name):
 
 
 def test_report_of_a_regression(folder, capsys):
-    assert main(["report", "reg.json", "-o", "r.html"]) == 0
     html = page("r.html")
     # before and after against temperature and against time, and a path for each segment
     assert html.count("<svg") == 4
@@ -53,7 +64,6 @@ def test_report_of_a_regression(folder, capsys):
 
 def test_before_and_after_have_scales_of_their_own(folder):
     """A flat line on the other's scale: the ticks of the two panels differ by ten at least."""
-    main(["report", "reg.json", "-o", "r.html"])
     first = re.search(r"<svg.*?</svg>", page("r.html"), re.DOTALL)[0]
     heights = [float(y) for y in re.findall(r'<use [^>]*y="([\d.]+)"', first)]
     assert len(heights) > 2 * 200  # every row in both panels, and ticks
@@ -66,8 +76,8 @@ def test_without_the_rows_there_are_no_figures_of_them(folder, capsys):
     (folder / "data.csv").rename(folder / "else.csv")
     assert main(["report", "reg.json", "-o", "r.txt"]) == 0
     assert "--data draws before and after" in page("r.txt")
-    assert main(["report", "reg.json", "--data", "else.csv", "-o", "r.html"]) == 0
-    assert page("r.html").count("<svg") == 4
+    assert main(["report", "reg.json", "--data", "else.csv", "-o", "else.html"]) == 0
+    assert page("else.html").count("<svg") == 4
     mp.write_table("other.csv", {"time": [0.0], "temperature": [1.0], "error": [0.0]})
     capsys.readouterr()
     assert main(["report", "reg.json", "--data", "other.csv", "-o", "no.html"]) == 1

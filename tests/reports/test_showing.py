@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from test_results import RESULTS, calibrated, checked, sensor, tumbled, tumbled_all
+from test_results import RESULTS, calibrated, checked, result_of, sensor, tumbled, tumbled_all
 
 import multipos as mp
 from multipos.files.numbers import in_unit
@@ -49,7 +49,7 @@ def seen(found):
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
-    found = RESULTS[name]()
+    found = result_of(name)
     for one in found if isinstance(found, tuple) else [found]:
         assert isinstance(one, Result | Columns)
         assert seen(one)
