@@ -9,9 +9,12 @@ import pytest
 from findings_bench import texts
 from noise_bench import walk, white
 from numpy.testing import assert_allclose
+from scipy.linalg import null_space
+from scipy.stats import multivariate_normal
 
 import multipos as mp
 from multipos import plots
+from multipos.bias_stability import trends
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 
@@ -449,3 +452,20 @@ def test_a_calibration_finds_its_columns_in_any_case_and_in_its_unit_alone(tmp_p
     assert list(found.outputs) == ["f_x", "f_y", "f_z"]
     with pytest.raises(MultiposError, match="the calibration is in g"):
         mp.stability(tmp_path / "si.csv", calibration=cal)
+
+
+def test_the_likelihood_of_a_trend_by_a_normal_density():
+    """−2 ln of SciPy's density of contrasts that no constant moves, but for ln det of these."""
+    # eq. (2) of bias_stability.trends
+    rng = np.random.default_rng(4)
+    blocks = trends.Blocks(640, 16, rng.standard_normal(40), None, np.zeros(1))
+    squares = np.array([3.0, 0.0, 0.02])
+    found = trends._least_squares([blocks], ("drift",), None, squares)
+    C = trends._covariance(40, 16, squares)
+    X = np.column_stack([np.ones(40), blocks.time - blocks.time.mean()])
+    b = np.linalg.solve(X.T @ np.linalg.solve(C, X), X.T @ np.linalg.solve(C, blocks.values))
+    K = null_space(np.ones((1, 40)))
+    left = K.T @ (blocks.values - X @ b)
+    density = multivariate_normal(np.zeros(39), K.T @ C @ K).logpdf(left)
+    expected = -2.0 * density - 39.0 * np.log(2.0 * np.pi) + np.log(40.0)
+    assert found.likelihood == pytest.approx(expected, rel=1e-6)

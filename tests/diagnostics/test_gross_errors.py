@@ -11,7 +11,12 @@ import multipos as mp
 from multipos.diagnostics import gross_errors
 from multipos.diagnostics.columns import resolution
 from multipos.diagnostics.linear_view import View, look
-from multipos.diagnostics.repairs import Repair, _interchanges, _single_factors
+from multipos.diagnostics.repairs import (
+    Repair,
+    _interchanges,
+    _single_factors,
+    rows_in_another_unit,
+)
 from multipos.diagnostics.scales import facing
 
 MATRIX = np.array([[0.98, 0.01, -0.005], [0.004, 1.02, 0.01], [-0.01, 0.003, 0.99]])
@@ -354,3 +359,16 @@ def test_which_axes_outputs_face_by_hand():
     found = facing(seen)
     assert (found.axes, found.signs, found.text) == ((1, 2, 0), (-1.0, 1.0, 1.0), "-y,z,x")
     assert found.least == pytest.approx(1.6 / math.sqrt(0.01 + 2.56 + 1.44))
+
+
+def test_rows_of_another_unit_by_their_size():
+    """A bias of .49 g leaves sizes of .51 to 1.49: none is in another unit; two times 9.8 are."""
+    # eq. (2) of diagnostics.repairs
+    up = mp.read_scheme("faces-corners-14").up
+    values = up + np.array([0.49, 0.0, 0.0])
+    assert rows_in_another_unit(mp.Readings(values, up=up)) == ((), 1.0)
+    values[[3, 8]] *= 9.80665
+    rows, factor = rows_in_another_unit(mp.Readings(values, up=up))
+    assert (rows, factor) == (("4", "9"), pytest.approx(9.80665))
+    values[3] /= 3.0  # between two units
+    assert rows_in_another_unit(mp.Readings(values, up=up))[0] == ()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.diagnostics.row_order import LEVEL, residuals_in_order, search_units
+from multipos.diagnostics.row_order import LEVEL, residuals_in_order, search, search_units
 
 K = np.array([[1.008, 0.004, -0.007], [-0.003, 0.991, 0.006], [0.005, -0.002, 1.012]])
 ZERO = np.array([0.012, -0.021, 0.034])
@@ -233,3 +233,33 @@ def test_a_missing_term_of_ordered_positions_is_no_change_and_no_slow_noise(seed
     assert named.code == "missing-term"
     assert "own^2" in named.text
     assert mp.fit(table, unit="g", unknown_orientation=True, model="own-quadratic").rms < SD
+
+
+def test_a_drift_and_a_slip_by_two_fits_each():
+    """Λ and S from sums of squares with and without the columns, by NumPy's least squares."""
+    # eqs. (1), (3) of diagnostics.row_order
+    c = world("drift", 3)
+    n, e = len(c.reference), c.residuals
+    X = np.column_stack([np.ones(n), c.reference])
+    t = np.arange(n) - (n - 1) / 2.0
+    with_drift = np.column_stack([X, t])
+    left = e - with_drift @ np.linalg.lstsq(with_drift, e, rcond=None)[0]
+    gain = -(n - 4) * np.sum(np.log(np.sum(left**2, axis=0) / np.sum(e**2, axis=0)))
+    found = {cause.code: cause for cause in search(c)}
+    score = gain - 3 * math.log(3 * (n - 4))
+    assert found["drift"].score == pytest.approx(score, rel=1e-9)
+    c = world("slipped", 4)
+    X = np.column_stack([np.ones(n), c.reference])
+    e, row, nu, scatter = c.residuals, n // 2, n - 4, np.ones(3)
+    turns = np.cross(c.reference[:, None], np.eye(3)) * (np.arange(n) >= row)[:, None, None]
+    Z = np.einsum("naq,ma->nmq", turns, c.sensitivity)
+    V = Z - np.einsum("nk,kmq->nmq", X @ np.linalg.pinv(X), Z)
+    for _ in range(60):  # outputs weighted by what they scatter beside the slip
+        w = 1.0 / np.repeat([scatter], n, axis=0).ravel()
+        rows = V.reshape(-1, 3)
+        sizes = np.linalg.solve(rows.T @ (w[:, None] * rows), rows.T @ (w * e.ravel()))
+        scatter = np.sum((e - V @ sizes) ** 2, axis=0) / nu
+    gain = nu * np.sum(np.log(np.sum(e**2, axis=0) / (nu * scatter)))
+    cause = {each.code: each for each in search(c)}["slipped"]
+    score = gain - 3 * math.log(3 * nu) - 2.0 * math.log(n - 4)  # rows 3 to n − 2
+    assert (cause.row, cause.score) == (row, pytest.approx(score, rel=1e-3))

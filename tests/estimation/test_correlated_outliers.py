@@ -57,3 +57,20 @@ def test_a_fit_of_correlated_readings_names_no_good_position():
     sets = [up + (L @ rng.standard_normal(54)).reshape(18, 3) for _ in range(25)]
     found = [mp.fit(mp.Readings(values, up=up, covariance=C)) for values in sets]
     assert sum(bool(cal.diagnostics.outliers) for cal in found) <= 3  # 0.4 expected
+
+
+def test_a_shift_is_as_large_as_a_column_of_its_own_says(case):
+    """w² over the scale is what leaving the reading's shift free takes off r'C⁻¹r."""
+    # eq. (2) of sensor.fit_diagnostics
+    X, C = case
+    L = np.linalg.cholesky(C)
+    readings = L @ np.random.default_rng(3).standard_normal(N * M)
+    readings[9] += 60.0
+    rest = []
+    for design in (X, np.column_stack([X, np.eye(N * M)[9]])):
+        white = np.linalg.solve(L, np.column_stack([design, readings]))
+        b = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
+        rest.append(float(np.sum((white[:, -1] - white[:, :-1] @ b) ** 2)))
+    times = np.sqrt((rest[0] - rest[1]) / (rest[0] / (N * M - P)))
+    (said,) = named(case, readings)
+    assert f", {times:.1f} times its standard deviation" in said

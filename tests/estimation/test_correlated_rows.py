@@ -144,3 +144,22 @@ def test_rounding_is_no_noise():
     assert mp.fit(mp.Readings(up.copy(), up=up)).effective_rows is None
     bent = up + np.repeat(1e-3 * np.random.default_rng(1).standard_normal((12, 3)), 20, axis=0)
     assert mp.fit(mp.Readings(bent, up=up)).effective_rows is None
+
+
+def test_sums_of_neighbours_are_rejected_as_often_as_chance_says():
+    """Two thousand records of independent rows, three a position; and of rows that are alike."""
+    # eq. (1) of estimation.correlated_rows
+    rng = np.random.default_rng(9)
+    place = np.repeat(np.arange(20), 24)
+    rows = rng.standard_normal((2000, 480))
+    within = rows - rows.reshape(2000, 20, 24).mean(axis=2).repeat(24, axis=1)
+    said = correlated_rows._are_beyond_chance(within, place, 460.0)
+    level = correlated_rows._LEVEL
+    assert abs(said.mean() - level) < 0.5 * level + 3.0 * math.sqrt(level / 2000)
+    rows[:, 1:] += 0.8 * rows[:, :-1]
+    within = rows - rows.reshape(2000, 20, 24).mean(axis=2).repeat(24, axis=1)
+    assert correlated_rows._are_beyond_chance(within, place, 460.0).mean() > 0.9
+    # by hand: runs of four of rows at places 0 0 1 1 1 0, of which three and three
+    met = np.array([0, 0, 1, 1, 1, 0])
+    by_hand = (2**2 + 2**2) / 3 + (1 + 1) / 3
+    assert correlated_rows._of_means(met, 4, np.array([1 / 3, 1 / 3])) == pytest.approx(by_hand)

@@ -11,7 +11,7 @@ from test_likelihood import KINDS, a_problem
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
-from multipos.estimation.orientation_variance import _Evaluator
+from multipos.estimation.orientation_variance import Block, _axes, _Evaluator
 from multipos.estimation.problem import start_state
 from multipos.positions.orientations import OpenRolls
 
@@ -178,3 +178,18 @@ def test_what_nothing_determines_is_left_out():
     assert linear.outer.shape == (p, unknowns - 1)
     found = _Evaluator(linear, np.array([1e-4])).at_excess(NODES[None], whole=True)
     assert np.isfinite(found.variances).all()
+
+
+@pytest.mark.parametrize("unequal", [False, True])
+def test_axes_of_errors_give_their_covariance_back(unequal):
+    # eq. (2) of estimation.orientation_variance
+    rng = np.random.default_rng(3)
+    spread = rng.standard_normal((2, 5, 3, 2))
+    variance = np.full((2, 5, 3), 0.3) * (rng.uniform(1.0, 2.0, (2, 5, 3)) if unequal else 1.0)
+    block = Block(np.zeros((2, 5, 3)), np.zeros((2, 5, 3, 4)), spread, variance)
+    U, a, c = _axes(block)
+    for factor in (1.0,) if unequal else (1.0, 0.2, 5.0):
+        turned = np.swapaxes(U, 2, 3) @ ((a + factor * c + 0.1)[..., None] * U)
+        whole = (variance + 0.1)[..., None] * np.eye(3)
+        whole = whole + factor * spread @ np.swapaxes(spread, 2, 3)
+        assert_allclose(turned, whole, rtol=0, atol=1e-12)

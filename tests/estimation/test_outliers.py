@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.special import betainc
 
 import multipos as mp
-from multipos.estimation.outliers import _is_beyond, _log_beta_tail
+from multipos.estimation.outliers import _is_beyond, _log_beta_tail, find_outlying_rows
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
 ZERO = np.array([0.012, -0.021, 0.034])
@@ -148,3 +148,16 @@ def test_four_rows_of_which_two_lie_beyond_by_hand():
         limit = (0.0075 / 5 / 153 / outputs) ** (1 / 6)
         for x, beyond in ((0.999 * limit, True), (1.001 * limit, False)):
             assert _is_beyond(view, np.array([x, 0.99])[:outputs], 4, 2, 5) == beyond
+
+
+def test_an_ellipsoid_is_linear_in_its_form():
+    """Readings exactly on one, but for a row 5 % too long: it alone is off, by 5 %."""
+    # eq. (2) of estimation.outliers
+    up = mp.read_scheme("fibonacci-24").up
+    values = up @ np.array([[1.1, 0.0, 0.0], [0.02, 0.9, 0.0], [-0.01, 0.03, 1.05]]).T
+    values[7] *= 1.05
+    values += 1e-5 * np.random.default_rng(1).standard_normal(values.shape)
+    given = mp.Readings(values, outputs=("ax", "ay", "az"), unit="g")
+    found = find_outlying_rows(mp.fit(given, unknown_orientation=True).model, given, None)
+    assert found.rows.tolist() == [7]
+    assert found.off[0] == pytest.approx(0.05, rel=0.01)

@@ -13,6 +13,7 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
+from multipos.exports.c_body import needed_steps
 from multipos.exports.c_source import SIGNATURE, signature
 from multipos.exports.laws import reduce_to
 from multipos.exports.targets import export, verify_export
@@ -615,3 +616,12 @@ def test_a_calibration_whose_rms_is_no_number_is_not_exported(to):
     assert np.isnan(cal.rms)
     with pytest.raises(mp.MultiposError, match="no force from its own readings; drop terms"):
         export(cal, to, allow_lossy=to != "c")
+
+
+def test_how_many_steps_by_hand():
+    """2 · .02 · 2 g = .08 a step; ln(1e-13/(2 √3))/ln .08 = 12.3, and one to spare."""
+    # eq. (3) of exports.c_body
+    up = mp.read_scheme("fibonacci-24").up
+    cal = mp.fit(mp.Readings(up + 0.02 * up**2, up=up), model="own-quadratic")
+    steps, rho = needed_steps(cal, cal.sensitivity, single=False)
+    assert (steps, rho) == (14, pytest.approx(0.08, rel=1e-9))

@@ -23,6 +23,7 @@ from multipos.regression.correlation import time_order
 from multipos.regression.hysteresis import compare_branches
 from multipos.regression.observations import Data
 from multipos.regression.prediction import predict_uncertainty
+from multipos.regression.region import region_factor
 
 
 def write(path, columns):
@@ -701,3 +702,20 @@ def test_u_of_a_stated_noise_by_hand():
     assert u == pytest.approx(math.sqrt(own + noise), rel=1e-12)
     dof = 3.0 * ((own + noise) / own) ** 2  # 5.07: t of 5 and of 5.1 differ by .5 %
     assert U / u == pytest.approx(coverage_factor(0.95, dof), rel=5e-3)
+
+
+def test_the_region_of_a_term_that_varied_too_little_by_hand():
+    """Leverage of a line, and of what lies off it, over its length or over ℓ if that is more."""
+    # eq. (2) of regression.region
+    x = np.linspace(-1.0, 1.0, 11)
+    z = 1e-3 * (x**2 - np.mean(x**2)) + 2.0 * x + 1.0
+    kept = np.column_stack([np.ones(11), x])
+    at = np.array([[1.0, 0.5, 3.0], [1.0, 2.0, 5.1]])
+    line = 1.0 / 11.0 + np.array([0.5, 2.0]) ** 2 / np.sum(x**2)
+    beyond = at[:, 2] - 1.0 - 2.0 * at[:, 1]  # what z has beside 1 + 2 x
+    for shortest in (1e-9, 0.1):
+        G = region_factor(kept, z[:, None], np.array([shortest]))
+        length = max(shortest, 1e-3 * np.linalg.norm(x**2 - np.mean(x**2)))
+        np.testing.assert_allclose(
+            np.sum((at @ G.T) ** 2, axis=1), line + (beyond / length) ** 2, rtol=1e-6
+        )

@@ -278,3 +278,16 @@ def test_u_covers_and_is_no_longer_than_it_must_be(level, noise, claim):
     assert 0.89 < np.mean(np.abs(errors) <= U) < 0.99
     length = np.median(U.mean(axis=0) / np.sqrt(np.mean(errors**2, axis=0)))
     assert 0.85 < length / 1.96 < 1.2  # 100 runs know a standard deviation to 7 %, U is t's
+
+
+def test_a_level_without_headings_is_an_orientation_error_of_each_position():
+    # eq. (2b) of uncertainty.sensitivities
+    up = mp.read_scheme("fibonacci-12").up
+    values = up + 1e-4 * np.random.default_rng(3).standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up, unit="g"))
+    found = evaluate_budget(cal, {"level": {"u_deg": 0.01}}).covariance - cal.covariance
+    gain = np.linalg.pinv(np.column_stack([np.ones(12), up]))  # of an output
+    moves = np.cross(np.eye(3), up[:, None]) @ cal.sensitivity.T  # (position, axis, output)
+    by_hand = np.einsum("pk,kam->mpka", gain, moves).reshape(12, -1)
+    by_hand = 12.0 * np.radians(0.01) ** 2 * by_hand @ by_hand.T
+    assert_allclose(found, by_hand, rtol=0, atol=1e-9 * by_hand.max())

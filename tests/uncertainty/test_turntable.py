@@ -13,7 +13,7 @@ from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import installation_sheets, table_error_sheets
-from multipos.uncertainty.turntable import QUANTITIES
+from multipos.uncertainty.turntable import QUANTITIES, shaft_effects
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
@@ -207,3 +207,20 @@ def test_without_rolls_there_is_nothing_to_say():
     found = mp.table_errors(cal)
     assert found.errors == ()
     assert found.zero_shifts == ()
+
+
+def test_a_shaft_off_the_horizon_moves_the_output_along_it_by_hand():
+    """About y: M's second column times g, l + w cos t + v sin t."""
+    # eq. (5) of uncertainty.turntable
+    cal = mp.fit(rolls(T, sd=1e-6), scheme="dual-axis-48", unit="V")
+    found = find_rolls(cal.readings)
+    linear = np.array([[1.0, 0.02, 0.0], [0.0, 0.03, 1.1]])
+    effects = shaft_effects(cal, found, linear).reshape(48, 2, len(found), 3)
+    for place, roll in enumerate(found):
+        along = linear[:, "xyz".index(roll.axis)]
+        t = roll.angle[:, None]
+        waves = (np.ones_like(t), np.cos(t), np.sin(t))
+        for wave, effect in zip(waves, np.moveaxis(effects[:, :, place], 2, 0), strict=True):
+            assert_allclose(effect[roll.rows], cal.sign * wave * along, rtol=1e-12, atol=1e-15)
+            others = np.setdiff1d(np.arange(48), roll.rows)
+            assert not effect[others].any()

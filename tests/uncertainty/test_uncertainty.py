@@ -15,6 +15,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.estimation.gains import estimator_gain
 from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
+from multipos.uncertainty import validity
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
@@ -562,3 +563,19 @@ def test_a_stated_resolution_is_the_least_noise_of_readings():
     # the mean of twelve; residuals of a rounding say nothing more
     assert quiet[1].u == pytest.approx(step / np.sqrt(12.0) / np.sqrt(12.0), rel=0.1)
     assert loud[1].u == pytest.approx(loud[0].u, rel=1e-12)
+
+
+def test_tilt_follows_force_as_differences_say():
+    # eq. (1) of uncertainty.validity
+    force = np.random.default_rng(7).standard_normal((6, 3))
+    found = validity._tilt_gradient(force)
+    for i in range(3):
+        others = [k for k in range(3) if k != i]
+
+        def tilt(f, i=i, others=others):
+            return np.arctan2(f[:, i], np.hypot(*f[:, others].T))
+
+        for j in range(3):
+            step = 1e-6 * np.eye(3)[j]
+            slope = (tilt(force + step) - tilt(force - step)) / 2e-6
+            assert_allclose(found[:, i, j], slope, rtol=0, atol=1e-8)

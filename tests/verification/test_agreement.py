@@ -223,3 +223,25 @@ def test_zeros_of_soaks_are_in_the_uncertainty_of_every_error(tilt, sensors):
             found = mp.check(cal, over_soaks((-30.0, 0.0, 50.0), rng, 5e-4), tilt=tilt)
         held.append(np.mean(np.abs(found.after) <= found.U))
     assert np.mean(held) == pytest.approx(0.95, abs=3.0 * 0.1 / np.sqrt(sensors))
+
+
+def test_the_step_that_is_named_is_that_of_generalised_least_squares():
+    """One column against the dense covariance of readings, the parameter that takes most of Q."""
+    # eq. (3) of verification.agreement
+    cal = known_noise()
+    given = run(1, bias=0.004)
+    X = np.zeros((54, 12))
+    for row, up in enumerate(UP):
+        for output in range(3):
+            X[3 * row + output, 4 * output : 4 * output + 4] = [1.0, *up]
+    V = X @ cal.covariance @ X.T + SD**2 * np.eye(54)
+    r = (given.values - cal.predict(UP)).ravel()
+    weighed = np.linalg.solve(V, X)
+    own = np.einsum("ij,ij->j", X, weighed)
+    steps = weighed.T @ r / own
+    best = int(np.argmax(steps**2 * own))
+    assert cal.names[best] == "bias_ax"
+    (finding,) = mp.check(cal, given, reading_sd=SD).findings
+    assert (
+        f"bias_ax by {steps[best]:+.3g} g ({abs(steps[best]) / cal.U[best]:.2g} U)" in finding.text
+    )

@@ -3,16 +3,22 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.stats import multivariate_normal, norm
 
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
+from multipos.estimation.posteriors import stated_weight
 from multipos.uncertainty.propagation import evaluate_budget
+from multipos.verification import combining
 
 FACES = mp.read_scheme("faces-6").up
 SD, ZERO, TURN = 3e-4, 2e-3, 1e-3  # noise [g], and how sessions differ: zero [g], mounting [rad]
@@ -206,3 +212,34 @@ def test_what_cannot_be_combined():
     regression = mp.regress({"x": x, "y": 2 * x + np.sin(9 * x)}, response="y", variables="x")
     with pytest.raises(UsageError, match="--run"):
         mp.compare(regression, regression, combine=True)
+
+
+def test_u_of_the_next_session_by_quadrature():
+    """Two sessions of one bias: SciPy's integral over κ, even in ln (1 + κ), beside a lump at 0."""
+    # eq. (1) of verification.combining
+    p, v, w = np.array([[0.0], [3.0]]), np.array([[1.0], [2.0]]), np.array([[0.6], [0.4]])
+    c = SimpleNamespace(names=("bias_ax",))
+    found = [SimpleNamespace(dof_of_outputs=np.array([1e3]))] * 2
+    U, dof = combining._expand(c, p, v, w, found)
+
+    def log_likelihood(kappa):
+        V = kappa * 1.5 + v[:, 0]
+        return multivariate_normal([0.0], [[V.sum()]]).logpdf(3.0)  # of the difference alone
+
+    def variance(kappa):
+        return kappa * 1.5 + float(np.sum(w**2 * (kappa * 1.5 + v)))
+
+    def outside(x, half):
+        kappa = math.expm1(x)
+        return math.exp(log_likelihood(kappa)) * 2.0 * norm.sf(half / math.sqrt(variance(kappa)))
+
+    end = math.log1p(100.0 * 2.25 / 1.5) + 5.0
+    lump = 1.5 * stated_weight(1.0) * math.exp(log_likelihood(0.0))
+    whole = quad(lambda x: math.exp(log_likelihood(math.expm1(x))), 0.0, end)[0] + lump
+
+    def excess(half):
+        at_zero = lump * 2.0 * norm.sf(half / math.sqrt(variance(0.0)))
+        return (quad(outside, 0.0, end, args=(half,))[0] + at_zero) / whole - 0.05
+
+    assert U[0] == pytest.approx(brentq(excess, 1.0, 1e3), rel=0.02)  # 61 nodes, t on 2,000
+    assert dof[0] == 2.0

@@ -19,6 +19,9 @@ from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.verification.consistency import judge_together
+from multipos.verification.repeat_findings import _apart, _different_sensors
+
+TWO = math.radians(2.0)
 
 SD = np.array([1e-3, 1e-2, 3e-3])  # the outputs differ
 
@@ -519,3 +522,43 @@ def test_tests_of_several_outputs_are_combined_by_hand():
     test = ModelTest("own^2", ("ax", "ay"), (2.0, 3.0), ((2.0, 4.0), (2.0, 2.0)))
     assert (test.statistic, test.p) == (pytest.approx(4.0 * math.log(4.0)), pytest.approx(chance))
     assert test.dof == (4.0,)
+
+
+@pytest.mark.parametrize(
+    ("changed", "by", "words"),
+    [
+        # of 2 %: ln 1.05 = .0488
+        (
+            lambda f: f * np.array([1.05, 1.0, 1.0]),
+            math.log(1.05) / 0.02,
+            "ax is 1.05 times as sensitive",
+        ),
+        # 2 degrees of 1, from x towards y
+        (
+            lambda f: np.column_stack(
+                [f[:, 0] * math.cos(TWO) + f[:, 1] * math.sin(TWO), f[:, 1], f[:, 2]]
+            ),
+            2.0,
+            "the angle of ax and ay changed -2 degrees",
+        ),
+        (
+            lambda f: f + np.array([0.0, 0.0, 0.25]),
+            2.5,
+            "the bias of az changed by +0.25 g",
+        ),  # of .1 g
+        (lambda f: f * 1.01 + 0.05, 0.5, "changed by +0.05 g"),
+    ],
+)
+def test_runs_of_two_sensors_by_hand(changed, by, words):
+    # eq. (1) of verification.repeat_findings
+    up = mp.read_scheme("fibonacci-24").up
+    noise = 1e-7 * np.random.default_rng(1).standard_normal(up.shape)
+    names = ("ax", "ay", "az")
+    one, two = (
+        mp.fit(mp.Readings(values + noise, outputs=names, up=up, unit="g"))
+        for values in (up, changed(up))
+    )
+    size, said = _apart(one, two)
+    assert size == pytest.approx(by, rel=1e-3)
+    assert words in said
+    assert bool(_different_sensors([one, two])) == (by > 1.0)
