@@ -1,4 +1,4 @@
-"""Numbered equations of docstrings are held by tests with numbers from elsewhere, or listed here.
+"""Every numbered equation of a docstring is held by a test with a number from elsewhere.
 
 A test that holds an equation by a number from elsewhere (by hand, published, by a second route)
 says so in a comment: ``# eq. (3) of estimation.known``, several as ``# eqs. (1), (2) of …``.
@@ -11,24 +11,11 @@ from pathlib import Path
 _NUMBERED = re.compile(r"\S.*\s{2,}\((\d+[a-z]?)\)$")  # at the end of a line of its own
 _MARK = re.compile(r"# eqs?\. ((?:\(\w+\)(?:, )?)+) of ([a-z_]+(?:\.[a-z_]+)+)")
 
-# Without such a test yet. A line goes once its equation has one; none comes in.
-UNTESTED: dict[str, str] = {
-    "diagnostics.residuals": "1",
-    "estimation.correlated_rows": "4",
-    "estimation.gains": "3",
-    "estimation.uncertain_orientations": "1",
-    "estimation.user_models": "1",
-    "verification.regression_checks": "2",
-}
 
-
-def test_every_equation_has_a_test_or_is_listed():
+def test_every_equation_has_a_test():
     found, marked = _equations(), _marks()
     assert not marked - found, "tests hold equations that are in no docstring"
-    listed = {(module, number) for module, each in UNTESTED.items() for number in each.split()}
-    assert not found - marked - listed, "equations without a test"
-    assert not listed & marked, "equations that have a test: take them off the list"
-    assert not listed - found, "equations that are no more: take them off the list"
+    assert not found - marked, "equations without a test"
 
 
 def _equations() -> set[tuple[str, str]]:

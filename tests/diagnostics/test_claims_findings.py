@@ -5,6 +5,7 @@ import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
+from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
@@ -200,3 +201,23 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     assert_array_equal(noise_causes.across_the_force(found), said)
     assert said[:200].mean() < 0.06
     assert said[200:].mean() > 0.3
+
+
+def test_equal_noise_is_judged_by_its_score():
+    """In one dense matrix, of positions so nearly known that their angles change nothing."""
+    # eq. (1) of diagnostics.residuals
+    data = readings("fibonacci-24", 5, sd=[1e-4, 1.3e-4, 0.8e-4])
+    c = mp.fit(data, orientation_sd=1e-5)
+    X = np.kron(np.column_stack([np.ones(24), data.up]), np.eye(3))
+    v = float(np.mean(c.noise)) if c.noise is not None else float(np.mean(c.residual_sd**2))
+    P = (np.eye(72) - X @ np.linalg.pinv(X)) / v
+    push = P @ data.values.ravel()
+    C = [v * np.diag(np.tile(np.arange(3) == i, 24).astype(float)) for i in range(3)]
+    traces = np.array([np.trace(P @ each) for each in C])
+    squares = np.array([push @ each @ push for each in C])
+    U = 0.5 * (squares / (squares.sum() / traces.sum()) - traces)
+    information = [[0.5 * np.trace(P @ a @ P @ b) for b in C] for a in C]
+    p, sizes = judge_equality(c)
+    assert p == pytest.approx(chi2.sf(U @ np.linalg.solve(information, U), 2), rel=1e-3)
+    assert_allclose(sizes[1] / sizes[0], 1.3, rtol=0.3)
+    assert p < 0.2

@@ -283,7 +283,8 @@ def test_a_reading_in_which_all_others_drown_leaves_no_result(known):
 def test_terms_of_a_fifth_of_the_signal_are_looked_at(size, calm):
     up = mp.read_scheme("fibonacci-24").up
     noise = 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
-    c = mp.fit(mp.Readings(up + size * up**2 + noise, up=up), model="own-quadratic")
+    values = 5.0 * (up + size * up**2 + noise)
+    c = mp.fit(mp.Readings(values, up=up, unit="V"), model="own-quadratic")
     assert gross_errors._is_calm(c) == calm
 
 

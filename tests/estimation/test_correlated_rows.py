@@ -163,3 +163,29 @@ def test_sums_of_neighbours_are_rejected_as_often_as_chance_says():
     met = np.array([0, 0, 1, 1, 1, 0])
     by_hand = (2**2 + 2**2) / 3 + (1 + 1) / 3
     assert correlated_rows._of_means(met, 4, np.array([1 / 3, 1 / 3])) == pytest.approx(by_hand)
+
+
+def test_the_effective_number_of_rows_by_dense_matrices():
+    # eq. (4) of estimation.correlated_rows
+    rng = np.random.default_rng(5)
+    n = 40
+    design = np.column_stack([np.ones(n), rng.standard_normal(n)])
+    noise = rng.standard_normal(n)
+    for k in range(1, n):
+        noise[k] += 0.7 * noise[k - 1]
+    Q = np.linalg.qr(design)[0]
+    e = noise - Q @ (Q.T @ noise)
+    logs, _, _ = correlated_rows._at_nodes(Q, e, np.full((n, 1), 1.0 / n))
+    p = np.exp(logs - logs.max())
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    total = []
+    for rho in 1.0 - np.geomspace(0.9, 0.4 / n, 12):
+        for theta in rho * np.array(correlated_rows._SHARES):
+            # θ = 0 to 1 of AR(1) beside white noise: r_k/r_0 = c ρ^k
+            r = (1.0 - 2.0 * rho * theta + theta**2) / (1.0 - rho**2)
+            c = (1.0 - rho * theta) * (rho - theta) / (rho * r * (1.0 - rho**2))
+            R = np.where(lag == 0, 1.0, c * rho**lag)
+            total.append(n**2 / R.sum())
+    expected = float(p @ total / p.sum())
+    assert correlated_rows._judge(design, e).rows == pytest.approx(expected, rel=0.01)
+    assert 4.0 < expected < 20.0

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX
+from scipy.optimize import least_squares
 
+import multipos as mp
 from multipos.estimation.descent import maximise
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
@@ -357,3 +359,32 @@ def test_the_surface_normal_is_the_whole_of_an_unknown_position(text, gauge, rob
     assert np.sqrt(apart @ information @ apart) < 2.0 * blind
     assert found.point.objective == pytest.approx(general.point.objective, rel=1e-10)
     assert_allclose(found.point.force, evaluate(problem, found.state).force, atol=1e-14)
+
+
+def test_uncertain_orientations_are_the_least_squares_of_scipy():
+    """Parameters and two angles of every position in one problem, turned exactly."""
+    # eq. (1) of estimation.uncertain_orientations
+    rng = np.random.default_rng(6)
+    up = mp.read_scheme("fibonacci-24").up
+    sd, s = 2e-3, np.radians(0.3)
+    angles = s * rng.standard_normal((24, 3))
+    matrix = np.array([[1.01, 0.004, 0.0], [0.01, 0.99, 0.003], [-0.004, 0.01, 1.02]])
+    values = 0.02 + (up + np.cross(angles, up)) @ matrix.T + sd * rng.standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up), orientation_sd=0.3, reading_sd=sd)
+    across = np.linalg.svd(up[:, None])[2][:, 1:]
+
+    def left(unknown):
+        p, t = unknown[:12].reshape(3, 4), unknown[12:].reshape(24, 2)
+        moved = np.einsum("kq,kqi->ki", t, across)
+        size = np.linalg.norm(moved, axis=1)[:, None]
+        force = np.cos(size) * up + np.sinc(size / np.pi) * moved
+        r = (values - p[:, 0] - force @ p[:, 1:].T) / sd
+        return np.concatenate([r.ravel(), t.ravel() / s])
+
+    start = np.concatenate([np.column_stack([np.zeros(3), np.eye(3)]).ravel(), np.zeros(48)])
+    best = least_squares(left, start, x_scale="jac").x[:12]
+    # ours is a mean over what the noise may be, which moves weights a little; the fit to the
+    # listed positions lies several times as far
+    listed = mp.fit(mp.Readings(values, up=up)).parameters
+    off = [float(np.sqrt(np.mean(((p - best) / cal.u) ** 2))) for p in (cal.parameters, listed)]
+    assert off[0] < min(0.12, off[1] / 3.0)

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 import multipos as mp
+from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
 from multipos.regression.observations import smoothed_rate
 
@@ -410,3 +411,17 @@ def test_a_search_that_ends_beyond_all_numbers_is_refused_in_words(tmp_path):
     )
     with pytest.raises(mp.MultiposError, match="no slopes that are numbers"):
         mp.fit(readings(1e-3), model=path, orientation_sd=0.5, reading_sd=1e-3)
+
+
+def test_a_search_starts_at_least_squares_given_what_is_stated(tmp_path):
+    """k at .2 as stated, b and s those of NumPy for the curve that this makes."""
+    # eq. (1) of estimation.user_models
+    path = written(tmp_path, "k = 0.2", 'each = "b + s*own/(1 + k*own^2)"')
+    up = mp.read_scheme("fibonacci-24").up[:, :1]
+    values = 0.1 + 0.9 * up / (1.0 + 0.3 * up**2)
+    cal = mp.fit(mp.Readings(values, up=mp.read_scheme("fibonacci-24").up), model=path)
+    (first, *_) = first_guesses(cal.model, values, cal.reference, {})
+    A = np.column_stack([np.ones(24), up / (1.0 + 0.2 * up**2)])
+    best = np.linalg.lstsq(A, values[:, 0], rcond=None)[0]
+    by_name = dict(zip(cal.names, first.tolist(), strict=True))
+    assert_allclose([by_name["b_ax"], by_name["s_ax"], by_name["k_ax"]], [*best, 0.2], rtol=1e-9)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.estimation.gains import estimator_gain
+from multipos.estimation.gains import estimator_gain, gravity_effect
 from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty import validity
@@ -579,3 +579,32 @@ def test_tilt_follows_force_as_differences_say():
             step = 1e-6 * np.eye(3)[j]
             slope = (tilt(force + step) - tilt(force - step)) / 2e-6
             assert_allclose(found[:, i, j], slope, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("model", ["own-quadratic", "each = b + s*own/(1 + k*own^2)"])
+def test_parameters_follow_gravity_as_fits_with_another_one_do(model):
+    """Readings of g + dg fitted with g are, but for the sign, those of g fitted with g + dg."""
+    # eq. (3) of estimation.gains
+    up = mp.read_scheme("all-26").up
+    values = 0.02 + up / (1.0 + 0.03 * up**2) + 0.01 * up**2
+    values += 1e-7 * np.random.default_rng(1).standard_normal(up.shape)
+    step = 1e-4
+    low, cal, high = (
+        mp.fit(mp.Readings(values, up=up, unit="g"), model=model, gravity=9.8 + s * step)
+        for s in (-1.0, 0.0, 1.0)
+    )
+    slopes = (low.parameters - high.parameters) / (2.0 * step)
+    found = gravity_effect(cal)
+    if model == "own-quadratic":
+        assert_allclose(found, slopes, rtol=0, atol=1e-6)
+    else:  # which the terms of second order leave residuals of: J f is that of the model
+        assert_allclose(found, slopes, rtol=0, atol=2e-3)
+    assert np.abs(found).max() > 0.09  # a scale factor of 1 over 9.8
+
+
+def test_unseen_terms_are_read_by_their_kind():
+    (found,) = read_budget({"unseen": {"own^3": 2e-4, "own^2": 1e-4}}).quantities.values()
+    assert dict(found.settings) == {"own^2": 1e-4, "own^3": 2e-4}
+    assert (found.u, found.unit, found.dof) == (1.0, "g", math.inf)
+    with pytest.raises(MultiposError, match="unknown kind of term 'own'"):
+        read_budget({"unseen": {"own": 1e-4}})

@@ -9,12 +9,14 @@ import pytest
 from cli_bench import run
 from findings_bench import texts
 from numpy.testing import assert_allclose
+from scipy.stats import f
 
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
 from multipos.reports.check_text import check_text
+from multipos.verification import regression_checks
 
 
 def chamber(seed, n=80, noise=1e-3):
@@ -362,3 +364,26 @@ def test_a_short_run_of_slow_noise_is_rarely_rejected(n):
         p.append(mp.check(found, runs[1]).consistency.p)
     assert np.mean(np.array(p) < 0.05) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
     assert np.mean(np.array(p) < 0.01) <= 0.01 + 3.0 * np.sqrt(0.01 * 0.99 / 200)
+
+
+def test_the_run_as_a_whole_by_hand(monkeypatch):
+    """White noise, one switch-on: b'V⁻¹b of the two coefficients that the run itself shows."""
+    # eq. (2) of verification.regression_checks
+    rng = np.random.default_rng(12)
+    runs = []
+    for n in (60, 40):
+        t = rng.permutation(np.linspace(-40.0, 60.0, n))
+        runs.append({"t": t, "error": 1e-3 + 2e-4 * t + 1e-3 * rng.standard_normal(n)})
+    monkeypatch.setattr(regression_checks, "find_noise", lambda *_: None)  # of white noise alone
+    model = mp.regress(runs[0], response="error", terms="1 + t")
+    found = mp.check(model, runs[1]).consistency
+    X, Z = (np.column_stack([np.ones(len(one["t"])), one["t"]]) for one in runs)
+    b, rss, *_ = np.linalg.lstsq(X, runs[0]["error"], rcond=None)
+    C = float(rss[0]) / 58.0 * np.linalg.inv(X.T @ X)
+    assert model.segments[0].robust is None
+    B = np.linalg.qr(Z)[0]
+    e = runs[1]["error"] - Z @ b
+    s2 = float(np.sum((e - B @ (B.T @ e)) ** 2)) / 38.0
+    V = s2 * np.eye(2) + B.T @ Z @ C @ Z.T @ B
+    F = B.T @ e @ np.linalg.solve(V, B.T @ e) / 2.0
+    assert found.p == pytest.approx(f.sf(F, 2, 38), rel=1e-6)
