@@ -77,7 +77,6 @@ class Row:
     peers: tuple[str, ...] = ("imu_tk", "mag_cal", "LM", "own LM", "soft_l1")
     options: Mapping[str, Any] = field(default_factory=dict)  # of `option`
     of_zero: bool = False
-    may_refuse: bool = False  # by name, where no answer is right
 
 
 # --- logs
@@ -228,7 +227,7 @@ ROWS: dict[str, Row] = {
     "short": Row(short, None, ("imu_tk", "mag_cal", "LM", "option"), {"min_duration": 1.0}),
     "hand-held": Row(plain(sway=0.3, shake=0.01 * G, first=4.0)),
     "unequal": Row(unequal()),
-    "saturated": Row(plain(clip=9.9), may_refuse=True),
+    "saturated": Row(plain(clip=9.9)),
     "second-order": Row(plain(second=0.005)),
     "drift": Row(plain(drift=0.15)),
     "coarse": Row(plain(step=0.15, noise=0.03)),
@@ -468,7 +467,7 @@ def line_of(name: str, found: Tally, logs: int) -> str:
     lost = f" ({len(found.failures)} of {logs} refused)" if found.failures else ""
     peer = f"{found.error(best):.3g} {best}" if best else "–"
     ratio = f"{ratios[best]:.2f}" if best and np.isfinite(ratios[best]) else "–"
-    missed = bool(lost) and not row.may_refuse
+    missed = bool(lost)
     # What no peer reaches on these logs is decided by the ratio.
     reached = max(row.wanted or np.inf, found.error(best) if best else 0.0)
     missed |= not mine <= reached

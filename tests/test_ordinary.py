@@ -34,6 +34,28 @@ def test_weights_that_few_samples_tell_are_no_worse_than_none(name):
     assert np.mean(found.held) >= 0.9
 
 
+def test_saturated_rests_are_set_aside_and_the_others_answer():
+    """A range of 1.01 g cuts off what stands near an axis: of 24 rests one or two."""
+    found = measured("saturated", 4, 1)
+    assert not found.failures
+    assert found.ratio("soft_l1") <= 0.5
+    made = ROWS["saturated"].make(np.random.default_rng([1, 2, *b"saturated"]))
+    cut = {int(k) for k in made.rest[np.abs(made.values).max(axis=1) >= 9.9] if k >= 0}
+    cal = mp.calibrate(made.log)
+    assert {int(each.label) - 1 for each in cal.excluded} == cut
+    assert [f.level for f in cal.findings if f.code == "saturated"] == ["warning"] * len(cut)
+    for options in ({"exclude": "none"}, {"scheme": "fibonacci-24"}):
+        with pytest.raises(mp.MultiposError, match="is saturated at 9.9"):
+            mp.calibrate(made.log, **options)
+
+
+def test_many_saturated_rests_are_refused():
+    made = ROWS["plain"].make(np.random.default_rng(3))
+    log = {name: np.clip(values, -6.0, 6.0) for name, values in made.log.items()}
+    with pytest.raises(mp.MultiposError, match="is saturated"):
+        mp.calibrate(log | {"time": made.log["time"]})
+
+
 def test_a_model_that_is_named_is_not_changed():
     made = ROWS["faces-1deg"].make(np.random.default_rng(1))
     cal = mp.calibrate(made.log)

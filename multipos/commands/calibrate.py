@@ -85,6 +85,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         chosen = {name: options[name] for name in _AVERAGE}
         found = rests_or_rows(
             *arguments.logs,
+            exclude=options["exclude"],
             field=options["field"],
             unit=options["unit"],
             progress=progress,

@@ -7,6 +7,7 @@ stood, nothing is known of the orientations but that gravity has the same size i
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -20,6 +21,7 @@ from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
+from multipos.logs.faults import SaturatedRestsError
 from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
@@ -138,6 +140,7 @@ def calibrate(
     """
     found = rests_or_rows(
         *logs,
+        exclude=exclude,
         field=field,
         unit=unit,
         outputs=outputs,
@@ -192,6 +195,7 @@ def calibrate(
 
 def rests_or_rows(
     *logs: "Source | Log",
+    exclude: Names = "none",
     field: FieldKind | None = None,
     unit: str | None = None,
     **options: Any,
@@ -202,21 +206,22 @@ def rests_or_rows(
     ----------
     *logs, options
         As for `multipos.average`.
-    field, unit
+    exclude, field, unit
         As for `calibrate`.
     """
+    averaged = partial(_averaged, set_aside=exclude == "auto")
     known = ("sections", "label_column", "scheme", "only")
     given = options.get("outputs")
     columns = options.get("columns")
     # Once: what comes from an open file can be read no second time.
     opened = [open_log(source, columns=columns, outputs=given) for source in spread(logs)]
     if field == "gravity" or any(options.get(name) is not None for name in known):
-        return average(*opened, **_with_outputs(opened, field, unit, options))
+        return averaged(opened, **_with_outputs(opened, field, unit, options))
     names = None if given is None else split_names(given, "--outputs")
     each = [magnetic_outputs(log, names, field, unit) for log in opened]
     first = each[0] if each else None
     if first is None or any(outputs != first for outputs in each):
-        return average(*opened, **options)
+        return averaged(opened, **options)
     signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
     values, environment = read_rows(opened, first, signed=signed, drop_bad=drop_bad)
     if not moves(values):
@@ -227,6 +232,16 @@ def rests_or_rows(
         if found is not None and holds_most(found, len(values)):
             return found
     return waved(opened, first, values, environment)
+
+
+def _averaged(opened: Sequence[Log], *, set_aside: bool, **options: Any) -> Averages:
+    """Return the means of rests, where a few saturated ones are set aside by the fit with them."""
+    try:
+        return average(*opened, **options)
+    except SaturatedRestsError:
+        if not set_aside or options.get("scheme") is not None:
+            raise
+        return average(*opened, **{**options, "accept_faults": True})
 
 
 def _with_outputs(

@@ -45,6 +45,7 @@ from multipos.fitting.options import (
     choose_estimator,
     criterion_in_words,
 )
+from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import Array, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, ModelText, Term, formula_columns, largest_value
@@ -378,7 +379,7 @@ def fit(
     apart = find_apart(built, data, stated_up, "none" if closed_form else exclude)
     whole, everywhere = data, stated_up.reference
     if apart.any():
-        data = select_rows(data, ~apart)
+        data = _without_saturated(select_rows(data, ~apart), whole)
         stated_up = place(
             data,
             signed_size(sensed, convention),
@@ -462,11 +463,12 @@ def find_apart(
         known = None if stated_up.unknown else stated_up.reference
         if known is not None and (stated_up.groups or stated_up.rolls is not None):
             return apart  # directions of some positions follow from the others
-        found = find_outlying_rows(
-            model, shrink_variances(readings), known, stated_up.orientation_sd
-        )
+        saturated = saturated_few(readings.findings, len(readings)) if known is None else ()
+        apart[[label in saturated for label in readings.labels]] = True
+        left = select_rows(readings, ~apart) if apart.any() else readings
+        found = find_outlying_rows(model, shrink_variances(left), known, stated_up.orientation_sd)
         if found is not None:
-            apart[found.rows] = True
+            apart[np.flatnonzero(~apart)[found.rows]] = True
         return apart
     labels = split_names(exclude, "--exclude")
     where = readings.source or "the readings"
@@ -480,6 +482,17 @@ def find_apart(
     if apart.all():
         raise MultiposError(f"{where}: --exclude sets every position aside; keep some.")
     return apart
+
+
+def _without_saturated(readings: Readings, whole: Readings) -> Readings:
+    """Return readings that need no more be done about saturated rows that were set aside."""
+    apart = set(whole.labels) - set(readings.labels)
+    wider = "Record it again in a wider range."
+    findings = tuple(
+        replace(each, action=wider) if each.code == "saturated" and apart >= {*each.rows} else each
+        for each in readings.findings
+    )
+    return replace(readings, findings=findings)
 
 
 def with_excluded(

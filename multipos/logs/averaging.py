@@ -15,7 +15,7 @@ from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
-from multipos.logs.faults import fault_and_way
+from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_few
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
 from multipos.logs.opening import open_log
 from multipos.logs.rests import read_sections
@@ -144,7 +144,8 @@ def average(
     chosen = choose(found, which)
     wrong = faults_of_means(chosen)
     if wrong and not accept_faults:
-        raise MultiposError(fault_and_way(wrong[0]))
+        few = saturated_few(wrong, len(chosen)) and all(each.rows for each in wrong)
+        raise (SaturatedRestsError if few else MultiposError)(fault_and_way(wrong[0]))
     return complete(found, chosen, wanted, convention, wrong)
 
 

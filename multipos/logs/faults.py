@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from multipos.errors import MultiposError
 from multipos.finding import Finding, Level
 from multipos.logs.rest_means import Counts, RestMean, is_one_code
 from multipos.logs.rests import Rest, Survey
@@ -28,6 +29,17 @@ _SIGNIFICANT = 5.0  # times its standard uncertainty
 _UNSTEADY = 3.0  # times the usual standard deviation of a rest
 _TWIN_DEG = 2.0
 _EDGE = 0.1  # of the windows of a section may be its edges
+_FEW_RESTS = 0.25  # of the rests, that a calibration may do without
+
+
+class SaturatedRestsError(MultiposError):
+    """A few rests are saturated and nothing else is wrong: the others may do without them."""
+
+
+def saturated_few(findings: Sequence[Finding], count: int) -> frozenset[str]:
+    """Return the labels of saturated rests, of `count` in all; none where they are too many."""
+    labels = frozenset(row for each in findings if each.code == "saturated" for row in each.rows)
+    return labels if len(labels) <= _FEW_RESTS * count else frozenset()
 
 
 def fault_and_way(wrong: Finding) -> str:
