@@ -455,6 +455,6 @@ def _described(r: Regression) -> str:
     significant = all(s.significant for s in r.segments)
     verdict = "" if significant else "; not significant"
     return (
-        f"{r.response} by {', '.join(r.variables)}: R² {'from ' if n.size > 1 else ''}"
+        f"{r.response} by {', '.join(r.variables)}: R² {'at least ' if n.size > 1 else ''}"
         f"{number(least, 4)}, residual sd {number(rms, 3)}, {r.n} rows, {pieces}{verdict}."
     )

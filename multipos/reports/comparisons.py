@@ -169,7 +169,7 @@ def comparison_content(
     of_regressions = "regressions" in found
     runs = found["regressions" if of_regressions else "calibrations"]
     sections = (
-        [_terms(found, tr)]
+        []
         if of_regressions
         else [_parameters(found, tr), *_combined(found, tr), _stability(found, tr)]
     )
@@ -188,10 +188,13 @@ def comparison_content(
 
 
 def _result(found: Mapping[str, Any], tr: Translator) -> Section:
-    """Return by what test the runs agree, what has moved, and the biases by run."""
-    paragraphs: list[str] = []
+    """Return by what test the runs agree, what has moved, and the biases by run.
+
+    Of regressions the terms by run.
+    """
     if "parameters" not in found:
-        return Section(tr("Result"), tuple(paragraphs))
+        return Section(tr("Result"), tables=(_terms(found, tr),))
+    paragraphs: list[str] = []
     header, rows = change_rows(found)
     changes = PageTable(
         tr("Changes between the first and the last"),
@@ -303,7 +306,7 @@ def _stability(found: Mapping[str, Any], tr: Translator) -> Section:
     return Section(tr("Bias stability"), (finite,), tables=(table,))
 
 
-def _terms(found: Mapping[str, Any], tr: Translator) -> Section:
+def _terms(found: Mapping[str, Any], tr: Translator) -> PageTable:
     runs = [str(i + 1) for i in range(len(found["regressions"]))]
     rows = tuple(
         (
@@ -316,7 +319,7 @@ def _terms(found: Mapping[str, Any], tr: Translator) -> Section:
         for entry in found["terms"]
     )
     header = (tr("Segment"), tr("Term"), *runs, "sd", "p")
-    return Section(tr("Parameters"), tables=(PageTable(tr("Terms by run"), header, rows, left=2),))
+    return PageTable(tr("Terms by run"), header, rows, left=2)
 
 
 def _origin(runs: Sequence[Mapping[str, Any]], tr: Translator) -> Section:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import MultiposError
@@ -34,6 +35,7 @@ from multipos.regression.regression import (
 from multipos.regression.segment import Segment
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.sections import (
+    LONG_TABLE,
     Figure,
     Language,
     PageTable,
@@ -43,6 +45,9 @@ from multipos.reports.sections import (
     with_annex,
 )
 
+_DRAWN = 1000  # rows of a figure, about: a page of 4000 would have 1.8 MB
+_GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+Rows = NDArray[np.intp]
 Titled = Callable[[str], str]  # the title of a section in a language, of a response
 
 
@@ -289,16 +294,28 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
     against: list[tuple[str, Array, Sequence[float]]] = [(variable, x, r.edges)]
     if r.time is not None and r.time != variable:
         against.append((r.time, complete.number(r.time), ()))
+    shown = _rows_to_draw(after)
+    which = ""
+    if len(shown) < len(after):
+        which = tr(" ({shown} of {n} rows)", shown=str(len(shown)), n=str(len(after)))
     figures = tuple(
         Figure(
-            tr("Before and after against {label}", label=label),
+            tr("Before and after against {label}", label=label) + which,
             tr("Above before, below after, each on its own scale."),
             partial(
                 draw_svg,
                 tr,
                 2,
                 1.9,
-                partial(_draw_both, label, values, edges, before, after, r.response),
+                partial(
+                    _draw_both,
+                    label,
+                    values[shown],
+                    edges,
+                    before[shown],
+                    after[shown],
+                    r.response,
+                ),
             ),
         )
         for label, values, edges in against
@@ -315,6 +332,18 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
         rms_left=f"{rms_left:.4g}",
     )
     return Section(of("Before and after"), paragraphs=(sentences,), figures=figures)
+
+
+def _rows_to_draw(after: Array) -> Rows:
+    """Return the rows of a figure: all, or some evenly in time with those of largest |error|.
+
+    Every k-th row would show one phase of what repeats: multiples of the golden ratio do not.
+    """
+    if len(after) <= _DRAWN:
+        return np.arange(len(after))
+    even = np.flatnonzero((np.arange(len(after)) * _GOLDEN) % 1.0 < _DRAWN / len(after))
+    largest = np.argsort(-np.abs(after), kind="stable")[:LONG_TABLE]
+    return np.union1d(even, largest)
 
 
 def _draw_both(

@@ -185,7 +185,7 @@ def applied(calibration: Calibration) -> ForcesSeen:
     known = c.reference[forced]
     low = known.min(axis=0, initial=-sphere)
     high = known.max(axis=0, initial=sphere)
-    unit = c.field.unit
+    unit = c.field.unit or "times the local field"
     return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin, unit)
 
 

@@ -493,7 +493,7 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
                 each["name"],
                 shown,
                 *_beside(factor, each["change"], each["U"]),
-                number(each["En"] and beyond_rounding(each["En"]), 2),
+                plain_number(each["En"] and beyond_rounding(each["En"]), 2),
                 *(("", "") if rate is None else _beside(factor, rate["value"], rate["U"])),
                 _limit_in_words(each["limit"], factor),
                 {True: "yes", False: "NO", None: ""}[each["within"]],
@@ -583,7 +583,7 @@ def _agreement(found: Mapping[str, Any]) -> str:
     agree = sum(each["En"] is not None and each["En"] <= 1.0 for each in changes)
     said = (
         f"{agree} of {len(changes)} parameters agree with the first calibration's within U "
-        f"(largest E_n {largest['En']:.2f}, {largest['name']})."
+        f"(largest E_n {plain_number(largest['En'])}, {largest['name']})."
     )
     limited = [each for each in changes if each["within"] is not None]
     if limited:

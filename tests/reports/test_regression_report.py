@@ -11,7 +11,7 @@ from findings_bench import texts
 
 import multipos as mp
 from multipos.cli import main
-from multipos.reports.regressions import regression_content
+from multipos.reports.regressions import _rows_to_draw, regression_content
 
 
 @pytest.fixture(scope="module")
@@ -141,3 +141,25 @@ def test_the_first_table_is_of_the_terms_or_of_the_segments(folder, segments):
     assert len(content.result.figures) == 1
     later = [each.caption for section in content.sections for each in section.tables]
     assert table.caption not in later  # once
+
+
+def test_a_figure_of_many_rows_shows_some_of_every_phase_and_the_largest():
+    """By hand: a quarter of 4,000 rows, and of each of the six phases of a repeated pattern."""
+    errors = np.random.default_rng(7).standard_normal(4000)
+    shown = _rows_to_draw(errors)
+    assert len(shown) == pytest.approx(1000, abs=30)
+    assert set(np.argsort(-np.abs(errors))[:24]) <= set(shown)
+    assert np.bincount(shown % 6) == pytest.approx(1000 / 6, abs=20)
+    assert _rows_to_draw(errors[:1000]).tolist() == list(range(1000))
+
+
+def test_a_page_of_many_rows_is_small(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(4000.0)
+    t = 20.0 * np.sin(time / 300.0)
+    error = 2e-3 * t + np.random.default_rng(8).normal(0.0, 1e-4, 4000)
+    mp.write_table("long.csv", {"time": time, "temperature": t, "error": error})
+    assert main(["regress", "long.csv", "--response", "error", "-o", "long.json"]) == 0
+    assert main(["report", "long.json", "-o", "long.html"]) == 0
+    assert Path("long.html").stat().st_size < 6e5
+    assert re.search(r"Before and after against \w+ \(\d+ of 4000 rows\)", page("long.html"))

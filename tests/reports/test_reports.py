@@ -548,6 +548,15 @@ def test_chinese_of_the_bench(pair, checked):
             assert same <= {"U", "p", "x [°]", "y [°]"}
 
 
+# px of the smallest label of a figure, and the captions of tables that are wider than the page
+SMALLEST_LABEL = """Math.min(...[...document.querySelectorAll('figure svg text')]
+  .filter(text => text.textContent.trim())
+  .map(text => parseFloat(getComputedStyle(text).fontSize) * Math.abs(text.getScreenCTM().a
+    || text.getScreenCTM().b)))"""
+SCROLLED = """[...document.querySelectorAll('.scroll')]
+  .filter(box => box.scrollWidth > box.clientWidth + 1).map(box => box.ariaLabel)"""
+
+
 @needs_browser
 @pytest.mark.parametrize("language", ["en", "zh"])
 def test_the_page_in_a_browser(pages, language, tmp_path):
@@ -562,6 +571,9 @@ def test_the_page_in_a_browser(pages, language, tmp_path):
             width = page.evaluate("document.documentElement.scrollWidth")
             assert width <= page.evaluate("innerWidth")
             assert page.evaluate("document.querySelectorAll('figure svg[aria-label]').length") == 4
+        page.open(target, width=390)
+        assert page.evaluate(SMALLEST_LABEL) >= 9.0
+        assert page.evaluate(SCROLLED) == []
         levels = page.evaluate(
             "[...document.querySelectorAll('h1,h2,h3,h4')].map(h => +h.tagName[1]).join('')"
         )
