@@ -405,10 +405,11 @@ def _of_kind(every: Sequence[tuple[RestAverage, Finding]], count: int) -> Findin
     labels = tuple(dict.fromkeys(rest.position for rest, _ in every))
     outputs = tuple(dict.fromkeys(output for _, found in every for output in found.outputs))
     text = f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {first.text}"
-    if len(labels) > 1 and first.code in _OF_RESTS:
+    fact, action = _OF_RESTS.get(first.code, ("", ""))
+    first = replace(first, action=first.action or action)
+    if len(labels) > 1 and fact:
         named = ", ".join(labels[:_SHOWN])
         more = ", …" if len(labels) > _SHOWN else ""
-        fact, action = _OF_RESTS[first.code]
         text = f"{len(labels)} of {count} rests {fact}: positions {named}{more}"
         first = replace(first, action=action)
     return replace(first, text=text, rows=labels, outputs=outputs)

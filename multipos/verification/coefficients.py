@@ -221,7 +221,10 @@ def find_without_u(found: Mapping[str, TumbleCoefficient]) -> Findings:
     if not names:
         return ()
     text = f"no U of {', '.join(names)}: table errors, which residuals show, change them equally"
-    return (Finding("table", "warning", text, "Add a roll about another axis."),)
+    action = "State the bench with state_bench."  # its zero turns as the input axis does
+    if not all(name.startswith("delta") for name in names):
+        action = "Roll again with the unit remounted by 90 degrees, and give `head_deg`."
+    return (Finding("table", "warning", text, action),)
 
 
 def _leaning(entry: TumbleCoefficient) -> TumbleCoefficient:
