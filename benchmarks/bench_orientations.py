@@ -25,7 +25,7 @@ from multipos.estimation.problem import Problem, State, start_state
 from multipos.estimation.starts import ellipsoid_start
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 Array = NDArray[np.float64]
 

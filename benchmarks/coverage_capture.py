@@ -20,7 +20,7 @@ from multipos.capturing.poses import best_pose
 from multipos.designs.information import make_setting
 from multipos.designs.prospects import information_of
 from multipos.numerics.quantiles import coverage_factor
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 MODEL = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z")).with_gauge("lower")
 SETTING = make_setting(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from multipos.numerics.terms import NAMED
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
 ROOT = Path(__file__).resolve().parents[1]

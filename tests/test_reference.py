@@ -17,7 +17,7 @@ from multipos.positions.headers import RESERVED
 from multipos.positions.scheme import SCHEMES
 from multipos.reports.certificate import LAB_FIELDS
 from multipos.sensor.found import FoundOrientations
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -60,9 +60,8 @@ from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, median, require_rate
 from multipos.numerics.quantiles import check_confidence, coverage_factor
-from multipos.numerics.series import require_rate
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.units import MICRO_G

@@ -39,8 +39,7 @@ from multipos.positions.order import Order, travel_order
 from multipos.positions.scheme import Scheme
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import Model, build_model
 
 FEWEST_DOF = 6
 KINDS = ("bias", "scale", "cross", "quad")

@@ -32,9 +32,9 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.errors import UsageError
+from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
-from multipos.logs.waved import magnetic_outputs
 from multipos.numerics.arrays import Array
 from multipos.positions.headers import field_of_outputs, named_axes
 from multipos.sensor.gravity import GRAVITY, MAGNETIC, Field, worded

@@ -17,10 +17,8 @@ from multipos.commands.options import (
 from multipos.files.trees import to_json
 from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests, rests_or_rows
-from multipos.logs.averages import averages_text
-from multipos.logs.waved import Waved
-from multipos.reports.sentences import calibration_sentence
-from multipos.reports.summary import detail_text, parameter_text
+from multipos.logs.averages import Averages, averages_text
+from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
 
 if TYPE_CHECKING:
@@ -106,7 +104,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         return f"{parameter_text(calibration)}{last}"
 
     def detail() -> str:
-        rows = str(found) if isinstance(found, Waved) else averages_text(found)
+        rows = averages_text(found) if isinstance(found, Averages) else str(found)
         return f"{rows}\n{detail_text(calibration)}"
 
     def with_exports(made: str) -> Any:

@@ -31,8 +31,7 @@ from multipos.files.trees import to_json, to_json_line
 from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
-from multipos.reports.sentences import calibration_sentence
-from multipos.reports.summary import detail_text, parameter_text
+from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 
 
 def _calibration_path(output: str) -> Path:

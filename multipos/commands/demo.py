@@ -4,7 +4,7 @@ import argparse
 
 from multipos.commands.answers import Answer, Output
 from multipos.files.trees import to_json
-from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import calibration_sentence
 from multipos.song_qin import demo, demo_dict, demo_text
 
 INPUTS = ()

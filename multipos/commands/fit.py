@@ -14,8 +14,7 @@ from multipos.commands.options import (
 )
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
-from multipos.reports.sentences import calibration_sentence
-from multipos.reports.summary import detail_text, parameter_text
+from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
 
 INPUTS = ("readings", "scheme", "budget")

@@ -55,14 +55,13 @@ from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.separability import name_combinations, separability
+from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS, ModelText, Term
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame
 from multipos.sensor.formulas import ParsedModel, read_model
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model, default_axes
+from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.own_models import build_parsed
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.diagnostics.linear_view import listed_reference
+from multipos.diagnostics.repairs import listed_reference
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, coarse_steps, median, resolution, row_keys

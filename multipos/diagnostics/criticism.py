@@ -38,7 +38,7 @@ from multipos.numerics.terms import COMPONENTS, Term
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 _CANDIDATES = "1 + x + y + z + own^2 + own^3 + own*other"  # what a reader asks of: K2, K3, Kip
 _ORDERS = 4

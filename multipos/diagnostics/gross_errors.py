@@ -1,14 +1,14 @@
 """What no sensor gives, and the one repair that would explain it.
 
 The cheap question comes first: are the residuals and the directions of the outputs those of a
-sensor? Only where they are not, the linear view of the readings is made (`linear_view`), repairs
+sensor? Only where they are not, the linear view of the readings is made, repairs
 are tried on it (`repairs`), and where none explains the data, it is asked whether there is a
 signal at all: residuals as large as what the outputs respond to one g, or an output that does
 not respond to its own axis. A sensor that has a signal is then asked for its directions and units.
 
 Which repair of the data is accepted, and which of several.
 
-A repair leaves a misfit rho' where there was rho (`linear_view`). It is accepted where
+A repair leaves a misfit rho' where there was rho, eq. (4) of `repairs`. It is accepted where
 
     N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
 
@@ -33,8 +33,7 @@ import math
 
 import numpy as np
 
-from multipos.diagnostics.linear_view import View, look
-from multipos.diagnostics.repairs import Repair, candidates
+from multipos.diagnostics.repairs import Repair, View, candidates, look
 from multipos.diagnostics.scales import (
     CLEAR,
     are_of_unit,

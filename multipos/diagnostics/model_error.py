@@ -35,11 +35,11 @@ from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
-from multipos.sensor.temperature import COLUMN, soaks_of
 from multipos.uncertainty.validity import unseen_sizes
 
 _LEVEL = 0.01
@@ -73,14 +73,20 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         σ_a, in reading units.
     """
     plain = c.estimator.exact and c.noise is None and c.robust_weight is None
-    if not plain or isinstance(c.model, ExpressionModel) or COLUMN not in c.readings.environment:
+    if (
+        not plain
+        or isinstance(c.model, ExpressionModel)
+        or TEMPERATURE not in c.readings.environment
+    ):
         return None
+    from multipos.sensor.temperature import soaks_of
+
     soak = soaks_of(c.readings)
     if soak is None:
         return None
     columns = (soak[:, None] == np.unique(soak)).astype(np.float64)
     phi = c.model.basis(c.reference, c.readings.environment)
-    curved = [kind for kind in lacking(c) if kind.name.partition("^")[0] == COLUMN]
+    curved = [kind for kind in lacking(c) if kind.name.partition("^")[0] == TEMPERATURE]
     if columns.shape[1] < _CURVED:  # a curve explains all soaks, and they explain the curve
         curved = []
     ratios, dofs, sizes = [], [], []
@@ -122,8 +128,8 @@ _AS_GOOD = 6.6  # of twice the logarithm of the likelihood: the 99 % point of ch
 def missing_term(c: Calibration) -> Finding | None:
     """Name the terms that the data ask for, the one that explains most first."""
     best = significant(c.diagnostics.model_tests)
-    if any(test.term.startswith(COLUMN) for test in best) and zero_per_soak(c) is not None:
-        best = tuple(test for test in best if not test.term.startswith(COLUMN))
+    if any(test.term.startswith(TEMPERATURE) for test in best) and zero_per_soak(c) is not None:
+        best = tuple(test for test in best if not test.term.startswith(TEMPERATURE))
     best = tuple(test for test in best if _is_admissible(c, (test.term,)))
     if not best:
         return None

@@ -43,7 +43,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, median, recur
 from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
@@ -51,7 +51,6 @@ from multipos.numerics.quantiles import (
     f_quantile,
     f_tail,
 )
-from multipos.numerics.series import recur
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -664,7 +663,7 @@ def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
     sd = c.readings.sd
     if sd is not None:
         own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
-        if own.max() > UNEQUAL * np.median(own) > 0.0:
+        if own.max() > UNEQUAL * median(own) > 0.0:
             yield "vibration", own[:, None] ** 2
     rotation = c.readings.rotation
     if rotation is not None and np.isfinite(rotation).all():

@@ -39,8 +39,7 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.sensor.found import add_scatter
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import Model, build_model
 
 _TOLERANCE = 1e-9  # [g], the lower bound below which a component of the reference is zero
 

@@ -54,10 +54,9 @@ from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array, Places, row_keys
+from multipos.numerics.arrays import Array, Places, recur, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
-from multipos.numerics.series import recur
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.sensor.expressions import ExpressionModel

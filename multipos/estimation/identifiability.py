@@ -12,7 +12,7 @@ import numpy as np
 
 from multipos.errors import RankError
 from multipos.numerics.arrays import Array
-from multipos.numerics.separability import name_combinations, separability
+from multipos.numerics.factoring import name_combinations, separability
 from multipos.sensor.model import Model
 
 _UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best

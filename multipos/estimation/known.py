@@ -36,21 +36,20 @@ Numer. Algorithms 59, 2012 (products of split matrices without rounding).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
-from multipos.estimation.excess_variance import ExcessVariance, estimate_excess
 from multipos.estimation.identifiability import formal_only
 from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, take_stated
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.factoring import singular_values
+from multipos.numerics.factoring import separability, singular_values
 from multipos.numerics.least_squares import (
     DependentColumnsError,
     LinearFit,
@@ -59,7 +58,6 @@ from multipos.numerics.least_squares import (
     solve,
 )
 from multipos.numerics.quantiles import chi2_quantile
-from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances
 from multipos.sensor.expressions import ExpressionModel
@@ -72,6 +70,10 @@ from multipos.sensor.fit_diagnostics import (
 )
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
+
+if TYPE_CHECKING:
+    from multipos.estimation.excess_variance import ExcessVariance
+
 
 ZERO_NORM = 1e-9  # [g], absolute norm below which a column of the design is zero
 REJECTED = 0.999  # χ² point beyond which the residuals reject a stated noise
@@ -261,7 +263,7 @@ class Fits(NamedTuple):
     residuals: Array
     plain: Array
     variances: Array | None = None
-    excess: ExcessVariance | None = None
+    excess: "ExcessVariance | None" = None
     chi2: Array | None = None
 
 
@@ -290,6 +292,8 @@ def solve_units(
         u = np.sqrt(np.einsum("bpp->bp", cofactors(shared, stated)[0]))
         dof = np.full(stated_variance.shape[::2], np.inf)
         return Fits(start, u, dof, residuals, plain[1], stated, None, chi2)
+    from multipos.estimation.excess_variance import estimate_excess
+
     excess = estimate_excess(
         shared.designs, np.moveaxis(residuals, 0, 2), stated_variance, pool=pool
     )
@@ -594,7 +598,7 @@ class _One:
     leverage: Array  # (n, M)
     condition: float
     sd: Array | None = None  # (n, M), of the readings as weighted
-    excess: ExcessVariance | None = None
+    excess: "ExcessVariance | None" = None
     chi2: float | None = None  # where there is an excess variance
 
 
@@ -642,6 +646,8 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
     inflation, dof = np.ones(len(model.keys)), np.full(m, np.inf)
     total = noise
     if shared.dof.sum() > 0.0:
+        from multipos.estimation.excess_variance import estimate_excess
+
         excess = estimate_excess(shared.designs, first.residuals.reshape(1, n, m), noise, pool=pool)
         total = add_variances(noise, np.tile(excess.variance[0], n))
         found = solve(design, values.ravel(), covariance=total, names=model.names)
@@ -675,7 +681,7 @@ def _of_noise(shared: SharedDesign, found: _One, pool: bool) -> Findings:
     return (_UNSUPPORTED,) if unequal else ()
 
 
-def _components(model: Model, excess: ExcessVariance | None) -> VarianceComponents | None:
+def _components(model: Model, excess: "ExcessVariance | None") -> VarianceComponents | None:
     """Return the excess standard deviation of every output."""
     if excess is None:
         return None

@@ -41,8 +41,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.circles import eliminate_free, spread_inclinations
-from multipos.estimation.problem import Normal, Point, Problem, State, put_on_circles
+from multipos.estimation.problem import (
+    Normal,
+    Point,
+    Problem,
+    State,
+    eliminate_free,
+    put_on_circles,
+    spread_inclinations,
+)
 from multipos.numerics.arrays import Array
 from multipos.numerics.losses import loss, loss_weight
 from multipos.numerics.rotations import (
@@ -312,7 +319,7 @@ def eliminate(
         1/s².
     exact : (n,) array of bool
     rolled : (n,) array of bool
-        Rolls of open angle, eliminated by `multipos.estimation.circles`.
+        Rolls of open angle, eliminated by `multipos.estimation.problem`.
     """
     first, second = jacobian[:, :, 0], jacobian[:, :, 1]
     one, two = weighted[:, :, 0], weighted[:, :, 1]

@@ -50,7 +50,7 @@ from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
 from multipos.sensor.fit_diagnostics import NoiseTest
@@ -323,7 +323,7 @@ def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> 
     if p == P:
         return Linear(blocks, np.diag(prior), gradient, penalty)
     sd = 1.0 / np.sqrt(
-        np.median(
+        median(
             problem.precision
             if problem.precision.ndim == 2
             else np.einsum("nmm->nm", problem.precision)

@@ -29,6 +29,7 @@ References
 """
 
 import math
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -384,7 +385,7 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
     n, carried = len(view[0].values), _KEPT
     starts: Mask
     if n > _SAMPLE:
-        rows = np.sort(np.random.default_rng(n).choice(n, _SAMPLE, replace=False))
+        rows = np.sort(_drawn(n, 1, n)[0].argsort()[:_SAMPLE])
         root = math.sqrt(n / _SAMPLE)
         sample = tuple(
             Part(root * part.basis[rows], part.values[rows], part.least) for part in view
@@ -395,7 +396,7 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         p = max(part.basis.shape[1] for part in view)
         good = (1.0 - most / n) ** (p + 1)
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
-        starts = np.random.default_rng(n).random((number, n)).argsort(axis=1) <= p
+        starts = _drawn(n, number, n).argsort(axis=1) <= p
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
     kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
     best = np.argsort(_objective(left), kind="stable")[:carried]
@@ -403,6 +404,12 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
     kept, left = _concentrated(view, kept[best], some, most, _LAST)
     one = [int(np.argmin(_objective(left)))]
     return kept[one], [(e[one], squares[one]) for e, squares in left]
+
+
+def _drawn(seed: int, rows: int, columns: int) -> NDArray[np.uint64]:
+    """Return numbers drawn at random, by Python's own generator: NumPy's is slow to import."""
+    drawn = random.Random(seed).randbytes(8 * rows * columns)
+    return np.frombuffer(drawn, "<u8").reshape(rows, columns)
 
 
 def _left_of(view: View, kept: Mask) -> _Left:

@@ -23,9 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
-from multipos.estimation.circles import turn_about, turn_to_axes
 from multipos.estimation.descent import maximise
-from multipos.estimation.fisher_information import FisherInformation, information_at
+from multipos.estimation.gains import FisherInformation, information_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
     condition,
@@ -36,7 +35,14 @@ from multipos.estimation.identifiability import (
     require_separable,
 )
 from multipos.estimation.likelihood import evaluate, linearise
-from multipos.estimation.problem import Optimum, Problem, State, start_state
+from multipos.estimation.problem import (
+    Optimum,
+    Problem,
+    State,
+    start_state,
+    turn_about,
+    turn_to_axes,
+)
 from multipos.estimation.uncertain_orientations import WIDE
 from multipos.estimation.unknown_orientations import (
     fit_ellipsoids,

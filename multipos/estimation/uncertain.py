@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.estimation.fisher_information import FisherInformation, information_at
+from multipos.estimation.gains import FisherInformation, information_at
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.noise import (
     NoiseEstimate,

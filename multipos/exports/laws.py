@@ -32,8 +32,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration, hidden_turn
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import in_tesla
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import Model, build_model
 from multipos.units import STANDARD_GRAVITY
 
 LINEAR = "1 + x + y + z"

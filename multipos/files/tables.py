@@ -26,17 +26,20 @@ from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plai
 from multipos.files.csv_columns import Column as Column
 from multipos.files.handed import (
     ARROW,
+    OLE,
+    ZIP,
     is_json,
     is_packed,
     read_arrow,
     read_json_columns,
+    require_extra,
     take_in,
     unpack,
+    workbook_text,
 )
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
 from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
 from multipos.files.whole import read_bytes, reading, write_text
-from multipos.files.workbooks import OLE, ZIP, require_extra, workbook_text
 
 _FINITE = float(np.finfo(np.float64).max)
 _FEW = 1000  # rows, up to which cells are written one by one

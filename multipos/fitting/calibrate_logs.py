@@ -8,7 +8,7 @@ stood, nothing is known of the orientations but that gravity has the same size i
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,10 +22,10 @@ from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.faults import SaturatedRestsError
+from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.opening import open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
-from multipos.logs.waved import Waved, holds_most, magnetic_outputs, moves, read_rows, waved
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import COMPONENTS, Formula, ModelText
@@ -40,6 +40,9 @@ from multipos.sensor.gravity import FieldKind
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from multipos.logs.waved import Waved
 
 # What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.
 _ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
@@ -199,7 +202,7 @@ def rests_or_rows(
     field: FieldKind | None = None,
     unit: str | None = None,
     **options: Any,
-) -> Averages | Waved:
+) -> "Averages | Waved":
     """Return the means of rests, or of a magnetometer that was waved the rows as they are.
 
     Parameters
@@ -222,6 +225,8 @@ def rests_or_rows(
     first = each[0] if each else None
     if first is None or any(outputs != first for outputs in each):
         return averaged(opened, **options)
+    from multipos.logs.waved import holds_most, moves, read_rows, waved
+
     signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
     values, environment = read_rows(opened, first, signed=signed, drop_bad=drop_bad)
     if not moves(values):
@@ -254,7 +259,7 @@ def _with_outputs(
 
 
 def fit_rests(
-    found: Averages | Waved,
+    found: "Averages | Waved",
     model: ModelText | Expression | None = None,
     /,
     **options: Unpack[FitOptions],
@@ -316,7 +321,7 @@ def in_likely_field(readings: Readings) -> Readings:
 
 
 def readings_of(
-    found: Averages | Waved, unit: str | None, field: FieldKind | None = None
+    found: "Averages | Waved", unit: str | None, field: FieldKind | None = None
 ) -> Readings:
     """Return the readings of rests: in the unit given, that of the log, or the one they show."""
     readings = replace(found.readings, findings=found.findings)

@@ -69,8 +69,15 @@ from multipos.sensor.gravity import (
     signed_size,
 )
 from multipos.sensor.inverse import read_nominal
-from multipos.sensor.model import DRIFT, GAUGES, Gauge, Model
-from multipos.sensor.model_building import build_model, default_axes, stated_facing
+from multipos.sensor.model import (
+    DRIFT,
+    GAUGES,
+    Gauge,
+    Model,
+    build_model,
+    default_axes,
+    stated_facing,
+)
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 
 

@@ -25,7 +25,7 @@ from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places
 from multipos.positions import attitudes
-from multipos.positions.forces import FORCE
+from multipos.positions.headers import FORCE
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
 _STRETCH = 1 << 20  # rows that are numbered at a time

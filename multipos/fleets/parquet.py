@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.handed import require_extra
 from multipos.files.tables import Column, Table
-from multipos.files.workbooks import require_extra
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.numerics.arrays import places_of_kinds
 

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.diagnostics.redundancy import are_open, are_poorly_known
+from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates

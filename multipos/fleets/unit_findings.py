@@ -8,7 +8,7 @@ leverages, quantiles. The tests are then contractions over units:
   `multipos.sensor.fit_diagnostics`, in which rows may be unequally noisy. Where two rows are off by
   similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
   the unit is left to the fit of one;
-- lack of fit and orientation errors (`multipos.diagnostics.noise_causes`);
+- lack of fit and orientation errors (`multipos.diagnostics.residuals`);
 - causes of time and table (`multipos.diagnostics.row_order`), with which all others compete by S of
   eq. (3) there; where two are as good, or several rows are off, the unit is left to the fit of one.
 
@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.diagnostics import noise_causes
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
 from multipos.diagnostics.projections import (
     Kind,
@@ -33,6 +32,14 @@ from multipos.diagnostics.projections import (
     lacking,
     project,
 )
+from multipos.diagnostics.residuals import (
+    Residuals,
+    across_the_force,
+    explain_equal,
+    explain_orientations,
+    explain_unequal,
+    prefers_orientations,
+)
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
@@ -40,6 +47,7 @@ from multipos.estimation.known import SharedDesign
 from multipos.numerics.arrays import Array, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.numerics.terms import COMPONENTS
+from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.fit_diagnostics import (
     OUTLIER_LEVEL,
@@ -51,7 +59,7 @@ from multipos.sensor.fit_diagnostics import (
 )
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import inverses
-from multipos.sensor.temperature import COLUMN, find_soaks
+from multipos.sensor.temperature import find_soaks
 
 Mask = NDArray[np.bool_]
 _AT_ONCE = 48_000  # readings of an output, so that what tests need stays in cache
@@ -120,7 +128,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     columns = (c.readings.environment[name] for name in c.model.environment)
     keys = row_keys(np.column_stack([c.reference, *columns]))
     position = np.unique(np.array(keys), return_inverse=True)[1]
-    temperature = c.readings.environment.get(COLUMN)
+    temperature = c.readings.environment.get(TEMPERATURE)
     return UnitTests(
         projection=projection,
         kinds=kinds,
@@ -380,7 +388,7 @@ def _off_positions(
     )
     coefficients = model_coefficients(model, parameters)
     slopes = model.force_slopes(coefficients, force, shared.environment)
-    of = noise_causes.Residuals(
+    of = Residuals(
         error=np.moveaxis(residuals, 0, 2),
         basis=shared.basis,
         columns=model.columns,
@@ -388,16 +396,16 @@ def _off_positions(
         force=shared.reference,
         stated=np.zeros((count, n, 3)),
     )
-    found = noise_causes.across_the_force(of) & asked
+    found = across_the_force(of) & asked
     score = np.full(count, -np.inf)
     units = np.flatnonzero(found)
     if len(units):
         some = of.some(units)
-        moved = noise_causes.explain_orientations(some)
-        found[units] = noise_causes.prefers_orientations(noise_causes.explain_equal(some), moved)
+        moved = explain_orientations(some)
+        found[units] = prefers_orientations(explain_equal(some), moved)
         beside = scored[units] & found[units]
         if beside.any():  # two variances for three
-            unequal = noise_causes.explain_unequal(some.some(np.flatnonzero(beside))).deviance
+            unequal = explain_unequal(some.some(np.flatnonzero(beside))).deviance
             score[units[beside]] = unequal - moved.deviance[beside] + math.log(of.freedom)
     return found, score
 

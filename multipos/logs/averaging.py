@@ -19,11 +19,10 @@ from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_f
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
 from multipos.logs.opening import open_log
 from multipos.logs.rests import read_sections
-from multipos.logs.samples import Progress, Timing
-from multipos.logs.sensors import rows_of_sensor
+from multipos.logs.samples import Progress, Timing, rows_of_sensor
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
-from multipos.numerics.series import require_rate
+from multipos.numerics.arrays import require_rate
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme

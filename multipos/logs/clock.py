@@ -24,8 +24,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Table
 from multipos.logs.layout import DATE
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.series import FASTEST, SLOWEST
+from multipos.numerics.arrays import FASTEST, SLOWEST, Array, median
 from multipos.positions.headers import unit_of
 
 TimeUnit = Literal["s", "ms", "us", "ns"]

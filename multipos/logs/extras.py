@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.handed import broken, require_extra
 from multipos.files.pipes import is_folder
-from multipos.files.workbooks import broken, require_extra
 
 _PATIENCE = 30.0  # seconds to start and to read a small file, on a slow machine
 _SLOWEST = 1e6  # bytes per second below which a reader no longer reads but turns in circles

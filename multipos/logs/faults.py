@@ -346,7 +346,7 @@ def _values(samples: Kept, rest: Rest, j: int) -> tuple[Array, Counts]:
 def find_second_unit(survey: Survey) -> list[Finding]:
     """Find a log that goes on in another unit: gravity has two sizes."""
     sizes = survey.sizes()
-    places = np.unique(np.linspace(_FEWEST, len(sizes) - _FEWEST, _PARTS).astype(int))
+    places = np.linspace(_FEWEST, len(sizes) - _FEWEST, _PARTS).astype(int)
     places = places[(places >= _FEWEST) & (places <= len(sizes) - _FEWEST)]
     if not len(places):
         return []

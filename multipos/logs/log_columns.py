@@ -19,16 +19,20 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
+from multipos.logs.clock import time_columns
 from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
 from multipos.positions.headers import (
+    MAGNETIC_UNITS,
     NameParts,
     component,
+    field_of_outputs,
     is_environment,
     is_without_gravity,
     split_unit,
     triads_of,
+    unit_as_known,
 )
 
 _BLOCK = 32  # rows
@@ -223,3 +227,28 @@ def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Find
         text = f"outputs are ordered {', '.join(chosen)}, by their names"
         return (Finding("outputs-by-name", "note", text),)
     return ()
+
+
+def magnetic_outputs(
+    log: Log, outputs: Sequence[str] | None, kind: str | None, unit: str | None
+) -> tuple[str, ...] | None:
+    """Return the outputs of a log that are a magnetometer's; None where they are not."""
+    if outputs is None and kind == "magnetic":
+        named = [name for name in log.numeric if component(name).magnetic]
+        triads = triads_of(named, {name: component(name) for name in named})
+        outputs = triads[0] if len(triads) == 1 else None
+    if outputs is None and kind != "magnetic":
+        kinds = [component(name) for name in log.columns]
+        if any(each.acceleration for each in kinds):
+            return None
+        stated = unit_as_known(unit or "") in MAGNETIC_UNITS
+        if not (stated or any(each.magnetic for each in kinds) or _in_field(log, log.columns)):
+            return None
+    chosen = choose_outputs(log, outputs, time_columns(log)).names
+    written = {log.units[name] for name in chosen if name in log.units}
+    own = unit_as_known(unit) if unit else (written.pop() if len(written) == 1 else "reading")
+    return chosen if field_of_outputs(chosen, own, None, kind) == "magnetic" else None
+
+
+def _in_field(log: Log, names: Sequence[str]) -> bool:
+    return any(log.units.get(name) in MAGNETIC_UNITS for name in names)

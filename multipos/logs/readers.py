@@ -28,9 +28,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.files.handed import XZ, ZSTD, is_json, read_arrow, unpack
+from multipos.files.handed import OLE, XZ, ZIP, ZSTD, is_json, read_arrow, unpack, unpack_workbook
 from multipos.files.pipes import GZIP, UTF_16, unpack_text
-from multipos.files.workbooks import OLE, ZIP, unpack_workbook
 from multipos.logs.array_logs import (
     load_hdf,
     read_mat,

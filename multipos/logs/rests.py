@@ -56,8 +56,7 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.series import require_rate
+from multipos.numerics.arrays import Array, median, require_rate
 
 BLOCKS = 8  # of a window
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow

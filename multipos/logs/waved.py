@@ -26,18 +26,9 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import quoted
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
-from multipos.logs.clock import time_columns
-from multipos.logs.log_columns import choose_outputs
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.headers import (
-    MAGNETIC_UNITS,
-    component,
-    field_of_outputs,
-    triads_of,
-    unit_as_known,
-)
 from multipos.positions.readings import Readings
 from multipos.results import Result, plain
 
@@ -93,31 +84,6 @@ class Waved(Result):
 
     def __str__(self) -> str:
         return f"{self.source}: {len(self.readings)} of {self.rows} rows, as they are\n"
-
-
-def magnetic_outputs(
-    log: Log, outputs: Sequence[str] | None, kind: str | None, unit: str | None
-) -> tuple[str, ...] | None:
-    """Return the outputs of a log that are a magnetometer's; None where they are not."""
-    if outputs is None and kind == "magnetic":
-        named = [name for name in log.numeric if component(name).magnetic]
-        triads = triads_of(named, {name: component(name) for name in named})
-        outputs = triads[0] if len(triads) == 1 else None
-    if outputs is None and kind != "magnetic":
-        kinds = [component(name) for name in log.columns]
-        if any(each.acceleration for each in kinds):
-            return None
-        stated = unit_as_known(unit or "") in MAGNETIC_UNITS
-        if not (stated or any(each.magnetic for each in kinds) or _in_field(log, log.columns)):
-            return None
-    chosen = choose_outputs(log, outputs, time_columns(log)).names
-    written = {log.units[name] for name in chosen if name in log.units}
-    own = unit_as_known(unit) if unit else (written.pop() if len(written) == 1 else "reading")
-    return chosen if field_of_outputs(chosen, own, None, kind) == "magnetic" else None
-
-
-def _in_field(log: Log, names: Sequence[str]) -> bool:
-    return any(log.units.get(name) in MAGNETIC_UNITS for name in names)
 
 
 def read_rows(
@@ -204,7 +170,7 @@ def worth_keeping(values: Array) -> tuple[NDArray[np.intp], int]:
     """Return the rows (k,) of readings (n, 3) that are kept, in order, and the stride."""
     n = len(values)
     if values.shape[1] != len(COMPONENTS):
-        return np.unique(np.linspace(0, n - 1, min(n, _KEPT)).astype(np.intp)), 1
+        return np.linspace(0, n - 1, min(n, _KEPT)).astype(np.intp), 1
     misfit, away = _off_the_ellipsoid(values)
     stride = _stride(misfit, away)
     count = min(n, _KEPT, max(n // stride, _LEAST))

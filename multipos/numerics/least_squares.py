@@ -12,7 +12,7 @@ and factored, L⁻¹ X = Q R (`multipos.numerics.factoring`):
 C, the cofactor, is the covariance of b where V is the covariance of the rows, and C s² with
 s² = rss/(n − p) is where V is known up to a factor. A residual sum is a sum of squared residuals,
 never a difference of sums. What the rows cannot tell apart is named, and not solved
-(`multipos.numerics.separability`).
+(`multipos.numerics.factoring`).
 
 **Refinement.** QR loses κε of the coefficients (κ the condition of the scaled design, ε = 1.1e-16):
 half of all digits on a tenth-degree polynomial, how many depends on the order of the rows.
@@ -53,9 +53,10 @@ from multipos.numerics.factoring import (
     column_norms,
     design_matrix,
     factor,
+    name_combinations,
+    separability,
     singular_values,
 )
-from multipos.numerics.separability import name_combinations, separability
 
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
 _STEPS = 7  # of refinement at most; Filip takes two

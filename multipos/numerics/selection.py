@@ -64,9 +64,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
-from multipos.numerics.factoring import BLOCK
+from multipos.numerics.factoring import BLOCK, name_combinations, separability
 from multipos.numerics.quantiles import f_quantile, f_tail
-from multipos.numerics.separability import name_combinations, separability
 from multipos.results import Result
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own

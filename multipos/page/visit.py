@@ -36,7 +36,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings
 from multipos.reports.documents import report
 from multipos.reports.sections import Language, Translator
-from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import calibration_sentence
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, force_residuals
 from multipos.sensor.calibration_file import load

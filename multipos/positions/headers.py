@@ -11,6 +11,22 @@ The names of columns: the units in their brackets, what they measure, and along 
 A header may carry units, ``ax (m/s^2)`` or ``Time [ms]``; what is in the brackets is one only where
 it is known as such: in ``accelerometer_m_s2[0]`` it is a number. A name that ends in x, y or z,
 or in a number in brackets, is a component of what stands before it.
+
+Columns of known specific forces stand beside those of orientations: a centrifuge, a shaker, a scale
+of weights.
+Where the sensor is not at rest in gravity alone, a row states the specific force itself, in case
+axes and standard g, of any size. Each row of a table is then one of
+
+    f = f_stated  (columns f_x, f_y, f_z),        f = (gravity/9.80665) u                   (2)
+
+and a reference is +f, or −f under the convention 'gravity'. A stated force is taken as it stands:
+local gravity and its uncertainty scale the rows of u alone. ``reference_u_x`` … are the standard
+uncertainties of its components, independent from row to row.
+
+Columns of these names are not always positions: `apply` writes its compensated force under them,
+and a sensor may call its outputs so. They are none where the caller names them as outputs, where
+``apply`` left its column ``outside`` beside them, where every row has its orientation in another
+form, and where no other column could be an output.
 """
 
 import re
@@ -21,14 +37,130 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding
+from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions import attitudes
-from multipos.positions.forces import FORCE, REFERENCE_U
 from multipos.units import STANDARD_GRAVITY
+
+FORCE = ("f_x", "f_y", "f_z")
+OF_FIELD = ("b_x", "b_y", "b_z")  # a magnetic field, as its direction or as `apply` adds it
+REFERENCE_U = ("reference_u_x", "reference_u_y", "reference_u_z")
+_APPLIED = re.compile(r"([uU]_)?([fb]_[xyz]|tilt_[xyz]_deg)|heading_deg|outside|parity|fault")
+_LENGTHS = 0.01  # by which up vectors, rounded for print, are longer or shorter than one
+
+
+def left_by_apply(table: Table) -> tuple[str, ...]:
+    """Return the columns that `apply` added to a table, by its mark ``outside``."""
+    if "outside" not in table or not any(name in table for name in (*FORCE, *OF_FIELD)):
+        return ()
+    return tuple(name for name in table.columns if _APPLIED.fullmatch(name))
+
+
+def states_forces(table: Table, oriented: NDArray[np.bool_] | None) -> bool:
+    """Tell whether the columns f_x, f_y, f_z state forces, and not what was compensated.
+
+    Parameters
+    ----------
+    table : Table
+        Without the columns that are outputs.
+    oriented : (n,) array of bool, optional
+        Rows that have their orientation in another form.
+    """
+    if not all(name in table for name in FORCE) or left_by_apply(table):
+        return False
+    return oriented is None or not oriented.all()
+
+
+def known_rows(force: Array) -> NDArray[np.bool_]:
+    """Return the rows (n,) of forces (n, 3) that are known."""
+    return np.asarray(np.isfinite(force).all(axis=1))
+
+
+def read_forces(table: Table, oriented: NDArray[np.bool_] | None) -> Array:
+    """Return the forces (n, 3) [g] that a table states, NaN in rows that state none.
+
+    Raises
+    ------
+    MultiposError
+        A cell is missing or no number, or a row has an orientation as well.
+    """
+    empty = oriented is not None
+    force = np.column_stack([table.number(name, empty=empty, largest=LARGEST) for name in FORCE])
+    given = np.isfinite(force)
+    partly = np.asarray(given.any(axis=1) & ~given.all(axis=1))
+    if partly.any():
+        row = int(np.argmax(partly))
+        missing = FORCE[int(np.argmin(given[row]))]
+        raise MultiposError(f"{table.where(row, missing)}: empty; a force has three components.")
+    if oriented is not None:
+        both = known_rows(force) & oriented
+        if both.any():
+            row = int(np.argmax(both))
+            raise MultiposError(
+                f"{table.where(row, FORCE[0])}: the row states a force and an orientation; "
+                "keep one of them."
+            )
+    return force
+
+
+def along_forces(force: Array, up: Array | None) -> Array:
+    """Return up vectors (n, 3), where a force is known along it, NaN where it has no size."""
+    result = np.full(force.shape, np.nan) if up is None else up.copy()
+    rows = known_rows(force)
+    size = np.linalg.norm(force[rows], axis=1)[:, None]
+    result[rows] = np.where(size > 0.0, force[rows] / np.where(size > 0.0, size, 1.0), np.nan)
+    return result
+
+
+def read_reference_u(table: Table, force: Array | None) -> Array | None:
+    """Return the standard uncertainty (n, 3) [g] of the reference, 0 where a row states none.
+
+    Raises
+    ------
+    MultiposError
+        A column of the three is missing, a cell is negative, or empty beside a force.
+    """
+    present = [name for name in REFERENCE_U if name in table]
+    if not present:
+        return None
+    missing = [name for name in REFERENCE_U if name not in present]
+    if missing:
+        raise MultiposError(
+            f"{table.source}: column '{missing[0]}' is missing next to '{present[0]}'; give the "
+            "uncertainty of all three components, 0 where one is exact."
+        )
+    u = np.column_stack([table.number(name, empty=True, largest=LARGEST) for name in REFERENCE_U])
+    known = np.zeros(len(u), dtype=bool) if force is None else known_rows(force)
+    _refuse_cells(table, np.asarray(u < 0.0), "negative; a standard uncertainty is 0 or more")
+    empty = np.isnan(u) & known[:, None]
+    _refuse_cells(table, empty, "empty for a known force; write 0 where it is exact")
+    return np.nan_to_num(u)
+
+
+def _refuse_cells(table: Table, bad: NDArray[np.bool_], fault: str) -> None:
+    if bad.any():
+        row, i = np.argwhere(bad)[0].tolist()
+        raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")
+
+
+def find_lengths(table: Table, names: Iterable[str]) -> tuple[Finding, ...]:
+    """Say where up vectors have lengths that somebody may have meant as forces."""
+    up = np.column_stack([table.number(name, empty=True) for name in names])
+    size = np.linalg.norm(up, axis=1)
+    size = size[np.isfinite(size)]
+    if not len(size) or np.abs(size - 1.0).max() <= _LENGTHS:
+        return ()
+    low, high = (f"{end:.4g}" for end in (size.min(), size.max()))
+    lengths = low if low == high else f"{low} to {high}"
+    text = f"up vectors have lengths of {lengths}; only their directions are used"
+    action = f"Name the columns {', '.join(FORCE)} if they are forces in g."
+    return (Finding("up-length", "warning", text, action),)
+
 
 # As a header may write a unit, without blanks and in small letters, and as it is called here.
 _WRITTEN = {
@@ -238,6 +370,7 @@ def named_axes(outputs: Sequence[str]) -> list[int]:
 
 
 # Columns of a readings file that have a meaning of their own and are no outputs.
+TEMPERATURE = "temperature"
 RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 OF_SURROUNDINGS = frozenset({"K", "°C", "s", "ms", "us", "ns", "hPa", "Pa", "Hz", "%"})
 _PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
@@ -315,7 +448,7 @@ def under_names(table: Table, wanted: Iterable[str]) -> tuple[Table, dict[str, s
 
 def _own_case(names: Sequence[str]) -> dict[str, str]:
     """Return names as they are known here; those that differ in case alone stay as written."""
-    known = {name.casefold(): name for name in (*RESERVED, "temperature", "time")}
+    known = {name.casefold(): name for name in (*RESERVED, TEMPERATURE, "time")}
     known |= _forces(names)
     if "position" not in map(str.casefold, names):
         known |= {"lage": "position", "位置": "position"}
@@ -403,7 +536,7 @@ SOAKS = ("soak", "run", "cycle", "chamber")  # beside a temperature: labels of s
 
 def is_environment(name: str) -> bool:
     """Tell whether a column is about the surroundings by its name."""
-    surroundings = ("temperature", "time", "approach", "head_deg")  # the last, of a dividing head
+    surroundings = (TEMPERATURE, "time", "approach", "head_deg")  # the last, of a dividing head
     return name in surroundings or name.startswith("ambient") or name.endswith("_rate")
 
 

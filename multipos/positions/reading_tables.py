@@ -18,30 +18,28 @@ from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions import attitudes
-from multipos.positions.forces import (
-    FORCE,
-    OF_FIELD,
-    find_lengths,
-    known_rows,
-    left_by_apply,
-    read_forces,
-    read_reference_u,
-    states_forces,
-)
 from multipos.positions.headers import (
     ACCELERATION_UNITS,
+    FORCE,
     MAGNETIC_UNITS,
+    OF_FIELD,
     OF_SURROUNDINGS,
     RESERVED,
     SOAKS,
     NameParts,
     component,
     find_column,
+    find_lengths,
     in_celsius,
     in_standard_g,
     is_beside,
     is_environment,
+    known_rows,
+    left_by_apply,
     plain_names,
+    read_forces,
+    read_reference_u,
+    states_forces,
     triads_of,
     unit_as_known,
     unit_of_outputs,

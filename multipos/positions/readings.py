@@ -22,7 +22,7 @@ from multipos.files.spelling import control_characters, numbered, require_column
 from multipos.finding import Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
-from multipos.positions.forces import along_forces, known_rows
+from multipos.positions.headers import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular
 
 # What has a value a row, beside the environment and the covariance.

@@ -36,8 +36,15 @@ from multipos.positions.attitudes import (
     roll,
     rows_with_orientation,
 )
-from multipos.positions.forces import FORCE, along_forces, known_rows, read_forces, states_forces
-from multipos.positions.headers import in_standard_g, plain_names
+from multipos.positions.headers import (
+    FORCE,
+    along_forces,
+    in_standard_g,
+    known_rows,
+    plain_names,
+    read_forces,
+    states_forces,
+)
 from multipos.positions.order import Order, check_order, lay_out
 from multipos.results import Drawn, Result, Tabular
 

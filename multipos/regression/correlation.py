@@ -80,9 +80,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, median, recur
 from multipos.numerics.factoring import gram
-from multipos.numerics.series import recur
 
 _GAP = 5.0  # median intervals without a row that end a run
 _CLEARLY = 2.33  # standard deviations of the lag-1 correlation of independent rows: 1 % above it

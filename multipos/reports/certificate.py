@@ -42,7 +42,7 @@ from multipos.reports.sensor_result import (
     sessions_section,
     signature_section,
 )
-from multipos.reports.sentences import calibration_sentence
+from multipos.reports.summary import calibration_sentence
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget

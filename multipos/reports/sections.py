@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.resources import files
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -80,6 +79,7 @@ def _regular(pattern: str) -> "re.Pattern[str]":
 @lru_cache
 def _read(language: str) -> dict[str, Any]:
     import tomllib
+    from importlib.resources import files
 
     text = (
         files("multipos.reports")

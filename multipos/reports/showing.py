@@ -40,8 +40,8 @@ from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions, regression_sentence
 from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
 from multipos.reports.quantities import parameter_cells
-from multipos.reports.sentences import calibration_sentence
 from multipos.reports.sheets import table_errors_text
+from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
 from multipos.results import Columns, Result, plain
 from multipos.sensor.calibration import Calibration

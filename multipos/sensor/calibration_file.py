@@ -50,8 +50,7 @@ from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
-from multipos.positions.forces import known_rows
-from multipos.positions.headers import MAGNETIC_UNITS
+from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, Status
@@ -76,8 +75,7 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.gravity import FIELD_KINDS, Field
 from multipos.sensor.inverse import read_nominal
-from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
 
 SCHEMA = "multipos/calibration/1"
 # Null is infinite, 0 none; less than a millionth of one is neither.

@@ -28,7 +28,7 @@ from multipos.sensor.formulas import (
     parsed_dict,
     parsed_from_dict,
 )
-from multipos.sensor.model_building import check_axes
+from multipos.sensor.model import check_axes
 
 Fixed = Sequence[tuple[str, str, float]]  # output, name, value
 

@@ -24,9 +24,8 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.series import recur, require_rate
-from multipos.positions.forces import OF_FIELD
+from multipos.numerics.arrays import LARGEST, Array, recur, require_rate
+from multipos.positions.headers import OF_FIELD
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, read_scheme
 from multipos.results import Columns, require

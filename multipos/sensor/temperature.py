@@ -42,14 +42,13 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
-from multipos.positions.headers import SOAKS
+from multipos.positions.headers import SOAKS, TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import parameter_name
 
-COLUMN = "temperature"
 _POINTS = 101
 _SOAK = 2.0  # [degC], by which neighbouring rows of one soak may differ
 _FEWEST = 3  # soaks
@@ -147,7 +146,7 @@ def over_temperature(
     weights = np.array([model.linear_map({**fixed, column: float(t)}) for t in T])  # (n, M, 4, p)
     curves = []
     for i, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
-        soaks = _soaks(calibration, i) if column == COLUMN else None
+        soaks = _soaks(calibration, i) if column == TEMPERATURE else None
         for place, term in enumerate((CONSTANT, *map(linear_term, COMPONENTS))):
             w = weights[:, i, place]
             if not w.any():
@@ -247,11 +246,11 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings, estimated: Array) ->
     """
     parts, dof = [np.zeros((*X.shape[:2], 0))], np.full(X.shape[1], np.inf)
     contained = np.zeros(X.shape[:2])
-    if COLUMN not in c.model.environment:
+    if TEMPERATURE not in c.model.environment:
         return Zeros(parts[0], dof, contained)
     numbers = soaks_of(run)
     if numbers is None:  # fewer than a calibration is judged by
-        numbers = _soaks_in_order(run.environment[COLUMN])
+        numbers = _soaks_in_order(run.environment[TEMPERATURE])
     for i, output in enumerate(c.outputs):
         soaks = _soaks(c, i)
         if soaks is None or not soaks.sd > 0.0:
@@ -286,9 +285,9 @@ def soaks_of(readings: Readings) -> NDArray[np.intp] | None:
         if name in readings.environment:
             numbers = np.unique(readings.environment[name], return_inverse=True)[1]
             return _enough(numbers.astype(np.intp))
-    if COLUMN not in readings.environment:
+    if TEMPERATURE not in readings.environment:
         return None
-    return find_soaks(readings.environment[COLUMN])
+    return find_soaks(readings.environment[TEMPERATURE])
 
 
 def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
@@ -358,7 +357,7 @@ def _hysteresis(
     c: Calibration, soak: NDArray[np.intp], means: Array, sd: float
 ) -> Mapping[str, Any] | None:
     """Return eq. (3) of what soaks leave of the zero, in order; None without levels read twice."""
-    warm = c.readings.environment.get(COLUMN)
+    warm = c.readings.environment.get(TEMPERATURE)
     if warm is None:
         return None
     at = np.array([warm[soak == s].mean() for s in np.unique(soak)])

@@ -37,10 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import UsageError
-from multipos.estimation.circles import circle_basis
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, noise_factor, restate, return_to_optimum
-from multipos.estimation.problem import start_state
+from multipos.estimation.problem import circle_basis, start_state
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, require

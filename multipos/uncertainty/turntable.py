@@ -72,9 +72,9 @@ from multipos.errors import RankError
 from multipos.estimation.known import ZERO_NORM
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
+from multipos.numerics.factoring import separability
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
-from multipos.numerics.separability import separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
@@ -83,8 +83,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import Model, build_model
 from multipos.sensor.tilt import magnitude_of
 
 QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")

@@ -28,14 +28,13 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import ZERO_NORM
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.separability import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import Result
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import Model
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import Model, build_model
 from multipos.uncertainty.turntable import BesideTable
 
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.

@@ -30,7 +30,7 @@ from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, stacked
 from multipos.sensor.gravity import FieldKind
-from multipos.sensor.model_building import default_axes, stated_facing
+from multipos.sensor.model import default_axes, stated_facing
 from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
 from multipos.verification.coefficients import (
     TumbleCoefficient,

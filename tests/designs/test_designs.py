@@ -26,7 +26,7 @@ from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import optimise_candidates, optimise_sphere
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 AXES = ("x", "y", "z")
 OUTPUTS = ("ax", "ay", "az")

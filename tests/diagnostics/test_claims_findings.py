@@ -9,8 +9,13 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.diagnostics import noise_causes
-from multipos.diagnostics.residuals import judge_equality
+from multipos.diagnostics import residuals
+from multipos.diagnostics.residuals import (
+    Residuals,
+    explain_equal,
+    explain_orientations,
+    judge_equality,
+)
 from multipos.positions.scheme import read_scheme
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
@@ -33,7 +38,7 @@ def told(c, code):
 @pytest.mark.parametrize("off_deg", [0.0, 0.02, 0.5])
 def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, stated):
     """Against eq. (2) in one dense matrix, by a search without slopes."""
-    # eqs. (1), (2), (3) of diagnostics.noise_causes
+    # eqs. (1), (2), (3) of diagnostics.residuals
     c = mp.fit(readings("fibonacci-24", 3, off_deg=off_deg), model="own-quadratic")
     e = c.residuals.ravel()
     f, H = c.reference, c.model.force_jacobian(c.parameters, c.reference, {})
@@ -52,7 +57,7 @@ def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, state
         r = e - X @ np.linalg.solve(S, X.T @ W @ e)
         return np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + r @ W @ r
 
-    found = noise_causes.Residuals(
+    found = Residuals(
         c.residuals[None],
         c.model.basis(f, {}),
         c.model.columns,
@@ -60,7 +65,7 @@ def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, state
         f,
         np.full((1, 24, 3), stated**2),
     )
-    moved, equal = noise_causes.explain_orientations(found), noise_causes.explain_equal(found)
+    moved, equal = explain_orientations(found), explain_equal(found)
     starts = [(-18.0, -12.0), (-18.0, -18.0), (-18.0, -30.0)]
     least = min(minimize(deviance, s, method="Nelder-Mead").fun for s in starts)
     assert moved.deviance[0] == pytest.approx(least, abs=0.05)
@@ -149,7 +154,7 @@ def test_steps_follow_the_slopes_of_the_deviance():
     """Slopes by differences of D, the step by hand; what is held at zero does not move."""
     rng = np.random.default_rng(1)
     force = read_scheme("fibonacci-24").up
-    found = noise_causes.Residuals(
+    found = Residuals(
         1e-4 * rng.standard_normal((2, 24, 3)),
         np.column_stack([np.ones(24), force]),
         [np.arange(4)] * 3,
@@ -159,26 +164,26 @@ def test_steps_follow_the_slopes_of_the_deviance():
     )
     parts = [np.eye(3)[None, None], found.across]
     theta, by = np.array([[9e-9, 2e-9], [4e-9, 1e-9]]), np.diag([1e-12, 1e-12])
-    here = noise_causes._evaluate(found, parts, theta)
+    here = residuals._evaluate(found, parts, theta)
     slopes = np.empty((2, 2))
     for j in range(2):
-        up, down = (noise_causes._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
+        up, down = (residuals._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
         slopes[:, j] = (up.deviance - down.deviance) / 2e-12
     assert_allclose(here.expected - here.observed, slopes, rtol=1e-3)
-    step, gain = noise_causes._step(theta, here)
+    step, gain = residuals._step(theta, here)
     for b in range(2):
         newton = -np.linalg.solve(here.curvature[b], slopes[b])
         assert_allclose(step[b], newton, rtol=3e-3)
         assert gain[b] == pytest.approx(-0.5 * newton @ slopes[b], rel=3e-3)
     held = here._replace(observed=np.where([[True, False]], 0.5 * here.expected, here.observed))
-    still = noise_causes._step(theta * [0.0, 1.0], held)[0]
+    still = residuals._step(theta * [0.0, 1.0], held)[0]
     assert_array_equal(still[:, 0], 0.0)
     assert_allclose(still[:, 1], -slopes[:, 1] / here.curvature[:, 1, 1], rtol=3e-3)
 
 
 def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     """R with projections of its own and SciPy's F, half of the units with rows turned."""
-    # eq. (4) of diagnostics.noise_causes
+    # eq. (4) of diagnostics.residuals
     rng = np.random.default_rng(2)
     force = read_scheme("fibonacci-24").up
     design = np.column_stack([np.ones(24), force])
@@ -186,7 +191,7 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     noise = rng.standard_normal((400, 24, 3))
     noise[200:] += 2.0 * np.cross(rng.standard_normal((200, 24, 3)), force)
     e = np.einsum("kl,blm->bkm", left, noise)
-    found = noise_causes.Residuals(
+    found = Residuals(
         e, design, [np.arange(4)] * 3, np.eye(3)[None, None], force, np.zeros(e.shape)
     )
     every = np.hstack([force[:, [i]] * design for i in range(3)])  # of what is along the force
@@ -198,14 +203,14 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     along = np.sum(np.sum(normal * (e / sd), axis=2) ** 2, axis=1)
     ratio = (60.0 - along) / across_nu / (along / along_nu)
     said = (ratio > fisher.ppf(0.98, across_nu, along_nu)) & (3.0 * along <= 60.0)
-    assert_array_equal(noise_causes.across_the_force(found), said)
+    assert_array_equal(residuals.across_the_force(found), said)
     assert said[:200].mean() < 0.06
     assert said[200:].mean() > 0.3
 
 
 def test_equal_noise_is_judged_by_its_score():
     """In one dense matrix, of positions so nearly known that their angles change nothing."""
-    # eq. (1) of diagnostics.residuals
+    # eq. (5) of diagnostics.residuals
     data = readings("fibonacci-24", 5, sd=[1e-4, 1.3e-4, 0.8e-4])
     c = mp.fit(data, orientation_sd=1e-5)
     X = np.kron(np.column_stack([np.ones(24), data.up]), np.eye(3))

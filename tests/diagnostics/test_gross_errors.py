@@ -10,11 +10,12 @@ from findings_bench import texts
 import multipos as mp
 from multipos.diagnostics import gross_errors
 from multipos.diagnostics.columns import resolution
-from multipos.diagnostics.linear_view import View, look
 from multipos.diagnostics.repairs import (
     Repair,
+    View,
     _interchanges,
     _single_factors,
+    look,
     rows_in_another_unit,
 )
 from multipos.diagnostics.scales import facing
@@ -245,7 +246,7 @@ def test_the_step_of_a_converter(values, step):
 
 
 def test_the_linear_view_is_least_squares():
-    # eqs. (1), (2) of diagnostics.linear_view
+    # eqs. (3), (4) of diagnostics.repairs
     up = mp.read_scheme("all-26").up
     values = sense(up)
     view = look(mp.fit(mp.Readings(values, up=up), model="ieee"))

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
-from multipos.estimation.circles import circle_basis, over_circle, turn_about
 from multipos.estimation.likelihood import eliminate
+from multipos.estimation.problem import circle_basis, over_circle, turn_about
 
 BIAS = np.array([0.02, -0.01, 0.03])
 MATRIX = np.array([[1.02, 0.012, -0.02], [0.015, 0.98, 0.01], [-0.008, 0.02, 1.01]])
@@ -104,7 +104,7 @@ def test_the_truth_is_found_without_noise(session, gauge, convention):
 
 
 def test_all_angles_as_unknowns_of_one_search_give_the_same():
-    # eq. (1) of estimation.circles
+    # eq. (1) of estimation.problem
     rng = np.random.default_rng(8)
     up, said = pointer(rng)
     noise = SD * rng.standard_normal((24, 3))
@@ -140,7 +140,7 @@ def test_all_angles_as_unknowns_of_one_search_give_the_same():
 
 
 def test_an_angle_that_is_free_is_eliminated_as_by_a_wide_prior():
-    # eq. (2) of estimation.circles
+    # eq. (2) of estimation.problem
     rng = np.random.default_rng(4)
     A = rng.standard_normal((6, 3, 3))
     precision = A @ A.transpose(0, 2, 1)

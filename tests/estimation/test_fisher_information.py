@@ -7,14 +7,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.fisher_information import information_at
+from multipos.estimation.gains import information_at
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.inverse import parameter_jacobian
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 N = 40
 ROUNDING = 1e-10  # W of three outputs is the difference of numbers some thousand times as large
@@ -69,7 +69,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_told_is_what_dense_matrices_tell(case):
-    # eq. (1) of estimation.fisher_information
+    # eq. (4) of estimation.gains
     problem, found = a_solution(**CASES[case])
     assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
     told = information_at(problem, found.state, found.point)

@@ -17,7 +17,7 @@ from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import COMPONENTS, NAMED
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import load_casadi
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 casadi = load_casadi()
 

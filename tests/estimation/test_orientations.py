@@ -36,7 +36,7 @@ from multipos.estimation.uncertain import _scale_bias
 from multipos.numerics.quantiles import chi2_quantile, f_tail
 from multipos.numerics.rotations import rotation_matrix, step_on_sphere, tangent_basis
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 from multipos.song_qin import TABLE_2
 
 UP = read_scheme("fibonacci-24").up

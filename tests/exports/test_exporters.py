@@ -18,7 +18,7 @@ from multipos.exports.c_source import SIGNATURE, signature
 from multipos.exports.laws import reduce_to
 from multipos.exports.targets import export, verify_export
 from multipos.numerics.rotations import rotation_matrix
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 READINGS = 100_000
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror"]

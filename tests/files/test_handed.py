@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import multipos as mp
-from multipos.files import workbooks
+from multipos.files import handed
 
 CAL = mp.demo().calibration
 TABLE = dict(mp.simulate(CAL, "fibonacci-24", reading_sd=1e-3, seed=3))
@@ -165,7 +165,7 @@ def test_what_is_no_table_is_said(name, content, message, tmp_path):
 
 
 def test_a_missing_library_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
+    monkeypatch.setattr(handed, "find_spec", lambda name: None)
     (tmp_path / "r.csv.zst").write_bytes(b"\x28\xb5\x2f\xfd" + bytes(9))
     if sys.version_info < (3, 14):
         with pytest.raises(mp.MultiposError, match=r"backports\.zstd reads.*'multipos\[zst\]'"):

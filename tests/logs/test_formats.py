@@ -24,7 +24,7 @@ from log_files import (
 
 import multipos as mp
 from multipos.cli import main
-from multipos.files import workbooks
+from multipos.files import handed
 from multipos.logs.opening import open_log
 from multipos.logs.readers import READERS
 
@@ -351,22 +351,22 @@ FIRST_BYTES = {
 def test_without_the_extra_it_is_named(extra, tmp_path, monkeypatch):
     head, library = FIRST_BYTES[extra]
     (tmp_path / "log.dat").write_bytes(head + bytes(64))
-    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
+    monkeypatch.setattr(handed, "find_spec", lambda name: None)
     with pytest.raises(mp.MultiposError, match=rf"{library} reads.*'multipos\[{extra}\]'"):
         mp.average(tmp_path / "log.dat")
 
 
 def test_without_openpyxl_the_extra_is_named(tmp_path, monkeypatch):
     path = archive(tmp_path / "log.dat", {"xl/workbook.xml": "<a/>"})
-    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
+    monkeypatch.setattr(handed, "find_spec", lambda name: None)
     with pytest.raises(mp.MultiposError, match=r"openpyxl reads.*'multipos\[excel\]'"):
         mp.average(path)
 
 
 def test_old_excel_without_its_library_names_the_extra(tmp_path, monkeypatch):
     path = tmp_path / "Accelerometer.xls"
-    path.write_bytes(workbooks.OLE + bytes(600))
-    monkeypatch.setattr(workbooks, "find_spec", lambda name: None)
+    path.write_bytes(handed.OLE + bytes(600))
+    monkeypatch.setattr(handed, "find_spec", lambda name: None)
     for read in (mp.average, mp.read_readings):
         with pytest.raises(mp.MultiposError, match=r"xlrd reads.*'multipos\[excel\]'"):
             read(path)
@@ -375,7 +375,7 @@ def test_old_excel_without_its_library_names_the_extra(tmp_path, monkeypatch):
 def test_a_damaged_old_excel_is_one_line(tmp_path):
     pytest.importorskip("xlrd")
     path = tmp_path / "Accelerometer.xls"
-    path.write_bytes(workbooks.OLE + bytes(600))
+    path.write_bytes(handed.OLE + bytes(600))
     with pytest.raises(mp.MultiposError, match=r"cannot read the workbook: .*save it again"):
         mp.average(path)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from multipos.numerics.series import recur
+from multipos.numerics.arrays import recur
 
 
 def test_a_half_of_the_row_before_by_hand():
@@ -24,7 +24,7 @@ def test_each_run_begins_anew_by_hand():
 @pytest.mark.parametrize("a", [0.3, -0.9, 0.999])
 def test_rows_on_both_sides_of_a_thousand_are_summed_one_by_one(n, a):
     """Whatever way is taken: z_k = w_k + a z_{k−1} by a loop."""
-    # eq. (1) of numerics.series
+    # eq. (1) of numerics.arrays
     rng = np.random.default_rng(n)
     w, first = rng.normal(size=(n, 2)), rng.random(n) < 0.01
     expected = w.copy()

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from multipos.sensor.derived import installation_deg, intrinsic
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 TRIAD = ("ax", "ay", "az"), ("x", "y", "z")
 

@@ -13,7 +13,7 @@ from multipos.sensor.fit_diagnostics import (
     lack_of_fit,
     linearity,
 )
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 
 def test_bartlett_by_hand():

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from multipos.errors import MultiposError
 from multipos.numerics.terms import COMPONENTS, NAMED
 from multipos.sensor.inverse import invert, parameter_jacobian, sensed_axes, sensitivities
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 
 SENSORS = {
     "triad": (("ax", "ay", "az"), ("x", "y", "z")),

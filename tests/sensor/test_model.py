@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from multipos.errors import UsageError
 from multipos.numerics.terms import NAMED, formula_columns
 from multipos.sensor.expressions import load_casadi
-from multipos.sensor.model import paper_symbol, parameter_label
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model, paper_symbol, parameter_label
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
 

@@ -15,7 +15,7 @@ from multipos import cli
 from multipos.positions.harmonics import Harmonic, find_rolls, residual_series, strange_harmonics
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumble_text
-from multipos.sensor.model_building import build_model
+from multipos.sensor.model import build_model
 from multipos.verification.coefficients import poorly_separated
 
 
