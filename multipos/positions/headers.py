@@ -151,7 +151,7 @@ def _refuse_cells(table: Table, bad: NDArray[np.bool_], fault: str) -> None:
 def find_lengths(table: Table, names: Iterable[str]) -> tuple[Finding, ...]:
     """Say where up vectors have lengths that somebody may have meant as forces."""
     up = np.column_stack([table.number(name, empty=True) for name in names])
-    size = np.linalg.norm(up, axis=1)
+    size = np.hypot.reduce(up, axis=1)  # of any size, without their squares
     size = size[np.isfinite(size)]
     if not len(size) or np.abs(size - 1.0).max() <= _LENGTHS:
         return ()

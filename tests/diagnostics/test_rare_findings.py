@@ -1,6 +1,7 @@
 """Findings that few data raise, each on data made for it."""
 
 import numpy as np
+import pytest
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
@@ -27,11 +28,12 @@ def test_a_straight_line_has_one_segment():
     assert said(found)["one-segment"] == "no edge in t improves the model enough: one segment"
 
 
-def test_up_vectors_in_another_unit_are_directions():
+@pytest.mark.parametrize("size", [9.8, 1e192])  # the square of the second is no number
+def test_up_vectors_in_another_unit_are_directions(size):
     up = read_scheme("faces-corners-14").up
-    columns = {f"up_{axis}": 9.8 * up[:, i] for i, axis in enumerate("xyz")}
+    columns = {f"up_{axis}": size * up[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"a{axis}": up[:, i] for i, axis in enumerate("xyz")}
-    text = "up vectors have lengths of 9.8; only their directions are used"
+    text = f"up vectors have lengths of {size:.4g}; only their directions are used"
     assert said(mp.fit(columns))["up-length"] == text
 
 
