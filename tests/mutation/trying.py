@@ -2,7 +2,8 @@
 
 Which tests reach a line is measured once by room. The parent has imported the large libraries but
 nothing of the project, so that a fork reads the changed file and little else. A test that fails
-without a change is left out, and a change that takes longer than three minutes hangs and is caught.
+without a change is left out, and a change that takes three minutes of the processor, or stands
+still for a quarter of an hour, hangs and is caught: a loaded machine is no reason to be.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import importlib
 import json
 import math
 import os
+import resource
 import signal
 import sys
 import time
@@ -20,8 +22,16 @@ from typing import Any
 
 from tests.mutation.changes import Change
 
-_LONGEST = 180.0  # seconds of one change
+_LONGEST = 180  # seconds of the processor of one change
+_STILL = 900.0  # seconds by the clock
 _ENOUGH = 40.0  # seconds of tests for one change, as they took without it
+# Where tests of a room's files stand beside its own.
+_BESIDE = {
+    "estimation": ("tests/fleets/test_kernels.py", "tests/sensor/test_magnetometer.py"),
+    "logs": ("tests/sensor/test_magnetometer.py",),
+    "diagnostics": ("tests/fleets/test_unit_findings.py", "tests/sensor/test_diagnostics.py"),
+    "fleets": ("tests/uncertainty/test_claims.py",),
+}
 _LIBRARIES = (
     "numpy",
     "numpy.testing",
@@ -91,9 +101,14 @@ def is_noticed(root: Path, change: Change, reached: Reached) -> bool:
     kept = file.read_bytes()
     change.apply(root)
     try:
-        return _forked(root, lambda: _pytest(["-x", *names]), _LONGEST) != 0
+        return _forked(root, lambda: _limited(["-x", *names]), _STILL) != 0
     finally:
         file.write_bytes(kept)
+
+
+def _limited(arguments: Sequence[str]) -> int:
+    resource.setrlimit(resource.RLIMIT_CPU, (_LONGEST, _LONGEST))
+    return _pytest(arguments)
 
 
 class _Recorder:
@@ -124,7 +139,7 @@ def _measure(root: Path, room: str, kept: Path) -> int:
     coverage = Coverage(data_file=None, source=[str(root / "multipos" / room)])
     recorder = _Recorder(coverage)
     coverage.start()
-    status = _pytest([f"tests/{room}"], plugins=[recorder])
+    status = _pytest([f"tests/{room}", *_BESIDE.get(room, ())], plugins=[recorder])
     coverage.stop()
     data = coverage.get_data()
     lines = {
