@@ -82,7 +82,7 @@ INPUTS = [
     "compare cal.json #cal.json",
     "regress #log.csv --response ax --variables ay",
     "regress #log.csv --response ax --variables ay -o out.svg",
-    "stability #log.csv --calibration cal.json --json -o out.svg",
+    "stability #log.csv --calibration cal.json --json",
     "stability log.csv --calibration #cal.json",
     "simulate #cal.json --scheme faces-6 --seed 1",
     "simulate cal.json --scheme #six.csv --seed 1",

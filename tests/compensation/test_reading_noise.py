@@ -85,8 +85,9 @@ def test_u_covers_the_force_on_new_readings():
     for _ in range(runs):
         cal = mp.fit(readings(rng, np.vstack([FACES, FACES])))
         up, table = data(rng, 1)
-        error = np.abs(stacked(mp.apply(cal, table), "f") - up)
-        inside += int((error <= stacked(mp.apply(cal, table, uncertainty=True), "U_f")).sum())
+        found = mp.apply(cal, table, uncertainty=True)
+        error = np.abs(stacked(found, "f") - up)
+        inside += int((error <= stacked(found, "U_f")).sum())
         only = mp.apply(cal, table, uncertainty=True, parameters_only=True)
         alone += int((error <= stacked(only, "U_f")).sum())
     sd = np.sqrt(0.95 * 0.05 / (3 * runs))

@@ -174,8 +174,8 @@ def test_levels_and_zeros_of_stations_are_one_test_at_one_percent():
         stations = found.summary["stations"]
         return {s["station"]: [f["text"] for f in s["findings"]] for s in stations}
 
-    # of 40 good lines of 18 figures each .4 on average; more than 3 has a chance of one in 1,000
-    assert sum(any(off(seed=seed).values()) for seed in range(40)) <= 3
+    # of 20 good lines of 18 figures each .2 on average; more than 2 has a chance of one in 1,000
+    assert sum(any(off(seed=seed).values()) for seed in range(20)) <= 2
     level, shift = np.zeros((3, 3)), np.zeros((3, 3))
     level[1, 0], shift[2, 1] = np.radians(1.0), 0.02
     said = off(seed=1, level=level, shift=shift)

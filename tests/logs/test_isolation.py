@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amounts import rest_slow
 
 from multipos.errors import MultiposError
 from multipos.logs.extras import read_apart
@@ -102,7 +103,7 @@ def damaged_mat(place: int, value: int) -> bytes:
 
 
 # A byte of the array flags and two of a tag, over which SciPy 1.17 follows a null pointer.
-@pytest.mark.parametrize(("place", "value"), [(145, 109), (176, 63), (177, 105)])
+@pytest.mark.parametrize(("place", "value"), rest_slow([(145, 109), (176, 63), (177, 105)]))
 def test_a_damaged_mat_file_does_not_end_the_process(place, value, tmp_path):
     from scipy.io import savemat
 

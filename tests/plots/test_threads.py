@@ -8,6 +8,7 @@ import matplotlib
 import matplotlib.style
 import numpy as np
 import pytest
+from amounts import rest_slow
 
 import multipos as mp
 from multipos import plots
@@ -113,7 +114,7 @@ def results():
     return runs, check, rest, mp.regress(data, response="y", variables="t", stepwise=True), data
 
 
-def draw():
+def draw(endings=ENDINGS):
     """Return a report and every other kind of figure."""
     runs, check, rest, regression, data = results()
     page = html_report(build_content(runs[0], check=check))
@@ -123,12 +124,12 @@ def draw():
         plots.check_figure(check),
         plots.stability_figure(rest),
     )
-    return page, *(plots.render(figure, ending) for figure in figures for ending in ENDINGS)
+    return page, *(plots.render(figure, ending) for figure in figures for ending in endings)
 
 
 @cache
-def drawn():
-    return draw()
+def drawn(endings=ENDINGS):
+    return draw(endings)
 
 
 @pytest.mark.slow
@@ -161,14 +162,16 @@ def test_no_setting_changes_while_figures_are_drawn():
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [AT_ONCE, *(pytest.param(each, marks=pytest.mark.slow) for each in SETTINGS.values())],
-    ids=["at once", *SETTINGS],
+    ("settings", "endings"),
+    rest_slow(
+        [(AT_ONCE, ENDINGS[:1]), *((each, ENDINGS) for each in (AT_ONCE, *SETTINGS.values()))]
+    ),
+    ids=["at once, lines alone", "at once", *SETTINGS],
 )
-def test_settings_of_the_program_around_change_no_figure(settings):
-    alone = drawn()
+def test_settings_of_the_program_around_change_no_figure(settings, endings):
+    alone = drawn(endings)
     with matplotlib.rc_context(settings):
-        found = draw()
+        found = draw(endings)
     for one, other in zip(found, alone, strict=True):
         assert one == other
 

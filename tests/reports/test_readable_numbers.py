@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from amounts import rest_slow
 
 import multipos as mp
 from multipos.files.numbers import (
@@ -101,7 +102,7 @@ def test_numbers_by_hand():
     [{}, {"model": "linear", "unknown_orientation": True}, {"model": "linear", "unit": "count"}],
     ids=["volts", "unknown", "counts"],
 )
-@pytest.mark.parametrize("language", ["en", "zh"])
+@pytest.mark.parametrize("language", rest_slow(["zh", "en"]))
 def test_no_form_has_a_number_in_letters(options, language):
     content = build_content(fitted(**options), language=language)
     page = re.sub(

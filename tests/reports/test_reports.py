@@ -8,6 +8,7 @@ from dataclasses import replace
 import browser
 import numpy as np
 import pytest
+from amounts import rest_slow
 from findings_bench import texts
 
 import multipos as mp
@@ -558,7 +559,7 @@ SCROLLED = """[...document.querySelectorAll('.scroll')]
 
 
 @needs_browser
-@pytest.mark.parametrize("language", ["en", "zh"])
+@pytest.mark.parametrize("language", rest_slow(["zh", "en"]))
 def test_the_page_in_a_browser(pages, language, tmp_path):
     target = tmp_path / "report.html"
     target.write_text(pages[language], encoding="utf-8")

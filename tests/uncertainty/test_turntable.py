@@ -58,7 +58,7 @@ def test_two_rolls_of_a_pair_tell_every_quantity_of_the_linear_model():
 
 
 def test_a_perfect_table_has_no_errors_and_u_covers():
-    runs, covered, total = 60, 0, 0
+    runs, covered, total = 30, 0, 0
     for seed in range(runs):
         cal = mp.fit(rolls(T, sd=1e-4, seed=seed), scheme="dual-axis-48", unit="V")
         found = mp.table_errors(cal)

@@ -99,13 +99,13 @@ def test_verdicts_by_hand(error, U, verdict):
 def test_u_covers_the_error_of_an_independent_run():
     """u has the calibration and the run's noise in it: normalised errors have unit variance."""
     z = []
-    for seed in range(150):
+    for seed in range(75):
         columns, scheme = triad(seed=2 * seed)
         cal = mp.fit(columns, scheme=scheme, reading_sd=SD)
         found = mp.check(cal, triad(seed=2 * seed + 1)[0], scheme=scheme)
         z.append(np.mean((found.after / found.u) ** 2))
     # each run's mean of 42 squares scatters by less than sqrt(2/20)
-    assert abs(np.mean(z) - 1.0) < 4 * math.sqrt(2 / 20) / math.sqrt(150)
+    assert abs(np.mean(z) - 1.0) < 4 * math.sqrt(2 / 20) / math.sqrt(75)
 
 
 def test_run_states_its_own_noise_and_placement(calibration):
