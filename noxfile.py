@@ -85,7 +85,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     session.install("-e", ".[logs,test,oracles]")
-    session.run("pytest", "-n", "auto", *session.posargs)
+    session.run("pytest", "-n", "auto", "--dist=worksteal", *session.posargs)
 
 
 @nox.session(python=PYTHONS[OLDEST], default=False)
@@ -96,7 +96,7 @@ def lowest(session: nox.Session) -> None:
     oldest = [requirement.replace(">=", "==") for requirement in PROJECT["dependencies"]]
     # A pyparsing newer than the oldest Matplotlib warns of it, and warnings are errors.
     session.install("-e", ".[test]", *oldest, "pyparsing<3.3")
-    session.run("pytest", "-n", "auto", *session.posargs)
+    session.run("pytest", "-n", "auto", "--dist=worksteal", *session.posargs)
 
 
 @nox.session(python=PYTHONS[NEWEST], default=False)
@@ -110,7 +110,7 @@ def newest(session: nox.Session) -> None:
     except nox.command.CommandFailed:
         session.skip(f"not everything is made for {PYTHONS[NEWEST]} yet, see above")
     session.install("-e", ".")
-    session.run("pytest", "-n", "auto", *session.posargs)
+    session.run("pytest", "-n", "auto", "--dist=worksteal", *session.posargs)
 
 
 @nox.session

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.diagnostics.model_error import _way_out
-from multipos.diagnostics.projections import hides, lacking
+from multipos.diagnostics.projections import hides, lacking, sphere
 from multipos.diagnostics.score_tests import judge_included, judge_model, significant
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration_file import from_dict
@@ -240,3 +240,18 @@ def test_the_terms_that_a_model_may_lack_by_name():
         "temperature": ["temperature"],
         "temperature*own": ["temperature*x"],
     }
+
+
+def test_directions_lie_where_force_was_applied_and_is_sensed():
+    """A sphere, of two inputs a circle, of one a line; as large as the forces."""
+    up = read_scheme("fibonacci-24").up
+    for inputs, rank in (("x,y,z", 3), ("x,y", 2), ("y", 1)):
+        data = mp.Readings(up[:, [1]] + 0.01, outputs=("ay",), up=up, unit="g")
+        force, _ = sphere(mp.fit(data, axes="y", inputs=inputs, gravity=9.8))
+        size = np.linalg.norm(mp.fit(data, axes="y", inputs=inputs, gravity=9.8).reference, axis=1)
+        assert_allclose(np.linalg.norm(force, axis=1).max(), size.mean(), rtol=1e-12)
+        unseen = [i for i, axis in enumerate("xyz") if axis not in inputs]
+        assert_allclose(force[:, unseen], 0.0, atol=1e-15)
+        square = np.linalg.eigvalsh(force.T @ force / len(force))
+        assert np.count_nonzero(square > 0.2 * square[-1]) == rank
+        assert_allclose(force.mean(axis=0), 0.0, atol=0.02)
