@@ -2,9 +2,14 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 
 import multipos
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from pictures import least_width  # after the path to it
 
 project = "multipos"
 author = "the multipos developers"
@@ -48,7 +53,9 @@ WRAPPED = (
     ".sentence {display: inline-block; max-width: 100%; white-space: pre-wrap}"
     "@media (max-width: 46em) {.highlight-text pre {white-space: pre-wrap}}"
 )
-# A figure is as wide as the screen; touched, it is shown by itself and can be made larger.
+# A figure is as wide as the page, or scrolled in its box where its labels would be too small;
+# touched, it is shown by itself and can be made larger.
+BOXED = "a.figure {display: block; overflow-x: auto}"
 FIGURE = re.compile(r'<img [^>]*?src="([^"]+)"[^>]*/>')
 
 
@@ -56,9 +63,15 @@ def wrap_sentences(app, pagename, templatename, context, doctree):
     """Mark commands, answers and messages, to be wrapped, and link figures to their files."""
     if body := context.get("body"):
         body = SENTENCE.sub(r'<span class="go sentence">\1</span>', body)
-        body = FIGURE.sub(r'<a href="\1">\g<0></a>', body)
+        body = FIGURE.sub(_boxed, body)
         context["body"] = COMMAND.sub(_wrapped, body)
-        context["body"] += f"<style>{WRAPPED}</style>"
+        context["body"] += f"<style>{WRAPPED}{BOXED}</style>"
+
+
+def _boxed(image):
+    kept = next(Path(__file__).parent.rglob(Path(image[1]).name))
+    wide = image[0].replace("<img ", f'<img style="min-width: {least_width(kept)}px" ', 1)
+    return f'<a class="figure" href="{image[1]}">{wide}</a>'
 
 
 def _wrapped(line):

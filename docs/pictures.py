@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import chdir
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
@@ -59,6 +60,22 @@ def keep(drawn: Path, kept: Path) -> None:
         image = image.convert("RGB")
         image.thumbnail((1000, 2000))
         image.quantize(32, dither=Image.Dither.NONE).save(kept, optimize=True)
+
+
+LEAST = 9.0  # px of a label, also on a telephone, where a wider figure is scrolled in its box
+_PNG = 632.0  # px, at which labels of 8 points are so large in the widest, of 7.8 inches
+_FONT = re.compile(r"font-size(?:: |=\")([\d.]+)")
+
+
+def least_width(kept: Path) -> int:
+    """Return the width [px] at which the smallest label of a picture can be read."""
+    if kept.suffix != ".svg":
+        return int(_PNG)
+    text = kept.read_text("utf-8")
+    found = re.search(r'viewBox="[-\d.]+ [-\d.]+ ([\d.]+)', text)
+    assert found is not None
+    sizes = [float(size) for size in _FONT.findall(text)]
+    return ceil(LEAST * float(found[1]) / min(sizes))
 
 
 def main() -> None:

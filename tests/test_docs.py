@@ -341,6 +341,11 @@ def test_a_kept_picture_stands_on_white_and_is_the_same_whenever_it_is_drawn(pic
         assert all(re.fullmatch(r"i\d+", one) for one in ids)  # else they are drawn by lot
 
 
+def test_a_figure_is_as_wide_as_its_labels_need():
+    """By hand: slip.svg is 432 wide, its smallest label 8.33; 9 px are 432 · 9/8.33 = 466.7."""
+    assert load("pictures").least_width(ROOT / "docs/figures/slip.svg") == 467
+
+
 # What a visitor reads and a maintainer can keep. Lists that the program writes are apart.
 MOST_PAGES, MOST_WORDS = 36, 45_000
 GENERATED = {"names.md", "commands.md", "messages.md", "errors.md"}

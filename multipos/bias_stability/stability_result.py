@@ -510,8 +510,12 @@ def stability_sentence(found: Stability) -> str:
         values = {o: value for o, value in values.items() if value is not None and value == value}
         if values:
             worst = max(values, key=lambda output: values[output])
-            size = number(factor * values[worst], 3)
-            parts.append(f"{name.replace('_', ' ')} up to {size} {unit}{per} ({worst})")
+            size = f"up to {number(factor * values[worst], 3)}"
+            if not values[worst]:  # as the table has it
+                bounds = {o: getattr(found.outputs[o], name).U for o in values}
+                worst = max(bounds, key=lambda output: bounds[output])
+                size = f"below {number(factor * bounds[worst], 2)}"
+            parts.append(f"{name.replace('_', ' ')} {size} {unit}{per} ({worst})")
     records = len(found.records)
     return f"{', '.join(found.outputs)} over {records} record{'s' if records > 1 else ''}: " + (
         f"{', '.join(parts)}." if parts else "no noise was found."

@@ -667,4 +667,7 @@ def find_outside(beyond: int, rows: int) -> Findings:
     if not beyond:
         return ()
     text = f"{beyond} of {rows} rows are outside the calibrated range, where U may not hold"
-    return (Finding("outside", "warning", text, "Calibrate over a wider range."),)
+    action = (
+        "Check the unit of the readings." if beyond == rows else "Calibrate over a wider range."
+    )
+    return (Finding("outside", "warning", text, action),)

@@ -42,7 +42,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.files.numbers import p_in_words
+from multipos.files.numbers import p_in_words, plain_number
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
@@ -320,8 +320,12 @@ def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
     said = f"the run disagrees with the calibration beyond chance{chance}"
     if not moved:
         return said
-    steps = [f"{m.name} by {m.by:+.3g} {m.unit} ({m.over:.2g} U)" for m in moved]
+    steps = [f"{m.name} by {_with_unit(m)} ({plain_number(m.over, 2)} U)" for m in moved]
     return f"{said}; probable cause: a change of {', '.join(steps)}"
+
+
+def _with_unit(moved: _Moved) -> str:
+    return f"{moved.by:+.3g} {moved.unit}".removesuffix(" 1")
 
 
 def agreement_in_words(found: Agreement) -> str:

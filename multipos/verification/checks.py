@@ -352,7 +352,10 @@ def check(
     limit = limit_deg if tilt else limit_g
     found = _check_run(calibration, data, known, noise, tilt, limit, within_deg, before)
     agreement, findings = judge_run(calibration, data, known, *noise)
-    findings = (*_of_the_run(calibration, data, known), *findings)
+    of_rows = _of_the_run(calibration, data, known)
+    if errors_of(of_rows):  # which explain why the run disagrees
+        findings = tuple(each for each in findings if each.code != "run-disagrees")
+    findings = (*of_rows, *findings)
     every = in_order((*findings, *found.findings))
     return replace(found, consistency=agreement, findings=every)
 

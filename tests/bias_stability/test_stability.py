@@ -1,6 +1,7 @@
 """Static records: what is told of simulated ones, with calibration and without, and what is not."""
 
 import json
+import re
 import tracemalloc
 from functools import cache
 
@@ -15,6 +16,7 @@ from scipy.stats import multivariate_normal
 import multipos as mp
 from multipos import plots
 from multipos.bias_stability import trends
+from multipos.bias_stability.stability_result import stability_sentence
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 
@@ -469,3 +471,13 @@ def test_the_likelihood_of_a_trend_by_a_normal_density():
     density = multivariate_normal(np.zeros(39), K.T @ C @ K).logpdf(left)
     expected = -2.0 * density - 39.0 * np.log(2.0 * np.pi) + np.log(40.0)
     assert found.likelihood == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_bias_instability_that_is_not_shown_is_below_its_bound():
+    """The sentence says what the table says: < U, and not 0."""
+    noise = 1e-3 * np.random.default_rng(3).standard_normal((60000, 3))
+    found = mp.stability({"time": 0.01 * np.arange(60000), "ax": noise[:, 0]}, unit="g")
+    assert found.outputs["ax"].bias_instability.value == 0.0
+    bound = re.search(r"bias instability below (\S+) µg \(ax\)", stability_sentence(found))
+    assert bound
+    assert f"< {bound[1]}" in str(found)

@@ -610,13 +610,22 @@ def a_run_of_a_sensor_that_moved(rng):
     yield mp.check(again, mp.Readings(sense(rng) + np.array([5e-3, 0.0, 0.0]), up=UP, unit="g"))
 
 
-@follows("outside")
+@follows("outside", "Check the unit")
+def a_log_in_another_unit(rng):
+    cal = plain(sense(rng))
+    yield mp.apply(cal, named(9.80665 * sense(rng)))
+    yield mp.apply(cal, named(sense(rng)))
+
+
+@follows("outside", "Calibrate over")
 def forces_that_were_not_applied(rng):
     cal = plain(sense(rng))
     wide = 2.0 * UP
-    yield mp.apply(cal, named(ZERO + wide @ K.T))
-    mp.Readings(ZERO + np.vstack([UP, wide]) @ K.T, up=np.vstack([UP, wide]), unit="g")
-    yield mp.apply(cal, named(sense(rng)))
+    both = np.vstack([UP, wide])
+    yield mp.apply(cal, named(ZERO + both @ K.T))
+    axes = dict(zip(("f_x", "f_y", "f_z"), both.T, strict=True))
+    again = mp.fit(axes | named(sense(rng, both)), unit="g")
+    yield mp.apply(again, named(ZERO + both @ K.T))
 
 
 @follows("no-noise")

@@ -245,3 +245,12 @@ def test_the_step_that_is_named_is_that_of_generalised_least_squares():
     assert (
         f"bias_ax by {steps[best]:+.3g} g ({abs(steps[best]) / cal.U[best]:.2g} U)" in finding.text
     )
+
+
+def test_rows_that_are_interchanged_explain_why_a_run_disagrees():
+    up = mp.read_scheme("all-26").up
+    values = up + 1e-4 * np.random.default_rng(5).standard_normal(up.shape)
+    cal = mp.fit(mp.Readings(values, up=up, unit="g"))
+    values[[3, 11]] = values[[11, 3]]
+    found = mp.check(cal, mp.Readings(values, up=up, unit="g"))
+    assert [each.code for each in found.findings if each.level != "note"] == ["interchanged-rows"]
