@@ -31,7 +31,11 @@ _ENOUGH = 40.0  # seconds of tests for one change, as they took without it
 _BESIDE = {
     "estimation": ("tests/fleets/test_kernels.py", "tests/sensor/test_magnetometer.py"),
     "logs": ("tests/sensor/test_magnetometer.py",),
-    "diagnostics": ("tests/fleets/test_unit_findings.py", "tests/sensor/test_diagnostics.py"),
+    "diagnostics": (
+        "tests/fleets/test_unit_findings.py",
+        "tests/sensor/test_diagnostics.py",
+        "tests/uncertainty/test_claims.py",
+    ),
     "fleets": ("tests/uncertainty/test_claims.py",),
 }
 _LIBRARIES = (

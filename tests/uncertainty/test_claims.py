@@ -336,6 +336,7 @@ def test_aicc_by_hand():
     # n = 10, rss = 10, p = 2, k = 3: 0 + 6 + 24/6
     assert aicc(10.0, 10, 2) == pytest.approx(10.0)
     assert math.isnan(aicc(1.0, 6, 5))
+    assert math.isnan(aicc(1.0, 7, 5))  # n − k − 1 is zero
 
 
 def test_influence_against_leaving_positions_out():
