@@ -204,3 +204,12 @@ def test_a_root_is_met_within_few_steps():
 
     assert solve(function, 4.0, 1.0) == pytest.approx(np.log(5.0), rel=1e-14)
     assert len(asked) < 20
+
+
+@pytest.mark.parametrize("z", [-2.5, 0.0, 1.0, 3.0])
+def test_chi2_of_very_many_degrees_of_freedom_by_cornish_and_fisher(z):
+    """ν + z √2ν + 2 (z² − 1)/3, of which the next term is below 1e-5 at 1e10."""
+    dof, p = 1e10, 0.5 * math.erfc(-z / math.sqrt(2.0))
+    x = dof + z * math.sqrt(2.0 * dof) + 2.0 * (z**2 - 1.0) / 3.0
+    assert chi2_quantile(p, dof) == pytest.approx(x, rel=0, abs=0.01)
+    assert chi2_tail(x, dof) == pytest.approx(1.0 - p, rel=1e-6)
