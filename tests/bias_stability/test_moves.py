@@ -57,7 +57,7 @@ def test_stability_says_what_was_moved():
 
 def test_a_movement_is_eight_standard_deviations_by_hand():
     # eq. (1) of bias_stability.analysis
-    means = np.random.default_rng(2).standard_normal(200)
+    means = np.random.default_rng(2).standard_normal(200) + 5.0 * np.arange(200.0)  # a drift
     jumps = means[2:] - means[:-2]
     usual = 1.4826 * np.median(np.abs(jumps - np.median(jumps)))
     both = max(jumps[100:102]) - np.median(jumps)  # over the blocks before and after the step

@@ -425,3 +425,15 @@ def test_a_search_starts_at_least_squares_given_what_is_stated(tmp_path):
     best = np.linalg.lstsq(A, values[:, 0], rcond=None)[0]
     by_name = dict(zip(cal.names, first.tolist(), strict=True))
     assert_allclose([by_name["b_ax"], by_name["s_ax"], by_name["k_ax"]], [*best, 0.2], rtol=1e-9)
+
+
+def test_a_shared_parameter_follows_the_output_that_tells_it():
+    """Noise of 1e-7 and 1e-3: the quadratic term of both is known as the first alone tells it."""
+    up = read_scheme("fibonacci-24").up
+    noise = np.random.default_rng(4).standard_normal((24, 2)) * [1e-7, 1e-3]
+    values = 0.02 + 1.1 * up[:, :2] + 0.03 * up[:, :2] ** 2 + noise
+    given = mp.Readings(values, outputs=("ax", "ay"), up=up, unit="g")
+    cal = mp.fit(given, model="each = b + s*own + common_k*own^2", axes="x,y")
+    assert cal["common_k"].value == pytest.approx(0.03, abs=5e-7)
+    assert cal["common_k"].u < 3e-7
+    assert_allclose(cal.residual_sd, [1e-7, 1e-3], rtol=0.5)

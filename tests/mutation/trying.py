@@ -36,6 +36,7 @@ _BESIDE = {
         "tests/sensor/test_diagnostics.py",
         "tests/uncertainty/test_claims.py",
     ),
+    "compensation": ("tests/sensor/test_parity.py",),
     "fleets": ("tests/uncertainty/test_claims.py",),
 }
 _LIBRARIES = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from multipos.numerics.arrays import recur
+from multipos.numerics.arrays import quadratic, recur
 
 
 def test_a_half_of_the_row_before_by_hand():
@@ -31,3 +31,11 @@ def test_rows_on_both_sides_of_a_thousand_are_summed_one_by_one(n, a):
     for k in range(1, n):
         expected[k] += 0.0 if first[k] else a * expected[k - 1]
     np.testing.assert_allclose(recur(w, a, first), expected, rtol=0.0, atol=1e-11)
+
+
+def test_a_form_of_vectors_by_hand():
+    """x² + 4 x z + 3 z², whatever y: of (1, 7, 2) 21, of (0, 7, −1) 3; of nothing, nothing."""
+    matrix = np.array([[1.0, 0.0, 2.0], [0.0, 0.0, 0.0], [2.0, 0.0, 3.0]])
+    vectors = np.array([[[1.0, 7.0, 2.0], [0.0, 7.0, -1.0]], [[2.0, 0.0, 0.0], [1.0, 1.0, -1.0]]])
+    np.testing.assert_allclose(quadratic(vectors, matrix), [[21.0, 3.0], [4.0, 0.0]])
+    assert not quadratic(vectors, 0.0 * matrix).any()
