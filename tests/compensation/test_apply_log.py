@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import math
 import tracemalloc
 
 import numpy as np
@@ -241,3 +242,17 @@ def test_a_path_in_python_is_read_as_the_command_reads_it(tmp_path):
     np.testing.assert_allclose(found.f_x, mp.apply(cal, columns).f_x, rtol=1e-12)
     with pytest.raises(MultiposError, match="outside"):
         mp.apply(cal, path, outside="refuse")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "tilt"), [("xyz", 30.0), ("xy", math.degrees(math.asin(0.49)))]
+)
+def test_tilt_of_three_axes_needs_no_size_of_gravity(outputs, tilt):
+    """30° and .98 g: three axes say 30°, two take the arcsine of .49."""
+    up = mp.read_scheme("fibonacci-24").up
+    own = ["xyz".index(axis) for axis in outputs]
+    names = tuple(f"a{axis}" for axis in outputs)
+    cal = mp.fit(mp.Readings(up[:, own], outputs=names, up=up, unit="g"))
+    force = 0.98 * np.array([0.5, 0.0, math.sqrt(0.75)])
+    found = mp.apply(cal, dict(zip(names, force[own, None], strict=True)), tilt=True)
+    assert found["tilt_x_deg"][0] == pytest.approx(tilt, abs=1e-6)

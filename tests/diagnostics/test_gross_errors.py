@@ -15,6 +15,7 @@ from multipos.diagnostics.repairs import (
     View,
     _interchanges,
     _single_factors,
+    _wrapped,
     look,
     rows_in_another_unit,
 )
@@ -374,3 +375,16 @@ def test_rows_of_another_unit_by_their_size():
     assert (rows, factor) == (("4", "9"), pytest.approx(9.80665))
     values[3] /= 3.0  # between two units
     assert rows_in_another_unit(mp.Readings(values, up=up))[0] == ()
+
+
+def test_a_wrapped_output_is_one_of_all_that_were_tried():
+    """Four orders of 24 rows, 13 by 13 counts of the top and the bottom, and two signs."""
+    up = mp.read_scheme("fibonacci-24").up
+    noise = 1e-4 * np.random.default_rng(2).standard_normal(up.shape)
+    values = up * [1.02, 0.97, 1.0] + noise
+    top = int(np.argmax(up[:, 1]))
+    values[top, 1] -= 2.0
+    (found,) = _wrapped(View(np.ones((24, 1)), up, values))
+    assert (found.rows, found.outputs, found.tried) == ((top,), (1,), 4 * 2 * 13**2)
+    assert found.size == pytest.approx(2.0, abs=2e-3)
+    assert found.fitted

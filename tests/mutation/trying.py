@@ -36,7 +36,11 @@ _BESIDE = {
         "tests/sensor/test_diagnostics.py",
         "tests/uncertainty/test_claims.py",
     ),
-    "compensation": ("tests/sensor/test_parity.py",),
+    "compensation": (
+        "tests/sensor/test_parity.py",
+        "tests/sensor/test_magnetometer.py",
+        "tests/regression/test_regress.py",
+    ),
     "fleets": ("tests/uncertainty/test_claims.py",),
 }
 _LIBRARIES = (

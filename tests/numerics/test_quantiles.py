@@ -213,3 +213,10 @@ def test_chi2_of_very_many_degrees_of_freedom_by_cornish_and_fisher(z):
     x = dof + z * math.sqrt(2.0 * dof) + 2.0 * (z**2 - 1.0) / 3.0
     assert chi2_quantile(p, dof) == pytest.approx(x, rel=0, abs=0.01)
     assert chi2_tail(x, dof) == pytest.approx(1.0 - p, rel=1e-6)
+
+
+@pytest.mark.parametrize("p", [0.6, 0.975, 0.9995])
+def test_t_of_many_degrees_of_freedom_is_the_inverse_of_its_tail(p):
+    """A series beyond some dof, an incomplete beta function for the tail."""
+    for dof in (1.2e5, 1e6):
+        assert t_tail(t_quantile(p, dof), dof) == pytest.approx(2.0 * (1.0 - p), rel=1e-10)
