@@ -189,6 +189,16 @@ def explain_orientations(of: Residuals) -> Explained:
     return _fit(of, [np.eye(3)[None, None], of.across], np.stack([tau2, s2], axis=1))
 
 
+def hints_at_orientations(of: Residuals, equal: Explained) -> NDArray[np.bool_]:
+    """Return of which units eq. (2) falls with s² from zero, at the τ² of equal outputs (B,).
+
+    Where it does not, s² = 0 is a minimum, and `explain_orientations` need not search.
+    """
+    theta = np.concatenate([equal.variances, np.zeros((len(equal.variances), 1))], axis=1)
+    slopes = _evaluate(of, [np.eye(3)[None, None], of.across], theta)
+    return ~_held(theta, slopes)[:, 1]
+
+
 def prefers_orientations(equal: Explained, moved: Explained) -> NDArray[np.bool_]:
     """Return of which units orientation error explains the residuals better (B,)."""
     # on the edge of what s² may be χ² has half its weight at zero
@@ -311,26 +321,27 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
     inverse = np.linalg.inv(S)
 
     def projected(v: Array) -> Array:
-        """Return P v (B, n, M)."""
-        white = np.einsum("bnij,bnj->bni", W, v)
-        fitted = np.zeros((count, m * of.basis.shape[1]))
-        own = (of.basis.T @ white).transpose(0, 2, 1).reshape(count, -1)[:, of.parameters]
-        fitted[:, of.parameters] = np.einsum("bpq,bq->bp", inverse, own)
-        back = of.basis @ fitted.reshape(count, m, -1).transpose(0, 2, 1)
-        return np.asarray(white - np.einsum("bnij,bnj->bni", W, back))
+        """Return P v of J vectors (J, B, n, M)."""
+        white = np.einsum("bnij,kbnj->kbni", W, v)
+        fitted = np.zeros((len(v), count, m * of.basis.shape[1]))
+        own = (of.basis.T @ white).swapaxes(2, 3).reshape(fitted.shape)[..., of.parameters]
+        fitted[..., of.parameters] = np.einsum("bpq,kbq->kbp", inverse, own)
+        back = of.basis @ fitted.reshape(len(v), count, m, -1).swapaxes(2, 3)
+        return np.asarray(white - np.einsum("bnij,kbnj->kbni", W, back))
 
-    q = projected(e)
+    q = projected(e[None])[0]
     deviance = log_det + np.linalg.slogdet(S)[1] + np.einsum("bnm,bnm->b", e, q)
-    pulled = [np.einsum("bnij,bnj->bni", np.broadcast_to(C, V.shape), q) for C in components]
     expected = np.empty((count, len(components)))
+    pulled = np.empty((len(components), *e.shape))
     for j, component in enumerate(components):
+        pulled[j] = np.einsum("bnij,bnj->bni", component, q)
         WC = W @ component
         lost = np.einsum("bpq,bqp->b", inverse, _information(of, WC @ W))
         expected[:, j] = np.einsum("bnii->b", WC) - lost
-    observed = np.stack([np.einsum("bnm,bnm->b", q, each) for each in pulled], axis=1)
-    stepped = [projected(each) for each in pulled]
-    curvature = [[np.einsum("bnm,bnm->b", a, b) for b in stepped] for a in pulled]
-    return _Slopes(deviance, expected, observed, np.moveaxis(np.array(curvature), 2, 0))
+    observed = np.einsum("bnm,jbnm->bj", q, pulled)
+    return _Slopes(
+        deviance, expected, observed, np.einsum("jbnm,kbnm->bjk", pulled, projected(pulled))
+    )
 
 
 def _inverse(V: Array) -> tuple[Array, Array]:
@@ -596,8 +607,9 @@ def _cause_at_known(c: Calibration) -> tuple[str, str]:
     equal, unequal = explain_equal(of), explain_unequal(of)
     degrees, contrasts = None, 1
     if _separable(c):
-        moved, contrasts = explain_orientations(of), of.contrasts
-        degrees = _orientation_error(equal, moved)
+        contrasts = of.contrasts
+        moved = explain_orientations(of) if hints_at_orientations(of, equal)[0] else equal
+        degrees = None if moved is equal else _orientation_error(equal, moved)
         if degrees is not None and moved.deviance[0] <= unequal.deviance[0]:
             size = f"the likely cause is orientation errors of {degrees:.2g} degrees"
             if contrasts >= TELLING:
