@@ -1,21 +1,28 @@
 """Does U of sessions that were combined cover a session never seen?
 
-Six faces, readings to .3 mg, the sensor mounted anew to 1 mrad every session, and a zero that moves
-from session to session by so many mg. One session's U is about that session; the combined one is
-about the next. Covered is the true bias of a session that took no part. `--law` draws the biases of
-sessions alone, 20,000 times, and shows what the law of the combined U covers by itself.
+Six faces, each session with a noise of .3 mg, stated or not, or of .3, .6 and .9 mg in turn, as
+stated. From session to session biases, scale factors and the mounting move by so many of the u
+that one session has of them. Covered are the parameters of a session that took no part, by kind;
+beside them the mean U of a bias against 1.96 standard deviations of what it is about, known with
+the variance between sessions and with the best weights. `--law` works the same out for the law of
+U alone, of sessions that differ by a kind of three parameters or of one, without a fit.
 """
 
 import argparse
+import math
 import warnings
 from typing import Any
 
 import numpy as np
 
 import multipos as mp
+from multipos.verification.combining import predict_next
 
 FACES = mp.read_scheme("faces-6").up
-SD, TURN = 3e-4, 1e-3  # [g], [rad]
+SD = 3e-4  # [g]
+COUNTS, BETWEEN = (2, 3, 4, 6, 8), (0.0, 0.5, 1.0, 2.0, 5.0)
+NOISES = {"equal": (SD,), "unequal": (SD, 2.0 * SD, 3.0 * SD), "not stated": (SD,)}
+KINDS = {"bias": (0, 4, 8), "scale": (1, 6, 11), "cross": (2, 3, 5, 7, 9, 10)}
 Array = np.ndarray[Any, Any]
 
 
@@ -23,56 +30,61 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage_sessions")
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--law", action="store_true", help="draw biases, and fit nothing")
+    parser.add_argument("--law", action="store_true", help="the law of U alone")
     chosen = parser.parse_args()
-    if chosen.law:
-        _law(np.random.default_rng(chosen.seed))
-        return
     warnings.simplefilter("ignore", mp.CalibrationWarning)
-    for count in (2, 4, 10):
-        for zero in (0.0, 3e-4, 2e-3):
-            rng = np.random.default_rng(chosen.seed)
-            rows = np.array([_run(rng, count, zero) for _ in range(chosen.runs)])
-            alone, pooled = 100.0 * np.mean(rows[:, 0]), 100.0 * np.mean(rows[:, 1])
-            least = 1.96 * np.hypot(zero * np.sqrt(1.0 + 1.0 / count), SD / np.sqrt(6.0 * count))
-            length = float(np.median(rows[:, 2])) / least
-            print(
-                f"| {count} | {1e3 * zero:g} mg | {alone:.1f} % | {pooled:.1f} % | {length:.1f} |",
-                flush=True,
-            )
+    head = " | ".join(f"{size:g} u" for size in BETWEEN)
+    print(f"| noise | sessions | {head} | U of agreeing |\n|---{'|---' * (len(BETWEEN) + 2)}|")
+    for name in ("three", "one") if chosen.law else NOISES:
+        for count in COUNTS:
+            cells: list[Array] = []
+            for size in BETWEEN:
+                rng = np.random.default_rng([chosen.seed, count, round(10.0 * size)])
+                draw = law if chosen.law else run
+                cells.append(np.mean([draw(rng, name, count, size) for _ in range(chosen.runs)], 0))
+            said = " | ".join(" ".join(f"{100.0 * share:.1f}" for share in c[:-1]) for c in cells)
+            print(f"| {name} | {count} | {said} | {cells[0][-1]:.2f} |", flush=True)
 
 
-def _law(rng: np.random.Generator) -> None:
-    """Print how often (1 + 1/R) S with Student's t covers the next of 2 to 10 sessions."""
-    for count, k in ((2, 12.706205), (3, 4.302653), (4, 3.182446), (6, 2.570582), (10, 2.262157)):
-        for zero in (0.0, 3e-4, 2e-3):
-            truth = zero * rng.standard_normal((20_000, count + 1))
-            # the noise of the mean of six faces, as in a session
-            found = truth[:, :count] + SD / np.sqrt(6.0) * rng.standard_normal((20_000, count))
-            U = k * np.sqrt((1.0 + 1.0 / count) * found.var(axis=1, ddof=1))
-            held = np.abs(found.mean(axis=1) - truth[:, count]) <= U
-            print(f"| {count} | {1e3 * zero:g} mg | {100.0 * np.mean(held):.1f} % |")
-
-
-def _run(rng: np.random.Generator, count: int, zero: float) -> tuple[float, float, float]:
-    """Return what of the next session's biases one session and all cover, and U of the latter."""
-    fits = [_session(rng, zero)[0] for _ in range(count)]
+def run(rng: np.random.Generator, name: str, count: int, size: float) -> Array:
+    """Return the shares of parameters covered, by kind, and how long U of a bias is."""
+    noises = [NOISES[name][i % len(NOISES[name])] for i in range(count)]
+    mean = math.sqrt(float(np.mean(np.square(noises))))
+    fits = []
+    for noise in noises:
+        b, K = drawn(rng, size * mean)
+        values = b + FACES @ K.T + noise * rng.standard_normal(FACES.shape)
+        stated = {} if name == "not stated" else {"reading_sd": noise}
+        fits.append(mp.fit(mp.Readings(values, up=FACES, unit="g"), **stated))
     one = mp.compare(*fits, combine=True).combined
-    _, truth = _session(rng, zero)
-    biases = [f"bias_{output}" for output in one.outputs]
-    shares = []
-    for c in (fits[-1], one):
-        pairs = zip((c[name] for name in biases), truth, strict=True)
-        shares.append(float(np.mean([abs(p.value - true) <= p.U for p, true in pairs])))
-    return shares[0], shares[1], one["bias_ax"].U
+    b, K = drawn(rng, size * mean)
+    truth = np.column_stack([b, K]).ravel()
+    held = np.abs(one.parameters - truth) <= one.U
+    between = (size * mean) ** 2 / 6.0
+    own = np.square(noises) / 6.0
+    sd = math.sqrt(between + 1.0 / np.sum(1.0 / (between + own)))
+    shares = [float(held[list(places)].mean()) for places in KINDS.values()]
+    return np.array([*shares, float(one.U[list(KINDS["bias"])].mean()) / (1.96 * sd)])
 
 
-def _session(rng: np.random.Generator, zero: float) -> tuple[mp.Calibration, Array]:
-    b = zero * rng.standard_normal(3)
-    x, y, z = TURN * rng.standard_normal(3)
-    K = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
-    values = b + FACES @ K.T + SD * rng.standard_normal(FACES.shape)
-    return mp.fit(mp.Readings(values, up=FACES, unit="g")), b
+def law(rng: np.random.Generator, name: str, count: int, size: float) -> Array:
+    """Return the same of parameters alone, whose u in a session is 1."""
+    q = {"three": 3, "one": 1}[name]
+    p = size * rng.standard_normal((count + 1, q))
+    seen = p[:count] + rng.standard_normal((count, q))
+    one, share = np.ones((count, q)), np.full((count, q), 1.0 / count)
+    U, _ = predict_next(seen, one, share, 1e6)
+    sd = math.sqrt(size**2 + (size**2 + 1.0) / count)
+    held = np.abs(seen.mean(axis=0) - p[count]) <= U
+    return np.array([held.mean(), U.mean() / (1.96 * sd)])
+
+
+def drawn(rng: np.random.Generator, noise: float) -> tuple[Array, Array]:
+    """Return biases (3,) and the matrix (3, 3) of a session, whose u six faces of a noise have."""
+    b = noise / math.sqrt(6.0) * rng.standard_normal(3)
+    x, y, z = noise / math.sqrt(2.0) * rng.standard_normal(3)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return b, np.eye(3) + K + np.diag(noise / math.sqrt(2.0) * rng.standard_normal(3))
 
 
 if __name__ == "__main__":

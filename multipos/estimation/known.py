@@ -694,6 +694,10 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
     """Return which readings are beyond chance, by the variances that weighted them."""
     noise, model = readings.noise, shared.model
     if noise is None or noise.ndim == 1:
+        means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
+        slopes = model.linear_part(found.parameters, means)[:, 1:]
+        per_g = np.linalg.norm(slopes, axis=1)
+        in_force = not model.field.magnetic and np.isfinite(per_g).all() and (per_g > 0.0).all()
         return find_outliers(
             found.residuals,
             found.leverage,
@@ -703,6 +707,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
             found.sd,
             design=shared.basis,
             columns=model.columns,
+            per_g=per_g if in_force else None,
         )
     assert found.sd is not None  # of the stated noise and the excess variance
     more = found.sd.ravel() ** 2 - np.diag(noise)

@@ -1,6 +1,13 @@
 """Robust fits: noise that a few bad positions do not move, and positions set aside by name.
 
 The noise, where it is not stated, is scaled until the median misfit is that of the normal law.
+Beside orientation errors that is the misfit of the readings alone, r'Σ⁻¹r, of which with W of eq.
+(5) of `multipos.estimation.likelihood` and A, S of its eq. (6)
+
+    t_k = tr Σ_k W_k,     Σ t_k − tr S⁻¹ Σ A_k' W_k Σ_k W_k A_k                             (2)
+
+is what each position and all of them leave: a sd that is stated too large frees two of the three
+outputs, whose small misfits would say that the noise is small.
 Positions that are then beyond doubt are set aside one by one, the worst first: any loss but a
 constant one lets a gross error pull a little, and by more the fewer positions there are. Both
 are done under Huber's loss, whose minimum is the only one of a linear model; a loss that lets go
@@ -26,6 +33,7 @@ P. J. Huber, *Robust Statistics*, 1981, section 7.6.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +41,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.estimation.descent import resume
 from multipos.estimation.known import REJECTED
+from multipos.estimation.likelihood import assemble, full, linearise, respond
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.problem import Optimum, Problem
 from multipos.finding import Finding
@@ -49,6 +58,8 @@ _ADRIFT = 0.1  # change of ln variance beyond which steps that do not shrink hav
 SETTLED = 1e-4  # change of ln variance far below what a median determines
 # A noise below this part of the orientation errors would leave no digits to separate the two.
 _FINEST_OF_ORIENTATION = 1e-6
+_LEAST_LEFT = 0.5  # degrees of freedom of all readings, at least
+_STEPS = 8  # of one degree of freedom, between which medians are straight
 FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits vanish altogether
 
 _NO_NOISE = (
@@ -80,7 +91,7 @@ def judge_robustly(
         kept = problem.weight == 1.0
         nu = float(problem.degrees[kept].sum()) - problem.unknowns
         if not stated and nu > 0:
-            problem, optimum = _settle_noise(problem, optimum, nu)
+            problem, optimum = _settle_noise(problem, optimum)
         excess = np.where(kept, optimum.point.q / limit, 0.0)
         worst = int(np.argmax(excess))
         if excess[worst] <= 1.0:
@@ -101,10 +112,10 @@ def judge_robustly(
             noise = NoiseEstimate(1.0 / EFFICIENCY, np.inf, findings=tuple(said), weight=weight)
             return problem, optimum, noise
         claim = NoiseTest(chi2, nu)
-    left = max(float(counted(loss, weight, problem.degrees)) - problem.unknowns, 1.0)
-    noise = NoiseEstimate(
-        _huber_factor(problem, optimum, left), left, None, tuple(said), weight=weight, claim=claim
-    )
+    own = _of_readings(problem, optimum)
+    left = max(float(counted(loss, weight, own.degrees)) - own.lost, 1.0)
+    factor = _huber_factor(problem, optimum, left, own.misfits)
+    noise = NoiseEstimate(factor, left, None, tuple(said), weight=weight, claim=claim)
     return problem, optimum, noise
 
 
@@ -121,18 +132,41 @@ def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
     return replace(problem, precision=problem.precision * column, weight=problem.weight * weight)
 
 
-def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Problem, Optimum]:
+class _Own(NamedTuple):
+    """What the readings alone show of their noise, eq. (2)."""
+
+    misfits: Array  # (n,)
+    degrees: Array  # t, (n,)
+    lost: float
+
+
+def _of_readings(problem: Problem, optimum: Optimum) -> _Own:
+    point, sd = optimum.point, problem.orientation_sd
+    if not np.any(np.isfinite(sd) & (sd > 0.0)):
+        return _Own(point.q, problem.degrees, float(problem.unknowns))
+    normal = linearise(problem.plain, optimum.state, point)
+    r, W, precision = point.residuals, normal.marginal, full(problem.precision)
+    covariance = np.linalg.inv(precision)
+    misfits = np.einsum("ni,nij,nj->n", r, precision, r)
+    degrees = np.einsum("nij,nji->n", covariance, W)
+    p, kept = len(optimum.state.theta), problem.weight == 1.0
+    used = np.where(kept[:, None, None], W @ covariance @ W, 0.0)
+    taken, _ = assemble(p, point.blocks, used, np.zeros_like(r), normal.shared)
+    return _Own(misfits, degrees, float(np.trace(respond(normal.information, taken))))
+
+
+def _settle_noise(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     """Scale the noise to the median misfit, which a few bad positions do not move."""
     kept = problem.weight == 1.0
-    degrees = problem.degrees[kept]
-    middle = {m: chi2_quantile(0.5, m) for m in set(degrees.tolist())}
-    typical = np.array([middle[m] for m in degrees.tolist()])
     tied = np.isfinite(problem.orientation_sd)
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (FINEST + _FINEST_OF_ORIENTATION * widest) * float(np.abs(problem.values).max())
     before = np.inf
     for done in range(ROUNDS):
-        ratio = float(median(optimum.point.q[kept] / typical)) * float(degrees.sum()) / nu
+        own = _of_readings(problem, optimum)
+        degrees = own.degrees[kept]
+        nu = max(float(degrees.sum()) - own.lost, _LEAST_LEFT)
+        ratio = float(median(own.misfits[kept] / _middle(degrees))) * float(degrees.sum()) / nu
         least = float(np.abs(problem.precision[kept]).max()) * finest**2
         vanishes = ratio <= least
         ratio = max(ratio, least)
@@ -145,18 +179,29 @@ def _settle_noise(problem: Problem, optimum: Optimum, nu: float) -> tuple[Proble
             raise MultiposError(_NO_NOISE)
         before = change
     # where each has its own direction, all may be explained by these and the parameters alone
-    if vanishes and degrees.sum() - 2 * np.count_nonzero(tied[kept]) <= problem.unknowns:
+    free = problem.degrees[kept].sum() - 2 * np.count_nonzero(tied[kept])
+    if vanishes and free <= problem.unknowns:
         raise MultiposError(_NO_NOISE)
     return problem, optimum
 
 
-def _huber_factor(problem: Problem, optimum: Optimum, nu: float) -> float:
-    """Return the factor of eq. (1) of the positions that are not set aside."""
+def _middle(degrees: Array) -> Array:
+    """Return medians of misfits: χ² of so many degrees, less than one as a part of one."""
+    near = np.unique(np.clip(np.round(degrees * _STEPS) / _STEPS, 1.0, None))
+    middles = [chi2_quantile(0.5, each) for each in near.tolist()]
+    return np.asarray(np.interp(degrees, near, middles) * np.minimum(degrees, 1.0))
+
+
+def _huber_factor(
+    problem: Problem, optimum: Optimum, nu: float, misfits: Array | None = None
+) -> float:
+    """Return the factor of eq. (1) of the positions that are not set aside, for misfits (n,)."""
     kept = problem.weight == 1.0
     q, degrees = optimum.point.q[kept], problem.degrees[kept]
     weight = loss_weight(problem.robust, q, degrees)
     slope = loss_slope(problem.robust, q, degrees)
-    return float(huber_factors(q, degrees, weight, slope, np.array(nu)))
+    own = q if misfits is None else misfits[kept]
+    return float(huber_factors(own, degrees, weight, slope, np.array(nu)))
 
 
 def huber_factors(q: Array, degrees: Array, weight: Array, slope: Array, nu: Array) -> Array:

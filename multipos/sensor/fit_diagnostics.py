@@ -371,6 +371,7 @@ def find_outliers(
     *,
     design: Array,
     columns: Sequence[NDArray[np.intp]],
+    per_g: Array | None = None,
 ) -> tuple[str, ...]:
     """Name the positions whose studentised residual, eq. (1), is beyond chance.
 
@@ -384,6 +385,8 @@ def find_outliers(
         Stated standard uncertainty of each reading; all are alike if not given.
     design : (n, K) array
     columns : of every output, which columns of the design its terms are
+    per_g : (M,) array, optional
+        How outputs respond to one g; deviations are in mg then, and in reading units if not given.
     """
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
@@ -392,9 +395,9 @@ def find_outliers(
     beyond = []
     for column in np.flatnonzero(suspect.any(axis=0)).tolist():
         suspects = np.flatnonzero(suspect[:, column])
-        sizes = r2[suspects, column]
-        for place in np.argsort(-sizes, kind="stable").tolist():
-            if not _is_outlier(float(sizes[place]), float(nu[column]), residuals.size):
+        squares = r2[suspects, column]
+        for place in np.argsort(-squares, kind="stable").tolist():
+            if not _is_outlier(float(squares[place]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
             beyond.append((column, int(suspects[place])))
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
@@ -403,8 +406,9 @@ def find_outliers(
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)
+    sizes, unit = (residuals, "") if per_g is None else (1e3 * residuals / per_g, " mg")
     return tuple(
-        f"position {labels[row]}: {outputs[column]} deviates by {residuals[row, column]:.3g}, "
+        f"position {labels[row]}: {outputs[column]} deviates by {sizes[row, column]:.3g}{unit}, "
         f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
         for column, row in sorted(beyond)
     )

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+import multipos as mp
 from multipos.numerics.least_squares import solve
 from multipos.sensor.fit_diagnostics import (
     bartlett,
@@ -159,3 +160,15 @@ def test_linearity_by_hand():
     assert found["ax"]["with_model_percent"] == pytest.approx(1.0)
     level = linearity(model, np.array([[0.0, 1, 0], [0, 0, 1]]), values[:2], values[:2])
     assert math.isnan(level["ax"]["without_model_percent"])
+
+
+def test_an_outlier_of_many_positions_is_named_in_force():
+    """2000 counts a g: a reading 10 counts off is 5 mg off, of as many positions as there are."""
+    random = np.random.default_rng(4)
+    up = random.standard_normal((500, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    values = 2000.0 * up + 0.5 * random.standard_normal(up.shape)
+    values[7, 1] += 10.0
+    (said,) = mp.fit(mp.Readings(values, up=up, unit="count")).diagnostics.outliers
+    size = float(said.removeprefix("position 8: ay deviates by ").split(" mg")[0])
+    assert abs(size - 5.0) < 4.0 * 0.25

@@ -11,12 +11,11 @@ from findings_bench import texts
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import chi2, multivariate_normal, norm
 
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.estimation.posteriors import stated_weight
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.verification import combining
 
@@ -74,6 +73,47 @@ def test_sessions_that_agree_are_no_four_times_too_long():
         ratios.append(one.U[biases] / best)
     assert np.mean(hits) >= 0.93
     assert np.mean(ratios) < 2.0
+
+
+@pytest.mark.parametrize(("count", "least"), [(2, 2.05), (4, 1.64), (8, 1.65)])
+def test_u_of_the_next_session_covers_however_much_sessions_differ(count, least):
+    """U depends on the spread of three parameters alone, which follows chi-square: no draws.
+
+    `least` is the bound of a linear program over all rules of U that cover 93 %.
+    """
+    # eq. (1) of verification.combining
+    nu, even = 3 * (count - 1), (np.arange(60) + 0.5) / 60
+    pattern = np.zeros((count, 3))
+    pattern[:2] = [[1.0], [-1.0]]  # of a sum of squares of 6
+    one, share = np.ones((count, 3)), np.full((count, 3), 1.0 / count)
+    for size in (0.0, 0.5, 1.0, 2.0, 5.0):  # of the u that one session has
+        squares = (1.0 + size**2) * chi2.ppf(even, nu)
+        each = [np.sqrt(q / 6.0) * pattern for q in squares]
+        U = [combining.predict_next(p, one, share, 1e6)[0][0] for p in each]
+        sd = math.sqrt(size**2 + (1.0 + size**2) / count)
+        held = np.mean(2.0 * norm.cdf(np.array(U) / sd) - 1.0)
+        assert 0.93 <= held <= (0.97 if size >= 1.0 and count > 2 else 1.0)
+        if size == 0.0:
+            assert np.mean(U) / (1.959964 * sd) < 1.1 * least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noises", "size"), [((SD, SD), 2.0), ((SD, 2 * SD, 3 * SD, SD), 1.0)])
+def test_whole_fits_of_sessions_that_differ_cover_the_next(noises, size):
+    """Zeros that move by so many of the u that sessions have of them, equal and unequal."""
+    rng, hits = np.random.default_rng(8), []
+    between = size * math.sqrt(np.mean(np.square(noises)) / 6.0)
+    for _ in range(150):
+        zeros = between * rng.standard_normal((len(noises) + 1, 3))
+        each = [
+            mp.fit(
+                mp.Readings(b + FACES + sd * rng.standard_normal((6, 3)), up=FACES), reading_sd=sd
+            )
+            for b, sd in zip(zeros, noises, strict=False)
+        ]
+        one = combined(each)
+        hits.append(np.abs(one.parameters[[0, 4, 8]] - zeros[-1]) <= one.U[[0, 4, 8]])
+    assert np.mean(hits) >= 0.93 - 3.0 * math.sqrt(0.93 * 0.07 / 150)
 
 
 def test_a_longer_session_counts_for_more():
@@ -234,7 +274,7 @@ def test_u_of_the_next_session_by_quadrature():
         return math.exp(log_likelihood(kappa)) * 2.0 * norm.sf(half / math.sqrt(variance(kappa)))
 
     end = math.log1p(100.0 * 2.25 / 1.5) + 5.0
-    lump = 1.5 * stated_weight(1.0) * math.exp(log_likelihood(0.0))
+    lump = 1.8 * 3.0**0.7 * math.exp(log_likelihood(0.0))
     whole = quad(lambda x: math.exp(log_likelihood(math.expm1(x))), 0.0, end)[0] + lump
 
     def excess(half):
