@@ -6,7 +6,7 @@ is to be decided. A `note` leaves nothing to decide: it is so of the method, the
 scheme, or it is in the data and already in U.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, TypeAlias
 
@@ -17,6 +17,7 @@ from multipos.results import Keyed
 NOT_FIT = "This calibration is not fit for use."
 Level = Literal["error", "warning", "note"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "note")
+_SHOWN = 5  # copies that a message lists
 # Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
 FINDINGS = {
     "findings": Listed(
@@ -166,3 +167,13 @@ def forced(findings: Iterable[Finding]) -> list[str]:
     found = errors_of(findings)
     head = [f"EXPORTED WITH --force. {NOT_FIT}"] if found else []
     return head + [f"{finding.code}: {finding.text}" for finding in found]
+
+
+def repeated_files(copies: Collection[str]) -> Findings:
+    """Find files that were given twice: which, and as what."""
+    if not copies:
+        return ()
+    said = list(copies)
+    more = f" and {len(said) - _SHOWN} more" if len(said) > _SHOWN else ""
+    text = f"identical files were counted once; omitted: {', '.join(said[:_SHOWN])}{more}"
+    return (Finding("repeated-file", "warning", text, "Give each file once."),)

@@ -57,7 +57,7 @@ from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.clock import TimeUnit, check_time_unit
-from multipos.logs.opening import open_log
+from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median, require_rate
@@ -245,7 +245,7 @@ def stability(
     >>> print(f"{1e6 * noise.value:.0f}e-6 {noise.unit}")
     63e-6 g/sqrt(Hz)
     """
-    given: tuple[Source | Log, ...] = spread(logs)
+    given, copies = less_copies(spread(logs))
     if not given:
         raise UsageError("stability needs one static record or more.")
     _check_options(calibration, outputs, unit, time_column, rate, confidence)
@@ -266,7 +266,8 @@ def stability(
         raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
     _check_alike(raw)
     own = raw[0].unit or "reading" if model is None else model.field.printed
-    return _complete(raw, model, unit or own, confidence)
+    found = _complete(raw, model, unit or own, confidence)
+    return replace(found, findings=in_order((*copies, *found.findings)))
 
 
 def _share(progress: Progress, i: int, count: int) -> Progress:

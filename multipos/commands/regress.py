@@ -8,7 +8,7 @@ from multipos.files.tables import Source
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
 from multipos.plots.temperature import regression_figure
-from multipos.regression.observations import RUN, join_runs
+from multipos.regression.observations import join_runs
 from multipos.regression.regression import regression_sentence
 
 INPUTS = ("data",)
@@ -115,9 +115,9 @@ def _add_time(group: argparse._ArgumentGroup) -> None:
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
+    data: Source
     if len(arguments.data) > 1:
-        options["run"] = options["run"] or RUN
-        data: Source = join_runs(arguments.data, options["run"])
+        data, options["run"] = join_runs(arguments.data, options["run"])
     else:
         (data,) = arguments.data
     regression = regress(data, **options)

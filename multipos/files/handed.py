@@ -16,6 +16,7 @@ References
 
 import csv
 import datetime
+import hashlib
 import io
 import json
 import os
@@ -33,7 +34,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import GZIP, Unpacked
 from multipos.files.trees import read_json_value
-from multipos.files.whole import first_bytes, read_bytes
+from multipos.files.whole import first_bytes, read_bytes, reading
 
 ZIP = b"PK\x03\x04"
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # of .xls, as phyphox and old programs write it
@@ -259,6 +260,34 @@ def read_arrow(path: str | os.PathLike[str]) -> dict[str, Any]:
 def is_packed(head: bytes) -> bool:
     """Tell by its first bytes whether a file is packed by gzip, xz or Zstandard."""
     return head.startswith((GZIP, XZ, ZSTD))
+
+
+def content_of(source: object) -> str | None:
+    """Return the SHA-256 of what a file holds, packed or not; None of what is no file's path."""
+    if not isinstance(source, str | os.PathLike) or not Path(source).is_file():
+        return None
+    held = unpack(source) if is_packed(first_bytes(source, len(XZ))) else source
+    with reading(held, "file"), Path(held).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def find_copies(contents: Sequence[str | None], named: Sequence[str]) -> dict[int, str]:
+    """Return the places of what holds the same as one before it, and what each is a copy of.
+
+    Parameters
+    ----------
+    contents : sequence of str or None
+        What tells contents apart; None is like no other.
+    named : sequence of str
+    """
+    first: dict[str, str] = {}
+    again: dict[int, str] = {}
+    for place, (content, name) in enumerate(zip(contents, named, strict=True)):
+        if content is not None and content in first:
+            again[place] = f"{name} (as {first[content]})"
+        elif content is not None:
+            first[content] = name
+    return again
 
 
 def unpack(path: str | os.PathLike[str]) -> Unpacked:

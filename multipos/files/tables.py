@@ -60,6 +60,7 @@ class Table:
     delimiter: str = ","
     content: str | None = None  # SHA-256 of what a packed file holds
     first: int = 0  # rows of the source that came before these, where it is read piece by piece
+    copies: tuple[str, ...] = ()  # files that are no part of it, as they hold what others do
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns

@@ -5,7 +5,7 @@ The rests are found and averaged (`multipos.logs.averaging`), and their means fi
 stood, nothing is known of the orientations but that gravity has the same size in all of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Unpack
@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError, RankError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
-from multipos.finding import Finding
+from multipos.finding import Finding, in_order
 from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.faults import SaturatedRestsError
 from multipos.logs.log_columns import magnetic_outputs
-from multipos.logs.opening import open_log
+from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
@@ -212,14 +212,26 @@ def rests_or_rows(
     exclude, field, unit
         As for `calibrate`.
     """
-    averaged = partial(_averaged, set_aside=exclude == "auto")
-    known = ("sections", "label_column", "scheme", "only")
-    given = options.get("outputs")
-    columns = options.get("columns")
+    sources, copies = less_copies(spread(logs))
+    columns, outputs = options.get("columns"), options.get("outputs")
     # Once: what comes from an open file can be read no second time.
-    opened = [open_log(source, columns=columns, outputs=given) for source in spread(logs)]
+    opened = [open_log(source, columns=columns, outputs=outputs) for source in sources]
+    averaged = partial(_averaged, set_aside=exclude == "auto")
+    found = _rests_or_rows(opened, averaged, field, unit, options)
+    return replace(found, findings=in_order((*copies, *found.findings)))
+
+
+def _rests_or_rows(
+    opened: Sequence[Log],
+    averaged: Callable[..., Averages],
+    field: FieldKind | None,
+    unit: str | None,
+    options: dict[str, Any],
+) -> "Averages | Waved":
+    known = ("sections", "label_column", "scheme", "only")
     if field == "gravity" or any(options.get(name) is not None for name in known):
         return averaged(opened, **_with_outputs(opened, field, unit, options))
+    given = options.get("outputs")
     names = None if given is None else split_names(given, "--outputs")
     each = [magnetic_outputs(log, names, field, unit) for log in opened]
     first = each[0] if each else None

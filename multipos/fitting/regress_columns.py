@@ -39,7 +39,7 @@ from multipos.files.numbers import p_in_words
 from multipos.files.spelling import Names, split_names, split_numbers, visible
 from multipos.files.tables import Source, read_table
 from multipos.files.whole import now
-from multipos.finding import Finding, Findings, in_order
+from multipos.finding import Finding, Findings, in_order, repeated_files
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
@@ -49,7 +49,6 @@ from multipos.regression.correlation import Noise, find_noise, whitening_of
 from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
 from multipos.regression.junctions import Junction, find_junctions
 from multipos.regression.observations import (
-    RUN,
     Data,
     Observations,
     Rows,
@@ -499,8 +498,7 @@ def regress(
     rms 72e-6
     """
     if isinstance(data, list | tuple) and len(data) > 1:
-        run = run or RUN
-        data = join_runs(data, run)
+        data, run = join_runs(data, run)
     elif isinstance(data, list | tuple):
         (data,) = data
     arguments = dict(locals())  # all arguments as they are, for each of several responses
@@ -536,7 +534,7 @@ def regress(
         drop_missing=drop_missing,
         largest={name: largest_value(candidates, name) for name in names},
     )
-    source, sha256 = table.source, table.sha256
+    source, sha256, found = table.source, table.sha256, (*repeated_files(table.copies), *converted)
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
     edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
@@ -550,7 +548,7 @@ def regress(
         source=visible(source) if sha256 else None,
         sha256=sha256,
         findings=in_order(
-            (*converted, *read.findings, *find_order(read, result), *said, *result.findings),
+            (*found, *read.findings, *find_order(read, result), *said, *result.findings),
         ),
     )
 

@@ -7,7 +7,6 @@ the unit, several files are one unit each, by their names; one that cannot be re
 Raw logs are averaged first, each one unit: `average_logs`.
 """
 
-import hashlib
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -22,12 +21,12 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.csv_columns import Cells, FileBytes, joined_cells
-from multipos.files.handed import is_json, is_packed, take_in, unpack
+from multipos.files.handed import content_of, find_copies, is_json, is_packed, take_in, unpack
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
-from multipos.files.whole import first_bytes, read_bytes
-from multipos.finding import Finding, Findings
+from multipos.files.whole import first_bytes
+from multipos.finding import Findings, repeated_files
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.logs.averaging import average
@@ -41,7 +40,6 @@ _LOGS = (
     *(".xls", ".ulg", ".bin", ".bag", ".db3", ".mcap"),
 )
 _UNIT = "unit"  # the column of units where none is named
-_SHOWN = 5  # equal files that a message lists
 
 
 @dataclass(frozen=True)
@@ -291,22 +289,12 @@ def _file_units(files: Sequence[Source]) -> list[str]:
 
 def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str]) -> Findings:
     """Take files out that hold, packed or not, what one before them holds, and say which."""
-    first: dict[str, str] = {}
-    again: list[str] = []
-    for place, table in enumerate(read):
-        content = (table.content or table.sha256) if isinstance(table, Table) else None
-        if content is None:
-            continue
-        if content in first:
-            again.append(f"{named[place]} (as {first[content]})")
-            read[place] = None
-        else:
-            first[content] = named[place]
-    if not again:
-        return ()
-    more = f" and {len(again) - _SHOWN} more" if len(again) > _SHOWN else ""
-    text = f"identical files were counted once; omitted: {', '.join(again[:_SHOWN])}{more}"
-    return (Finding("repeated-file", "warning", text, "Remove the copies from the folder."),)
+    tables = (table if isinstance(table, Table) else None for table in read)
+    contents = [None if table is None else table.content or table.sha256 for table in tables]
+    again = find_copies(contents, named)
+    for place in again:
+        read[place] = None
+    return repeated_files(again.values())
 
 
 def _drop_foreign(read: list[Table | MultiposError | None]) -> dict[int, Table]:
@@ -434,10 +422,8 @@ def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposErr
     table = read_table(columns, what="log")
     if not _is_path(source):
         return table
-    sha256, content = FileBytes(source, "log").sha256(), None
-    if is_packed(first_bytes(source, 8)):
-        content = hashlib.sha256(read_bytes(unpack(source), "log")).hexdigest()
-    return replace(table, source=str(source), sha256=sha256, content=content)
+    sha256 = FileBytes(source, "log").sha256()
+    return replace(table, source=str(source), sha256=sha256, content=content_of(source))
 
 
 def _of_unit_alone(

@@ -7,17 +7,19 @@ files; the rests of the others follow each other.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
+from multipos.finding import in_order
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_few
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
-from multipos.logs.opening import open_log
+from multipos.logs.opening import less_copies, open_log
 from multipos.logs.rests import read_sections
 from multipos.logs.samples import Progress, Timing, rows_of_sensor
 from multipos.logs.still import StillLog, Wish, find_still
@@ -115,7 +117,7 @@ def average(
     >>> [rest.position for rest in found.rests], round(found.sample_rate, 6)
     (['1', '2', '3', '4', '5', '6'], 100.0)
     """
-    sources = spread(logs)
+    sources, copies = less_copies(spread(logs))
     _check_options(sources, time_column, rate, threshold, sections, label_column, signed)
     check_time_unit(time_unit)
     check_convention(convention)
@@ -145,7 +147,8 @@ def average(
     if wrong and not accept_faults:
         few = saturated_few(wrong, len(chosen)) and all(each.rows for each in wrong)
         raise (SaturatedRestsError if few else MultiposError)(fault_and_way(wrong[0]))
-    return complete(found, chosen, wanted, convention, wrong)
+    averages = complete(found, chosen, wanted, convention, wrong)
+    return replace(averages, findings=in_order((*copies, *averages.findings)))
 
 
 def _check_options(

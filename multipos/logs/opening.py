@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.handed import take_in
+from multipos.files.handed import content_of, find_copies, take_in
 from multipos.files.pipes import is_folder, rereadable, unpack_text
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
-from multipos.finding import Finding
+from multipos.finding import Finding, Findings, repeated_files
 from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
 from multipos.logs.extras import Noted
 from multipos.logs.readers import read_bag, reader_of
@@ -29,6 +29,14 @@ from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, open_text
 
 _WIDE, _LINES = 1 << 22, 4  # bytes of a head that may hold only so many lines
+
+
+def less_copies(sources: Sequence["Source | Log"]) -> tuple[list["Source | Log"], Findings]:
+    """Return logs without the files that hold what one before them holds, and which these are."""
+    contents = [content_of(source) if len(sources) > 1 else None for source in sources]
+    again = find_copies(contents, [str(source) for source in sources])
+    kept = [source for place, source in enumerate(sources) if place not in again]
+    return kept, repeated_files(again.values())
 
 
 def open_log(

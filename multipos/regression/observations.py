@@ -32,7 +32,7 @@ for any spacing of the rows. (2): two first-order lags by implicit steps, p/(1 +
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.handed import find_copies
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, median
@@ -281,14 +282,16 @@ class Observations:
 RUN = "run"  # the column that tells joined files apart
 
 
-def join_runs(sources: Sequence[Source], run: str = RUN) -> Table:
-    """Return several tables as one, each a switch-on of its own.
+def join_runs(sources: Sequence[Source], run: str | None = None) -> tuple[Table, str | None]:
+    """Return several tables as one, each a switch-on of its own, and the column of the runs.
+
+    Copies are left out; of one table alone no column tells runs apart but one that is named.
 
     Parameters
     ----------
     sources : sequence of path, mapping of columns, or data frame
         With the same columns.
-    run : str
+    run : str, optional
         The column that tells them apart: the name of the file, with what stood there before.
 
     Raises
@@ -297,6 +300,13 @@ def join_runs(sources: Sequence[Source], run: str = RUN) -> Table:
         A table lacks a column that the first has, or is written otherwise.
     """
     tables = [read_table(source, what="data") for source in sources]
+    contents = [table.content or table.sha256 for table in tables]
+    again = find_copies(contents, [table.source for table in tables])
+    copies = tuple(again.values())
+    tables = [table for place, table in enumerate(tables) if place not in again]
+    if len(tables) == 1:
+        return replace(tables[0], copies=copies), run
+    run = run or RUN
     first, columns = tables[0], dict[str, list[Any]]()
     for table in tables[1:]:
         missing = [name for name in first.columns if name not in table]
@@ -318,13 +328,15 @@ def join_runs(sources: Sequence[Source], run: str = RUN) -> Table:
         for label in (table.text(run) if run in table else [""] * table.rows)
     ]
     known = [table.sha256 for table in tables if table.sha256 is not None]
-    return Table(
+    table = Table(
         ", ".join(table.source for table in tables),
         columns,
         rows=sum(table.rows for table in tables),
         sha256=sha256("".join(known).encode()).hexdigest() if len(known) == len(tables) else None,
         delimiter=first.delimiter,
+        copies=copies,
     )
+    return table, run
 
 
 def read_observations(

@@ -12,6 +12,7 @@ import numpy as np
 
 from multipos.files.numbers import common_units, decimals_of, most_of, plain_number, pretty_unit
 from multipos.plots.pictures import error_picture
+from multipos.positions.headers import TEMPERATURE
 from multipos.reports.quantities import (
     Quantity,
     column,
@@ -90,7 +91,7 @@ def _validity(c: Calibration, tr: Translator) -> str:
             ", {name} {low} to {high}",
             name=tr(name),
             low=f"{column.min():.4g}",
-            high=f"{column.max():.4g}",
+            high=f"{column.max():.4g}{' °C' if name == TEMPERATURE else ''}",
         )
     return said + tr(".")
 

@@ -1,5 +1,6 @@
 """From a raw log to readings: formats, labels, faults, and what the command prints."""
 
+import gzip
 import json
 import re
 import tracemalloc
@@ -708,3 +709,26 @@ def test_saturation_is_suspected_at_either_end():
     assert suspects(rest, survey) == []
     rest.low[0], rest.at_low[0] = -1.0, 1
     assert suspects(rest, survey) == []
+
+
+def test_a_file_given_twice_counts_once_packed_or_not(tmp_path):
+    """Rests, records and switch-ons of a copy are no second ones."""
+    rng = np.random.default_rng(1)
+    faces = np.vstack([np.eye(3), -np.eye(3)])
+    y = np.repeat(faces, 800, axis=0) + 1e-3 * rng.standard_normal((4800, 3))
+    lines = [f"{i / 100.0:.2f},{a:.6f},{b:.6f},{c:.6f}" for i, (a, b, c) in enumerate(y.tolist())]
+    text = "\n".join(["time,ax,ay,az", *lines])
+    one, two = tmp_path / "one.csv", tmp_path / "two.csv.gz"
+    one.write_text(text)
+    two.write_bytes(gzip.compress(text.encode()))
+    for ask in (
+        mp.average,
+        mp.stability,
+        lambda *files: mp.regress(list(files), response="ax", variables="time"),
+    ):
+        found, alone = ask(str(one), str(two)), ask(str(one))
+        said = [each for each in found.findings if each.code == "repeated-file"]
+        assert [each.text for each in said] == [
+            f"identical files were counted once; omitted: {two} (as {one})"
+        ]
+        assert len(found.findings) == len(alone.findings) + 1

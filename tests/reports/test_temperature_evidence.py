@@ -25,6 +25,7 @@ def test_the_section_shows_the_parameters_that_change(warmed):
     pages = {one: html_report(build_content(c, language=one)) for one in ("en", "zh")}
     assert "Parameters over temperature" in pages["en"]
     assert "band, all temperatures" in pages["en"]
+    assert "20 to 60 °C." in pages["en"]
     assert "参数随温度的变化" in pages["zh"]
     assert "带，所有温度" in pages["zh"]
     assert "over temperature" not in pages["zh"]
