@@ -7,7 +7,7 @@ import pytest
 from amounts import rest_slow
 
 import multipos as mp
-from benchmarks.ordinary import ROWS, error_of, line_from, measured
+from benchmarks.ordinary import RATE, ROWS, error_of, line_from, measured, solved
 
 SEEN = ("two-off-10mg", "one-off-102mg", "two-off-102mg", "five-off-41mg")
 
@@ -32,6 +32,30 @@ def test_weights_that_few_samples_tell_are_no_worse_than_none(name):
     found = measured(name, 15, 1)
     assert found.ratio("LM") <= 1.05
     assert np.mean(found.held) >= 0.9
+
+
+def test_edges_of_rests_in_strong_noise_are_those_of_the_truth():
+    """Noise of .5 m/s²: .95 of a rest, no more than .1 s of a turn, the error of true edges."""
+    ratios = []
+    for seed in range(3):
+        made = ROWS["noise"].make(np.random.default_rng([seed, 9]))
+        rests = mp.average(made.log).to_dict()["positions"]
+        assert len(rests) == len(made.up)
+        kept = []
+        for k, found in enumerate(rests):
+            (true,) = np.nonzero(made.rest == k)
+            first, end = true[0], true[-1] + 1
+            assert found["start"] > first - 0.1 * RATE
+            assert found["end"] < end + 0.1 * RATE
+            kept.append((min(found["end"], end) - max(found["start"], first)) / (end - first))
+        assert np.median(kept) >= 0.95
+        means = np.array([made.values[made.rest == k].mean(axis=0) for k in range(len(made.up))])
+        errors = [
+            error_of(line, made, ROWS["noise"])
+            for line in (line_from(mp.calibrate(made.log)), solved(means))
+        ]
+        ratios.append(errors[0] / errors[1])
+    assert np.exp(np.mean(np.log(ratios))) <= 1.05
 
 
 def test_saturated_rests_are_set_aside_and_the_others_answer():

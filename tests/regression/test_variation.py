@@ -126,6 +126,16 @@ def test_coefficients_that_cancel_by_hand():
     assert Contributions(columns, 100.0).cancel(terms[:2], np.array([-1000.0, 101.0]))
 
 
+def test_true_curves_whose_terms_are_larger_than_their_range_do_not_cancel():
+    """Eq. (2) is no bound of 1: x² on four even points has 9/8, 4x³ − 3x on −1 … 1 has 2."""
+    even = {"x": np.array([-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0])}
+    assert not Contributions(even, 8.0 / 9.0).cancel(parse_terms("1 + x^2"), np.array([0.0, 1.0]))
+    fine = {"x": np.linspace(-1.0, 1.0, 21)}
+    cubic = parse_terms("x + x^3"), np.array([-3.0, 4.0])
+    assert not Contributions(fine, 2.0).cancel(*cubic)
+    assert Contributions(fine, 0.99).cancel(*cubic)  # 4 times the range of a cubic, no more
+
+
 def test_region_is_the_leverage_of_least_squares():
     """Free segments by their own hat matrix, joined ones by that of the constrained fit."""
     # eq. (1) of regression.region
