@@ -257,6 +257,9 @@ def _repair(c: Calibration, view: View) -> Finding | None:
     return _in_words(c, best)
 
 
+_CELLS = 4  # rows that are named of each output
+
+
 def _is_slight(c: Calibration) -> bool:
     """Return whether residuals are small, and no row alone is off by half of what `_BY_ROWS` asks.
 
@@ -293,20 +296,47 @@ def _in_words(c: Calibration, repair: Repair) -> Finding:
         "flipped-row": f"{named} {count} listed upside down: with the direction reversed, {after}",
         "row-unit": f"{named} {count} in another unit, {factor_in_words(repair.size)}: converted, "
         f"{after}",
-        "wrapped": f"{quoted(outputs)} overflowed the range at {named}: with {repair.size:.6g} "
-        f"added, {after}",
+        "wrapped": f"readings overflowed the range at {_cells(c, repair)}: with {repair.size:.6g} "
+        f"put back, {after}",
         "angles-in-radians": f"angles in columns named _deg are probably radians: read so, {after}",
     }
     actions = {
         "interchanged-rows": "Exchange their readings, or measure both again.",
         "flipped-row": "Reverse the direction in the list, or measure again.",
         "row-unit": "Convert all rows to one unit.",
-        "wrapped": f"Add {repair.size:.6g} to these readings, or measure again in a wider range.",
+        "wrapped": _unwrap(c, repair),
         "angles-in-radians": "Convert the angles to degrees.",
     }
     rows = () if repair.code == "angles-in-radians" else rows
     text, action = texts[repair.code], actions[repair.code]
     return Finding(repair.code, "error", text, action, rows=rows, outputs=outputs)
+
+
+def _added(c: Calibration, repair: Repair) -> Array:
+    """Return what a repair adds to the readings (n, M); `size` has its step."""
+    return np.asarray(repair.view.values - c.readings.values)
+
+
+def _cells(c: Calibration, repair: Repair) -> str:
+    """Return the readings that a repair changes, by output."""
+    added, named = _added(c, repair), []
+    for i in repair.outputs:
+        rows = [c.readings.labels[row] for row in np.flatnonzero(added[:, i])]
+        more = f" and {len(rows) - _CELLS} more" if len(rows) > _CELLS else ""
+        named.append(f"{', '.join(rows[:_CELLS])}{more} of {c.outputs[i]}")
+    return "; ".join(named)
+
+
+def _unwrap(c: Calibration, repair: Repair) -> str:
+    """Return what is added to readings that are too low, and taken from those that are too high."""
+    added, step = _added(c, repair), f"{repair.size:.6g}"
+    ways = {
+        (True, False): f"Add {step} to these readings",
+        (False, True): f"Subtract {step} from these readings",
+        (True, True): f"Add {step} to the low ones of these readings and subtract it from the high",
+    }
+    way = ways.get((bool((added > 0.0).any()), bool((added < 0.0).any())))
+    return f"{way}, or measure again in a wider range."
 
 
 def _positions(rows: tuple[str, ...]) -> str:

@@ -42,7 +42,7 @@ from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.handed import take_in
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
-from multipos.finding import Findings, about, errors_of, in_order
+from multipos.finding import Finding, Findings, about, errors_of, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
@@ -353,11 +353,17 @@ def check(
     found = _check_run(calibration, data, known, noise, tilt, limit, within_deg, before)
     agreement, findings = judge_run(calibration, data, known, *noise)
     of_rows = _of_the_run(calibration, data, known)
-    if errors_of(of_rows):  # which explain why the run disagrees
-        findings = tuple(each for each in findings if each.code != "run-disagrees")
+    if errors_of(of_rows):  # which are the cause, and no change of the sensor is
+        findings = tuple(map(_without_cause, findings))
     findings = (*of_rows, *findings)
     every = in_order((*findings, *found.findings))
     return replace(found, consistency=agreement, findings=every)
+
+
+def _without_cause(found: Finding) -> Finding:
+    if found.code != "run-disagrees":
+        return found
+    return replace(found, text=found.text.partition("; probable cause")[0], action="")
 
 
 def average_run(
