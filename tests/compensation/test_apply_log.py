@@ -256,3 +256,17 @@ def test_tilt_of_three_axes_needs_no_size_of_gravity(outputs, tilt):
     force = 0.98 * np.array([0.5, 0.0, math.sqrt(0.75)])
     found = mp.apply(cal, dict(zip(names, force[own, None], strict=True)), tilt=True)
     assert found["tilt_x_deg"][0] == pytest.approx(tilt, abs=1e-6)
+
+
+def test_a_temperature_beyond_is_held_at_the_limit_by_hand():
+    """1 mg/°C from 0 to 40 °C: at 60 °C forces are those of 40 °C where it is held, else of 60."""
+    up = np.tile(mp.read_scheme("faces-6").up, (3, 1))
+    t = np.repeat([0.0, 20.0, 40.0], 6)
+    columns = {f"up_{axis}": up[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"a{axis}": up[:, i] + 1e-3 * t for i, axis in enumerate("xyz")}
+    model = "1 + x + y + z + temperature"
+    cal = mp.fit(columns | {"temperature": t}, model=model, unit="g")
+    table = {"ax": [0.56], "ay": [0.06], "az": [0.06], "temperature": [60.0]}
+    for outside, force in (("flag", 0.5), ("clamp", 0.52)):
+        found = mp.apply(cal, table, outside=outside)
+        assert found["f_x"][0] == pytest.approx(force, abs=1e-9)

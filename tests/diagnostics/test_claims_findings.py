@@ -230,8 +230,9 @@ def test_equal_noise_is_judged_by_its_score():
 
 def test_equal_noise_is_judged_alike_by_variances_and_by_their_matrix():
     data = readings("fibonacci-24", 5, sd=[1e-4, 2e-4, 1e-4])
-    full = mp.Readings(data.values, up=data.up, unit="g", covariance=1e-8 * np.eye(72))
+    tied = np.kron(np.eye(24), np.eye(3) + 0.05 * (1.0 - np.eye(3)))
+    full = mp.Readings(data.values, up=data.up, unit="g", covariance=1e-8 * tied)
     plain = mp.Readings(data.values, up=data.up, unit="g", u=np.full((24, 3), 1e-4))
     found = [judge_equality(mp.fit(each, orientation_sd=1e-4))[0] for each in (full, plain)]
-    assert found[0] == pytest.approx(found[1], rel=0.2)  # excess is of all outputs, or of each
+    assert found[0] == pytest.approx(found[1], rel=0.5)  # excess is of all outputs, or of each
     assert found[0] < 0.01

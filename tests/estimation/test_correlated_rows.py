@@ -189,3 +189,19 @@ def test_the_effective_number_of_rows_by_dense_matrices():
     expected = float(p @ total / p.sum())
     assert correlated_rows._judge(design, e).rows == pytest.approx(expected, rel=0.01)
     assert 4.0 < expected < 20.0
+
+
+def test_rows_in_order_of_time_count_as_fewer_where_noise_is_slow():
+    """AR(.95) at 24 known positions: less than half of them; exact readings keep all."""
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("fibonacci-24").up[rng.permutation(24)]
+    noise = rng.standard_normal((24, 3))
+    for k in range(1, 24):
+        noise[k] = 0.95 * noise[k - 1] + math.sqrt(1.0 - 0.95**2) * noise[k]
+    columns = {f"up_{axis}": up[:, i] for i, axis in enumerate("xyz")}
+    columns |= {"time": np.arange(24.0)}
+    for sd, fewer in ((1e-3, True), (0.0, False)):
+        readings = {f"a{axis}": up[:, i] + sd * noise[:, i] for i, axis in enumerate("xyz")}
+        cal = mp.fit({**columns, **readings}, outputs=["ax", "ay", "az"], unit="g")
+        assert bool(cal.effective_rows) == fewer
+        assert all(rows < 12.0 for rows in (cal.effective_rows or {}).values())

@@ -437,3 +437,8 @@ def test_a_shared_parameter_follows_the_output_that_tells_it():
     assert cal["common_k"].value == pytest.approx(0.03, abs=5e-7)
     assert cal["common_k"].u < 3e-7
     assert_allclose(cal.residual_sd, [1e-7, 1e-3], rtol=0.5)
+    # apart, residuals that differ by ten millions leave the first all of its digits
+    values += noise * [-0.99, 9.0]
+    given = mp.Readings(values, outputs=("ax", "ay"), up=up, unit="g")
+    apart = mp.fit(given, model="each = b + s*own + k*own^2", axes="x,y")
+    assert apart["k_ax"].value == pytest.approx(0.03, abs=5e-9)
