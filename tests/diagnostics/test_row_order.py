@@ -263,3 +263,7 @@ def test_a_drift_and_a_slip_by_two_fits_each():
     cause = {each.code: each for each in search(c)}["slipped"]
     score = gain - 3 * math.log(3 * nu) - 2.0 * math.log(n - 4)  # rows 3 to n − 2
     assert (cause.row, cause.score) == (row, pytest.approx(score, rel=1e-3))
+
+
+def test_a_drift_is_named_beside_a_stated_noise():
+    assert "drift" in {finding.code for finding in world("drift", 3, reading_sd=SD).findings}

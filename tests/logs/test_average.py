@@ -732,3 +732,10 @@ def test_a_file_given_twice_counts_once_packed_or_not(tmp_path):
             f"identical files were counted once; omitted: {two} (as {one})"
         ]
         assert len(found.findings) == len(alone.findings) + 1
+
+
+@pytest.mark.parametrize("how", ["columns", "outputs"])
+def test_an_array_has_the_names_that_it_is_given(how):
+    names = ["ax", "ay", "az"]
+    log = open_log(np.arange(12.0).reshape(4, 3), **{how: names})
+    assert list(log.columns) == names
