@@ -1,6 +1,7 @@
 """Models of one's own: fitted as written, held to SciPy, to polynomials and to numbers by hand."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 import multipos as mp
+from multipos.estimation.starts import _is_better
 from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
 from multipos.regression.observations import smoothed_rate
@@ -442,3 +444,13 @@ def test_a_shared_parameter_follows_the_output_that_tells_it():
     given = mp.Readings(values, outputs=("ax", "ay"), up=up, unit="g")
     apart = mp.fit(given, model="each = b + s*own/(1 + k*own^2)", axes="x,y")
     assert apart["k_ax"].value == pytest.approx(0.03, abs=1e-8)
+
+
+def test_the_better_of_two_ends_has_converged_or_fits_better():
+    near, far, open_end = (
+        SimpleNamespace(converged=converged, point=SimpleNamespace(objective=objective))
+        for converged, objective in ((True, 1.0), (True, 2.0), (False, 0.5))
+    )
+    assert _is_better(near, far)
+    assert not _is_better(far, near)
+    assert _is_better(far, open_end)
