@@ -388,3 +388,16 @@ def test_a_wrapped_output_is_one_of_all_that_were_tried():
     assert (found.rows, found.outputs, found.tried) == ((top,), (1,), 4 * 2 * 13**2)
     assert found.size == pytest.approx(2.0, abs=2e-3)
     assert found.fitted
+
+
+def test_an_output_without_a_signal_is_as_far_off_as_least_squares_says():
+    up = mp.read_scheme("fibonacci-24").up
+    rng = np.random.default_rng(8)
+    values = up + 1e-3 * rng.standard_normal(up.shape)
+    values[:, 1] = rng.permutation(values[:, 1])
+    (found,) = (f for f in mp.fit(mp.Readings(values, up=up)).findings if f.code == "no-signal")
+    design = np.column_stack([np.ones(24), up])
+    beta, square, *_ = np.linalg.lstsq(design, values, rcond=None)
+    share = np.sqrt(square[1] / 20.0) / np.linalg.norm(beta[1:, 1])
+    assert f" of 'ay' are {100.0 * share:.0f} % of one g" in found.text
+    assert found.outputs == ("ay",)
