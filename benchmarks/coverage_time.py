@@ -210,6 +210,12 @@ WORLDS: dict[str, tuple[World, dict[str, Any], str, Advice | None]] = {
     ),
     "drift .3 mg, 24 in random order": (drift(3e-4), {}, "drift", with_drift),
     "drift 5 mg, 24 in random order": (drift(5e-3), {}, "drift", with_drift),
+    "drift 1 mg, icosahedron-12, own-quadratic": (
+        drift(1e-3, 12),
+        {"model": "own-quadratic"},
+        "drift",
+        with_drift,
+    ),
     "drift 1 mg, icosahedron-12": (drift(1e-3, 12), {}, "drift", with_drift),
     "slow noise .9 in time, 12": (slow(12), {}, "time-correlated", None),
     "slow noise .9 in time, 24": (slow(24), {}, "time-correlated", None),
@@ -311,6 +317,32 @@ def print_world(name: str, runs: int, seed: int) -> None:
     )
 
 
+def print_tumble(runs: int, seed: int, error_deg: float = 0.02, steps: int = 24) -> None:
+    """Print what U of one output's tumble holds whose encoder is off, and how often it has one."""
+    turn = np.arange(steps) * 2.0 * np.pi / steps
+    truth = {"K0": BIAS[0], "K2": 0.0}
+    given: dict[str, list[bool]] = {name: [] for name in truth}
+    named = 0
+    for run in range(runs):
+        rng = np.random.default_rng([seed, 9, run])
+        phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+        wave = np.sin(turn + phase[0]) + 0.5 * np.cos(2.0 * turn + phase[1])
+        stood = turn + np.radians(error_deg) * wave
+        values = BIAS[0] + np.cos(stood) + NOISE * rng.standard_normal(steps)
+        table = {"roll_axis": ["z"] * steps, "angle_deg": np.degrees(turn), "ax": values}
+        found = mp.tumble(table, outputs=["ax"], unit="g")
+        named += any(each.code == "table" for each in found.findings)
+        for name, true in truth.items():
+            coefficient = found.coefficients[name]
+            if np.isfinite(coefficient.U):
+                given[name].append(abs(coefficient.value - true) <= coefficient.U)
+    cells = [f"{name} {100.0 * np.mean(each):.0f}" for name, each in given.items() if each]
+    print(
+        f"| tumble-{steps}, encoder {error_deg:g}°, one output: {', '.join(cells) or 'no U'}, in "
+        f"{100.0 * len(given['K0']) / runs:.0f} % of sets | `table` {100.0 * named / runs:.0f} |"
+    )
+
+
 def print_good(name: str, runs: int, seed: int) -> None:
     world, options = GOOD[name]
     hits, found, any_of_it = [], Counter[str](), 0
@@ -339,6 +371,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in WORLDS:
         if chosen.only in name:
             print_world(name, chosen.runs, chosen.seed)
+    print("\n| one roll: U holds % | named % |\n|---|---|")
+    if chosen.only in "tumble-24":
+        print_tumble(chosen.runs, chosen.seed)
     print("\n| healthy sets | U holds % | any warning % | of them |\n|---|---|---|---|")
     for name in GOOD:
         if chosen.only in name:
