@@ -347,15 +347,33 @@ def _law(both: Array, age: NDArray[np.intp], point: tuple[float, float]) -> Law:
     rho, theta = point[0], point[0] * point[1]
     white = _filtered(both, age, rho, theta)
     R = np.linalg.cholesky(gram(white)).T
-    rest = white[:, -1] - white[:, :-1] @ np.linalg.solve(R[:-1, :-1], R[:-1, -1])
+    b = R[:-1, -1].copy()
+    for j in range(len(b) - 1, -1, -1):  # R is a triangle: a solver of squares starts threads
+        b[j] /= R[j, j]
+        b[:j] -= R[:j, j] * b[j]
+    rest = white[:, -1] - np.einsum("nj,j->n", white[:, :-1], b)
     return Law(rho, theta, _autoregression(rest, age) if rho else np.zeros(0))
 
 
 def _basis(design: Array) -> Array:
-    """Return orthonormal columns that span the design."""
+    """Return orthonormal columns that span the design, by Gram and Schmidt, each taken twice.
+
+    On one thread: of some hundred columns a factoring of BLAS's starts threads that wait for each
+    other ten times as long as they work.
+    """
     scale = np.linalg.norm(design, axis=0)
-    U, s, _ = np.linalg.svd(design / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    return np.asarray(U[:, s > _RANK * s[0]])
+    basis = np.empty((design.shape[1], len(design)))
+    rank = 0
+    for column in (design / np.where(scale > 0.0, scale, 1.0)).T:
+        left = column
+        for _ in range(2):
+            known = basis[:rank]
+            left = left - np.einsum("jn,j->n", known, np.einsum("jn,n->j", known, left))
+        length = float(np.linalg.norm(left))
+        if length > _RANK:
+            basis[rank] = left / length
+            rank += 1
+    return basis[:rank].T
 
 
 def _likelihoods(z: Array, age: NDArray[np.intp]) -> dict[tuple[float, float], float]:

@@ -226,3 +226,15 @@ def test_false_alarms_of_f_robust(rho, n, limit):
     assert robust <= bound
     if rho:
         assert classical > 2 * robust
+
+
+def test_the_basis_of_a_design_spans_it_without_what_depends_on_other_columns():
+    """By least squares of NumPy: columns of scales apart by 1e12, one twice and one of zeros."""
+    rng = np.random.default_rng(4)
+    X = rng.standard_normal((60, 5)) * [1.0, 1e6, 1e-6, 1.0, 1.0]
+    X = np.column_stack([X, 2.0 * X[:, 1] - 1e6 * X[:, 0], np.zeros(60)])
+    basis, y = correlation._basis(X), rng.standard_normal(60)
+    assert_allclose(basis.T @ basis, np.eye(5), atol=1e-14)
+    unit = X[:, :5] / np.linalg.norm(X[:, :5], axis=0)
+    left = y - unit @ np.linalg.lstsq(unit, y, rcond=None)[0]
+    assert_allclose(y - basis @ (basis.T @ y), left, atol=1e-13)
