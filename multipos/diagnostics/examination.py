@@ -25,6 +25,7 @@ scale factor is an error: with the gain G of the estimator by √(Σ G² u²).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -447,17 +448,18 @@ _EXPLAINED = {
 _SLOW_NOISE = 3.0  # times the noise within rests, that noise from rest to rest may well be
 
 
-def examine(calibration: Calibration) -> Calibration:
+def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
     """Return a calibration with what does not look right about it.
 
     Beside the findings stand the tests of the terms that the model lacks. Of a magnetometer they
-    are asked of the relative field, and said in its words.
+    are asked of the relative field, and said in its words. Rows that are outliers are not looked
+    for again where they were sought before the fit, and none were there.
     """
     if not calibration.field.magnetic:
-        return _examined(calibration)
+        return _examined(calibration, sought=sought)
     from multipos.diagnostics.magnetic import OF_FIELD
 
-    found = _examined(calibration.relative).diagnostics
+    found = _examined(calibration.relative, sought=sought).diagnostics
     own = tuple(ask(calibration) for ask in OF_FIELD)
     said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)
     findings = without_explained((*(each for each in own if each is not None), *said))
@@ -469,7 +471,7 @@ def in_words(text: str) -> str:
     return worded(text, MAGNETIC)
 
 
-def _examined(calibration: Calibration) -> Calibration:
+def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
     tested = judge_model(calibration)
     of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
     calibration = replace(calibration, diagnostics=of_model)
@@ -478,7 +480,8 @@ def _examined(calibration: Calibration) -> Calibration:
         found += explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
-        of_rows = _answers(OF_RESIDUALS, calibration)
+        questions = [partial(outlier, sought=sought) if q is outlier else q for q in OF_RESIDUALS]
+        of_rows = _answers(questions, calibration)
         if any(each.code == "quantized" for each in found):  # roundings follow no law
             found += [each for each in of_rows if each.code not in RIVALS]
         else:

@@ -146,7 +146,7 @@ def moving_iron(c: Calibration) -> Finding | None:
     if dof < 1.0:
         return None
     before, best = float(left @ left), (0.0, 0, np.zeros(3))
-    for row in np.unique((_STEPS * n).astype(int)).tolist():
+    for row in (_STEPS * n).astype(int).tolist():
         step = u * (np.arange(n) >= row)[:, None]
         step = step - design @ np.linalg.lstsq(design, step, rcond=None)[0]
         moved = np.linalg.lstsq(step, left, rcond=None)[0]

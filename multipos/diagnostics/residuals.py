@@ -378,9 +378,12 @@ _ENOUGH = 3  # degrees of freedom without them
 _SIGN = 0.2  # of an error: how near twice the reading it is where a sign was lost
 
 
-def outlier(c: Calibration) -> Finding | None:
-    """Find positions that stick out, and readings whose sign is lost."""
-    rows = outlying_rows(c)
+def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
+    """Find positions that stick out, and readings whose sign is lost.
+
+    Rows that are outliers may have been sought before the fit, and none be there.
+    """
+    rows = None if sought else outlying_rows(c)
     if rows is not None:
         return _outlying(c, rows)
     found = c.diagnostics.outliers

@@ -383,7 +383,8 @@ def fit(
     )
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
-    apart = find_apart(built, data, stated_up, "none" if closed_form else exclude)
+    sought: Names = "none" if closed_form else exclude
+    apart = find_apart(built, data, stated_up, sought)
     whole, everywhere = data, stated_up.reference
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
@@ -415,7 +416,7 @@ def fit(
         from multipos.uncertainty.propagation import state_budget
 
         calibration = state_budget(calibration, stated)
-    calibration = examine(calibration)
+    calibration = examine(calibration, sought=sought == "auto" and not apart.any())
     warn(calibration.findings)
     return calibration
 

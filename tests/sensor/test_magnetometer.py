@@ -434,21 +434,29 @@ def test_matlab_and_magneto_are_met_on_good_data():
     assert_allclose(np.linalg.norm((table - b) @ inverse.T, axis=1), SIZE, rtol=0.01)
 
 
-@pytest.mark.parametrize(("n", "sd", "ratio"), [(200, (3.0, 3.0, 3.0), 1.0), (60, (1, 1, 3), 0.92)])
+@pytest.mark.parametrize(("n", "sd", "ratio"), [(200, (3, 3, 3), 0.95), (60, (1, 1, 3), 0.97)])
 def test_noisy_data_do_better_than_the_classical_fit(n, sd, ratio):
-    """The soft iron of Magneto's equation: noise draws the algebraic ellipsoid inwards."""
-    ours, classical = [], []
-    for seed in range(40):
-        u = directions(n, seed)
-        noise = np.array(sd) * np.random.default_rng(seed + 50).normal(size=u.shape)
-        table = HARD + SIZE * u @ SOFT.T + noise
+    """rms error of the field over fresh directions, against Magneto's equation.
+
+    Noise draws the algebraic ellipsoid inwards, the more the more rows there are, .90 ± .01 here
+    and .79 ± .02 of 600 rows; and it cannot weight axes that are noisier, .87 ± .03. Of equal noise
+    of 1 % both are as good.
+    """
+    truth, logs = symmetric_root(SOFT), []
+    for seed in range(25):
+        noise = np.array(sd) * np.random.default_rng(seed + 50).normal(size=(n, 3))
+        table = HARD + SIZE * directions(n, seed) @ SOFT.T + noise
         rows = dict(zip(NAMES, table.T, strict=True))
         cal = mp.fit(rows, unit="uT", field_size=SIZE, reading_sd=np.array(sd, dtype=float))
-        truth = symmetric_root(SOFT)
-        ours.append(corrections(cal)[0] - truth)
-        classical.append(magneto(table, SIZE)[0] - truth)
-    rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (ours, classical)]
-    assert rms[0] < ratio * rms[1]
+        fresh = SIZE * directions(500, seed + 9000) @ SOFT.T  # without the hard iron
+        errors = [
+            np.linalg.norm((fresh + HARD - hard) @ S.T - fresh @ truth.T)
+            for S, hard in (corrections(cal), magneto(table, SIZE))
+        ]
+        logs.append(np.log(errors[0] / errors[1]))
+    standard_error = np.std(logs, ddof=1) / np.sqrt(len(logs))
+    assert np.mean(logs) + 2.0 * standard_error < 0.0
+    assert np.exp(np.mean(logs)) < ratio
 
 
 @pytest.mark.slow
