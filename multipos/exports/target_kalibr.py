@@ -19,6 +19,7 @@ References
 """
 
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -126,10 +127,26 @@ def densities(calibration: Calibration, stability: Stability) -> tuple[float, fl
             f"the stability is in '{stability.unit}', but Kalibr takes m/s^2; give stability "
             "CAL.json with --calibration."
         )
-    found = [stability.outputs[name] for name in names]
-    white = max(each.white_noise.value for each in found)
-    walk = max(each.random_walk.value for each in found)
-    return float(metres * white), float(metres * walk)
+    walk = max(stability.outputs[name].random_walk.value for name in names)
+    return float(metres * max(white_noise(stability, names))), float(metres * walk)
+
+
+def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
+    """Return the white noise of outputs, in the unit of a static record.
+
+    Raises
+    ------
+    MultiposError
+        Noise of another kind hides that of an output: a density of zero is none.
+    """
+    white = {name: float(stability.outputs[name].white_noise.value) for name in names}
+    for name, value in white.items():
+        if not value > 0.0:
+            raise MultiposError(
+                f"the record shows no white noise of '{name}' beside its slow noise, and a density "
+                "of zero is none; record the sensor at rest, where nothing moves it."
+            )
+    return list(white.values())
 
 
 def _read(path: str, text: str) -> Correction:

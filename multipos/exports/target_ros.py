@@ -39,6 +39,7 @@ from multipos.exports.parameters import (
     require_writable,
 )
 from multipos.exports.target import Exported, Wish
+from multipos.exports.target_kalibr import white_noise
 from multipos.files.spelling import visible
 from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
@@ -55,7 +56,7 @@ def write_noise(stability: Stability, to: str) -> Exported:
     UsageError
         Another target.
     MultiposError
-        The record is neither in g nor in m/s².
+        The record is neither in g nor in m/s², or shows no white noise.
     """
     if to not in NOISE_TARGETS:
         raise UsageError(f"noise parameters go --to {' or '.join(NOISE_TARGETS)}, got '{to}'.")
@@ -65,7 +66,7 @@ def write_noise(stability: Stability, to: str) -> Exported:
             "calibration with --calibration."
         )
     metres = MICRO_G[stability.unit] * 1e-6 * STANDARD_GRAVITY
-    white = [float(metres * each.white_noise.value) for each in stability.outputs.values()]
+    white = [metres * each for each in white_noise(stability, stability.outputs)]
     walk = [float(metres * each.random_walk.value) for each in stability.outputs.values()]
     rate = float(stability.sample_rate)
     if to == "kalibr":

@@ -57,3 +57,14 @@ def test_counts_and_other_targets_are_refused(stability):
     record = {"time": np.arange(2000) / RATE, "ax": np.random.default_rng(1).normal(size=2000)}
     with pytest.raises(MultiposError, match="--calibration"):
         mp.export(mp.stability(record, unit="count"), to="kalibr")
+
+
+@pytest.mark.parametrize("to", ["kalibr", "ros"])
+def test_a_density_of_zero_is_none(to):
+    """A random walk, sampled, has no white noise: 0 would be no noise at all, or unknown in ROS."""
+    walk = np.cumsum(np.random.default_rng(1).standard_normal((6000, 3)), axis=0)
+    log = {"time": np.arange(6000) / 100.0, **dict(zip(("ax", "ay", "az"), walk.T, strict=True))}
+    found = mp.stability(log, unit="g")
+    assert min(each.white_noise.value for each in found.outputs.values()) == 0.0
+    with pytest.raises(mp.MultiposError, match=r"no white noise of 'a[xyz]'.*at rest"):
+        mp.export(found, to=to)
