@@ -39,7 +39,7 @@ def main() -> None:
             )
 
 
-Draw = Callable[[], tuple[dict[str, Any], float, dict[str, Any]]]
+Draw = Callable[[], tuple[dict[str, Any], Any, dict[str, Any]]]
 
 
 def settings(rng: np.random.Generator) -> Iterator[tuple[str, int, Draw]]:
@@ -61,10 +61,10 @@ def settings(rng: np.random.Generator) -> Iterator[tuple[str, int, Draw]]:
 
         return draw
 
-    def unknown(count: int) -> Draw:
-        def draw() -> tuple[dict[str, Any], float, dict[str, Any]]:
+    def unknown(count: int, *axes: float) -> Draw:
+        def draw() -> tuple[dict[str, Any], Any, dict[str, Any]]:
             turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-            up, sd = spread_out(count) @ turn, 1e-3
+            up, sd = spread_out(count) @ turn, 1e-3 * np.array(axes or 1.0)
             return {"values": sense(up, sd, rng)}, sd, {"unknown_orientation": True}
 
         return draw
@@ -77,6 +77,8 @@ def settings(rng: np.random.Generator) -> Iterator[tuple[str, int, Draw]]:
     yield "24, placed to 0.05°", 3, uncertain(24, 0.05)
     yield "18, turned by hand", 3, unknown(18)
     yield "24, turned by hand", 3, unknown(24)
+    yield "18, by hand, axes 1 : 1 : 3", 3, unknown(18, 1.0, 1.0, 3.0)
+    yield "48, by hand, axes 1 : 1 : 3", 3, unknown(48, 1.0, 1.0, 3.0)
 
 
 def one(draw: Draw, claim: float, outputs: int) -> tuple[np.ndarray, float]:
@@ -108,7 +110,7 @@ def spread_out(count: int) -> np.ndarray:
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
 
 
-def sense(up: np.ndarray, sd: float, rng: np.random.Generator) -> np.ndarray:
+def sense(up: np.ndarray, sd: Any, rng: np.random.Generator) -> np.ndarray:
     return BIAS + up @ MATRIX.T + sd * rng.standard_normal(up.shape)
 
 

@@ -499,7 +499,7 @@ def fit_units(
 
 def averaging_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return what averaging takes of the options of `fit`."""
-    names = ("scheme", "order", "convention", "outputs")
+    names = ("scheme", "order", "convention", "outputs", "field", "unit")
     return {name: options[name] for name in names if options.get(name) is not None}
 
 

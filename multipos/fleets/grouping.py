@@ -148,7 +148,7 @@ class Conditions:
     ) -> None:
         """Read the columns that are used; `used` are those of the model's formula."""
         self._grouped = grouped
-        self.values = self._columns(rows, outputs)
+        self.values = self._columns(rows, [rows.written(name) for name in outputs])
         self.stated = self._of_all(rows, outputs, "u")
         self.stated_dof = self._of_all(rows, outputs, "dof") if self.stated else []
         self._sound = self._sound_units(rows)

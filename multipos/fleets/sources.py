@@ -27,11 +27,11 @@ from multipos.files.spelling import near, quoted
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
 from multipos.finding import Findings, repeated_files
+from multipos.fitting.calibrate_logs import rests_or_rows
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
-from multipos.logs.averaging import average
 from multipos.numerics.arrays import Array
-from multipos.positions.headers import is_environment
+from multipos.positions.headers import is_environment, split_unit
 
 _ENDINGS = (".csv", ".parquet")
 _PACKED = (".gz", ".xz", ".zst")
@@ -125,6 +125,11 @@ class Rows:
         }
         source = " and ".join(part.source for part in parts)
         return Table(source, columns, sum(part.rows for part in parts))
+
+    def written(self, name: str) -> str:
+        """Return a name as the header has it, with its unit in brackets or without."""
+        bare = (each for each in self.columns if split_unit(each)[0] == name)
+        return name if name in self.columns else next(bare, name)
 
     def numbers(self, name: str) -> Array:
         """Return a column as numbers, NaN where a cell is none."""
@@ -407,9 +412,9 @@ def average_logs(files: Sequence[Source], how: Averaging) -> list[Table | Multip
 
 
 def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposError:
-    """Return the means of a log: positions, outputs with their unit, u, time and temperature."""
+    """Return the means of a log, or rows of a waved one: outputs with their unit, and the rest."""
     try:
-        found = average(source, **options)
+        found = rests_or_rows(source, **options)
     except MultiposError as error:
         return MultiposError(str(error))  # as it goes to another process and back
     unit = "" if found.unit is None else f" [{found.unit}]"

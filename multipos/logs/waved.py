@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import quoted
+from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
 from multipos.logs.table import Log
@@ -68,6 +69,12 @@ class Waved(Result):
     findings: Findings
     unit: str | None = None
     scheme_up: None = None
+
+    def columns(self) -> dict[str, Column]:
+        """Return the columns of a readings file."""
+        readings = self.readings
+        named = zip(self.outputs, readings.values.T, strict=True)
+        return {"position": list(readings.labels), **dict(named), **readings.environment}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""

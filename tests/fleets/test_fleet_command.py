@@ -481,6 +481,38 @@ def test_raw_logs_give_what_calibrate_gives_of_each(tmp_path, capsys):
     assert main(report) == 0
 
 
+@pytest.mark.parametrize("header", ["ax,ay,az", "ax [m/s^2],ay [m/s^2],az [m/s^2]"])
+def test_a_header_with_units_changes_no_number(header, tmp_path):
+    rng, rows = np.random.default_rng(1), []
+    up = mp.read_scheme("fibonacci-12").up
+    for unit in "ab":
+        values = 9.81 * up + 0.1 + 1e-3 * rng.normal(size=up.shape)
+        rows += [f"{unit},{','.join(map(str, row))}" for row in np.hstack([values, up]).tolist()]
+    (tmp_path / "t.csv").write_text("\n".join([f"unit,{header},up_x,up_y,up_z", *rows]))
+    found = mp.fit_many(tmp_path / "t.csv", unit="m/s^2")
+    one = mp.fit(mp.Readings(values, up=up, unit="m/s^2"))
+    assert_allclose([found[name][1] for name in one.names], one.parameters, rtol=1e-9)
+
+
+def test_waved_magnetometers_are_what_calibrate_makes_of_each(tmp_path):
+    """Rows as they are, of a sensor that was turned all the time."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        t = np.arange(1500) / 50.0
+        a, b = 2.3 * t + rng.uniform(0.0, 6.0), np.cos(0.7 * t)
+        u = np.column_stack([np.cos(a) * np.sqrt(1.0 - b * b), np.sin(a) * np.sqrt(1.0 - b * b), b])
+        values = [3.0, -8.0, 12.0] + 48.0 * u + 0.2 * rng.normal(size=u.shape)
+        names = ("mx [uT]", "my [uT]", "mz [uT]")
+        write(logs / f"S{seed}.csv", {"time [s]": t, **dict(zip(names, values.T, strict=True))})
+    found = mp.fleet(logs, raw=True)
+    assert found.summary["verdicts"] == {"pass": 2}
+    one = mp.calibrate(logs / "S2.csv", exclude="none")
+    given = [found.calibrations[name][1] for name in one.names]
+    assert_allclose(given, one.parameters, rtol=1e-9)
+
+
 def test_a_unit_with_a_flipped_row_is_named_by_that_row(tmp_path, capsys):
     """In `units.csv`, `fleet.json`, on the screen and on the page; two exchanged rows by both."""
     folder, out = tmp_path / "lot", tmp_path / "out"
