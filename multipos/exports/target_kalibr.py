@@ -143,8 +143,8 @@ def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
     for name, value in white.items():
         if not value > 0.0:
             raise MultiposError(
-                f"the record shows no white noise of '{name}' beside its slow noise, and a density "
-                "of zero is none; record the sensor at rest, where nothing moves it."
+                f"slow noise hides the white noise of '{name}', and a density of zero is none; "
+                "record the sensor at rest, where nothing moves it."
             )
     return list(white.values())
 

@@ -66,5 +66,5 @@ def test_a_density_of_zero_is_none(to):
     log = {"time": np.arange(6000) / 100.0, **dict(zip(("ax", "ay", "az"), walk.T, strict=True))}
     found = mp.stability(log, unit="g")
     assert min(each.white_noise.value for each in found.outputs.values()) == 0.0
-    with pytest.raises(mp.MultiposError, match=r"no white noise of 'a[xyz]'.*at rest"):
+    with pytest.raises(mp.MultiposError, match=r"hides the white noise of 'a[xyz]'.*at rest"):
         mp.export(found, to=to)
