@@ -43,6 +43,9 @@ def test_every_code_has_an_example_that_the_program_says():
         for code in made.codes:
             texts.setdefault(code, []).extend(made.texts)
     examples = tomllib.loads((ROOT / "docs/examples.toml").read_text("utf-8"))
+    assert [
+        text for text in examples.values() if re.search(r"p = (0\b(?!\.)|[\d.]+e-)", text)
+    ] == []
     said = {code for code, text in examples.items() if PROGRAM.is_said(text, texts[code])}
     if missing := sorted(texts.keys() - said):
         pytest.fail(f"no example of {', '.join(missing)}; run `python docs/examples.py TEST`")
