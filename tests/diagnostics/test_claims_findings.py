@@ -73,6 +73,20 @@ def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, state
     assert equal.deviance[0] == pytest.approx(alone, abs=0.05)
 
 
+@pytest.mark.parametrize("off_deg", [0.0, 0.3])
+def test_where_nothing_hints_at_orientations_the_whole_search_prefers_none(off_deg):
+    """The score at zero says what the search would: in half of sets that are not off at all."""
+    hints = []
+    for seed in range(20):
+        c = mp.fit(readings("icosahedron-12", seed, off_deg=off_deg), reading_sd=3e-5)
+        found = residuals.residuals_of(c)
+        equal, moved = explain_equal(found), explain_orientations(found)
+        hints.append(bool(residuals.hints_at_orientations(found, equal)[0]))
+        assert hints[-1] or not residuals.prefers_orientations(equal, moved)[0]
+    assert np.mean(hints) >= (0.7 if off_deg else 0.2)
+    assert off_deg or np.mean(hints) <= 0.8
+
+
 @pytest.mark.parametrize(
     ("scheme", "made", "cause"),
     [
