@@ -26,7 +26,14 @@ from numpy.typing import NDArray
 from multipos.diagnostics.repairs import listed_reference
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, coarse_steps, median, resolution, row_keys
+from multipos.numerics.arrays import (
+    Array,
+    coarse_steps,
+    count_different,
+    median,
+    resolution,
+    row_keys,
+)
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
@@ -204,12 +211,11 @@ def quantized(c: Calibration) -> Finding | None:
 
 def repeated_rows(c: Calibration) -> Finding | None:
     """Find rows that are copies of others."""
-    keys = row_keys(c.readings.values)
-    if len(set(keys)) == len(keys):
+    if count_different(c.readings.values) == len(c.readings):
         return None
     first: dict[bytes, int] = {}
     copies: list[tuple[int, int]] = []
-    for row, key in enumerate(keys):
+    for row, key in enumerate(row_keys(c.readings.values)):
         origin = first.setdefault(key, row)
         if origin != row:
             copies.append((origin, row))

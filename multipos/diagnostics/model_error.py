@@ -34,6 +34,7 @@ from multipos.diagnostics.score_tests import judge_model, significant
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import column_norms
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
@@ -95,7 +96,7 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         design = np.column_stack([phi[:, mine], further])
         Q = np.linalg.qr(design)[0]
         V = left_of(Q, columns)
-        rows = seen_rows(V, columns)
+        rows = seen_rows(V, column_norms(columns))
         q, nu = float(len(rows)), float(len(Q) - Q.shape[1] - len(rows))
         e = c.residuals[:, i] - Q @ (Q.T @ c.residuals[:, i])
         explained = float(np.sum((rows @ e) ** 2))

@@ -39,15 +39,16 @@ what a fit with the term would give, without the fit.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import Covariance, column_norms, factor
 from multipos.numerics.least_squares import block_design
 from multipos.numerics.terms import COMPONENTS, NAMED, Term, kind_terms
 from multipos.positions.scheme import read_scheme
@@ -156,6 +157,8 @@ _APPLIED = 1e-9  # of the largest square, below which a direction was never appl
 _NOTHING = 1e-12  # of a column's square, below which it is rounding
 _DIRECTIONS = 100
 _KEPT = 8  # projections
+_ROWS = 10_000  # of many, worked out at once
+_MANY = 100_000  # positions, whose projection is too large to keep
 
 
 class Setting:
@@ -165,10 +168,14 @@ class Setting:
         self.calibration: Calibration = c
         self.kinds: tuple[Kind, ...] = kinds
         self.added: tuple[str, ...] = added
-        columns = c.readings.environment
-        self._key = (
-            *(c.model.names, c.model.axes, c.model.inputs, tuple(kind.name for kind in kinds)),
-            *(added, c.reference.tobytes(), *(columns[name].tobytes() for name in sorted(columns))),
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        c, columns = self.calibration, self.calibration.readings.environment
+        return (
+            *(c.model.names, c.model.axes, c.model.inputs, self.added),
+            *(kind.name for kind in self.kinds),
+            *(c.reference.tobytes(), *(columns[name].tobytes() for name in sorted(columns))),
             b"" if is_level(c) or c.noise is None else c.noise.tobytes(),
             b"" if c.robust_weight is None else c.robust_weight.tobytes(),
         )
@@ -220,61 +227,91 @@ class Projection:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The design of one output, or of all, and the terms of each kind; here and on the sphere."""
+    """The design Q R of one output, or of all, and terms (R, n) by kind; and on the sphere."""
 
-    design: Array
-    terms: tuple[Array, ...]
+    basis: Array
+    triangle: Array
+    terms: Array
     design_there: Array
-    terms_there: tuple[Array, ...]
+    terms_there: Array
+    kinds: tuple[slice, ...]
+
+
+def project(setting: Setting) -> Projection:
+    """Return the projection of a setting; a kind is hidden where it is of any output."""
+    many = len(setting.calibration.readings) > _MANY
+    return _projection.__wrapped__(setting) if many else _projection(setting)
 
 
 @lru_cache(maxsize=_KEPT)
-def project(setting: Setting) -> Projection:
-    """Return the projection of a setting; a kind is hidden where it is of any output."""
+def _projection(setting: Setting) -> Projection:
     c, kinds = setting.calibration, setting.kinds
     together = c.noise is not None and c.noise.ndim == 2
     whitener, weight = _whitener(c)
-    parts = [_joint_part(c, kinds, whitener)] if together else _own_parts(c, kinds, whitener)
-    q = np.zeros((len(kinds), len(parts)))
-    blocks: list[Array] = []
+    parts = iter([_joint_part(c, kinds, whitener)]) if together else _own_parts(c, kinds, whitener)
+    count = 1 if together else len(c.outputs)
+    q = np.zeros((len(kinds), count))
+    size_of_all = sum(len(terms) for kind in kinds for terms in kind.terms)
+    rows = np.empty((size_of_all, c.residuals.size if together else len(c.residuals)))
+    sizes: list[int] = []
     place: list[int] = []
     fitted, hidden = [], set()
-    for column, part in enumerate(parts):
-        Q, R = np.linalg.qr(part.design)
-        there = part.design_there @ np.linalg.inv(R)
-        for kind, Z in zip(kinds, part.terms, strict=True):
-            if kind.name in setting.added:
-                Q = np.column_stack([Q, seen_rows(left_of(Q, Z), Z).T])
+    for column in range(count):
+        Q, seen, unseen = _see(next(parts), setting, rows[sum(sizes) :])
         fitted.append(Q)
-        for k, (kind, Z, Z_there) in enumerate(
-            zip(kinds, part.terms, part.terms_there, strict=True)
-        ):
-            if not Z.shape[1] or kind.name in setting.added:
-                continue
-            V = left_of(Q, Z)
-            if not setting.added and kind.name in OF_FORCE:
-                error = Z_there - there @ (Q.T @ Z)
-                size = float(np.mean(np.sum(there**2, axis=1)))
-                hidden |= {kind.name} if hides(V.T @ V, error, Z_there, size) else set()
-            rows = seen_rows(V, Z)
-            if len(rows):
-                blocks.append(rows)
-                place.append(k * len(parts) + column)
-                q[k, column] = len(rows)
+        hidden |= unseen
+        for k, number in seen.items():
+            sizes.append(number)
+            place.append(k * count + column)
+            q[k, column] = number
     left = np.array([weight.sum()] if together else weight.sum(axis=0))
-    sizes = np.array([len(rows) for rows in blocks], dtype=np.intp)
     return Projection(
         whitener=whitener,
         fitted=tuple(fitted),
-        rows=np.concatenate([np.zeros((0, len(parts[0].design))), *blocks]),
-        output=np.repeat(np.array(place, dtype=np.intp) % len(parts), sizes),
-        starts=np.cumsum(sizes) - sizes,
+        rows=rows[: sum(sizes)],
+        output=np.repeat(np.array(place, dtype=np.intp) % count, sizes),
+        starts=np.cumsum(sizes, dtype=np.intp) - np.array(sizes, dtype=np.intp),
         place=np.array(place, dtype=np.intp),
         q=q,
         left=left - [Q.shape[1] for Q in fitted],
         names=tuple(kind.name for kind in kinds),
         hidden=tuple(kind.name for kind in kinds if kind.name in hidden),
     )
+
+
+def _see(part: _Part, setting: Setting, rows: Array) -> tuple[Array, dict[int, int], set[str]]:
+    """Return Q of a part, how many rows are seen of kinds by number, and hidden kinds.
+
+    Fills in orthonormal rows (R, n) of what Q leaves of the kinds, in place of the terms.
+    """
+    Q = part.basis
+    there = part.design_there @ np.linalg.inv(part.triangle)
+    size = float(np.mean(np.sum(there**2, axis=1)))
+    named = list(zip(setting.kinds, part.kinds, strict=True))
+    for kind, mine in named:
+        if kind.name in setting.added:
+            Z = part.terms[mine].T
+            Q = np.column_stack([Q, seen_rows(left_of(Q, Z), column_norms(Z)).T])
+    scale = column_norms(part.terms.T)
+    error = np.zeros((len(there), len(part.terms)))
+    if not setting.added:
+        error = part.terms_there - there @ (part.terms @ Q).T
+    _take_out(Q, part.terms)
+    seen: dict[int, int] = {}
+    hidden = set()
+    for k, (kind, mine) in enumerate(named):
+        V = part.terms[mine].T
+        if not V.shape[1] or kind.name in setting.added:
+            continue
+        asked = not setting.added and kind.name in OF_FORCE
+        if asked and hides(V.T @ V, error[:, mine], part.terms_there[:, mine], size):
+            hidden.add(kind.name)
+        found = seen_rows(V, scale[mine])
+        if len(found):
+            first = sum(seen.values())
+            rows[first : first + len(found)] = found
+            seen[k] = len(found)
+    return Q, seen, hidden
 
 
 def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
@@ -299,13 +336,12 @@ def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
     return bool(ratio.real.max() > _HIDDEN**2 * size)
 
 
-def seen_rows(V: Array, Z: Array) -> Array:
-    """Return orthonormal rows (r, n) of the part of V (n, q) that is more than rounding of Z."""
-    scale = np.sqrt(np.einsum("nq,nq->q", Z, Z))
+def seen_rows(V: Array, scale: Array) -> Array:
+    """Return orthonormal rows (r, n) of the part of V (n, q) beyond rounding of columns' norms."""
     U = V / np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(U.T @ U)
     identifiable = values > IDENTIFIABLE
-    return np.asarray((U @ vectors[:, identifiable] / np.sqrt(values[identifiable])).T)
+    return np.asarray((vectors[:, identifiable] / np.sqrt(values[identifiable])).T @ U.T)
 
 
 def values_of(
@@ -385,65 +421,77 @@ def level_of(c: Calibration) -> Array | float:
 
 def left_of(Q: Array, Z: Array) -> Array:
     """Return what orthonormal columns Q (n, p) leave of others Z (n, q)."""
-    V = Z - Q @ (Q.T @ Z)
-    return np.asarray(V - Q @ (Q.T @ V))  # twice is enough
+    V = Z.T.copy()
+    _take_out(Q, V)
+    return V.T
+
+
+def _take_out(Q: Array, rows: Array) -> None:
+    """Take orthonormal columns Q (n, p) out of rows (R, n), in place."""
+    blocks = [slice(first, first + _ROWS) for first in range(0, len(Q), _ROWS)]
+    for _ in range(2):  # twice is enough
+        along = sum(rows[:, block] @ Q[block] for block in blocks)
+        for block in blocks:
+            rows[:, block] -= along @ Q[block].T
 
 
 def _whitener(c: Calibration) -> tuple[Array, Array]:
     """Return what whitens residuals, and how much each of them (n, M) counts."""
     shape = c.residuals.shape
-    weight = np.ones(shape)
+    weight = np.broadcast_to(1.0, shape)
     if c.robust_weight is not None:
         weight = np.broadcast_to(c.robust_weight.reshape(shape[0], -1), shape)
     if c.noise is not None and c.noise.ndim == 2:
         root = np.sqrt(weight).reshape(-1, 1)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(c.noise)) * root), weight
-    variances = np.ones(shape)
     if c.noise is not None and not is_level(c):
-        variances = c.noise.reshape(shape)
-    return np.asarray(np.sqrt(weight / variances)), weight
+        return np.sqrt(weight / c.noise.reshape(shape)), weight
+    return weight if c.robust_weight is None else np.sqrt(weight), weight
 
 
-def _own_parts(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> list[_Part]:
+def _own_parts(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> Iterator[_Part]:
+    """Yield the part of each output: of many positions all at once would be too large."""
     directions, means = sphere(c)
-    here = c.model.basis(c.reference, c.readings.environment)
     there = c.model.basis(directions, means)
-    result = []
-    for i, columns in enumerate(c.model.columns):
+    designs = _designs(c, whitener)
+    for i, (columns, (Q, R)) in enumerate(zip(c.model.columns, designs, strict=True)):
         alone = [Kind(kind.name, (kind.terms[i],)) for kind in kinds]
-        weight = whitener[:, [i]]
-        result.append(
-            _Part(
-                here[:, columns] * weight,
-                tuple(weight * z for z in _by_kind(alone, c.reference, c.readings.environment)),
-                there[:, columns],
-                _by_kind(alone, directions, means),
-            )
-        )
-    return result
+        weight = whitener[:, i : i + 1]
+        rows = terms_of(alone, c.reference, c.readings.environment)[0]
+        rows *= weight.T
+        rows_there = terms_of(alone, directions, means)[0]
+        yield _Part(Q, R, rows, there[:, columns], rows_there.T, _places_of(alone))
+        del rows  # before the next output takes its memory
+
+
+def _designs(c: Calibration, whitener: Array) -> list[tuple[Array, Array]]:
+    """Return Q and R of the whitened design (n, p) of each output, the same where it is shared."""
+    phi = c.model.basis(c.reference, c.readings.environment)
+    equal = all(np.array_equal(each, whitener[:, 0]) for each in whitener.T)
+    keys = [(0 if equal else i, *own.tolist()) for i, own in enumerate(c.model.columns)]
+    plain = Covariance(None, 0)
+    found = {key: factor(plain, phi[:, key[1:]] * whitener[:, [key[0]]]) for key in set(keys)}
+    return [found[key] for key in keys]
 
 
 def _joint_part(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> _Part:
     """Return the part of outputs whose readings are correlated."""
     directions, means = sphere(c)
-    designs = []
+    found = []
     for force, columns in ((c.reference, c.readings.environment), (directions, means)):
         phi = c.model.basis(force, columns)
         whole = block_design([phi[:, mine] for mine in c.model.columns])
-        terms = _by_kind(kinds, force, columns)
-        designs.append([each.reshape(-1, each.shape[2]) for each in (whole, *terms)])
-    (here, *z_here), (there, *z_there) = designs
-    return _Part(whitener @ here, tuple(whitener @ z for z in z_here), there, tuple(z_there))
+        terms, _ = values_of(kinds, force, columns)
+        found += [each.reshape(-1, each.shape[2]) for each in (whole, terms)]
+    here, beside, there, beside_there = found
+    Q, R = np.linalg.qr(whitener @ here)
+    return _Part(Q, R, (whitener @ beside).T.copy(), there, beside_there, _places_of(kinds))
 
 
-def _by_kind(
-    kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
-) -> tuple[Array, ...]:
-    """Return the columns of each kind, (n, q) of one output, (n, M, q) of several."""
-    values, kind_of = values_of(kinds, force, environment)
-    if values.shape[1] == 1:
-        values = values[:, 0]
-    return tuple(values[..., kind_of == k] for k in range(len(kinds)))
+def _places_of(kinds: Sequence[Kind]) -> tuple[slice, ...]:
+    """Return where the terms of each kind stand among all."""
+    ends = np.cumsum([sum(map(len, kind.terms)) for kind in kinds]).tolist()
+    return tuple(slice(*each) for each in zip([0, *ends], ends, strict=False))
 
 
 _LEAST_LEFT = 1e-3  # of a column's square, which must be left of it to tell a size

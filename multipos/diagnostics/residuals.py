@@ -639,12 +639,12 @@ def residuals_of(c: Calibration) -> Residuals:
     stated = np.zeros_like(c.residuals)
     if c.readings.noise is not None:
         stated = diagonal(c.readings.noise).reshape(c.residuals.shape)
-    columns = c.readings.environment
+    columns, rows = c.readings.environment, 1 if c.model.is_linear else len(c.residuals)
     return Residuals(
         error=c.residuals[None],
         basis=c.model.basis(c.reference, columns),
         columns=c.model.columns,
-        slopes=c.model.force_jacobian(c.parameters, c.reference, columns)[None],
+        slopes=c.model.force_jacobian(c.parameters, c.reference[:rows], columns)[None],
         force=c.reference,
         stated=stated[None],
     )

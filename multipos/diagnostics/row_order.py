@@ -37,13 +37,14 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median, recur
+from multipos.numerics.factoring import Covariance, factor
 from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
@@ -51,6 +52,7 @@ from multipos.numerics.quantiles import (
     f_quantile,
     f_tail,
 )
+from multipos.numerics.rotations import cross_matrix
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -62,9 +64,11 @@ _FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
+_MANY = 100_000  # positions, whose plan is too large to keep
 _TURN = 12  # positions of a roll on a table
 UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
 _MOST = 400  # rows, beyond which steps are tried at so many of them
+_LONG = 8  # rows from step to step, beyond which their products are not held
 _ROUNDS = 5  # of weights, alternating with sizes
 _ROUNDING = 1e-12
 _FEW = 8  # units whose probabilities are worked out one by one
@@ -126,7 +130,7 @@ class _Test:
 
     Attributes
     ----------
-    parts : tuple of (outputs, columns (n, q) or (n, M, q), roots (K, q, q))
+    parts : tuple of (outputs, columns (n, q), or `base` where together, roots (K, q, q))
         Δ is the square of a root times Z'e.
     ranks, limits : (K,) arrays
         Columns that the fit leaves, and Λ below which nothing is said.
@@ -153,8 +157,8 @@ class Plan:
         Directions in which the noise of rows is compared, of unknown orientations.
     bases : tuple of (n, p) arrays
         Q of each output.
-    weight : (n, M) array
-        What whitens readings.
+    weight, slopes : (n, M) or (1, M), (M, 3) arrays
+        What whitens readings, and slopes of the outputs.
     nu, freedom : float
         ν of an output, and N.
     tests : tuple of _Test
@@ -168,6 +172,7 @@ class Plan:
     across: Array | None
     bases: tuple[Array, ...]
     weight: Array
+    slopes: Array
     nu: float
     freedom: float
     tests: tuple[_Test, ...]
@@ -261,11 +266,13 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     size = np.sqrt(np.einsum("nmb,nmb->mb", e, e))
     whole = (size > 0.0).all(axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    e, slopes = e / size, slopes / size.T[:, :, None]
+    e /= size
+    slopes = slopes / size.T[:, :, None]
+    along = _along_force(plan, e)
     shape = len(plan.tests) + 1, e.shape[2]
     score, p, step = np.full(shape, -np.inf), np.ones(shape), np.zeros(shape, dtype=np.intp)
     for row, test in enumerate(plan.tests):
-        place, gain, explained = _best_steps(test, e, plan.nu)
+        place, gain, explained = _best_steps(test, e, along, plan.nu)
         units = np.flatnonzero((gain > test.limits[place]) & whole)
         if len(units):
             given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
@@ -277,19 +284,32 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     return Shown(codes, score, p, step, wholly)
 
 
-def _best_steps(test: _Test, e: Array, nu: float) -> tuple[Rows, Array, Array]:
-    """Return the likeliest step (B,), Λ there (B,) and Δ_i/e_i'e_i (M, B), of unit e (n, M, B)."""
+def _along_force(plan: Plan, e: Array) -> Array:
+    """Return what e (n, M, B) has along the columns (3, n, B), or (1, n, B), of `_Family.base`."""
+    if plan.across is not None:
+        return np.asarray(e.transpose(1, 0, 2))
+    if len(plan.weight) == 1:
+        return np.tensordot(plan.slopes * plan.weight.T, e, (0, 1))
+    return np.tensordot(plan.slopes, plan.weight[:, :, None] * e, (0, 1))
+
+
+def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, Array, Array]:
+    """Return the likeliest step (B,), Λ there (B,) and Δ_i/e_i'e_i (M, B), of unit e (n, M, B).
+
+    `along` (3, n, B) is what columns see of outputs that move together.
+    """
     _, m, count = e.shape
     steps = test.family.steps
     explained = np.empty((len(steps), m, count))
     for outputs, columns, roots in test.parts:
         if columns.ndim == 3:
-            along = roots @ _from_each(columns.transpose(0, 2, 1) @ e, steps)
-            explained[:] = np.einsum("kqb,kqb->kb", along, along)[:, None] / m
+            each = zip(columns.transpose(1, 0, 2), along, strict=True)
+            seen = roots @ sum(_from_each(*both, steps) for both in each)
+            explained[:] = np.einsum("kqb,kqb->kb", seen, seen)[:, None] / m
             continue
         for output in outputs.tolist():
-            along = roots @ _from_each(columns[:, :, None] * e[:, [output]], steps)
-            explained[:, output] = np.einsum("kqb,kqb->kb", along, along)
+            seen = roots @ _from_each(columns, e[:, output], steps)
+            explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
     gain = -nu * np.log1p(-explained).sum(axis=1)
     place = np.argmax(gain - test.limits[:, None], axis=0)
@@ -297,9 +317,14 @@ def _best_steps(test: _Test, e: Array, nu: float) -> tuple[Rows, Array, Array]:
     return place, gain[place, units], explained[place, :, units].T
 
 
-def _from_each(columns: Array, steps: Rows) -> Array:
-    """Return the sums (K, …) of columns (n, …) over the rows from each of K steps on."""
-    between = np.add.reduceat(columns, steps, axis=0)
+def _from_each(A: Array, B: Array, steps: Rows) -> Array:
+    """Return A'B (K, p, q) of A (n, p) and B (n, q), over the rows from each of K steps on."""
+    if len(A) > _LONG * len(steps):
+        ends = [*steps[1:].tolist(), len(A)]
+        pieces = [slice(*each) for each in zip(steps.tolist(), ends, strict=True)]
+        between = np.stack([A[rows].T @ B[rows] for rows in pieces])
+    else:
+        between = np.add.reduceat(A[:, :, None] * B[:, None, :], steps, axis=0)
     return np.asarray(np.cumsum(between[::-1], axis=0)[::-1])
 
 
@@ -359,7 +384,14 @@ def _moved(base: Array, slopes: Array) -> Array:
     """Return columns (…, n, M, q) of outputs of some slopes (…, M, 3) that move together."""
     if base.shape[1] == 1:
         return base
-    return np.asarray(np.einsum("naq,...ma->...nmq", base, slopes))
+    return np.asarray(np.swapaxes(np.tensordot(slopes, base, (-1, 1)), -3, -2))
+
+
+def _moved_alone(base: Array, slopes: Array) -> Array:
+    """Return the columns (n, q) of one output of slopes (3,)."""
+    if base.shape[1] == 1:
+        return base[:, 0]
+    return np.asarray(sum(slope * base[:, axis] for axis, slope in enumerate(slopes.tolist())))
 
 
 def fit_sizes(bases: Sequence[Array], Z: Array, e: Array) -> tuple[Array, Array]:
@@ -418,8 +450,12 @@ class _Setting:
         self.weight = None
         if noise is not None and not level:
             self.weight = 1.0 / np.sqrt(noise).reshape(c.residuals.shape)
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        c = self.calibration
         columns, sd = c.readings.environment, c.readings.sd
-        self._key = (
+        return (
             *(c.model.names, c.reference.tobytes(), self.slopes.tobytes()),
             *(columns[name].tobytes() for name in sorted(columns)),
             b"" if self.weight is None else self.weight.tobytes(),
@@ -433,14 +469,20 @@ class _Setting:
         return isinstance(other, _Setting) and self._key == other._key
 
 
-@lru_cache(maxsize=_KEPT)
 def _plan_of(setting: _Setting) -> Plan | None:
-    """Return the plan at known orientations."""
+    """Return the plan at known orientations, kept where positions are not too many."""
+    many = len(setting.calibration.readings) > _MANY
+    return _plan_at_known.__wrapped__(setting) if many else _plan_at_known(setting)
+
+
+@lru_cache(maxsize=_KEPT)
+def _plan_at_known(setting: _Setting) -> Plan | None:
     c = setting.calibration
-    weight = np.ones(c.residuals.shape) if setting.weight is None else setting.weight
+    weight = np.ones((1, len(c.outputs))) if setting.weight is None else setting.weight
     groups = _designs(c, weight)
+    slow = _law_of_slow(groups, None)
     families = _families(c, max(Q.shape[1] for _, Q in groups))
-    return _planned(time_order(c), families, groups, weight, setting.slopes)
+    return _planned(time_order(c), families, groups, weight, setting.slopes, slow)
 
 
 def _designs(c: Calibration, weight: Array) -> tuple[tuple[Rows, Array], ...]:
@@ -452,7 +494,8 @@ def _designs(c: Calibration, weight: Array) -> tuple[tuple[Rows, Array], ...]:
     groups = []
     for outputs in shared.values():
         design = phi[:, c.model.columns[outputs[0]]] * weight[:, [outputs[0]]]
-        groups.append((np.array(outputs, dtype=np.intp), np.linalg.qr(design[order])[0]))
+        Q, _ = factor(Covariance(None, 0), design[order])
+        groups.append((np.array(outputs, dtype=np.intp), Q))
     return tuple(groups)
 
 
@@ -462,15 +505,16 @@ def _planned(
     groups: tuple[tuple[Rows, Array], ...],
     weight: Array,
     slopes: Array,
+    slow: tuple[float, float, float] | None,
     across: Array | None = None,
 ) -> Plan | None:
     """Return the plan of families, with what whitens readings (n, M), or None of no residuals."""
-    n, m = weight.shape
+    n, m = len(order), weight.shape[1]
     nu = float(n - max(Q.shape[1] for _, Q in groups))
     if nu < _FREE:
         return None
     codes = len({family.code for family in families}) + 1
-    tests, weight = [], weight[order]
+    tests, weight = [], weight[order] if len(weight) > 1 else weight
     for family in families:
         tried = sum(len(other.steps) for other in families if other.code == family.code)
         parts, ranks = _whitened(family, groups, weight, slopes)
@@ -479,8 +523,8 @@ def _planned(
         tests.append(_Test(family, parts, ranks, limits, tried))
     by_output = {output: Q for outputs, Q in groups for output in outputs.tolist()}
     bases = tuple(by_output[i] for i in range(m))
-    slow = None if across is not None and n > _MOST else _law_of_slow(groups, across)
-    return Plan(order, groups, across, bases, weight, nu, nu * m, tuple(tests), codes, slow)
+    found = bases, weight, slopes, nu, nu * m, tuple(tests), codes, slow
+    return Plan(order, groups, across, *found)
 
 
 def _whitened(
@@ -488,18 +532,18 @@ def _whitened(
 ) -> tuple[tuple[tuple[Rows, Array, Array], ...], Array]:
     """Return the parts of a test, one of each group or one of all outputs, and its ranks."""
     apart = family.apart
-    moved = np.zeros(0) if apart else _moved(family.base, slopes) * weight[:, :, None]
     parts, grams, sizes = [], [], []
     for outputs, Q in groups:
         for output in outputs[:1].tolist() if apart else outputs.tolist():
-            Z = family.base * weight[:, [output]] if apart else moved[:, output]
-            square = _from_each(Z[:, :, None] * Z[:, None, :], family.steps)
-            lost = _from_each(Q[:, :, None] * Z[:, None, :], family.steps)
+            Z = family.base if apart else _moved_alone(family.base, slopes[output])
+            Z = Z * weight[:, [output]] if len(weight) > 1 else Z
+            square = _from_each(Z, Z, family.steps)
+            lost = _from_each(Q, Z, family.steps)
             grams.append(square - lost.transpose(0, 2, 1) @ lost)
             sizes.append(np.einsum("kqq->kq", square))
-            parts.append((outputs, Z))
+            parts += [(outputs, Z)] if apart else []
     if not apart:
-        parts = [(np.arange(len(slopes)), moved)]
+        parts = [(np.arange(len(slopes)), family.base)]
         grams, sizes = [np.sum(grams, axis=0)], [np.sum(sizes, axis=0)]
     found = [_roots(gram, size) for gram, size in zip(grams, sizes, strict=True)]
     ranks = np.max([rank for _, rank in found], axis=0)
@@ -527,7 +571,7 @@ def _judge_slow(plan: Plan, e: Array, whole: NDArray[np.bool_], score: Array, p:
     n = len(e)
     w = e if plan.across is None else plan.across[:, :, None] * e
     before = recur(w.reshape(n, -1), _correlation(n)).reshape(w.shape)
-    T = np.einsum("ncb,ncb->b", w, 2.0 * before - w)
+    T = 2.0 * np.einsum("ncb,ncb->b", w, before) - np.einsum("ncb,ncb->b", w, w)
     mean, sd, skewness = plan.slow
     k = 8.0 / skewness**2
     limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
@@ -562,20 +606,22 @@ def _law_of_slow(
 def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
     """Return the traces of PΩ, (PΩ)² and (PΩ)³, P = 1 − QQ'."""
     n, rho = len(Q), _correlation(len(Q))
-    A = np.ones((n, 1)) if across is None else across
 
     def correlated(X: Array) -> Array:
         """Return ΩX."""
-        w = (A[:, :, None] * X[:, None]).reshape(n, -1)
-        z = (recur(w, rho) + recur(w[::-1], rho)[::-1] - w).reshape(n, A.shape[1], -1)
-        return np.asarray(np.einsum("nc,ncp->np", A, z))
+        w = X if across is None else (across[:, :, None] * X[:, None]).reshape(n, -1)
+        z = recur(w, rho) + recur(w[::-1], rho)[::-1] - w
+        if across is None:
+            return z
+        return np.asarray(np.einsum("nc,ncp->np", across, z.reshape(*across.shape, -1)))
 
     if across is None:  # of triples of rows 6 d (n − d) lie d apart
         d = np.arange(1.0, n)
         square = rho ** (2.0 * d) * (n - d)
         powers = n, n + 2.0 * square.sum(), n + 6.0 * (square @ d)
     else:
-        W = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * (A @ A.T)
+        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        W = rho**gap * (across @ across.T)
         powers = W.trace(), np.sum(W * W), np.sum((W @ W) * W)
     once = correlated(Q)
     a, b, c = Q.T @ once, once.T @ once, once.T @ correlated(once)
@@ -641,7 +687,7 @@ def _families(c: Calibration, p: int) -> list[_Family]:
     families = [_Family("drift", (t - t.mean())[:, None], start)]
     after = _some(_LEAST, n - _LEAST)
     if len(after):
-        turn = np.cross(f[:, None, :], np.eye(3))  # K_i (ω × f) = ω (f × K_i)
+        turn = cross_matrix(-f)  # K_i (ω × f) = ω (f × K_i)
         families += [_Family("replaced", np.ones((n, 1)), after), _Family("slipped", turn, after)]
     wholly = _some(p + 1, n - p - 1)
     if len(wholly):
@@ -718,7 +764,9 @@ def residuals_in_order(c: Calibration) -> tuple[Plan | None, Array, Array]:
     Q, order = np.linalg.qr(X)[0], time_order(c)
     groups = ((np.zeros(1, dtype=np.intp), Q[order]),)
     families = _on_normals(c, X[order], across[order])
-    plan = _planned(order, families, groups, np.ones((n, 1)), c.sensitivity[:1], across[order])
+    across = across[order]
+    slow = None if n > _MOST else _law_of_slow(groups, across)
+    plan = _planned(order, families, groups, np.ones((1, 1)), c.sensitivity[:1], slow, across)
     return plan, (e - Q @ (Q.T @ e))[:, None], c.sensitivity[:1]
 
 

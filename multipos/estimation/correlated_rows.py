@@ -54,7 +54,7 @@ from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array, Places, recur, row_keys
+from multipos.numerics.arrays import Array, Places, count_different, recur, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.positions.orientations import StatedOrientations
@@ -135,7 +135,7 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
         return False
     if estimator is Estimator.LINEAR:
         many = len(reference) >= _FEWEST
-        return many and len(reference) >= 2 * len(set(row_keys(reference)))
+        return many and len(reference) >= 2 * count_different(reference)
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 

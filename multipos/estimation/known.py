@@ -82,6 +82,7 @@ _COARSE = 20  # bits of the coefficients that multiply without rounding
 _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
 _REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
+_ROWS = 10_000  # at which (2) is worked out at once
 _AT_ONCE = 12_000  # readings of an output, so that the weights of eq. (3) stay in cache
 _UNSUPPORTED = Finding(
     "unequal-pool",
@@ -351,15 +352,21 @@ def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
     y : (B, n) array
     """
     shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
-    scaled = np.ldexp(design, -shift)
-    high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
     b = np.ldexp(y @ inverse.T, shift)
     grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
     coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
-    r = y - coarse @ high.T
-    r -= np.hstack((coarse, b - coarse)) @ np.hstack((scaled - high, scaled)).T
-    step = r @ inverse.T
-    r -= step @ design.T
+    both = np.hstack((coarse, b - coarse))
+    r, step = np.empty(y.shape), np.zeros(b.shape)
+    blocks = [slice(first, first + _ROWS) for first in range(0, y.shape[1], _ROWS)]
+    for rows in blocks:
+        scaled = np.ldexp(design[rows], -shift)
+        high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
+        left = y[:, rows] - coarse @ high.T
+        left -= both @ np.hstack((scaled - high, scaled)).T
+        step += left @ inverse[:, rows].T
+        r[:, rows] = left
+    for rows in blocks:
+        r[:, rows] -= step @ design[rows].T
     return np.ldexp(b, -shift) + step, r
 
 
@@ -703,7 +710,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
             found.leverage,
             shared.dof.tolist(),
             model.outputs,
-            readings.labels,
+            readings.positions,
             found.sd,
             design=shared.basis,
             columns=model.columns,

@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, Places, resolution
+from multipos.numerics.factoring import Covariance, column_scales, factor
 from multipos.numerics.terms import COMPONENTS, Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values
@@ -55,6 +56,7 @@ _MISSED = 0.005
 _STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
 _KEPT = 4  # starts that go on
 _SAMPLE = 2000  # rows, of more of which a sample is searched first
+_ROWS = 10_000  # of many, worked out at once
 _BLOCK = 40  # rows, of more of which several are put back at once
 _ROUNDING = 1e-9  # of the readings: residuals that are nothing
 _RIDGE = 1e-12
@@ -120,7 +122,9 @@ def _off_line(
 ) -> Outlying | None:
     """Return the outliers among readings at known orientations."""
     y, phi = readings.values, model.basis(reference, readings.environment)
-    designs = [phi[:, columns] for columns in model.columns]
+    each_once = {tuple(columns.tolist()): phi[:, columns] for columns in model.columns}
+    designs = [each_once[tuple(columns.tolist())] for columns in model.columns]
+    del phi  # of many rows it is large
     means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
 
     def fitted(kept: Mask) -> tuple[Array, Array]:
@@ -321,21 +325,24 @@ View = tuple[Part, ...]
 
 
 def view_of(designs: Sequence[Array], values: Array, variance: Array | None = None) -> View:
-    """Return the regression of values (n, M) on M designs (n, p), with variances (n, M)."""
-    groups: dict[bytes, list[int]] = {}
+    """Return the regression of values (n, M) on M designs (n, p), with variances (n, M).
+
+    Outputs of one and the same array of a design share a part.
+    """
+    groups: dict[tuple[int, bytes], list[int]] = {}
     for m, design in enumerate(designs):
         own = b"" if variance is None else variance[:, m].tobytes()
-        groups.setdefault(design.tobytes() + own, []).append(m)
+        groups.setdefault((id(design), own), []).append(m)
     parts = []
     for members in groups.values():
         X, y = designs[members[0]], values[:, members]
         if variance is not None:
             root = np.sqrt(variance[:, members[:1]])
             X, y = X / root, y / root
-        length = np.linalg.norm(X, axis=0)
-        X = X / np.where(length > 0.0, length, 1.0)
-        left, sizes, _ = np.linalg.svd(X, full_matrices=False)
-        Q = left[:, sizes > _SINGULAR * sizes[0]]
+        Q, R = factor(Covariance(None, 0), X)
+        left, sizes, _ = np.linalg.svd(R / column_scales(R), full_matrices=False)
+        if sizes[-1] <= _SINGULAR * sizes[0]:
+            Q = Q @ left[:, sizes > _SINGULAR * sizes[0]]
         least = (_ROUNDING * np.abs(y).max(axis=0)) ** 2
         parts.append(Part(Q, y - Q @ (Q.T @ y), least))
     return tuple(parts)
@@ -380,9 +387,9 @@ def _trimmed(view: View, most: int) -> _Left:
 def _best(view: View, most: int) -> tuple[Mask, _Left]:
     """Return the best set (1, n) that leaves out so many rows, and what is left.
 
-    Of many rows the best set of a sample is where the search of all begins.
+    Of many rows the best set of a sample is where the search of all begins, and nearly ends.
     """
-    n, carried = len(view[0].values), _KEPT
+    n = len(view[0].values)
     starts: Mask
     if n > _SAMPLE:
         rows = np.sort(_drawn(n, 1, n)[0].argsort()[:_SAMPLE])
@@ -390,7 +397,7 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         sample = tuple(
             Part(root * part.basis[rows], part.values[rows], part.least) for part in view
         )
-        starts, carried = np.zeros((1, n), dtype=np.bool_), 1
+        starts = np.zeros((1, n), dtype=np.bool_)
         starts[:, rows] = _best(sample, most * _SAMPLE // n)[0]
     else:
         p = max(part.basis.shape[1] for part in view)
@@ -399,9 +406,10 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         starts = _drawn(n, number, n).argsort(axis=1) <= p
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
     kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
-    best = np.argsort(_objective(left), kind="stable")[:carried]
-    some = [(e[best], squares[best]) for e, squares in left]
-    kept, left = _concentrated(view, kept[best], some, most, _LAST)
+    if n <= _SAMPLE:
+        best = np.argsort(_objective(left), kind="stable")[:_KEPT]
+        some = [(e[best], squares[best]) for e, squares in left]
+        kept, left = _concentrated(view, kept[best], some, most, _LAST)
     one = [int(np.argmin(_objective(left)))]
     return kept[one], [(e[one], squares[one]) for e, squares in left]
 
@@ -414,15 +422,20 @@ def _drawn(seed: int, rows: int, columns: int) -> NDArray[np.uint64]:
 
 def _left_of(view: View, kept: Mask) -> _Left:
     """Return of every part residuals (B, n, m), and sums (B, m) of squares of the B sets kept."""
-    weight = kept.astype(np.float64)
     found = []
     for part in view:
         (n, p), m = part.basis.shape, part.values.shape[1]
-        weighted = weight[:, None] * part.basis.T
-        information = weighted @ part.basis + _RIDGE * np.eye(p)
-        fitted = np.linalg.solve(information, weighted @ part.values)
-        e = part.values - part.basis @ fitted
-        squares = (weight[:, None] @ (e * e).reshape(-1, n, m))[:, 0]
+        blocks = [slice(first, first + _ROWS) for first in range(0, n, _ROWS)]
+        information, along = np.zeros((len(kept), p, p)), np.zeros((len(kept), p, m))
+        for rows in blocks:
+            weighted = kept[:, None, rows] * part.basis[rows].T
+            information += weighted @ part.basis[rows]
+            along += weighted @ part.values[rows]
+        fitted = np.linalg.solve(information + _RIDGE * np.eye(p), along)
+        e, squares = np.empty((len(kept), n, m)), np.zeros((len(kept), m))
+        for rows in blocks:
+            e[:, rows] = part.values[rows] - part.basis[rows] @ fitted
+            squares += (1.0 * kept[:, None, rows] @ e[:, rows] ** 2)[:, 0]
         found.append((e, squares + part.least))
     return found
 

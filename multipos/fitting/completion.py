@@ -11,7 +11,7 @@ from multipos.estimation.gains import gravity_effect
 from multipos.estimation.problem import Solution
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.whole import now
-from multipos.numerics.arrays import Array, row_keys
+from multipos.numerics.arrays import Array, count_different, row_keys
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, stated_sd
 from multipos.sensor.calibration import Calibration
@@ -118,9 +118,9 @@ def _lack_of_fit(
 ) -> dict[str, dict[str, object]]:
     # A repeat is a row with the same reference and surroundings, whatever its label.
     rows = np.column_stack([reference, *(readings.environment[n] for n in model.environment)])
-    groups = row_keys(rows)
-    if len(set(groups)) == len(groups):
+    if count_different(rows) == len(rows):
         return {}
+    groups = row_keys(rows)
     result: dict[str, dict[str, object]] = {}
     stated = stated_sd(readings)
     sd = np.ones_like(residuals) if stated is None else stated

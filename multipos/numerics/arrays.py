@@ -3,14 +3,12 @@
 The median, as NumPy's, which imports all of its masked arrays at the first call.
 
 Recursions of the first order are z_k = w_k + a z_{k−1}, of any number of runs and columns at once.
-They are the forward substitution of a matrix with two diagonals, for which LAPACK has a routine,
-by SciPy where it is installed; `scipy.signal`, which has them too, takes half a second to import.
-Of few rows, as a session has them, sums of 1, 2, 4 … rows are doubled, for SciPy takes longer to
-import than such a fit:
+Sums of 1, 2, 4 … rows are doubled, in blocks of m rows that stay in cache,
 
-    z ← z + a^m z_{k−m},      m = 1, 2, 4, …, n,                                            (1)
+    z ← z + a^m z_{k−m},      m = 1, 2, 4, …,                                               (1)
 
-where row k − m is of the same run.
+where row k − m is of the same run; the last row of a block enters the next by powers of a. It is as
+fast as LAPACK's substitution of two diagonals, whose import takes longer than most fits.
 """
 
 import math
@@ -43,6 +41,13 @@ def row_keys(rows: Array) -> list[bytes]:
     whole = np.ascontiguousarray(rows + 0.0)  # a zero has one sign
     keys: list[bytes] = whole.view(f"V{whole[0].nbytes}").ravel().tolist()
     return keys
+
+
+def count_different(rows: Array) -> int:
+    """Return how many rows of an array (n, m) differ from each other, by all numbers."""
+    if len(rows) > _SEEN and np.diff(np.sort(rows[:, 0])).all():
+        return len(rows)
+    return len(set(row_keys(rows)))
 
 
 def median(values: ArrayLike, *, axis: int | None = None) -> Array:
@@ -134,7 +139,8 @@ def quadratic(vectors: Array, matrix: Array) -> Array:
     return np.asarray(np.einsum("np,np->n", along, kept).reshape(vectors.shape[:-1]))
 
 
-_FEW = 1024  # rows
+_BLOCK = 16_384  # numbers of a block
+_FEWEST = 1024  # rows of a block
 _NOTHING = 1e-20  # of a row, what a sum does not hold
 
 
@@ -148,16 +154,19 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
     first : (n,) array of bool, optional
         Rows where a run begins, beside the first.
     """
-    if len(w) <= _FEW:
+    rows = max(_FEWEST, _BLOCK * len(w) // max(w.size, 1))
+    if len(w) <= rows:
         return _doubled(w, a, first)
-    try:
-        from scipy.linalg.lapack import dtbtrs
-    except ImportError:
-        return _recur_by_rows(w, a, first)
-    bands = np.ones((2, len(w)))
-    bands[1, :-1] = -a if first is None else np.where(first[1:], 0.0, -a)
-    z, _ = dtbtrs(bands, w.reshape(len(w), -1), uplo="L", diag="U")
-    return np.asarray(z.reshape(w.shape))
+    z = np.empty(w.shape)
+    powers = (float(a) ** np.arange(1.0, rows + 1.0)).reshape(-1, *[1] * (w.ndim - 1))
+    for begin in range(0, len(w), rows):
+        block = slice(begin, begin + rows)
+        runs = None if first is None else first[block]
+        z[block] = _doubled(w[block], a, runs)
+        if begin:
+            same = len(z[block]) if runs is None or not runs.any() else int(np.argmax(runs))
+            z[begin : begin + same] += powers[:same] * z[begin - 1]
+    return z
 
 
 def _doubled(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
@@ -171,14 +180,6 @@ def _doubled(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
             earlier[runs[lag:] != runs[:-lag]] = 0.0
         z[lag:] += earlier
         lag, factor = 2 * lag, factor * factor
-    return z
-
-
-def _recur_by_rows(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
-    z = np.array(w, dtype=np.float64)
-    begins = np.zeros(len(w), dtype=np.bool_) if first is None else first
-    for k in (np.flatnonzero(~begins[1:]) + 1).tolist():
-        z[k] += a * z[k - 1]
     return z
 
 

@@ -152,6 +152,8 @@ def find_rolls(readings: Readings, first: str = "x", sign: float = 1.0) -> tuple
     assert readings.up is not None
     up = readings.up
     level = (np.abs(up) < _SAME) & ~readings.forced[:, None]  # at rest, not on a centrifuge
+    if not level.any():
+        return ()
     horizontal = _horizontal(readings, level)
     found = []
     for axis in dict.fromkeys(horizontal.tolist()):

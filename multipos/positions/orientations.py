@@ -103,28 +103,25 @@ def read_open_rolls(table: Table, findings: list[Finding]) -> tuple[str, ...] | 
 
 
 def gather_open_rolls(
-    axes: Sequence[str] | None,
-    group: Sequence[str],
-    unknown: NDArray[np.bool_],
-    labels: Sequence[str],
+    readings: Readings, group: Sequence[str], unknown: NDArray[np.bool_]
 ) -> OpenRolls | None:
     """Return the rolls of open angle among positions; None where there are none.
 
     Parameters
     ----------
-    axes : n str, optional
-        As `read_open_rolls` returns them.
+    readings : Readings
+        Whose `open_roll` is as `read_open_rolls` returns it.
     group : n str
         Label of the group, '' for none.
     unknown : (n,) array of bool
         Positions of which nothing is known, whatever they are said to be.
-    labels : n str
 
     Raises
     ------
     MultiposError
         A group has rolls about two axes, or rolls of open angle beside other positions.
     """
+    axes = readings.open_roll
     if axes is None or not any(axes):
         return None
     axis = np.array([COMPONENTS.index(one) if one else -1 for one in axes])
@@ -139,9 +136,9 @@ def gather_open_rolls(
             continue
         if axis[first.setdefault(label, row)] != axis[row]:
             raise MultiposError(
-                f"position '{labels[row]}': group '{label}' has rolls of open angle about one axis "
-                "and other positions; rolls of one group share the inclination of one axis, so "
-                "give the others a group of their own."
+                f"position '{readings.labels[row]}': group '{label}' has rolls of open angle about "
+                "one axis and other positions; rolls of one group share the inclination of one "
+                "axis, so give the others a group of their own."
             )
         cone[row] = number.get(label, -1)
     return OpenRolls(axis, cone)
@@ -285,7 +282,7 @@ def place(
     sd = _sd_of(readings, labels, orientation_sd)
     level = 0.0 if level_sd < _EXACT else level_sd
     unknown = np.isinf(sd)
-    rolls = gather_open_rolls(readings.open_roll, labels, unknown, readings.labels)
+    rolls = gather_open_rolls(readings, labels, unknown)
     group = _group_numbers(labels, rolls)
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)

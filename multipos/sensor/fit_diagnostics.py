@@ -366,7 +366,7 @@ def find_outliers(
     leverage: Array,
     dof: Sequence[float],
     outputs: Sequence[str],
-    labels: Sequence[str],
+    labels: Sequence[str] | None,
     sd: Array | None = None,
     *,
     design: Array,
@@ -380,7 +380,7 @@ def find_outliers(
     residuals, leverage : (n, M) arrays
     dof : M numbers
         Residual degrees of freedom.
-    outputs, labels : names of the columns and rows
+    outputs, labels : names of the columns, and of the rows, by number where there are none
     sd : (n, M) array, optional
         Stated standard uncertainty of each reading; all are alike if not given.
     design : (n, K) array
@@ -408,7 +408,8 @@ def find_outliers(
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)
     sizes, unit = (residuals, "") if per_g is None else (1e3 * residuals / per_g, " mg")
     return tuple(
-        f"position {labels[row]}: {outputs[column]} deviates by {sizes[row, column]:.3g}{unit}, "
+        f"position {labels[row] if labels else row + 1}: {outputs[column]} deviates by "
+        f"{sizes[row, column]:.3g}{unit}, "
         f"{np.sqrt(r2[row, column]):.1f} times its standard deviation"
         for column, row in sorted(beyond)
     )

@@ -20,10 +20,10 @@ def test_each_run_begins_anew_by_hand():
     np.testing.assert_array_equal(found, [1.0, -1.0, 1.0, -1.0])
 
 
-@pytest.mark.parametrize("n", [1000, 1024, 1025, 3000])
+@pytest.mark.parametrize("n", [1000, 8192, 8193, 20_000])
 @pytest.mark.parametrize("a", [0.3, -0.9, 0.999])
-def test_rows_on_both_sides_of_a_thousand_are_summed_one_by_one(n, a):
-    """Whatever way is taken: z_k = w_k + a z_{k−1} by a loop."""
+def test_rows_of_one_block_and_of_several_are_summed_one_by_one(n, a):
+    """At the end of a block too: z_k = w_k + a z_{k−1} by a loop."""
     # eq. (1) of numerics.arrays
     rng = np.random.default_rng(n)
     w, first = rng.normal(size=(n, 2)), rng.random(n) < 0.01
