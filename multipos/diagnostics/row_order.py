@@ -68,6 +68,7 @@ _MANY = 100_000  # positions, whose plan is too large to keep
 _TURN = 12  # positions of a roll on a table
 UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
 _MOST = 400  # rows, beyond which steps are tried at so many of them
+_SHORT = 64  # rows, up to which sums from each step on are one matrix
 _LONG = 8  # rows from step to step, beyond which their products are not held
 _ROUNDS = 5  # of weights, alternating with sizes
 _ROUNDING = 1e-12
@@ -130,18 +131,47 @@ class _Test:
 
     Attributes
     ----------
-    parts : tuple of (outputs, columns (n, q), or `base` where together, roots (K, q, q))
-        Δ is the square of a root times Z'e.
+    parts : tuple of _Part
+        Of outputs apart, or one of all that move together.
     ranks, limits : (K,) arrays
         Columns that the fit leaves, and Λ below which nothing is said.
     tried : int
     """
 
     family: _Family
-    parts: tuple[tuple[Rows, Array, Array], ...]
+    parts: tuple["_Part", ...]
     ranks: Array
     limits: Array
     tried: int
+
+
+class _Part(NamedTuple):
+    """Columns of outputs, as (n, c, q) of what they see, c = 1 apart; Δ is the square of root Z'e.
+
+    Of few rows the roots times Z', over the rows from each step on, are one matrix (K q, n c).
+    """
+
+    outputs: Rows
+    columns: Array
+    roots: Array  # (K, q, q)
+    steps: Rows
+    matrix: Array | None
+
+    def seen(self, e: Array) -> Array:
+        """Return a root times Z'e (K, q, B), by what columns see (c, n, B)."""
+        if self.matrix is not None:
+            return (self.matrix @ e.reshape(-1, e.shape[2])).reshape(*self.roots.shape[:2], -1)
+        each = zip(self.columns.transpose(1, 0, 2), e, strict=True)
+        return np.asarray(self.roots @ sum(_from_each(*both, self.steps) for both in each))
+
+
+def _part(outputs: Rows, columns: Array, roots: Array, steps: Rows) -> _Part:
+    matrix, n = None, len(columns)
+    if n <= _SHORT:
+        after = np.arange(n) >= steps[:, None]
+        each = np.einsum("kpq,ncq,kn->kpcn", roots, columns, after, optimize=True)
+        matrix = each.reshape(roots.shape[0] * roots.shape[1], -1)
+    return _Part(outputs, columns, roots, steps, matrix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,16 +329,14 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
     `along` (3, n, B) is what columns see of outputs that move together.
     """
     _, m, count = e.shape
-    steps = test.family.steps
-    explained = np.empty((len(steps), m, count))
-    for outputs, columns, roots in test.parts:
-        if columns.ndim == 3:
-            each = zip(columns.transpose(1, 0, 2), along, strict=True)
-            seen = roots @ sum(_from_each(*both, steps) for both in each)
+    explained = np.empty((len(test.limits), m, count))
+    for part in test.parts:
+        if not test.family.apart:
+            seen = part.seen(along)
             explained[:] = np.einsum("kqb,kqb->kb", seen, seen)[:, None] / m
             continue
-        for output in outputs.tolist():
-            seen = roots @ _from_each(columns, e[:, output], steps)
+        for output in part.outputs.tolist():
+            seen = part.seen(e[None, :, output])
             explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
     gain = -nu * np.log1p(-explained).sum(axis=1)
@@ -529,7 +557,7 @@ def _planned(
 
 def _whitened(
     family: _Family, groups: tuple[tuple[Rows, Array], ...], weight: Array, slopes: Array
-) -> tuple[tuple[tuple[Rows, Array, Array], ...], Array]:
+) -> tuple[tuple[_Part, ...], Array]:
     """Return the parts of a test, one of each group or one of all outputs, and its ranks."""
     apart = family.apart
     parts, grams, sizes = [], [], []
@@ -541,13 +569,14 @@ def _whitened(
             lost = _from_each(Q, Z, family.steps)
             grams.append(square - lost.transpose(0, 2, 1) @ lost)
             sizes.append(np.einsum("kqq->kq", square))
-            parts += [(outputs, Z)] if apart else []
+            parts += [(outputs, Z[:, None])] if apart else []
     if not apart:
         parts = [(np.arange(len(slopes)), family.base)]
         grams, sizes = [np.sum(grams, axis=0)], [np.sum(sizes, axis=0)]
     found = [_roots(gram, size) for gram, size in zip(grams, sizes, strict=True)]
     ranks = np.max([rank for _, rank in found], axis=0)
-    return tuple((*part, root) for part, (root, _) in zip(parts, found, strict=True)), ranks
+    pairs = zip(parts, found, strict=True)
+    return tuple(_part(*part, root, family.steps) for part, (root, _) in pairs), ranks
 
 
 def _limit(q: float, freedom: float, tried: int) -> float:

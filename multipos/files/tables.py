@@ -90,7 +90,7 @@ class Table:
             A label has a control character, which a terminal would obey.
         """
         labels = self.unchecked(name)
-        for row, label in enumerate(labels):
+        for row, label in enumerate(() if "".join(labels).isprintable() else labels):
             if control_characters(label):
                 raise MultiposError(
                     f"{self.where(row, name)}: '{visible(label)}' has a control character; write "
@@ -100,7 +100,10 @@ class Table:
 
     def unchecked(self, name: str) -> tuple[str, ...]:
         """Return a column as labels that are compared, and never printed."""
-        return tuple(of_cell(_label(cell)) for cell in self.columns[name])
+        cells = self.columns[name]
+        if set(map(type, cells)) == {int}:
+            return tuple(map(str, cells))
+        return tuple(of_cell(_label(cell)) for cell in cells)
 
     def number(
         self, name: str, *, empty: bool = False, largest: float = math.inf

@@ -62,7 +62,7 @@ from multipos.sensor.inverse import inverses
 from multipos.sensor.temperature import find_soaks
 
 Mask = NDArray[np.bool_]
-_AT_ONCE = 48_000  # readings of an output, so that what tests need stays in cache
+_AT_ONCE = 96_000  # readings of an output, so that what tests need stays in cache
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
