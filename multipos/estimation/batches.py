@@ -40,6 +40,8 @@ class Estimates(NamedTuple):
         Of the residuals under the stated noise alone, where there is one.
     variance : (B, M) array or None
         Of a reading, stated and in excess, where it is equal in all readings of an output.
+    weight : (B, M, n) array or None
+        Of readings under a robust loss.
     """
 
     parameters: Array
@@ -51,6 +53,7 @@ class Estimates(NamedTuple):
     sound: NDArray[np.bool_]
     chi2: Array | None = None
     variance: Array | None = None
+    weight: Array | None = None
 
 
 def rms_of(
@@ -99,6 +102,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         joined("sound"),
         None if parts[0].chi2 is None else joined("chi2"),
         None if any(part.variance is None for part in parts) else joined("variance"),
+        None if parts[0].weight is None else joined("weight"),
     )
 
 

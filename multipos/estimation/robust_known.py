@@ -55,7 +55,7 @@ from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
-from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, NoiseTest, find_outlying_positions
 from multipos.sensor.model import Model
 
 _ITERATIONS = 2000  # weights that change with the step make convergence linear
@@ -448,7 +448,7 @@ def _settle_noise(on: _Units, units: Places, finest: Array) -> None:
 
 
 def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    """Fit B units under a robust loss; one with a row set aside is left to the fit of one.
+    """Fit B units under a robust loss; one with a row that is far off is left to the fit of one.
 
     Parameters
     ----------
@@ -481,8 +481,13 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
     )
     sound = inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
     sound &= np.all([each.units.converged & each.units.kept.all(axis=1) for each in found], axis=0)
+    # the normal law has the shortest tails: of no other unit a row is beyond chance
+    limit = chi2_quantile(1.0 - OUTLIER_LEVEL / (len(values) * values[0].shape[1]), 1.0)
+    for each in found:
+        sound &= each.units.q.max(axis=1) <= limit * each.factor
     plain = tuple(each.plain for each in found)
-    return Estimates(parameters, u, dof, rms, plain, inverse, sound)
+    weight = np.stack([each.weight for each in found], axis=1)
+    return Estimates(parameters, u, dof, rms, plain, inverse, sound, weight=weight)
 
 
 def _standard_uncertainty(found: RobustFits) -> Array:

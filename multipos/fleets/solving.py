@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics.examination import are_open, are_poorly_known
+from multipos.diagnostics.projections import Kind, lacking
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates
@@ -57,7 +58,7 @@ from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.fleets.unit_findings import UnitTests, find_in_units, unit_tests
+from multipos.fleets.unit_findings import UnitTests, find_in_units, may_lack_terms, unit_tests
 from multipos.numerics.arrays import Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.numerics.terms import COMPONENTS
@@ -189,6 +190,8 @@ class Pattern:
         Rows can show whether they are correlated: a unit whose rows are is looked at in full.
     tests : UnitTests or None
         Of the residuals at known orientations.
+    kinds : tuple of Kind
+        Terms that robust fits may lack.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
     """
@@ -199,6 +202,7 @@ class Pattern:
     findings: str
     asked: bool
     tests: UnitTests | None = None
+    kinds: tuple[Kind, ...] = ()
     timed: bool = False
 
 
@@ -277,7 +281,8 @@ def find_pattern(
         tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
-    return Pattern(shared, fixture, c.gravity, _common(c), asked, tests, timed)
+    kinds = () if c.robust_weight is None else lacking(c)
+    return Pattern(shared, fixture, c.gravity, _common(c), asked, tests, kinds, timed)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -407,6 +412,8 @@ def solve_task(task: Task) -> Solved:
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
         tested = find_in_units(task.pattern.tests, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
+    if task.pattern.kinds and isinstance(shared, SharedDesign):
+        looked_at |= may_lack_terms(task.pattern.kinds, shared, found)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,

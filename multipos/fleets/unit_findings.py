@@ -16,6 +16,7 @@ Readings state no noise, or one that is equal in all readings of an output.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
 from multipos.diagnostics.projections import (
+    IDENTIFIABLE,
     Kind,
     Projection,
     Setting,
@@ -322,6 +324,43 @@ def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> tuple
     score = np.where(columns > 0.0, gain, 0.0).sum(axis=1)
     score -= columns.sum(axis=1) * math.log(freedom)
     return significant, score - 2.0 * np.log(np.maximum(np.sum(used > 0, axis=1), 1))
+
+
+def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates) -> Mask:
+    """Return in which units (B,) of a robust fit a kind of term may be significant.
+
+    The score test with the weights of each unit, by sums of products, on the most degrees of
+    freedom that it may have, so that none is missed.
+    """
+    assert found.weight is not None
+    count, _, n = found.weight.shape
+    logs, used = np.zeros((count, len(kinds))), np.zeros((count, len(kinds)), dtype=np.intp)
+    for i, X in enumerate(shared.designs):
+        terms = [columns_of([kind], i, shared.reference, shared.environment) for kind in kinds]
+        p, e, weight = X.shape[1], found.residuals[i], found.weight[:, i]
+        A = np.concatenate([shared.by_output[i].Q, *terms], axis=1)
+        k = A.shape[1]
+        G = (weight @ (A[:, :, None] * A[:, None]).reshape(n, -1)).reshape(count, k, k)
+        g = ((weight * e) @ A)[:, :, None]
+        fitted = np.linalg.solve(G[:, :p, :p], np.concatenate([G[:, :p, p:], g[:, :p]], axis=2))
+        V = G[:, p:, p:] - G[:, p:, :p] @ fitted[:, :, :-1]
+        along = g[:, p:] - G[:, p:, :p] @ fitted[:, :, -1:]
+        whole = (
+            np.einsum("bn,bn->b", weight, e * e) - (g[:, None, :p, 0] @ fitted[:, :, -1:])[:, 0, 0]
+        )
+        left, first = weight.sum(axis=1) - p, 0
+        for place, each in enumerate(terms):
+            mine = slice(first, first + each.shape[1])
+            first, q = mine.stop, float(each.shape[1])
+            if not q or n - p - q < 1.0:
+                continue
+            inverse = np.linalg.pinv(V[:, mine, mine], rcond=IDENTIFIABLE, hermitian=True)
+            explained = np.einsum("bq,bqr,br->b", along[:, mine, 0], inverse, along[:, mine, 0])
+            rest = np.maximum(whole - explained, _LEAST)
+            ratio = explained * np.maximum(left - q, 1.0) / (q * rest)
+            logs[:, place] += f_log_tails(ratio, q, n - p - q)
+            used[:, place] += 1
+    return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
 
 
 def _limits(used: NDArray[np.intp]) -> Array:

@@ -43,6 +43,8 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
         ("fibonacci-24", {"out": 5e-3}, {"reading_sd": [1e-4, 1e-4, 2e-4]}, "outlier"),
         ("all-26", {"cubic": 2e-3}, {"model": "own-quadratic"}, "missing-term"),
         ("icosahedron-12", {"cubic": 2e-4, "repeats": 3}, {"model": "linear"}, ""),
+        ("fibonacci-24", {"cubic": 2e-3}, {"robust": "huber"}, "missing-term"),
+        ("fibonacci-24", {"cubic": 2e-4}, {"robust": "cauchy"}, ""),
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
