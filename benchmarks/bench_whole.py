@@ -6,11 +6,14 @@ outputs; and calls of which a time is asked, where the peer is that time.
 """
 
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +22,7 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from benchmarks.bench_orientations import jacobian, natural_start, residuals, simulate
-from benchmarks.timing import Ratio, paired_ratio
+from benchmarks.timing import Ratio, paired_process_ratio, paired_ratio
 
 Array = NDArray[np.float64]
 
@@ -42,6 +45,19 @@ values = 0.02 + up @ (np.eye(3) + 0.01) + 3e-4 * rng.standard_normal(up.shape)
 begun = time.process_time()
 mp.fit(mp.Readings(values, up=up))
 print(time.process_time() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+REPORT = """
+import tempfile, time
+import numpy as np
+import multipos as mp
+from multipos.cli import main
+up = mp.read_scheme("fibonacci-24").up
+values = 0.02 + 1.01 * up + 3e-4 * np.random.default_rng(0).standard_normal(up.shape)
+with tempfile.TemporaryDirectory() as folder:
+    mp.fit(mp.Readings(values, up=up)).save(f"{folder}/cal.json")
+    begun = time.process_time()
+    main(["report", f"{folder}/cal.json", "-o", f"{folder}/report.html"])
+    print(time.process_time() - begun)
 """
 RECORD = """
 import time
@@ -73,6 +89,8 @@ def run() -> list[Ratio]:
         many_outputs(),
         *large(),
         threads(),
+        report(),
+        *compensation_in_c(),
     ]
 
 
@@ -188,7 +206,7 @@ def many_outputs() -> Ratio:
 
 
 def printed(program: str, **environment: str) -> list[float]:
-    """Return the numbers that a program prints, in a process of its own."""
+    """Return the numbers of the last line that a program prints, in a process of its own."""
     kept = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     found = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", program],
@@ -197,7 +215,7 @@ def printed(program: str, **environment: str) -> list[float]:
         check=True,
         text=True,
     )
-    return [float(each) for each in found.stdout.split()]
+    return [float(each) for each in found.stdout.splitlines()[-1].split()]
 
 
 def large() -> list[Ratio]:
@@ -207,6 +225,58 @@ def large() -> list[Ratio]:
         Ratio(what, "a second", times, 1.5),
         Ratio(f"{what}, memory", "500 MB", [size / 500 for size in sizes], 1),
     ]
+
+
+def report() -> Ratio:
+    times = [printed(REPORT, OMP_NUM_THREADS="1")[0] for _ in range(3)]
+    return Ratio("report of 24 positions as .html, with Matplotlib", "a second", times, 1.2)
+
+
+DRIVER = """\
+#include <stdio.h>
+void multipos_compensate(const NUMBER raw[3], NUMBER accel[3]);
+int main(void)
+{
+    NUMBER sum = 0, raw[3], accel[3];
+    for (int i = 0; i < 2000000; ++i) {
+        for (int k = 0; k < 3; ++k) raw[k] = (NUMBER)((i * (k + 3)) % 1999 - 999) / 1000;
+        multipos_compensate(raw, accel);
+        sum += accel[0] + accel[1] + accel[2];
+    }
+    printf("%g\\n", (double)sum);
+    return 0;
+}
+"""
+
+
+def compensation_in_c() -> list[Ratio]:
+    """Return the time of C in single precision over that in double, where there is a compiler."""
+    if shutil.which("gcc") is None:
+        return []
+    found = []
+    for model, goal in (("linear", 1.05), ("own-quadratic", 0.67)):
+        given = readings(24, "clean")
+        calibration = mp.fit(given, model=model)
+        with tempfile.TemporaryDirectory() as name:
+            programs = [
+                compiled_in(Path(name), number, mp.export(calibration, "c", float=single).text)
+                for number, single in (("float", True), ("double", False))
+            ]
+            pairs = paired_process_ratio(*([each] for each in programs))
+        what = f"C, {model}, --float, with its loop"
+        found.append(Ratio(what, "the same in double", pairs, goal))
+    return found
+
+
+def compiled_in(folder: Path, number: str, text: str) -> str:
+    """Return a program that compensates two million readings."""
+    sources = {"export": text, "driver": DRIVER.replace("NUMBER", number)}
+    for name, source in sources.items():
+        (folder / f"{name}_{number}.c").write_text(source, encoding="utf-8")
+    files = [str(folder / f"{name}_{number}.c") for name in sources]
+    program = str(folder / number)
+    subprocess.run(["gcc", "-std=c99", "-O2", *files, "-lm", "-o", program], check=True)
+    return program
 
 
 def threads() -> Ratio:
