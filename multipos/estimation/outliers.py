@@ -426,12 +426,13 @@ def _left_of(view: View, kept: Mask) -> _Left:
     for part in view:
         (n, p), m = part.basis.shape, part.values.shape[1]
         blocks = [slice(first, first + _ROWS) for first in range(0, n, _ROWS)]
-        information, along = np.zeros((len(kept), p, p)), np.zeros((len(kept), p, m))
+        both = np.concatenate([part.basis, part.values], axis=1)
+        sums = np.zeros((len(kept), p * (p + m)))
         for rows in blocks:
-            weighted = kept[:, None, rows] * part.basis[rows].T
-            information += weighted @ part.basis[rows]
-            along += weighted @ part.values[rows]
-        fitted = np.linalg.solve(information + _RIDGE * np.eye(p), along)
+            products = part.basis[rows, :, None] * both[rows, None, :]
+            sums += 1.0 * kept[:, rows] @ products.reshape(-1, p * (p + m))
+        sums = sums.reshape(-1, p, p + m)
+        fitted = np.linalg.solve(sums[:, :, :p] + _RIDGE * np.eye(p), sums[:, :, p:])
         e, squares = np.empty((len(kept), n, m)), np.zeros((len(kept), m))
         for rows in blocks:
             e[:, rows] = part.values[rows] - part.basis[rows] @ fitted
@@ -518,12 +519,13 @@ def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:
 
 def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
     """Tell whether x (M,) of eq. (1) is beyond chance."""
-    dof = [part.dof for part in view for _ in range(part.values.shape[1])]
+    outputs = [part.values.shape[1] for part in view]
+    least = np.minimum.reduceat(x, np.cumsum([0, *outputs[:-1]])).tolist()
     logs = [
-        _log_beta_tail(each, 0.5 * (nu - i), 0.5 * (i - j))
-        for each, nu in zip(x.tolist(), dof, strict=True)
+        _log_beta_tail(each, 0.5 * (part.dof - i), 0.5 * (i - j))
+        for each, part in zip(least, view, strict=True)
     ]
-    chances = math.log(len(dof)) + _log_choices(len(view[0].values) - j, i - j)
+    chances = math.log(len(x)) + _log_choices(len(view[0].values) - j, i - j)
     return min(logs) + chances <= math.log(_LEVEL / most)
 
 
