@@ -52,7 +52,7 @@ from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope, loss_weight
-from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Status
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, NoiseTest, find_outlying_positions
@@ -481,9 +481,10 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
     )
     sound = inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
     sound &= np.all([each.units.converged & each.units.kept.all(axis=1) for each in found], axis=0)
-    # the normal law has the shortest tails: of no other unit a row is beyond chance
-    limit = chi2_quantile(1.0 - OUTLIER_LEVEL / (len(values) * values[0].shape[1]), 1.0)
+    # of the most degrees of freedom tails are shortest: of no other unit a row is beyond chance
+    level = OUTLIER_LEVEL / (len(values) * values[0].shape[1])
     for each in found:
+        limit = f_quantile(1.0 - level, 1.0, float(np.nanmax(each.dof)))
         sound &= each.units.q.max(axis=1) <= limit * each.factor
     plain = tuple(each.plain for each in found)
     weight = np.stack([each.weight for each in found], axis=1)
