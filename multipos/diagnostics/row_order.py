@@ -169,8 +169,8 @@ def _part(outputs: Rows, columns: Array, roots: Array, steps: Rows) -> _Part:
     matrix, n = None, len(columns)
     if n <= _SHORT:
         after = np.arange(n) >= steps[:, None]
-        each = np.einsum("kpq,ncq,kn->kpcn", roots, columns, after, optimize=True)
-        matrix = each.reshape(roots.shape[0] * roots.shape[1], -1)
+        each = np.tensordot(roots, columns, (2, 2)).transpose(0, 1, 3, 2)
+        matrix = (each * after[:, None, None]).reshape(roots.shape[0] * roots.shape[1], -1)
     return _Part(outputs, columns, roots, steps, matrix)
 
 
