@@ -368,7 +368,7 @@ class Piece:
 
     def _alone(self, units: Places) -> Iterator[Task]:
         """Yield tasks of units that are fitted one by one, without those that are already."""
-        fitted = np.isin(units, [*self._fitted])
+        fitted = np.array([unit in self._fitted for unit in units.tolist()], dtype=np.bool_)
         self._taken.update(units[fitted].tolist())
         units = units[~fitted]
         for start in range(0, len(units), _ALONE):
