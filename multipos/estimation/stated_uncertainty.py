@@ -15,9 +15,10 @@ Rests of a log with few effective samples (`dof` below 30 in most of them) do no
 correlation of their noise is estimated too, from the same few samples, and their u differ by
 factors where rests are equally noisy. They are weighted by their numbers of samples N_k,
 
-    ũ_k² = q/N_k,    q the lower quartile of N_k u_k²,                                      (1a)
+    ũ_k² = q/N_k,    q the lower quartile of N_k u_k² of all outputs,                       (1a)
 
-a variance above which the residuals of the fit determine the excess.
+a variance above which the residuals of the fit determine the excess. A hand moves the outputs
+across gravity most, others in each rest: what one output shows by chance is not its own noise.
 
 The stated variances of a fit then have by Welch and Satterthwaite
 
@@ -86,14 +87,12 @@ def shrink_variances(readings: Readings) -> Readings:
 
 def _by_samples(u: Array, dof: Array, samples: Array) -> Array:
     """Return ũ of eq. (1a), of the readings with few degrees of freedom; the others stay."""
-    found = u.copy()
-    for output in range(u.shape[1]):
-        few = dof[:, output] < _FEW
-        if not few.any():
-            continue
-        each = np.sort(samples[few] * u[few, output] ** 2)
-        found[few, output] = np.sqrt(each[(len(each) - 1) // 4] / samples[few])
-    return found
+    few = dof < _FEW
+    if not few.any():
+        return u
+    rest = np.broadcast_to(samples[:, None], u.shape)
+    each = np.sort((rest * u**2)[few])
+    return np.where(few, np.sqrt(each[(len(each) - 1) // 4] / rest), u)
 
 
 class StatedNoise(NamedTuple):

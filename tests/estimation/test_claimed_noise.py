@@ -111,10 +111,12 @@ def test_degrees_of_freedom_of_noise_half_of_which_is_stated_by_hand():
 
 
 def test_rests_of_few_degrees_of_freedom_are_weighed_by_their_samples():
-    """N u² is 1, 2, 4, 8, 16, 32: its lower quartile is the second of six."""
+    """N u² is 1, 2, 4, 8, 16, 32 and 2 and 3 times that: the fifth of eighteen is 4."""
     # eq. (1a) of estimation.stated_uncertainty
     samples = np.array([4.0, 1.0, 2.0, 16.0, 5.0, 8.0])
-    u = np.sqrt(np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]) / samples)[:, None] * np.ones(3)
+    u = np.sqrt(np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]) / samples)[:, None] * np.sqrt(
+        [1.0, 2.0, 3.0]
+    )
     known = mp.Readings(UP, up=UP, u=u, dof=np.full(u.shape, 5.0), samples=samples)
     found = shrink_variances(known).u
-    np.testing.assert_allclose(found, np.sqrt(2.0 / samples)[:, None] * np.ones(3), rtol=1e-12)
+    np.testing.assert_allclose(found, np.sqrt(4.0 / samples)[:, None] * np.ones(3), rtol=1e-12)
