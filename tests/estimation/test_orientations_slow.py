@@ -13,7 +13,7 @@ from multipos.positions.scheme import read_scheme
 @pytest.fixture(autouse=True)
 def without_findings(monkeypatch):
     """Findings change no number, and thousands of fits need not be looked at."""
-    monkeypatch.setattr(fit_readings, "examine", lambda calibration: calibration)
+    monkeypatch.setattr(fit_readings, "examine", lambda calibration, **_: calibration)
 
 
 pytestmark = pytest.mark.slow

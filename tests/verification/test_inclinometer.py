@@ -229,7 +229,7 @@ def test_tilt_within_a_twentieth_of_a_degree_and_its_claim(monkeypatch):
     at ±60° noise, zero and table are 0.016° in one standard deviation.
     """
     # Findings change no number, and take as long as the fit.
-    monkeypatch.setattr("multipos.fitting.fit_readings.examine", lambda c: c)
+    monkeypatch.setattr("multipos.fitting.fit_readings.examine", lambda c, **_: c)
     runs = 500
     before, after, systematic, together, covered, readings = [], [], [], [], 0, 0
     for seed in range(runs):
