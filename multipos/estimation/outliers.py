@@ -122,8 +122,9 @@ def _off_line(
 ) -> Outlying | None:
     """Return the outliers among readings at known orientations."""
     y, phi = readings.values, model.basis(reference, readings.environment)
-    each_once = {tuple(columns.tolist()): phi[:, columns] for columns in model.columns}
-    designs = [each_once[tuple(columns.tolist())] for columns in model.columns]
+    columns = [tuple(each.tolist()) for each in model.columns]
+    each_once = {own: phi[:, own] for own in dict.fromkeys(columns)}
+    designs = [each_once[own] for own in columns]
     del phi  # of many rows it is large
     means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
 
