@@ -7,12 +7,12 @@ scheme, or it is in the data and already in U.
 """
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Literal, TypeAlias
 
 from multipos.errors import MultiposError, warn_of
 from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Text
-from multipos.results import Keyed
+from multipos.results import Keyed, frozen
 
 NOT_FIT = "This calibration is not fit for use."
 Level = Literal["error", "warning", "note"]
@@ -49,7 +49,7 @@ FINDINGS = {
 _OLD: dict[str, Level] = {"implausible": "error", "caution": "warning"}
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Finding(Keyed):
     """One finding.
 

@@ -11,7 +11,6 @@ Technology 28 (7), 2009, 11–13 (in Chinese): tables 1 and 2, eqs. (2)–(5).
 """
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from multipos.files.whole import make_folder, write_text
 from multipos.fitting.fit_readings import fit
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 
 # Table 2: outputs of the x, y and z accelerometers [g] at the positions of table 1.
@@ -49,7 +48,7 @@ PRINTED = np.array(
 _LAST_DIGIT = 1e-11  # the printed figures that follow from table 2 agree to their last digit
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Demonstration(Result):
     """Table 2 calibrated by least squares and by the closed form."""
 

@@ -27,7 +27,7 @@ W. J. Riley, 35th PTTI Meeting, 2003 (degrees of freedom of the Allan variance).
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,7 @@ from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median, require_rate
 from multipos.numerics.quantiles import check_confidence, coverage_factor
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.units import MICRO_G
@@ -73,7 +74,7 @@ _FEWEST = 32  # blocks
 _NORMAL = 1.4826  # standard deviation over median modulus
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Movement:
     """The largest movement of an output: its block, its jump, and how many there are."""
 

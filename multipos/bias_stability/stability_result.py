@@ -18,7 +18,7 @@ Stability as people read it.
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,13 @@ from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import Array
-from multipos.results import Drawn, Result, Tabular, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain
 from multipos.units import MICRO_G
 
 # What a unit of the readings is in µg, where it is one of acceleration.
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Estimate(Result):
     """A number with its standard and expanded uncertainty, degrees of freedom and unit."""
 
@@ -67,7 +67,7 @@ class Estimate(Result):
         return Estimate(factor * self.value, size * self.u, size * self.U, self.dof, unit)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class WarmUp(Result):
     """What settles after switching on.
 
@@ -85,7 +85,7 @@ class WarmUp(Result):
     settled_after: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TemperatureCoefficient(Result):
     """Change with temperature.
 
@@ -104,7 +104,7 @@ class TemperatureCoefficient(Result):
     ppm: Estimate | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class OutputStability(Result):
     """One output: its Allan deviation and what follows from it.
 
@@ -128,7 +128,7 @@ class OutputStability(Result):
     temperature_coefficient: TemperatureCoefficient | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Spread(Result):
     """How values repeat: their standard deviation, range and degrees of freedom."""
 
@@ -137,7 +137,7 @@ class Spread(Result):
     dof: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StaticRecord(Result):
     """One record, in some hundred blocks.
 
@@ -162,7 +162,7 @@ class StaticRecord(Result):
     temperature: Array | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Stability(Result, Drawn, Tabular):
     """How stable a sensor at rest is, from one static record or several.
 

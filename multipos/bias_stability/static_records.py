@@ -1,7 +1,6 @@
 """A static record, read once: its phases to the disk, its blocks to memory."""
 
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import require_units
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes
 from multipos.units import STANDARD_GRAVITY
@@ -26,7 +26,7 @@ _FEWEST = 64  # samples of which anything can be said
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class RecordOptions:
     """What of a log is wanted.
 
@@ -49,7 +49,7 @@ class RecordOptions:
     drop_bad: bool
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RawRecord:
     """One record in samples: blocks (K, b) and sums (K, T) of `octaves(samples)`."""
 

@@ -18,7 +18,6 @@ what the records scatter.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -27,6 +26,7 @@ import numpy as np
 from multipos.bias_stability.allan import Laws, fit_laws, phase_covariance, starts
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
+from multipos.results import frozen
 
 DRIFT, TEMPERATURE, WARM_UP = "drift", "temperature", "warm_up"
 
@@ -42,7 +42,7 @@ _TOGETHER = 1e-13  # of a column: what the others leave of it when it is one wit
 _LEAST = 1e-3  # of a variance that is left where a trend is taken off
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Blocks:
     """One output of one record as means of blocks.
 
@@ -78,7 +78,7 @@ class TrendEstimate(NamedTuple):
     dof: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Description:
     """Trends and noise of one output, in samples and one sample time.
 

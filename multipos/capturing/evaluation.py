@@ -18,7 +18,7 @@ does after one more pose: stopping where the residuals are small by luck would l
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
 from multipos.positions.order import Order, travel_order
 from multipos.positions.scheme import Scheme
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
 
@@ -98,7 +98,7 @@ def spread_targets(targets: Targets, model: Model) -> dict[str, float]:
     return found
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class SessionPlan:
     """What was asked for.
 
@@ -128,7 +128,7 @@ class SessionPlan:
         return found
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Progress(Result):
     """One parameter and its target; `met` as eq. (1), None without a target."""
 
@@ -140,7 +140,7 @@ class Progress(Result):
     met: bool | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class PosesGain(Result):
     """How well some poses determine the parameters.
 

@@ -18,7 +18,7 @@ many, and let go of when no rest can begin before them any more.
 import tempfile
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import IO, NamedTuple
 
 import numpy as np
@@ -45,12 +45,13 @@ from multipos.logs.samples import Timing, good_rows, small_pieces, usual_size
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
+from multipos.results import frozen
 
 _IN_MEMORY = 1 << 20  # numbers
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class RowOptions:
     """How the rows are read, as `average` has it."""
 

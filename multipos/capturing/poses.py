@@ -37,7 +37,7 @@ only taken where it is clearly better than all of them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from itertools import permutations, product
 from typing import NamedTuple
@@ -54,7 +54,7 @@ from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import read_scheme
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.units import STANDARD_GRAVITY
@@ -68,7 +68,7 @@ _ONE_G = (1.0, STANDARD_GRAVITY, 1000.0)
 _NEAR = 0.15  # relative: how far a bias moves the size of gravity
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Pose(Result):
     """A rest that was offered.
 
@@ -102,7 +102,7 @@ class Pose(Result):
         return replace(self, accepted=True, undone=False, reason=None)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Frame:
     """How readings show directions: f = (y − centre)/size, or a calibration."""
 
@@ -289,7 +289,7 @@ _POWER = 8
 _FINE = "fibonacci-200"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class NextPose(Result):
     """The pose to take next.
 

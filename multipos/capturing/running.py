@@ -14,7 +14,6 @@ import io
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -36,7 +35,7 @@ from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 
 
@@ -96,7 +95,7 @@ class RawLog:
 Notify = Callable[[dict[str, Any]], object]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Captured(Result):
     """What a guided session gave.
 

@@ -12,12 +12,11 @@ import io
 import os
 import stat
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
@@ -25,6 +24,10 @@ from multipos.files.pipes import STDIN, Pipe, is_pipe
 from multipos.files.spelling import escaped, visible_lines
 from multipos.files.whole import Content, check_place, written
 from multipos.finding import Finding, Findings, errors_of, in_order, serious
+from multipos.results import frozen
+
+if TYPE_CHECKING:
+    from tempfile import SpooledTemporaryFile
 
 STDOUT = "-"
 NEGATIVE = 3  # exit status: written and printed, but the verdict is negative
@@ -53,7 +56,7 @@ _LINES = 34  # of a table on the screen, which with the sentence and findings is
 _ESCAPES = "multipos.escapes"  # what an encoding lacks is escaped as JSON does it
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Output:
     """What ``-o`` of a command writes.
 
@@ -122,7 +125,7 @@ class Output:
             raise UsageError("-o - and --json would both go to stdout; leave one out.")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Answer:
     """What a command found, in every form it can be asked for.
 
@@ -175,7 +178,7 @@ class Answer:
         return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Order:
     """What was settled: the form and ending that ``-o`` asks for, and the pipes that are held."""
 
@@ -370,7 +373,9 @@ def _complete(made: Content, stack: ExitStack) -> Iterable[str | bytes]:
     return iter(lambda: kept.read(_PIECE), "")
 
 
-def _spool() -> "tempfile.SpooledTemporaryFile[str]":
+def _spool() -> "SpooledTemporaryFile[str]":
+    import tempfile  # slow to import, and of long tables only
+
     return tempfile.SpooledTemporaryFile(
         _IN_MEMORY, "w+", encoding="utf-8", errors="surrogatepass", newline=""
     )

@@ -7,7 +7,6 @@ from multipos.commands.options import add_order, add_reading, file_progress, nam
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.averages import averages_sentence, averages_text
-from multipos.logs.averaging import average
 from multipos.logs.readers import formats_read
 
 INPUTS = ("logs", "sections", "scheme")
@@ -71,6 +70,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
     with file_progress(arguments.logs, "reading") as progress:
+        from multipos.logs.averaging import average  # with the search for rests
+
         found = average(*arguments.logs, progress=progress, **options)
     return Answer(
         sentence=lambda: averages_sentence(found),

@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
+from multipos.results import frozen
 
 
 def _calibration_path(output: str) -> Path:
@@ -153,7 +153,7 @@ def _readings_path(arguments: argparse.Namespace) -> Path | None:
     return None if arguments.output in (None, STDOUT) else Path(arguments.output)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class _Result:
     """What is written, and how it is printed."""
 

@@ -20,7 +20,6 @@ JCGM 100:2008, clauses 5.1, 5.2 and G.4.1.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +32,7 @@ from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensed_axes, sensitivities
 from multipos.sensor.tilt import reading_noise
@@ -51,7 +51,7 @@ _NOTHING = "the calibration has no residuals to estimate the noise of a reading 
 _TELLING = 2.0  # times the noise of an averaged reading is no chance
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Noise:
     """Which noise one reading is taken to have.
 
@@ -172,7 +172,7 @@ def _stated_columns(
     return names if given else ()
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class ReadingUncertainty:
     """What eq. (1) needs beside the force: made once, asked for every piece of a log."""
 

@@ -33,7 +33,7 @@ Source: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs,
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 from typing import Any
 
@@ -59,7 +59,7 @@ from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.terms import COMPONENTS, ModelText, Term
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
-from multipos.results import Keyed, data_frame
+from multipos.results import Keyed, data_frame, frozen
 from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.own_models import build_parsed
@@ -136,7 +136,7 @@ def in_parameters(amounts: Mapping[str, float], least: float = 0.0) -> str:
     return " ".join(f"{value:+.3g} {name}" for name, value in amounts.items() if abs(value) > least)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Assessment(Keyed):
     """What one scheme tells about a model; numbers are None where the model is not identifiable.
 
@@ -189,7 +189,7 @@ class Assessment(Keyed):
     hidden: tuple[str, ...] | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Schemes(Keyed):
     """What schemes can tell about a model.
 

@@ -30,7 +30,6 @@ range on average, are what `multipos.designs.information` weighs parameters by.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -40,6 +39,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, Term
 from multipos.positions.scheme import read_scheme
+from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.model import Model
@@ -106,7 +106,7 @@ def _leaning(kind: str, size: float, sensed: list[int]) -> tuple[Array, list[int
 _OTHERS = 1e-4
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Criterion:
     """What makes one scheme better than another: D without `weight`, else B of eq. (1)."""
 

@@ -12,7 +12,6 @@ What more positions bring: designs of several sizes, up to the one that was aske
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,11 +44,11 @@ from multipos.numerics.terms import COMPONENTS, ModelText
 from multipos.positions.benches import bench_settings, read_bench
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, read_scheme
-from multipos.results import Drawn, Keyed, Tabular
+from multipos.results import Drawn, Keyed, Tabular, frozen
 from multipos.sensor.model import Model
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Design(Keyed, Drawn, Tabular):
     """The best positions for a model on a bench, with the proof.
 

@@ -16,7 +16,7 @@ Source: V. V. Fedorov, Theory of Optimal Experiments, 1972 (several outputs).
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,7 @@ from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.order import share_absorbed
+from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
@@ -42,7 +43,7 @@ _AS_UNKNOWN = 2e7
 _PIECE = 200_000
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Setting:
     """What is to be learned, and how well a position is known.
 

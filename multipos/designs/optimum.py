@@ -26,7 +26,6 @@ Lett. 77, 2007 (which candidates can be left out).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -37,6 +36,7 @@ from multipos.designs.information import Blocks, Setting, inform, log_det, multi
 from multipos.errors import ConvergenceError
 from multipos.numerics.arrays import Array
 from multipos.positions.scheme import read_scheme
+from multipos.results import frozen
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
 _PIVOTED = 4  # times that as many candidates as parameters are picked
@@ -56,7 +56,7 @@ _SAME = 1.0 - 1e-9  # cosine from which two directions are one
 _SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ContinuousOptimum:
     """A continuous design and its certificate.
 

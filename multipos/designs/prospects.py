@@ -12,7 +12,6 @@ and again until u_j is small enough says how many more are needed.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.positions.benches import read_bench
 from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme
-from multipos.results import Keyed, data_frame, require
+from multipos.results import Keyed, data_frame, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 
@@ -36,7 +35,7 @@ _SHOWN = 10  # positions listed as text
 _MOST = 1000  # further positions looked ahead for a target
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Candidate(Keyed):
     """A position that could be measured next.
 
@@ -54,7 +53,7 @@ class Candidate(Keyed):
     u: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Worth(Keyed):
     """What one more position would bring to a calibration, and how many a target takes.
 

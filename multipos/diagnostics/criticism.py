@@ -24,7 +24,6 @@ N. Sugiura, Communications in Statistics A7, 1978 (AICc).
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS, Term
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import build_model
@@ -45,7 +44,7 @@ _ORDERS = 4
 _FEWEST = 8  # positions of a roll that make a Fourier view
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TermTest(Result):
     """An F-test of one term; `inside` tells whether the model has it.
 
@@ -62,7 +61,7 @@ class TermTest(Result):
     aicc: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Influence(Result):
     """What each position does to the fit; all (n, M).
 

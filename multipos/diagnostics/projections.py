@@ -40,7 +40,6 @@ what a fit with the term would give, without the fit.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -52,6 +51,7 @@ from multipos.numerics.factoring import Covariance, column_norms, factor
 from multipos.numerics.least_squares import block_design
 from multipos.numerics.terms import COMPONENTS, NAMED, Term, kind_terms
 from multipos.positions.scheme import read_scheme
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model
@@ -187,7 +187,7 @@ class Setting:
         return isinstance(other, Setting) and self._key == other._key
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Projection:
     """V at known orientations, as orthonormal rows in blocks of a kind and an output.
 
@@ -225,7 +225,7 @@ class Projection:
         return np.asarray((self.whitener @ residuals.ravel())[:, None])
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Part:
     """The design Q R of one output, or of all, and terms (R, n) by kind; and on the sphere."""
 

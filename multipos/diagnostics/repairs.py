@@ -34,7 +34,6 @@ Sensor models of second and third order change it by their own size, a percent o
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -45,13 +44,14 @@ from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.order import lay_out
 from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY, cos_deg, sin_deg
 
 _RANK = 1e-9  # of the largest singular value: columns of a roll that stays in one plane
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class View:
     """Readings under eq. (3).
 
@@ -198,7 +198,7 @@ _ROWS = 60  # of those that fit worst, among which one or two are looked for
 _TURNS = 12  # of an alternation between rows and fit
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Repair:
     """A change of the data that might explain them.
 

@@ -46,7 +46,6 @@ Biometrics 51 (3).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -66,6 +65,7 @@ from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import diagonal
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -81,7 +81,7 @@ _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse ha
 _ROWS = 20_000  # whose products are made at once
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Residuals:
     """Residuals of B units at known positions, as linear models.
 

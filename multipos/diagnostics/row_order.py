@@ -36,7 +36,7 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
@@ -53,6 +53,7 @@ from multipos.numerics.quantiles import (
     f_tail,
 )
 from multipos.numerics.rotations import cross_matrix
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -81,7 +82,7 @@ _OF_ATTITUDE = ("slipped", "level", "table")  # where a turn of the case is free
 Rows = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Cause:
     """One explanation of the residuals.
 
@@ -106,7 +107,7 @@ class Cause:
     wholly: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Family:
     """Columns of one cause, from each of K rows on, in the order of time.
 
@@ -125,7 +126,7 @@ class _Family:
         return self.base.ndim == 2
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Test:
     """A family whitened, with what makes Δ of eq. (1) of it.
 
@@ -174,7 +175,7 @@ def _part(outputs: Rows, columns: Array, roots: Array, steps: Rows) -> _Part:
     return _Part(outputs, columns, roots, steps, matrix)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Plan:
     """What eqs. (1) and (2) need of the positions, kept from one fit to the next.
 
@@ -757,7 +758,7 @@ def _some(first: int, end: int) -> Rows:
     """Return rows from first to before end, no more than so many."""
     if end - first <= _MOST:
         return np.arange(first, max(end, first))
-    return np.unique(np.linspace(first, end - 1, _MOST).astype(np.intp))
+    return np.linspace(first, end - 1, _MOST).astype(np.intp)
 
 
 def _along_normals(c: Calibration) -> tuple[Array, Array, Array]:

@@ -19,7 +19,6 @@ a calibration compensates correctly. One or two outputs can be turned any way.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -30,6 +29,7 @@ from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import align, rotation_vector
 from multipos.numerics.terms import COMPONENTS
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -38,7 +38,7 @@ _SLANTED = 0.9  # cosine, 26°: beyond it a sensor was turned, not merely mounte
 _TRIAD = 3
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Facing:
     """The case axis that each output responds to most, with its sign, by eq. (1).
 

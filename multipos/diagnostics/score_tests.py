@@ -25,7 +25,7 @@ C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 129
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import kind_terms
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
@@ -63,7 +64,7 @@ _LARGEST = 1e30  # of R, where nothing is left
 _CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Tested:
     """What was tested, and the kinds of terms that the positions do not show."""
 
@@ -238,7 +239,7 @@ def _ratios(
     return tuple(tests)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Sums:
     """What eq. (1) is made of, with Z in R columns and the p unknowns of the solution.
 

@@ -46,7 +46,7 @@ G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf, log, pi, sqrt
 
 import numpy as np
@@ -59,6 +59,7 @@ from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
 from multipos.sensor.inverse import parameter_jacobian
@@ -84,7 +85,7 @@ _COVERAGE = 0.95  # that of `posteriors`
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _RowPrecision:
     """The effective number of correlated rows."""
 

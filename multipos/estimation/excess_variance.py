@@ -35,7 +35,6 @@ section 3.10.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -44,13 +43,14 @@ import numpy as np
 from multipos.estimation.posteriors import Found, Posterior, integrate, standard_uncertainty
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.least_squares import block_design
+from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import UNEQUAL, bartlett
 
 _ROWS = 20_000  # readings worked on at once
 _RIDGE = 1e-13  # of rounding, so that variances of any size leave a matrix that can be inverted
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Part:
     """Outputs that share a design and floors, as linear models about the solutions of B units.
 
@@ -115,7 +115,7 @@ class Part:
         return np.tile(own, self.residuals.shape[2])
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ExcessVariance:
     """The excess variance of readings of M outputs, and how well it is known.
 

@@ -34,7 +34,6 @@ Numer. Algorithms 59, 2012 (products of split matrices without rounding).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -60,6 +59,7 @@ from multipos.numerics.least_squares import (
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.readings import Readings, add_variances
+from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import (
     UNEQUAL,
@@ -101,7 +101,7 @@ _NOTHING_LEFT = Finding(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Design:
     """The design X = Q R of outputs that share it.
 
@@ -132,7 +132,7 @@ class Design:
         return np.asarray(self.Q[:, :, None] * self.Q[:, None, :]).reshape(len(self.Q), -1)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SharedDesign:
     """The designs of a model at positions that units share.
 
@@ -593,7 +593,7 @@ def solve_known(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _One:
     """The fit of one unit; u is `inflation` times the root of the cofactor."""
 

@@ -24,7 +24,7 @@ Satterthwaite's degrees of freedom over what each of them adds to its variance.
 Source: JCGM 100:2008, G.4.1.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -53,6 +53,7 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
+from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import Component, OrientationSpread, RestToRest, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
@@ -83,7 +84,7 @@ _INSEPARABLE = Finding(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class NoiseEstimate:
     """The factor on the covariance of the likelihood, and how well it is known."""
 

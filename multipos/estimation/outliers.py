@@ -31,7 +31,6 @@ References
 import math
 import random
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -41,6 +40,7 @@ from multipos.numerics.arrays import Array, Places, resolution
 from multipos.numerics.factoring import Covariance, column_scales, factor
 from multipos.numerics.terms import COMPONENTS, Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
+from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values
 from multipos.sensor.model import Model
 
@@ -65,7 +65,7 @@ _SINGULAR = 1e-9
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Outlying:
     """Rows that are outliers.
 
@@ -298,7 +298,7 @@ def _beyond_noisy_rows(
     return rows[least < OUTLIER_LEVEL / values.size]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Part:
     """Outputs that share a design and variances, as a linear regression of whitened readings.
 

@@ -19,7 +19,6 @@ for B units at once, which share nothing but the number of nodes; a single fit i
 """
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf
+from multipos.results import frozen
 
 _STATED_WEIGHT = 1.4  # weight of τ² = 0, in units of ln V, from six degrees of freedom on
 _FEW = 6.0  # degrees of freedom below which that weight must be larger, or U is too long
@@ -53,7 +53,7 @@ class Found(NamedTuple):
     variances: Array
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Posterior:
     """The posterior of τ² of B units, and of their parameters.
 
@@ -258,7 +258,7 @@ def standard_uncertainty(expanded: Array, dof: Array) -> Array:
 _COARSE, _FINE = 16, 24  # nodes a side
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Both:
     """The posterior of excess variance and orientation errors of B units.
 

@@ -21,7 +21,7 @@ are those of t_2. With J = (J_1, J_2), both eliminated one after the other, c = 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 
@@ -36,6 +36,7 @@ from multipos.numerics.rotations import align, directions, tangent_basis
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import OpenRolls, StatedOrientations, across, listed_rows
 from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.calibration import Status
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import FoundOrientations, VarianceComponents
@@ -175,7 +176,7 @@ def turn_about(axis: str, matrix: Array) -> Array:
 RELATIVE_NOISE = 1e-3  # of the readings' spread: any value serves where only ratios matter
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Problem:
     """Readings and the orientations of their positions, eqs. (1)–(3) of `likelihood`.
 
@@ -306,7 +307,7 @@ class Problem:
         return bool(self.prior.any()) or self.level_sd > 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class State:
     """A point of the search: parameters, steps on the sphere and shared rotations."""
 
@@ -319,7 +320,7 @@ class State:
     inclination: Array  # (C,) [rad], beta of the axes that rolls share
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Point:
     """The model and objective at a state."""
 
@@ -330,7 +331,7 @@ class Point:
     objective: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Normal:
     """The reduced normal equations at a point, eqs. (5), (6) of `likelihood`."""
 
@@ -345,7 +346,7 @@ class Normal:
     marginal: Array  # W_k, (n, M, M)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Optimum:
     """Where the search ended."""
 
@@ -360,7 +361,7 @@ class Optimum:
 DIRECT = Status(True, 0, "solved directly")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Solution:
     """What an estimator finds, before it is completed to a `Calibration`.
 

@@ -54,6 +54,7 @@ from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.calibration import Status
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, NoiseTest, find_outlying_positions
 from multipos.sensor.model import Model
@@ -68,7 +69,7 @@ _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in t
 _HUBER: Loss = "huber"  # under which the noise is found, whatever the loss
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Linear:
     """One output of B units at known positions.
 

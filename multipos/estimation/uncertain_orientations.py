@@ -17,7 +17,7 @@ readings are too noisy.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -57,6 +57,7 @@ from multipos.numerics.rotations import (
     tangent_basis,
 )
 from multipos.numerics.terms import COMPONENTS
+from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import find_outlying_positions
 from multipos.sensor.model import Model
 
@@ -143,7 +144,7 @@ class _Equations(NamedTuple):
     inverse: Array  # H⁻¹, (B n, 2, 2)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class UncertainSearch:
     """What a step of the search needs.
 
@@ -373,7 +374,7 @@ _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubt
 _NOISY = 0.01  # of a scale factor: noise or U from which on a unit is fitted singly
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SharedOrientations:
     """What units at uncertain orientations share.
 

@@ -38,7 +38,7 @@ parameter, or where stated uncertainties cannot be weights.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -64,10 +64,11 @@ from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.numerics.terms import COMPONENTS
+from multipos.results import frozen
 from multipos.sensor.model import Model
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SharedSphere:
     """What units of unknown orientation share.
 
@@ -154,7 +155,7 @@ def is_along_force(problem: Problem) -> bool:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class UnknownSearch:
     """What a step of the search needs.
 

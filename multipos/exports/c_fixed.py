@@ -19,7 +19,6 @@ same to the last bit.
 import itertools
 import math
 import re
-from dataclasses import dataclass
 from functools import cached_property
 from textwrap import wrap
 
@@ -30,6 +29,7 @@ from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, Term
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import sensed_axes
@@ -51,7 +51,7 @@ _MOST_STEPS = 8
 Whole = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FixedPoint:
     """The numbers of eq. (1).
 

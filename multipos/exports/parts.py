@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 from multipos.errors import UsageError
@@ -10,6 +9,7 @@ from multipos.files.trees import read_schema
 from multipos.numerics.terms import COMPONENTS
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.inverse import sensed_axes
@@ -18,7 +18,7 @@ Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Correction:
     """What ``NAME_correct`` computes.
 

@@ -7,7 +7,6 @@ it; there is a gap in time, and the run starts again.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -24,13 +23,14 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.regression.observations import number_labels
 from multipos.regression.prediction import clear_of_limits, predict_clamped
 from multipos.regression.regression import Regression
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 
 _BEYOND = 0.05  # of a range, on both sides
 _CLOSE = {False: 1e-12, True: 1e-5}  # of the largest value, by single precision
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Drive:
     """Rows that are replayed.
 

@@ -8,7 +8,6 @@ Each target is one file of this room, which holds its `Target`, and one line in 
 import os
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +19,7 @@ from multipos.files.numbers import number, table
 from multipos.files.whole import written
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
-from multipos.results import Result, plain
+from multipos.results import Result, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import GRAVITY, Field
 
@@ -68,7 +67,7 @@ class GivenFile(NamedTuple):
     run_foreign_code: bool
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Exported(Result):
     """A calibration in the form of a target.
 
@@ -110,7 +109,7 @@ def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     return (path.with_name(f"{path.stem}_test{path.suffix}"),)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Verification(Result):
     """What a consumer makes of the readings that the calibration was made from.
 
@@ -208,7 +207,7 @@ class Verification(Result):
         return (1.0, self.field.unit) if self.field.unit else (100.0, "%")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Target:
     """A consumer of calibrations.
 

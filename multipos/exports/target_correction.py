@@ -6,7 +6,6 @@ of this program that is compiled and run, on rows in the order of time, run afte
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, median
 from multipos.regression.observations import filter_time
 from multipos.regression.regression import Regression
-from multipos.results import Result, plain
+from multipos.results import Result, frozen, plain
 from multipos.sensor.calibration import Calibration
 
 SIGNATURE = re.compile(
@@ -108,7 +107,7 @@ int main(void)
 """
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Replay(Result):
     """What an exported correction made of rows, against what Python makes of them.
 

@@ -7,7 +7,6 @@ megabytes. This serves plain text, in which every line is a row and has all its 
 for the `csv` module.
 """
 
-import hashlib
 import io
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -58,6 +57,8 @@ class FileBytes:
 
     def sha256(self) -> str:
         """Return the SHA-256 of all of them."""
+        import hashlib  # slow to import, and a log has no need of it
+
         with reading(self._path, self._what), Path(self._path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
 

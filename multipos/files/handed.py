@@ -16,7 +16,6 @@ References
 
 import csv
 import datetime
-import hashlib
 import io
 import json
 import os
@@ -266,6 +265,8 @@ def content_of(source: object) -> str | None:
     """Return the SHA-256 of what a file holds, packed or not; None of what is no file's path."""
     if not isinstance(source, str | os.PathLike) or not Path(source).is_file():
         return None
+    import hashlib  # slow to import, and of several files only
+
     held = unpack(source) if is_packed(first_bytes(source, len(XZ))) else source
     with reading(held, "file"), Path(held).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

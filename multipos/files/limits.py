@@ -6,7 +6,6 @@ A value on a limit is within it; an empty side has no limit.
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,10 @@ from multipos.errors import MultiposError
 from multipos.files.records import LARGEST
 from multipos.files.tables import Table, read_table
 from multipos.files.trees import read_toml
+from multipos.results import frozen
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Limit:
     """What a number may be; infinite where there is no limit on that side."""
 

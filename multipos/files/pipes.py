@@ -26,7 +26,6 @@ import re
 import shutil
 import stat
 import sys
-import tempfile
 import weakref
 from pathlib import Path
 from typing import IO, BinaryIO
@@ -95,6 +94,8 @@ class Pipe(os.PathLike[str]):
 
     def __fspath__(self) -> str:
         if self._kept is None:
+            import tempfile  # slow to import, and seldom needed
+
             handle, path = tempfile.mkstemp(prefix="multipos-")
             self._kept = weakref.finalize(self, _remove, path)
             try:
@@ -182,6 +183,8 @@ class Unpacked(os.PathLike[str]):
     """What was in a packed file, as a path."""
 
     def __init__(self, source: str, stream: IO[bytes], suffix: str) -> None:
+        import tempfile  # slow to import, and seldom needed
+
         self._source = source
         handle, path = tempfile.mkstemp(prefix="multipos-", suffix=suffix)
         self._kept = weakref.finalize(self, _remove, path)

@@ -13,7 +13,7 @@ that other programs read line by line.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import control_characters, visible
 from multipos.numerics.arrays import SMALLEST
 from multipos.numerics.terms import COMPONENTS
+from multipos.results import frozen
 
 LARGEST = 1e100  # of a number; squares and their sums stay finite
 LARGEST_SQUARE = LARGEST**2  # of variances and covariances
@@ -52,7 +53,7 @@ class Kind:
         return value
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Text(Kind):
     """A text without control characters, one of `choices` where these are given."""
 
@@ -75,7 +76,7 @@ class Text(Kind):
             raise _KindError(place, value, "a text without control characters")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Number(Kind):
     """A number from `low` to `high`; with `above` and `below` these are left out themselves."""
 
@@ -102,7 +103,7 @@ class Number(Kind):
         return f"{low} and {'below' if self.below else 'at most'} {self.high:g}"
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Whole(Kind):
     """A whole number."""
 
@@ -116,7 +117,7 @@ class Whole(Kind):
             raise _KindError(place, value, f"a whole number from {self.low} to {self.high}")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Flag(Kind):
     """True or false."""
 
@@ -126,7 +127,7 @@ class Flag(Kind):
             raise _KindError(place, value, "true or false")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Maybe(Kind):
     """A kind, or null, which is read as `missing`."""
 
@@ -147,7 +148,7 @@ class Maybe(Kind):
         return None if value is None else self.kind.write(value)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class AnyOf(Kind):
     """The first of some kinds that fits decides; a fault speaks of the last."""
 
@@ -168,7 +169,7 @@ class AnyOf(Kind):
         return self.kinds[0].read(value) if alike else value
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Listed(Kind):
     """A list of entries of one kind, of a length from `least` to `most`."""
 
@@ -196,7 +197,7 @@ class Listed(Kind):
         return list(map(self.kind.write, value))
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Entries(Kind):
     """A list of so many entries, each of a kind of its own."""
 
@@ -210,7 +211,7 @@ class Entries(Kind):
             kind.check(entry, f"{place}[{index}]")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Named(Kind):
     """An object whose keys are names, with values of one kind."""
 
@@ -233,7 +234,7 @@ class Named(Kind):
         return {name: self.kind.write(entry) for name, entry in value.items()}
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Fields(Kind):
     """An object with keys that it needs, and keys that it may have."""
 
@@ -254,7 +255,7 @@ class Fields(Kind):
                 kind.check(value[name], f"{inside}{name}")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Record(Fields):
     """An object whose keys are fields of a type: what `make` takes, and what it has.
 
@@ -287,7 +288,7 @@ class Record(Fields):
         return [*self.needed.items(), *self.optional.items()]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Numbers(Kind):
     """Nested lists of numbers as an array of `depth` dimensions; with `gaps`, null is taken."""
 

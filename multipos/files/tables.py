@@ -8,13 +8,12 @@ column.
 """
 
 import csv
-import hashlib
 import io
 import itertools
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,6 +39,7 @@ from multipos.files.handed import (
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
 from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
 from multipos.files.whole import read_bytes, reading, write_text
+from multipos.results import frozen
 
 _FINITE = float(np.finfo(np.float64).max)
 _FEW = 1000  # rows, up to which cells are written one by one
@@ -48,7 +48,7 @@ _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked fo
 Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Table:
     """Columns by name, with what is needed to say where a cell came from."""
 
@@ -241,7 +241,7 @@ def open_table(path: str | os.PathLike[str], *, what: str = "table", head: bytes
     A file that is shorter than `SHORT` is kept as it was read; `head` is how it begins.
     """
     if 0 < len(head) < SHORT:
-        plain, sha256 = read_plain(head), hashlib.sha256(head).hexdigest()
+        plain, sha256 = read_plain(head), _sha256(head)
     else:
         raw = FileBytes(path, what)
         plain, sha256 = read_plain(raw), raw.sha256()
@@ -254,19 +254,25 @@ def _read_file(path: str | os.PathLike[str], what: str) -> Table:
     with reading(path, what), Path(path).open("rb") as stream:
         head = stream.read(1 << 10)
     if is_packed(head):  # what people compare is the file that they have
-        sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
+        sha256 = _sha256(read_bytes(path, what))
         table = _read_file(unpack(path), what)
         return replace(table, sha256=sha256, content=table.sha256)
     if not head.startswith(ARROW) and not is_json(head):
         return _read_csv(path, what)
     columns = read_json_columns(path, what) if is_json(head) else read_arrow(path)
-    sha256 = hashlib.sha256(read_bytes(path, what)).hexdigest()
+    sha256 = _sha256(read_bytes(path, what))
     return replace(_of_columns(columns, str(path)), sha256=sha256)
+
+
+def _sha256(raw: bytes) -> str:
+    import hashlib  # slow to import, and a log has no need of it
+
+    return hashlib.sha256(raw).hexdigest()
 
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
-    sha256 = hashlib.sha256(raw).hexdigest()
+    sha256 = _sha256(raw)
     if raw.startswith((ZIP, OLE)):
         raw = workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:

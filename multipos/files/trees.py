@@ -24,8 +24,12 @@ def to_json(value: Any) -> str:
 
     Of a file name that is no text, each byte that is none is written as an escape.
     """
-    text = json.dumps(plain(value), ensure_ascii=False, indent=1, allow_nan=False) + "\n"
-    return _escaped(text)
+    write = json.JSONEncoder(ensure_ascii=False, indent=1, allow_nan=False, default=plain).encode
+    try:
+        text = write(value)
+    except ValueError:  # not finite
+        text = write(plain(value))
+    return f"{_escaped(text)}\n"
 
 
 def to_json_line(value: Any) -> str:

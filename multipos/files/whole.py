@@ -6,7 +6,6 @@ The time that results carry.
 import os
 import shutil
 import stat
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
@@ -146,6 +145,9 @@ def _draft(path: str | os.PathLike[str]) -> _Draft:
             raise PermissionError(None, "it is read-only")
     if folder:
         raise IsADirectoryError(None, "it is a folder")
+    if not regular:
+        import tempfile  # slow to import, and seldom needed
+
     target = Path(os.path.realpath(path) if regular else path)
     # The name is short, because that of the target may be as long as a name can be, and chosen
     # before the file is there, so that a signal in between leaves nothing behind.

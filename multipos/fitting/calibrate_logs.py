@@ -19,7 +19,6 @@ from multipos.files.tables import Source
 from multipos.finding import Finding, in_order
 from multipos.fitting.fit_readings import FitOptions, fit
 from multipos.logs.averages import Averages
-from multipos.logs.averaging import average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.faults import SaturatedRestsError
 from multipos.logs.log_columns import magnetic_outputs
@@ -243,7 +242,7 @@ def _rests_or_rows(
     values, environment = read_rows(opened, first, signed=signed, drop_bad=drop_bad)
     if not moves(values):
         try:
-            found = average(*opened, **{**options, "outputs": first})
+            found = averaged(opened, set_aside=False, **{**options, "outputs": first})
         except MultiposError:  # no rests: the rows are what there is
             found = None
         if found is not None and holds_most(found, len(values)):
@@ -253,6 +252,8 @@ def _rests_or_rows(
 
 def _averaged(opened: Sequence[Log], *, set_aside: bool, **options: Any) -> Averages:
     """Return the means of rests, where a few saturated ones are set aside by the fit with them."""
+    from multipos.logs.averaging import average  # the search for rests, which waving needs not
+
     try:
         return average(*opened, **options)
     except SaturatedRestsError:

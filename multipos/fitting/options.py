@@ -1,7 +1,6 @@
 """How to fit: what the options say, checked once."""
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 from multipos.errors import MultiposError, UsageError
@@ -10,6 +9,7 @@ from multipos.numerics.quantiles import check_confidence
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
@@ -27,7 +27,7 @@ _CONTRADICT = {
 }
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Options:
     """What was asked for.
 

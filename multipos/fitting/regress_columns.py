@@ -27,7 +27,7 @@ heating and of cooling, by the sign of a rate.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -69,6 +69,7 @@ from multipos.regression.robust import ROBUST, RowDependence, within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import check_edges, find_edges, segment_of
 from multipos.regression.variation import term_variances
+from multipos.results import frozen
 
 _MOST_NAMED = 3  # terms that are left out
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
@@ -247,7 +248,7 @@ def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) 
     }
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Cut:
     """How rows are cut: at edges of a variable, and by the sign of a rate."""
 
@@ -309,7 +310,7 @@ def _noise(design: Array, data: Data, place: Rows) -> Noise | None:
     return find_noise(np.column_stack(apart), data.response, data.order)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class _Branch:
     """Rows of one sign of the rate, or all where `name` is None, and the segment of each."""
 

@@ -16,7 +16,6 @@ positions share, which every unit's cross terms take up, and on few positions mo
 six faces: half of every angle goes into cross terms). Positions with such a part have no value.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from multipos.estimation.known import SharedDesign
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import cross_matrix
 from multipos.numerics.terms import COMPONENTS
+from multipos.results import frozen
 
 _MOST = 120  # positions: G has (3 n)² numbers
 _UNSEEN = 1e-9  # singular values of G below this are zero
@@ -34,7 +34,7 @@ _UNSEEN_PART = 1e-6  # part of an angle that may be unseen
 _WILD = 5.0  # times the median of the residuals, beyond which a unit tells nothing of its fixture
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Fixture:
     """Positions and G⁺ of eq. (1).
 

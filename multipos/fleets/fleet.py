@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path, PurePath
 from typing import Any, Unpack
 
@@ -46,7 +46,7 @@ from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
 from multipos.fleets.workers import Engine, open_engine
-from multipos.results import Columns, Drawn, Result, plain
+from multipos.results import Columns, Drawn, Result, frozen, plain
 from multipos.sensor.calibration import Calibration
 
 
@@ -148,7 +148,7 @@ def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
 SCHEMA = "multipos/fleet/1"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Fleet(Result, Drawn):
     """Many units: each one's calibration and verdict, and what only all of them tell.
 

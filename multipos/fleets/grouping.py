@@ -15,7 +15,6 @@ same stations, at least twice at each; what some of them have more is left out o
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places
 from multipos.positions import attitudes
 from multipos.positions.headers import FORCE
+from multipos.results import frozen
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
 _STRETCH = 1 << 20  # rows that are numbered at a time
@@ -34,7 +34,7 @@ _SEED = 20261  # of the random numbers: any serve, and the same ones every time
 AnyArray = NDArray[Any]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Grouped:
     """The units of a fleet, in the order in which they first come.
 
@@ -244,7 +244,7 @@ class Trials(NamedTuple):
     repeats: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class GaugeStudy:
     """What the trials of p units at s stations gave.
 

@@ -35,7 +35,6 @@ A limit is on a column of the table of calibrations (a parameter, ``u_…``, ``r
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +46,7 @@ from multipos.files.spelling import near
 from multipos.fleets.unit_results import Texts, Units
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import beta_quantile, coverage_factors, erf, normal_quantile
+from multipos.results import frozen
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 _GRID = 2001  # of eq. (3): its error is below 1e-6
@@ -195,7 +195,7 @@ PASS, FAIL, UNFIT, FAILED = "pass", "fail", "unfit", "failed"
 VERDICTS = (PASS, FAIL, UNFIT, FAILED)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Verdicts:
     """The verdict of every unit (B,), the reasons, and how often each kind of reason came."""
 

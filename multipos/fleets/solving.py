@@ -28,7 +28,6 @@ uncertain and unknown ones it is asked only of units that are fitted one by one.
 import math
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
@@ -64,6 +63,7 @@ from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import resolve
 from multipos.positions.reading_tables import read_readings
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -173,7 +173,7 @@ class Solved(NamedTuple):
     fixtures: tuple[FixtureSums, ...] = ()
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Pattern:
     """What units of one group share, found from one of them.
 
@@ -206,7 +206,7 @@ class Pattern:
     timed: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Task:
     """Units to solve.
 

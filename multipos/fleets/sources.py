@@ -11,7 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from glob import glob, has_magic
 from pathlib import Path
@@ -32,6 +32,7 @@ from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 from multipos.positions.headers import is_environment, split_unit
+from multipos.results import frozen
 
 _ENDINGS = (".csv", ".parquet")
 _PACKED = (".gz", ".xz", ".zst")
@@ -42,7 +43,7 @@ _LOGS = (
 _UNIT = "unit"  # the column of units where none is named
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Rows:
     """All rows of a fleet, in one or several tables that have the same columns.
 
@@ -397,7 +398,7 @@ def _without(table: Table, names: set[str | None]) -> Table:
     return replace(table, columns=columns)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Averaging:
     """How raw logs are averaged: options of `average`, and what runs them."""
 

@@ -17,7 +17,6 @@ Readings state no noise, or one that is equal in all readings of an output.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -50,6 +49,7 @@ from multipos.numerics.arrays import Array, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import TEMPERATURE
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.fit_diagnostics import (
     OUTLIER_LEVEL,
@@ -72,7 +72,7 @@ _CLOSE = 1.0  # of S, within which causes are as good
 _MOST = 1000  # positions of which the nearest two are looked for
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class UnitTests:
     """What the positions decide of the tests.
 

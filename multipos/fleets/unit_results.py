@@ -1,6 +1,5 @@
 """The numbers of all units, and where they are gathered while tasks come in."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,14 +12,14 @@ from multipos.fleets.grouping import GaugeStudy
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import Solved
 from multipos.numerics.arrays import Array
-from multipos.results import Columns
+from multipos.results import Columns, frozen
 from multipos.sensor.model import Model
 
 # texts as they are: of one width, all would be as long as the longest
 Texts = NDArray[np.object_]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Units:
     """Every unit's numbers, (B,) or (B, p); NaN and a reason where a unit failed.
 

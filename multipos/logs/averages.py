@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 
@@ -16,10 +16,10 @@ from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import UP
 from multipos.positions.readings import Readings
-from multipos.results import Result, Tabular, plain
+from multipos.results import Result, Tabular, frozen, plain
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RestAverage(Result):
     """One rest of a log, averaged.
 
@@ -51,7 +51,7 @@ class RestAverage(Result):
     log: str = field(default="", compare=False)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Averages(Result, Tabular):
     """The rests of a log, averaged: readings, and where they came from.
 

@@ -16,7 +16,6 @@ import importlib
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -65,6 +64,7 @@ def read_apart(
         The reader refuses the file, crashes over it, or does not end.
     """
     import subprocess  # slow to import, and seldom needed
+    import tempfile
 
     task = {
         "path": [str(place) for place in sys.path],

@@ -10,7 +10,6 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import NamedTuple
 
@@ -19,6 +18,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.finding import Finding, Findings
 from multipos.positions.headers import split_unit, unit_of
+from multipos.results import frozen
 
 COMMENTS = ("#", "//", "%")
 _LAST = 50  # rows that tell what a row is
@@ -46,7 +46,7 @@ class Line(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Layout:
     """How the rows of a text log are laid out.
 

@@ -44,14 +44,14 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 Counts = NDArray[np.signedinteger[Any]]
 
@@ -144,7 +144,7 @@ _VARIES = _NOISE + 1.0 / 12.0 - _ROUNDED
 _WALKS = 0.6  # slope over long times, above which it is more than a memory
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RestMean(Result):
     """What the samples (n, M) of one rest say; arrays are (M,) in the unit of the samples.
 

@@ -43,7 +43,6 @@ References
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -57,6 +56,7 @@ from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
 from multipos.numerics.arrays import Array, median, require_rate
+from multipos.results import frozen
 
 BLOCKS = 8  # of a window
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
@@ -104,7 +104,7 @@ class Rest(NamedTuple):
     end: int
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Grid:
     """Sizes of blocks and of the shortest rest, in samples.
 
@@ -697,7 +697,7 @@ def detect_static(
     return long_enough(found, grid)[0], limits.size
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Sections:
     """Rests that the user knows, by label."""
 

@@ -7,7 +7,6 @@ and again numbers sensors, or samples of a packet. They are sensors where readin
 one row to the next than from one round to the next.
 """
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -285,6 +284,8 @@ class Samples:
         """Keep a piece: in memory while they are few, all of them in a file when many."""
         self._few.append(data)
         if self._file is None and sum(each.nbytes for each in self._few) > _IN_MEMORY:
+            import tempfile  # slow to import, and seldom needed
+
             self._file = tempfile.TemporaryFile()  # noqa: SIM115  # closed on leaving
         if self._file is not None:
             for each in self._few:

@@ -1,7 +1,6 @@
 """One log: its rests, found or given, and what their samples say."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,11 +29,12 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import COLUMNS
 from multipos.positions.headers import unused_columns
+from multipos.results import frozen
 
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Wish:
     """What the user asks of each log."""
 
@@ -49,7 +49,7 @@ class Wish:
     accept_faults: bool
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Still:
     """One rest as its samples show it.
 
@@ -79,7 +79,7 @@ class Still:
     saturated: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class StillLog:
     """A log, and where it stands still.
 

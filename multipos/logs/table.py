@@ -1,13 +1,14 @@
 """What every reader gives: a table of samples that comes in pieces."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import NamedTuple, Protocol
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import near
 from multipos.files.tables import Table
 from multipos.finding import Findings
+from multipos.results import frozen
 
 
 class Piece(NamedTuple):
@@ -32,7 +33,7 @@ class ReadPieces(Protocol):
         """Yield pieces with the columns of these names."""
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Log:
     """A log that can be read from its beginning, more than once.
 

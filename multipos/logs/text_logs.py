@@ -18,7 +18,7 @@ import os
 import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from operator import methodcaller
@@ -46,6 +46,7 @@ from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, ReadPieces
 from multipos.numerics.arrays import Array
+from multipos.results import frozen
 
 
 class Part(NamedTuple):
@@ -311,7 +312,7 @@ _SHOWN = 40  # characters of a line in a message
 _LINE_END = re.compile(rb"\r\n|\r|\n")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Text:
     """A text file, and how its rows are laid out."""
 
@@ -360,7 +361,7 @@ def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -
     return LiveText(log, text, head)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class LiveText:
     """Text that comes piece by piece, its rows laid out as its first lines show.
 

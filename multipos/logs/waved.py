@@ -16,7 +16,7 @@ Rests are taken instead where nine or more hold most of the log.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
-from multipos.results import Result, plain
+from multipos.results import Result, frozen, plain
 
 _KEPT = 600  # rows that a fit is made of
 _LEAST = 60  # rows that are kept whatever their correlation
@@ -46,7 +46,7 @@ _RESTS = 9
 _CUT = 4  # rows in a run at the end of a range
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Waved(Result):
     """The rows of a waved log that are worth keeping.
 

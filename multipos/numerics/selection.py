@@ -55,7 +55,6 @@ References
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import inf, log
 from typing import Literal, NamedTuple, get_args
 
@@ -66,14 +65,14 @@ from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import BLOCK, name_combinations, separability
 from multipos.numerics.quantiles import f_quantile, f_tail
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own
 NOTHING = 1e-12  # part of a column's length below which what the forced terms leave is rounding
 _EXACT = 1e-14  # part of the response below which a residual is rounding
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Triangle:
     """Triangular factor of a design and its response, which stands for all rows, eq. (1).
 
@@ -97,7 +96,7 @@ class Tested(NamedTuple):
     p: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Step(Result):
     """One term added or removed: its F and p, the second best, and every term that was tested."""
 
@@ -111,7 +110,7 @@ class Step(Result):
     tested: tuple[Tested, ...]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Selection:
     """Columns chosen, and how.
 
@@ -157,7 +156,7 @@ class Guard(NamedTuple):
     cancel: Callable[[Sequence[int], Array], bool]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Thresholds:
     """When a term goes in and out: by p (`enter`, `remove`), or by F where `f_enter` is given."""
 
@@ -489,7 +488,7 @@ _LISTED = 256  # subsets that are listed whole
 _BEST = 5  # of each size beyond that
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Subset(Result):
     """One subset of the terms, with its columns and criteria."""
 

@@ -32,6 +32,7 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import LARGEST, Array
+from multipos.results import frozen
 
 
 class Code(NamedTuple):
@@ -212,7 +213,7 @@ _OTHER = re.compile(r"\bother\b")
 HIGHEST_POWER = 9  # beyond it a term of specific force within 1 g says nothing new
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Term:
     """A product of factors in alphabetical order; no factor is the constant ``1``."""
 

@@ -17,7 +17,7 @@ at which cosines and sines are still distinguished.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 _SAME = 1e-9  # [rad or g], below which two angles are one and a component is zero
 _HIGHEST_UNEVEN = 24
@@ -37,7 +37,7 @@ _SIGNIFICANT = 0.01  # chance that a clean roll has a residual harmonic named
 _APART = 10.0  # condition up to which unevenly spaced cosines and sines are distinguished
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Roll(Result):
     """Positions that share a horizontal case axis.
 
@@ -102,7 +102,7 @@ class Roll(Result):
         return np.asarray(total / counts)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Harmonic(Result):
     """A coefficient pair of a Fourier series, in reading units; order 0 is the mean in `cos`.
 

@@ -19,7 +19,7 @@ the case the sensor's axes lie, which positions of wholly unknown orientation do
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +36,10 @@ from multipos.positions.headers import component
 from multipos.positions.order import Order, check_order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, of_size, read_scheme
+from multipos.results import frozen
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class OpenRolls:
     """Which positions are rolls of open angle.
 
@@ -156,7 +157,7 @@ _LOG_ROWS, _LOG_STEP = 100, 0.1  # rows, and their usual step over the spread of
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StatedOrientations:
     """What is known of the positions.
 

@@ -11,7 +11,7 @@ The noise that readings state: as standard uncertainties, as variances, and by a
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from multipos.finding import Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array
 from multipos.positions import attitudes
 from multipos.positions.headers import along_forces, known_rows
-from multipos.results import Frozen, Result, Tabular
+from multipos.results import Frozen, Result, Tabular, frozen
 
 # What has a value a row, beside the environment and the covariance.
 _BY_ROW = (
@@ -32,7 +32,7 @@ _BY_ROW = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Readings(Result, Tabular):
     """Averaged readings of M outputs at n positions, with all that is known of them.
 

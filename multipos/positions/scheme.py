@@ -13,7 +13,6 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,14 +45,14 @@ from multipos.positions.headers import (
     states_forces,
 )
 from multipos.positions.order import Order, check_order, lay_out
-from multipos.results import Drawn, Result, Tabular
+from multipos.results import Drawn, Result, Tabular, frozen
 
 LARGEST = 1_000_000  # positions; a typing slip in fibonacci-N should not fill the memory
 _AS_PRINTED = ("song-qin-6",)  # whose order is part of the paper
 _LONGEST = 40  # digits of an N that are read and shown
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Scheme(Result, Drawn, Tabular):
     """The positions of a calibration, in order.
 

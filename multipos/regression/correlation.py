@@ -73,7 +73,6 @@ G. Schwarz, Ann. Stat. 6, 1978; R. L. Berger, D. D. Boos, J. Am. Stat. Assoc. 89
 p over a confidence set of what else is unknown).
 """
 
-from dataclasses import dataclass
 from math import log
 from typing import NamedTuple
 
@@ -82,13 +81,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.numerics.arrays import Array, median, recur
 from multipos.numerics.factoring import gram
+from multipos.results import frozen
 
 _GAP = 5.0  # median intervals without a row that end a run
 _CLEARLY = 2.33  # standard deviations of the lag-1 correlation of independent rows: 1 % above it
 _HALF = 0.97  # largest lag-1 correlation that is taken at its word
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TimeOrder:
     """Rows in the order of time, and which run without a gap each belongs to."""
 
@@ -279,7 +279,7 @@ class Noise(NamedTuple):
     plausible: tuple[Law, ...]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Whitening:
     """A filter that makes rows independent, by the law of their noise."""
 

@@ -9,7 +9,6 @@ the row where it is largest among those near the edge, a twentieth of the rows b
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,12 +17,12 @@ from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.hysteresis import branch_of
 from multipos.regression.observations import Data, Rows
 from multipos.regression.segment import Segment
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 _NEAR = 0.05  # of the rows of a branch
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Junction(Result):
     """The largest jump at an edge, in the unit of the response.
 

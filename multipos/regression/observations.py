@@ -32,7 +32,7 @@ for any spacing of the rows. (2): two first-order lags by implicit steps, p/(1 +
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,7 @@ from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, median
 from multipos.regression.correlation import Noise, TimeOrder, time_order
+from multipos.results import frozen
 
 _WINDOW_ROWS = 20  # of the default window: quiet enough to be of use, short beside a soak
 
@@ -233,7 +234,7 @@ _TIME = re.compile(
 _SAME = 1e-10  # relative difference below which two columns are one
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Data:
     """Columns of the rows that are fitted, with order in time, clusters, runs and their noise.
 
@@ -264,7 +265,7 @@ class Data:
         return len(self.response)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Observations:
     """What was read: the data, the time column, rates formed with their windows, rows dropped.
 

@@ -20,7 +20,7 @@ them one by one instead.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -63,6 +63,7 @@ from multipos.regression.robust import (
 from multipos.regression.segment import LeftOut, Robust, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 from multipos.regression.variation import LEAST, Contributions, by_degree, varying
+from multipos.results import frozen
 
 HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
 
@@ -146,7 +147,7 @@ def stands_on(terms: Sequence[Term]) -> list[frozenset[int]]:
 METHODS = ("full", "stepwise", "backward", "subsets")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Plan:
     """What is fitted in every segment, and how it is judged.
 
@@ -180,7 +181,7 @@ class Plan:
         return CONSTANT in self.terms
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Fit:
     """Chosen columns of a design and their least squares."""
 

@@ -24,20 +24,19 @@ out, by Python and by the exported C, so that both flag the same rows.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import compress
 from multipos.numerics.terms import Term
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 _SAME = 1e-9  # what a processor that rounds otherwise may add
 _ROWS = 4096  # that are taken at a time: their columns stay in the cache
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Region(Result):
     """What rows of a fit fill, eq. (1).
 

@@ -10,7 +10,7 @@ Regressions of several responses, one for each axis, on the same columns.
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,10 @@ from multipos.regression.hysteresis import branch_of
 from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
-from multipos.results import Result, Tabular, stacked
+from multipos.results import Result, Tabular, frozen, stacked
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Balance(Result):
     """What a regression predicts in thermal balance.
 
@@ -56,7 +56,7 @@ class Balance(Result):
         return [dict(zip(names, point, strict=True)) for point in points]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Regression(Result, Tabular):
     """Piecewise regression of one column on others, with its tests.
 
@@ -377,7 +377,7 @@ def _path_text(s: Segment) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Regressions(Result, Tabular, Mapping[str, Regression]):
     """Regressions by the response that each describes: ``found["error_x"]``.
 

@@ -13,7 +13,6 @@ mean to compare with: ȳ = 0 and n − k.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
 from multipos.regression.region import Region
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 
 class Coefficient(NamedTuple):
@@ -45,7 +44,7 @@ class Coefficient(NamedTuple):
     dof: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Robust(Result):
     """What the figures become where rows are not independent (`multipos.regression.correlation`).
 
@@ -73,7 +72,7 @@ class Robust(Result):
     lag_one: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Between(Result):
     """What differs from run to run, eq. (2) of `multipos.regression.robust`.
 
@@ -137,7 +136,7 @@ class LeftOut(NamedTuple):
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Segment(Result):
     """The model of one segment.
 

@@ -32,7 +32,6 @@ Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import log
 
@@ -44,6 +43,7 @@ from multipos.files.numbers import number
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Triangle, compress, join
 from multipos.numerics.terms import Factor, Term
+from multipos.results import frozen
 
 Rows = NDArray[np.intp]
 
@@ -51,7 +51,7 @@ MOST = 6  # segments that are looked for
 _BINS = 48  # candidate edges and one: every pair of them is fitted
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Hinge:
     """A column of eq. (3): the term, and the edge above or below which it acts."""
 

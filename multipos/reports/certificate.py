@@ -9,7 +9,7 @@ plain text.
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 
@@ -43,6 +43,7 @@ from multipos.reports.sensor_result import (
     signature_section,
 )
 from multipos.reports.summary import calibration_sentence
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget
@@ -91,7 +92,7 @@ _WORDS = (
 )
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Content:
     """A whole report.
 

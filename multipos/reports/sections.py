@@ -12,7 +12,7 @@ fits say, where ``{name}`` matches whatever stands there. What a language lacks 
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.files.numbers import largest_rows
+from multipos.results import frozen
 from multipos.sensor.gravity import GRAVITY, Field, worded, worded_chinese
 
 Language = Literal["en", "zh"]
@@ -94,7 +95,7 @@ LONG_TABLE = 24  # rows of a table in the body of a report; a longer one stands 
 _WHOLE = 400  # rows of a table in the annex
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class PageTable:
     """A table: its caption, header and rows of text; the first `left` columns hold words.
 
@@ -111,7 +112,7 @@ class PageTable:
     foot: int = 0
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Figure:
     """A figure: caption, what it shows in words, and the function that draws it as SVG."""
 
@@ -120,7 +121,7 @@ class Figure:
     draw: Callable[[], str]
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Section:
     """A section of the report, in the order paragraphs, figures, tables."""
 

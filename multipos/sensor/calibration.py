@@ -11,8 +11,8 @@ degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `con
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from dataclasses import field as declared
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -38,7 +38,7 @@ from multipos.numerics.rotations import align, directions, rotation_vector
 from multipos.numerics.terms import COMPONENTS, linear_term
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
-from multipos.results import Drawn, Result, data_frame
+from multipos.results import Drawn, Result, data_frame, frozen
 from multipos.sensor import derived, inverse
 from multipos.sensor.fit_diagnostics import Diagnostics, linearity
 from multipos.sensor.found import (
@@ -86,7 +86,7 @@ class Status(NamedTuple):
     gradient: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Calibration(Result, Drawn):
     """Fitted parameters of one accelerometer, with everything needed to derive them again.
 

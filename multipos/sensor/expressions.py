@@ -22,7 +22,7 @@ Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, sec
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ from multipos.errors import UsageError
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import Term
+from multipos.results import frozen
 from multipos.sensor.formulas import SHARED, ParsedModel, StatedParameter
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.units import unit_per
@@ -54,7 +55,7 @@ def load_casadi() -> Any:
     return casadi
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Symbol(Term):
     """A parameter of an expression, in the place of a term."""
 
@@ -64,7 +65,7 @@ class Symbol(Term):
         return self.name
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class ExpressionModel(Model):
     """A model whose outputs are expressions; see `Model` for the other attributes.
 

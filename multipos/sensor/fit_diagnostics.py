@@ -54,7 +54,7 @@ microarray experiments*, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3: variances wit
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -73,7 +73,7 @@ from multipos.numerics.quantiles import (
     t_tail,
 )
 from multipos.numerics.terms import COMPONENTS
-from multipos.results import Result, plain
+from multipos.results import Result, frozen, plain
 from multipos.sensor.model import Model
 
 _ALIKE = 0.7  # chance, before anything is seen, that rows are alike
@@ -225,7 +225,7 @@ MODEL_TESTS = Listed(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ModelTest(Result):
     """A test of one kind of term, outputs together.
 
@@ -325,7 +325,7 @@ class NoiseTest(NamedTuple):
     dof: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Diagnostics(Result):
     """What was found about a fit.
 

@@ -31,7 +31,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -41,7 +41,7 @@ from multipos.files.trees import read_toml
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import is_environment
-from multipos.results import Result
+from multipos.results import Result, frozen
 
 if TYPE_CHECKING:
     from multipos.sensor.compiled import Instruction
@@ -76,7 +76,7 @@ _LONGEST = 4000  # characters
 Tree = tuple[str, tuple[Any, ...]] | float | str  # operation and operands, a number, a name
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Formula:
     """One line of a model.
 
@@ -313,7 +313,7 @@ _KEPT = 64  # lines
 _ALIKE = 0.8  # of two names, from which one is the other misspelt
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class StatedParameter(Result):
     """What is known of a parameter before any reading; see the module for `start`, `sd`, bounds."""
 
@@ -330,7 +330,7 @@ class StatedParameter(Result):
         return math.isfinite(self.low) or math.isfinite(self.high)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class ParsedModel(Result):
     """A model of one's own as it was written.
 

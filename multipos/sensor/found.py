@@ -5,7 +5,6 @@ there is nothing to say. Their fields are the keys of the calibration file.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import add_variances
-from multipos.results import Keyed
+from multipos.results import Keyed, frozen
 
 
 class Estimator(StrEnum):
@@ -30,7 +29,7 @@ class Estimator(StrEnum):
         return self in (Estimator.CLOSED_FORM, Estimator.LINEAR)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Component(Keyed):
     """A standard deviation that was estimated with the parameters, and its own uncertainty."""
 
@@ -38,7 +37,7 @@ class Component(Keyed):
     u: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class OrientationSpread(Keyed):
     """How far positions were off [degrees], per axis, estimated with the parameters.
 
@@ -54,7 +53,7 @@ class OrientationSpread(Keyed):
     determined: bool
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RestToRest(Keyed):
     """Scatter of one output from rest to rest, beyond what its readings state.
 
@@ -71,7 +70,7 @@ class RestToRest(Keyed):
     dof: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class VarianceComponents(Keyed):
     """What was found of the noise beside the parameters; None where it was not to be found.
 
@@ -103,7 +102,7 @@ def add_scatter(
     return add_variances(noise, np.tile(scatter, len(noise) // len(scatter)))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FoundOrientations(Keyed):
     """Where positions were found to be.
 
@@ -136,7 +135,7 @@ class Excluded(NamedTuple):
     unit: str
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Chosen(Keyed):
     """How the terms of one output were chosen stepwise.
 
@@ -156,7 +155,7 @@ class Chosen(Keyed):
     collinear: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StatedBudget(Keyed):
     """The budget that a covariance follows from.
 
@@ -176,7 +175,7 @@ class StatedBudget(Keyed):
     scatter: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Sessions(Keyed):
     """The sessions that a calibration was combined of.
 

@@ -25,7 +25,6 @@ JCGM 100:2008, clause 5.1 and G.4.1.
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -34,13 +33,14 @@ from multipos.errors import UsageError
 from multipos.files.numbers import in_unit
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.headers import MAGNETIC_UNITS, field_of_outputs, unit_of
+from multipos.results import frozen
 from multipos.units import gravity_ratio, normal_gravity
 
 FieldKind = Literal["gravity", "magnetic"]
 FIELD_KINDS: tuple[FieldKind, ...] = get_args(FieldKind)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Field:
     """What a triad senses.
 

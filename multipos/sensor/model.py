@@ -15,8 +15,8 @@ users state them are checked: names, formulas and axes against each other.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from dataclasses import field as declared
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
 
@@ -42,7 +42,7 @@ from multipos.numerics.terms import (
     split_terms,
 )
 from multipos.positions.headers import axes_by_name
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.gravity import GRAVITY, Field, worded
 from multipos.units import unit_per
 
@@ -102,7 +102,7 @@ RollGauge = Literal["roll-x", "roll-y", "roll-z"]  # only the rotation about tha
 ROLL_GAUGES: tuple[RollGauge, ...] = get_args(RollGauge)
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class Model(Result):
     """The terms of each output, with the names and units of the parameters.
 

@@ -32,7 +32,6 @@ Sources: H. Scheffé, The Analysis of Variance, Wiley 1959, section 3.5.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,7 +43,7 @@ from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
 from multipos.positions.headers import SOAKS, TEMPERATURE
 from multipos.positions.readings import Readings
-from multipos.results import Drawn, Result, Tabular, require
+from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import parameter_name
@@ -55,7 +54,7 @@ _FEWEST = 3  # soaks
 _SEEN = 0.2  # of the length of a soak's column, which must be left beyond the model's terms
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Curve(Result, Drawn, Tabular):
     """One parameter over temperature.
 

@@ -42,7 +42,7 @@ compensated force they act along its axis, dy = J e_axis.
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ from multipos.errors import MultiposError
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import normal_gravity
 
@@ -164,7 +164,7 @@ _FEWEST = 1e-3  # degrees of freedom: of fewer nothing can be said
 _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
-@dataclass(frozen=True)
+@frozen(eq=True)
 class QuantityKind:
     """What a table of the budget is about.
 
@@ -211,7 +211,7 @@ KINDS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Quantity(Result):
     """One input quantity: its standard uncertainty in `unit`, its law, its degrees of freedom."""
 
@@ -228,7 +228,7 @@ class Quantity(Result):
         return KINDS[self.name]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Budget(Result):
     """The input quantities by name, and the tables they were read from."""
 

@@ -30,7 +30,7 @@ their standard deviations, where they were estimated, are drawn like the noise.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ from multipos.estimation.gains import estimator_gain, noise_factor, restate, ret
 from multipos.estimation.problem import circle_basis, start_state
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import directions
-from multipos.results import Result, Tabular, require
+from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents
@@ -243,7 +243,7 @@ _FEW = 100  # of an estimator that runs once a trial, so that progress shows
 _MOST = 1_000_000  # all are kept until they are sorted
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class MonteCarlo(Result, Tabular):
     """What the trials gave.
 

@@ -23,7 +23,7 @@ JCGM 100:2008, clauses 4.3, 5.1 and G.4.1; docs/theory/budget.md.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array, quadratic
-from multipos.results import Drawn, Result, Tabular, require
+from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.uncertainty.budgets import (
@@ -45,7 +45,7 @@ from multipos.uncertainty.budgets import (
 from multipos.uncertainty.sensitivities import Cleared, clear_scatter, is_bounded, parameter_effects
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Row(Result):
     """One line of the budget.
 
@@ -92,7 +92,7 @@ class Row(Result):
         return np.where(np.logical_or.outer(self.contained, self.contained), 0.0, self.covariance)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Evaluation(Result, Drawn, Tabular):
     """A budget evaluated for one calibration: its rows, and their sum.
 

@@ -63,7 +63,6 @@ JCGM 100:2008, clause 5.1; docs/theory/budget.md.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +75,7 @@ from multipos.estimation.stated_uncertainty import combined_dof
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.positions.readings import diagonal
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -263,7 +262,7 @@ _SETTLED_BESIDE, _ROUNDS_BESIDE = 1e-2, 20  # each is a search
 Find = Callable[[Array], Array]  # residuals (n, M) -> their variance beyond the stated one (M,)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Cleared(Result):
     """What is left of the scatter of the outputs without common causes.
 
@@ -279,7 +278,7 @@ class Cleared(Result):
     dof: Array
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Shown:
     """The residuals of the outputs that tell a scatter, and what common causes make of them.
 

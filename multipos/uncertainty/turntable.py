@@ -62,7 +62,7 @@ What rolls tell of the turntable, and of the sensor beside it: results of `turnt
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,7 +78,7 @@ from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
-from multipos.results import Result, Tabular, require
+from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -127,7 +127,7 @@ def shaft_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Arr
 _FOUND = 1e-3  # chance of a table's errors where there are none
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TableError(Result):
     """One quantity of the table on one roll; value, u, U are None where it cannot be identified.
 
@@ -143,7 +143,7 @@ class TableError(Result):
     confounded_with: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ZeroShift(Result):
     """How far the zero of an output lies, on one roll, from where it was on the first."""
 
@@ -156,7 +156,7 @@ class ZeroShift(Result):
     p: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class BesideTable(Result):
     """The parameters of the sensor, estimated together with every error of the table.
 
@@ -184,7 +184,7 @@ class BesideTable(Result):
         return self.p < _FOUND
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TableErrors(Result, Tabular):
     """What the rolls of a calibration tell of the table, and of the sensor's zero between them.
 

@@ -29,7 +29,6 @@ Each output has a κ of its own, each product of `own*other` too.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +39,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS, kind_terms
 from multipos.positions.scheme import read_scheme
-from multipos.results import Keyed, Tabular, require
+from multipos.results import Keyed, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian, sensed_axes
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
@@ -189,7 +188,7 @@ def applied(calibration: Calibration) -> ForcesSeen:
     return ForcesSeen(sphere, largest, np.asarray(low), np.asarray(high), margin, unit)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Sphere(Keyed, Tabular):
     """How well force and tilt are known over a sphere of directions.
 

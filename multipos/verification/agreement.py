@@ -37,7 +37,6 @@ References
 JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/formats`.
 """
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +47,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.rotations import rotation_matrix
 from multipos.positions.readings import Readings
-from multipos.results import Keyed
+from multipos.results import Keyed, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.temperature import zeros_of_soaks
@@ -61,7 +60,7 @@ _IDENTIFIABLE = 1e-9  # of its own information, which a parameter keeps beside o
 _TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Agreement(Keyed):
     """What is said of a run as a whole.
 

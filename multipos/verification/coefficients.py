@@ -19,7 +19,7 @@ Source: the model equation of IEEE Std 1293 as the project's formats reference w
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
-from multipos.results import Result
+from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
 from multipos.uncertainty.turntable import BesideTable
@@ -58,7 +58,7 @@ _WEAK = 5.0  # u of one grows so much by the other being fitted as well
 _FAINT = 10.0  # times by which others may enlarge the u of a coefficient on part of a turn
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TumbleCoefficient(Result):
     """One coefficient of eq. (1); all but K1 are divided by K1.
 

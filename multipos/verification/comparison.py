@@ -23,7 +23,7 @@ Song and Qin 2009, section 3.2 and figure 1: at least four runs.
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -49,7 +49,7 @@ from multipos.numerics.quantiles import check_confidence, t_tail
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
-from multipos.results import Drawn, Result, data_frame, plain
+from multipos.results import Drawn, Result, data_frame, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.combining import combine_sessions
@@ -139,7 +139,7 @@ _TIMES = {
 _LEAST = 4  # repeats that the six-position paper asks for
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Comparison(Result, Drawn):
     """Repeated calibrations, or several methods on the same readings.
 

@@ -31,7 +31,6 @@ JCGM 100:2008, H.5 (analysis of variance); Song and Qin 2009, section 3.2 and fi
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +39,7 @@ from numpy.typing import NDArray
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_tail, f_tail
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.fit_diagnostics import bartlett
 from multipos.uncertainty.propagation import evaluate_budget
@@ -62,7 +62,7 @@ _WORDS = Words(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Judgement:
     """What is said of repeated calibrations; arrays (p,), in the order of the parameters.
 
@@ -116,7 +116,7 @@ class Judgement:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Family:
     """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,)."""
 

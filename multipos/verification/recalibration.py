@@ -30,7 +30,6 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from typing import Any, NamedTuple
 
@@ -41,7 +40,7 @@ from multipos.files.limits import Limit, read_limits
 from multipos.files.spelling import near
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors
-from multipos.results import Keyed
+from multipos.results import Keyed, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import in_tesla
 from multipos.uncertainty.propagation import evaluate_budget
@@ -62,7 +61,7 @@ class Rate(NamedTuple):
     U: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Change(Keyed):
     """What became of one parameter between the first and the last calibration.
 

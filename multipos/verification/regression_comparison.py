@@ -17,7 +17,7 @@ Sources: B. L. Welch, Biometrika 38, 1951.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -29,11 +29,11 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.regression.regression import Regression, format_span
 from multipos.regression.segment import Segment
-from multipos.results import Drawn, Result, Tabular, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain
 from multipos.verification.repeat_findings import find_repeated_regressions
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ComparedTerm(Result):
     """One term of one segment over the repeats.
 
@@ -56,7 +56,7 @@ class ComparedTerm(Result):
     p: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RegressionComparison(Result, Drawn, Tabular):
     """Repeated regressions.
 

@@ -19,7 +19,6 @@ at the angle of the reading before, belong to the pass that follows.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from multipos.positions.harmonics import (
     transform,
 )
 from multipos.positions.readings import Readings
-from multipos.results import Drawn, Result, Tabular
+from multipos.results import Drawn, Result, Tabular, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
@@ -65,7 +64,7 @@ _STILL = 1e-9  # [rad], a turn that is none
 _FEWEST = 2  # angles come to both ways, without which there is no spread
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Hysteresis(Result):
     """Mean of forward less backward readings at the same angles of a roll, by eq. (1)."""
 
@@ -127,7 +126,7 @@ _LEANING = 0.1  # rad, by which an input axis that is mounted by hand lies from 
 _ROUNDING = 1e-12  # residuals below this part of the largest reading are rounding
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Tumble(Result, Drawn, Tabular):
     """A single-axis tumble: coefficients, harmonics, and the calibration that they come from.
 

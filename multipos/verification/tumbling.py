@@ -10,7 +10,7 @@ off the diagonal delta_o along the pendulous axis of the output and −delta_p a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from multipos.positions.orientations import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
-from multipos.results import Drawn, Result, Tabular, stacked
+from multipos.results import Drawn, Result, Tabular, frozen, stacked
 from multipos.sensor.gravity import FieldKind
 from multipos.sensor.model import default_axes, stated_facing
 from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
@@ -43,7 +43,7 @@ from multipos.verification.coefficients import (
 from multipos.verification.single_axis import SCHEMA, Tumble, tumble_output
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Tumbles(Result, Drawn, Tabular):
     """The tumbles of several outputs on one table.
 

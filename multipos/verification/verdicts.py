@@ -39,7 +39,7 @@ JCGM 106:2012, 8.3 (guarded acceptance); ISO 13528:2015, 9.7; R. L. Berger, Tech
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -75,14 +75,14 @@ from multipos.numerics.arrays import LARGEST, Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.regression.regression import Regression, Regressions
-from multipos.results import Columns, Drawn, Result, data_frame
+from multipos.results import Columns, Drawn, Result, data_frame, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.verification.agreement import Agreement
 
 VERDICTS = ("pass", "indeterminate", "fail")  # from best to worst
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Check(Result, Drawn):
     """Errors of K axes at n positions, before and after compensation.
 
