@@ -1,12 +1,16 @@
 """The programme that changes lines on purpose: its changes are code, and are of what computes."""
 
 import ast
+import math
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.mutation.__main__ import draw
 from tests.mutation.changes import changes_of
+from tests.mutation.trying import _waited
 
 SOURCE = '''
 def deviation(x: list[float], known: bool = True) -> float:
@@ -44,3 +48,16 @@ def test_every_change_is_code(room, tmp_path):
         assert ast.dump(ast.parse(copy.read_bytes())) != ast.dump(
             ast.parse(Path(change.path).read_bytes())
         )
+
+
+def test_an_interrupt_leaves_no_process(monkeypatch):
+    def interrupted(seconds):
+        raise KeyboardInterrupt
+
+    process = subprocess.Popen(["sleep", "60"], start_new_session=True)
+    monkeypatch.setattr("time.sleep", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _waited(process.pid, math.inf)
+    with pytest.raises(ProcessLookupError):
+        os.kill(process.pid, 0)
+    process.poll()

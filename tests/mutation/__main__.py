@@ -8,6 +8,7 @@ and have as many of each. Printed are the changes that no test noticed, and the 
 import argparse
 import random
 import shutil
+import signal
 import sys
 import tempfile
 from collections import Counter
@@ -45,6 +46,7 @@ def main() -> int:
     drawn = draw(arguments.rooms or ROOMS, arguments.samples, arguments.seed)
     tried: Counter[str] = Counter()
     caught: Counter[str] = Counter()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "project"
         shutil.copytree(".", root, ignore=shutil.ignore_patterns(".*", "_build", "__pycache__"))

@@ -190,6 +190,7 @@ def _forked(root: Path, work: Callable[[], int], longest: float) -> int:
 def _settle(root: Path) -> None:
     """Make the copy the project of this process and of those it starts, silent, with one seed."""
     os.setsid()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     silent = os.open(os.devnull, os.O_RDWR)
     for stream in range(3):
         os.dup2(silent, stream)
@@ -204,14 +205,19 @@ def _settle(root: Path) -> None:
 
 
 def _waited(child: int, longest: float) -> int:
-    """Return the status of a process; of one that hangs, a failure."""
+    """Return the status of a process; of one that hangs, a failure. None is left alive."""
     end = time.monotonic() + longest
-    while time.monotonic() < end:
-        found, status = os.waitpid(child, os.WNOHANG)
-        if found:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.02)
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return 1
+    found = 0
+    try:
+        while time.monotonic() < end:
+            found, status = os.waitpid(child, os.WNOHANG)
+            if found:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.02)
+        return 1
+    finally:
+        if not found:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+            os.kill(child, signal.SIGKILL)  # it may lead no group yet
+            os.waitpid(child, 0)
