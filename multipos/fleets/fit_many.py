@@ -204,6 +204,7 @@ _READINGS = 200_000  # of an output in a task
 _ALONE = 64  # units of a task that are fitted one by one
 _TRIED = 3  # units of a group that may be at fault before it is taken one by one
 _FEWEST = 2  # units that share anything
+_FIRST = 30  # units that are asked for the outputs
 
 
 class Known:
@@ -279,18 +280,14 @@ class Piece:
             yield gather(alone + self._first, [self._fitted[unit] for unit in alone.tolist()])
 
     def _outputs(self) -> tuple[str, ...]:
-        """Return the outputs, as the first units say them that can be fitted."""
-        said = ""
-        for unit in range(min(len(self._grouped), _TRIED * 10)):
+        """Return the outputs, as the first units say them that can be fitted, or read."""
+        said, first = "", range(min(len(self._grouped), _FIRST))
+        for unit in first:
             fitted = self._fit(unit)
             if isinstance(fitted, Calibration):
                 return fitted.outputs
             said = said or fitted
-        return self._outputs_by_columns(said)
-
-    def _outputs_by_columns(self, said: str) -> tuple[str, ...]:
-        """Return the outputs where none of the first units can be fitted, or say why."""
-        for unit in range(min(len(self._grouped), _TRIED * 10)):
+        for unit in first:  # none can be fitted, but its columns may be read
             try:
                 table = self._table(unit)
                 wanted = self._known.options.get("outputs")

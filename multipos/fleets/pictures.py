@@ -105,7 +105,7 @@ def histogram(values: Array) -> dict[str, Any] | None:
 
 def line_order(units: Units) -> tuple[NDArray[np.intp], bool]:
     """Return the units in the order of time, else of their rows, and whether it is of time."""
-    timed = bool(len(units) and np.isfinite(units.time).all())
+    timed = bool(np.isfinite(units.time).all())
     return np.argsort(units.time if timed else units.first, kind="stable"), timed
 
 

@@ -195,7 +195,7 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
         if abs(middle - last) <= _ROUNDING * max(abs(middle), 1.0):
             return math.exp(middle)
         last = middle
-        if at * at_low > 0.0:
+        if (at > 0.0) == (at_low > 0.0):
             low, at_low = middle, at
             at_high, side = (0.5 * at_high if side < 0 else at_high), -1
         else:
@@ -265,13 +265,11 @@ def t_quantile(p: float, dof: float) -> float:
     """Student's t that is not exceeded with probability `p`; normal at infinite `dof`."""
     if not dof > 0.0:
         return math.nan
-    if math.isinf(dof):
-        return normal_quantile(p)
     if not 0.0 < p < 1.0:
         return normal_quantile(p)
     if dof > _NEARLY_NORMAL:  # [1]_ (26.7.5), whose next term is z⁷/384ν³
         z = normal_quantile(p)
-        return z + (z**3 + z) / (4.0 * dof) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * dof**2)
+        return z + (z**3 + z) / (4.0 * dof) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0 / dof / dof
     if p > 0.5:
         return -t_quantile(1.0 - p, dof)
     central = 1.0 - 2.0 * p
@@ -288,8 +286,6 @@ def t_tail(t: float, dof: float) -> float:
     """Probability that a Student t is farther from zero than `t`, both sides together."""
     if not dof > 0.0:
         return math.nan
-    if math.isinf(dof):
-        return math.erfc(abs(t) / math.sqrt(2.0))
     if not math.isfinite(t) or dof > _NORMAL:
         return math.erfc(abs(t) / math.sqrt(2.0))
     return _t_tails(abs(float(t)), float(dof))[0]
@@ -377,8 +373,6 @@ def f_quantile(p: float, k: float, dof: float) -> float:
     """Ratio of variances on `k` and `dof` degrees of freedom not exceeded with probability `p`."""
     if not (k > 0.0 and dof > 0.0):
         return math.nan
-    if math.isinf(dof):
-        return chi2_quantile(p, k) / k
     if not 0.0 < p < 1.0:
         return {0.0: 0.0, 1.0: math.inf}.get(p, math.nan)
     if dof > _NORMAL:
@@ -392,8 +386,6 @@ def f_tail(f: float, k: float, dof: float) -> float:
     """Probability that a ratio of variances on `k` and `dof` degrees of freedom exceeds `f`."""
     if not (k > 0.0 and dof > 0.0):
         return math.nan
-    if math.isinf(dof):
-        return chi2_tail(k * f, k)
     if not math.isfinite(f):
         return math.nan if math.isnan(f) else float(f < 0.0)
     if dof > _NORMAL:

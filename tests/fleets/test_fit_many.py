@@ -201,3 +201,10 @@ def test_units_that_are_numbers_stay_numbers():
     assert mp.fit_many(table, unit_column="unit")["unit"].tolist() == [12, 7, 30]
     found = mp.fleet(table, unit_column="unit", station_column="station")
     assert found.verdicts["unit"].tolist() == [12, 7, 30]
+
+
+def test_units_none_of_which_can_be_fitted_fail_each_by_itself():
+    table = {"unit": [1, 1, 2, 2], "up_x": [0.0, 1.0] * 2, "up_y": [0.0] * 4, "up_z": [1.0, 0.0] * 2}
+    found = mp.fit_many(table | {"ax": [0.0, 1.0, 0.1, 0.9]}, unit_column="unit")
+    assert found["unit"].tolist() == [1, 2]
+    assert all(reason.startswith("2 readings cannot ") for reason in found["reason"])

@@ -1,5 +1,7 @@
 """What only a fleet can tell, against simulated lines whose truth is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fleet_bench import line
@@ -12,6 +14,8 @@ from multipos.fleets.line import (
     _squared,
     _tail,
     discoveries,
+    find_drift,
+    find_outliers,
     find_step,
     normal_scores,
 )
@@ -226,3 +230,76 @@ def test_one_unit_at_two_stations_does_not_tell_what_is_left_within_units():
     # (4/3² + 1/3² + 5²/3² + 2² + 2²)/(5 − 2), over three units and two
     variance = (16.0 / 9.0 + 1.0 / 9.0 + 25.0 / 9.0 + 8.0) / 3.0
     assert np.diag(covariance) == pytest.approx([variance / 3.0, variance / 2.0])
+
+
+def test_scores_and_a_step_by_hand():
+    """Ranks 1, 2.5, 2.5, 4 of four; then Z = 20/√(20·20/40), edges at 2 of 40, on φ(b)."""
+    # eqs. (1), (2) of fleets.line
+    scores = normal_scores(np.array([3.0, 1.0, 3.0, 7.0]))
+    assert_allclose(scores, np.sqrt(2.0) * np.array([0.0, -1.0, 0.0, 1.0]), atol=1e-12)
+    after, chance = find_step(np.repeat([-1.0, 1.0], 20))
+    b = 20.0 / np.sqrt(10.0)
+    by_hand = stats.norm.pdf(b) * ((b - 1.0 / b) * 2.0 * np.log(19.0) + 4.0 / b)
+    assert after == 20
+    assert chance == pytest.approx(by_hand, rel=1e-12)
+    assert find_step(np.tile([1.0, -1.0], 20))[1] == 1.0  # Z is below 1 all along
+
+
+@pytest.mark.parametrize(
+    ("kind", "moved", "size", "inverse"),
+    [
+        ("step", np.repeat([0.0, 10.0], 20), 10.0, 1 / 20 + 1 / 20),
+        # Σx² of forty from −1/2 to 1/2: n(n + 1)/12(n − 1)
+        ("trend", 30.0 * (np.arange(40) / 39 - 0.5), 30.0, 12 * 39 / (40 * 41)),
+    ],
+)
+def test_the_size_of_a_drift_by_hand(kind, moved, size, inverse):
+    """What is left is ±1, across steps and lines: variance 40/(40 − 2)."""
+    left = np.tile([1.0, -1.0, -1.0, 1.0], 10)
+    units = SimpleNamespace(
+        names=("bias_ax", "scale_ax"),
+        parameters=np.column_stack([moved + left, left]),
+        station=["S"] * 40,
+        unit=[f"U{i}" for i in range(40)],
+        time=np.full(40, np.nan),
+        first=np.arange(40),
+    )
+    (found,) = find_drift(units, np.ones(40, dtype=bool))
+    assert (found["name"], found["kind"], found["order"]) == ("bias_ax", kind, "rows")
+    assert found["from_unit"] == "U20" or kind == "trend"
+    assert found["value"] == pytest.approx(size, rel=1e-9)
+    assert found["u"] == pytest.approx(np.sqrt(40 / 38 * inverse), rel=1e-9)
+    units.time = np.arange(40.0)[::-1]
+    (back,) = find_drift(units, np.ones(40, dtype=bool))
+    assert (back["order"], back["value"]) == ("time", pytest.approx(-size, rel=1e-9))
+
+
+def test_a_unit_that_was_measured_worse_is_nearer():
+    """θ' (S + D)⁻¹ θ with D its u² above the median, of two numbers on the scale of the rest."""
+    # eq. (3) of fleets.line
+    rng = np.random.default_rng(21)
+    value, rms, u = rng.normal(size=60), 1.0 + 0.1 * rng.random(60), np.full(60, 0.1)
+    value[7] = 30.0
+    theta = np.column_stack([value, np.cbrt(rms**2)])
+    theta -= np.median(theta, axis=0)
+    scale = 1.482602218505602 * np.median(np.abs(theta), axis=0)
+    theta /= scale
+    S = _concentrated(theta)
+    for u7, added in ((0.1, 0.0), (3.0, (3.0**2 - 0.1**2) / scale[0] ** 2)):
+        u[7] = u7
+        units = SimpleNamespace(
+            names=("a",),
+            parameters=value[:, None],
+            u=u[:, None],
+            rms=rms,
+            unit=np.arange(60),
+            station=["S"] * 60,
+        )
+        first = find_outliers(units, np.ones(60, dtype=bool))[0]
+        squared = theta[7] @ np.linalg.solve(S + np.diag([added, 0.0]), theta[7])
+        assert (first["unit"], first["statistic"]) == (7, pytest.approx(squared, rel=1e-9))
+        p = stats.f.sf(squared * 58 / (2 * 59), 2, 58)
+        assert first["p"] == pytest.approx(p, rel=1e-9)
+        away = first["parameters"][0]
+        assert away["name"] == "a"
+        assert away["deviation"] == pytest.approx(theta[7, 0] / np.sqrt(S[0, 0]))

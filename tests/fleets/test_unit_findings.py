@@ -1,12 +1,16 @@
 """Every unit of a fleet at known positions has the findings of `fit`."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.finding import serious
-from multipos.fleets import solving
-from multipos.numerics.quantiles import f_log_tails, f_tail
+from multipos.diagnostics.examination import _score
+from multipos.diagnostics.score_tests import score_of_term
+from multipos.finding import Finding, serious
+from multipos.fleets import solving, unit_findings
+from multipos.fleets.fixtures import Fixture
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 20
@@ -83,7 +87,27 @@ def test_interchanged_rows_are_seen_behind_an_outlier():
     assert "interchanged-rows" not in "".join(found["findings"][1:])
 
 
-def test_tails_between_nodes():
-    f = np.geomspace(1e-3, 300.0, 57)
-    exact = np.log([f_tail(each, 2.0, 17.0) for each in f.tolist()])
-    assert np.abs(f_log_tails(f, 2.0, 17.0) - exact).max() < 0.005
+def test_rivals_of_a_drift_have_the_scores_of_fit(monkeypatch):
+    """S of the best missing term, of the row that is most off, and of the lack of fit."""
+    # eq. (3) of diagnostics.row_order
+    seen = []
+    compete = unit_findings._compete
+    monkeypatch.setattr(unit_findings, "_compete", lambda *a: seen.append(a[2]) or compete(*a))
+    table = fleet("fibonacci-24", repeats=2, drift=1e-3, cubic=1e-3)
+    mp.fit_many(table, unit_column="unit")
+    for unit in range(2):
+        rows = slice(48 * unit, 48 * (unit + 1))
+        c = mp.fit({name: column[rows] for name, column in table.items() if name != "unit"})
+        worst = c.readings.labels[int(np.argmax((c.residuals**2).sum(axis=1)))]
+        singly = [
+            score_of_term(c, c.diagnostics.model_tests),
+            _score(c, Finding("outlier", "warning", "", rows=(worst,)), 144.0 - 12.0),
+            _score(c, Finding("lack-of-fit", "warning", ""), 144.0 - 12.0),
+        ]
+        np.testing.assert_allclose(seen[0][:3, unit], singly, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("axes", "n"), [(("x", "y"), 24), (("x", "y", "z"), 121)])
+def test_there_are_no_angles_of_two_axes_or_of_many_positions(axes, n):
+    shared = SimpleNamespace(model=SimpleNamespace(axes=axes), reference=np.zeros((n, 3)))
+    assert Fixture.of(shared, (), shared.reference) is None

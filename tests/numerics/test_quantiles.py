@@ -7,18 +7,25 @@ import pytest
 import scipy
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import special
 
 from multipos.numerics.quantiles import (
+    beta_quantile,
     chi2_quantile,
     chi2_tail,
     coverage_factor,
     coverage_factors,
+    digamma,
+    f_log_tails,
     f_quantile,
     f_tail,
+    inverse_trigamma,
     normal_quantile,
+    normal_quantiles,
     solve,
     t_quantile,
     t_tail,
+    trigamma,
 )
 
 PROBABILITY = st.floats(0.001, 0.999)
@@ -220,3 +227,35 @@ def test_t_of_many_degrees_of_freedom_is_the_inverse_of_its_tail(p):
     """A series beyond some dof, an incomplete beta function for the tail."""
     for dof in (1.2e5, 1e6):
         assert t_tail(t_quantile(p, dof), dof) == pytest.approx(2.0 * (1.0 - p), rel=1e-10)
+
+
+def test_digamma_and_trigamma_of_known_numbers():
+    # eqs. (1), (2) of numerics.quantiles
+    x = np.array([0.5, 1.0, 2.0, 30.0, 1e4, 1e-3])
+    np.testing.assert_allclose(digamma(x), special.digamma(x), rtol=1e-10)
+    np.testing.assert_allclose(trigamma(x), special.polygamma(1, x), rtol=1e-10)
+    assert float(trigamma(np.array(1.0))) == pytest.approx(np.pi**2 / 6, rel=1e-10)  # Basel
+    value = np.array([1e-4, 0.3, 1.0, 50.0, 1e4])
+    np.testing.assert_allclose(trigamma(inverse_trigamma(value)), value, rtol=1e-9)
+
+
+def test_tails_between_nodes():
+    f = np.geomspace(1e-3, 300.0, 57)
+    exact = np.log([f_tail(each, 2.0, 17.0) for each in f.tolist()])
+    assert np.abs(f_log_tails(f, 2.0, 17.0) - exact).max() < 0.005
+
+
+def test_normal_quantiles_of_many_and_of_the_beta_law():
+    """AS 241 to its sixteen digits over its three ranges; SciPy's functions are another's."""
+    p = np.array([1e-300, 1e-12, 1e-11, 1e-3, 0.07, 0.08, 0.3, 0.5, 0.9, 0.925, 0.93, 1 - 1e-12])
+    np.testing.assert_allclose(normal_quantiles(p), special.ndtri(p), rtol=5e-15)
+    for a, b in ((0.5, 3.0), (12.0, 1.0), (700.0, 900.0)):
+        found = [beta_quantile(each, a, b) for each in (0.01, 0.4, 0.5, 0.99)]
+        scipys = special.betaincinv(a, b, [0.01, 0.4, 0.5, 0.99])
+        np.testing.assert_allclose(found, scipys, rtol=1e-9)
+
+
+def test_a_search_begins_on_either_side_of_what_rises_or_falls():
+    for start in (1e-3, 2.0, 1e3):
+        assert solve(lambda x: x**3, 8.0, start) == pytest.approx(2.0, rel=1e-14)
+        assert solve(lambda x: 1.0 / x, 0.5, start) == pytest.approx(2.0, rel=1e-14)
