@@ -199,10 +199,9 @@ def unit(c: Calibration, sensitivity: Array) -> Finding | None:
     if one_g is None or not size.all():
         return None
     ratio = float(np.exp(np.log(size / one_g).mean()))
-    if _alike(size) and 1.0 / _NEVER_ADJUSTED < ratio < _NEVER_ADJUSTED:
+    # of unequal outputs one is to be mended first
+    if not _alike(size) or 1.0 / _NEVER_ADJUSTED < ratio < _NEVER_ADJUSTED:
         return None
-    if not _alike(size):
-        return None  # one output is to be mended first
     near = [name for name, value in _ONE_G.items() if _is_near(ratio * one_g, value)]
     way_out = f"State --unit {near[0]}." if near else "State the right unit, or no --unit."
     return Finding(

@@ -16,15 +16,32 @@ from amounts import rest_slow
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.capturing.evaluation import _small, read_targets, spread_targets
+from multipos.capturing import live_rests, poses
+from multipos.capturing.evaluation import (
+    NOTHING,
+    _next_of_scheme,
+    _small,
+    read_targets,
+    spread_targets,
+)
 from multipos.capturing.keeping import Kept
-from multipos.capturing.live_rests import LiveRests, LiveRows
-from multipos.capturing.poses import _score, _State, find_frame, refuse_repeat, refuse_rest
+from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
+from multipos.capturing.poses import (
+    Frame,
+    _score,
+    _State,
+    find_frame,
+    find_turn,
+    gain_of,
+    refuse_repeat,
+    refuse_rest,
+    refuse_unit,
+)
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
-from multipos.capturing.streams import open_source
+from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
 from multipos.logs.opening import open_log
 from multipos.logs.rests import Rest
@@ -641,6 +658,93 @@ def test_u_and_targets_of_a_direction_by_hand():
     score = _score(state, None, {"a": 2.0, "b": 0.5})
     assert_allclose(score, -np.log(np.sum((U / [2.0, 0.5]) ** 8)), rtol=1e-4)
     assert_allclose(_score(state, None, {}), np.log(64.0), rtol=1e-12)
+
+
+def test_the_gain_of_a_direction_by_hand(monkeypatch):
+    """The state above, and a pose that adds diag(12, 0): ν = 6, U = 2.4469 (1/2, √(1/8))."""
+    # eqs. (2), (3) of capturing.poses
+    model = SimpleNamespace(names=("a", "b"))
+    parts = {"scale": np.array([4.0, 1.0]), "fixed": np.array([0.0, 1 / 16]), "dof": 5.0}
+    state = _State(SimpleNamespace(model=model), np.diag([4.0, 16.0]), **parts)
+    monkeypatch.setattr(poses, "information_of", lambda *_: np.diag([12.0, 0.0])[np.newaxis])
+    gain = gain_of(state, np.zeros(3), {"a": 2.0, "b": 0.5})
+    assert gain == pytest.approx((2.5706 - 2.4469) * np.sqrt(1 / 8) / 0.5, abs=3e-4)
+    assert gain_of(state, np.zeros(3), {}) == pytest.approx(np.log(4.0), rel=1e-12)
+
+
+def test_a_board_that_is_turned_or_mirrored_is_known_by_three_poses_in_four():
+    mirrored = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    asked = mp.read_scheme("fibonacci-24").up[:8]
+    shown = asked @ mirrored.T
+    shown[:2] *= -1.0
+    assert_allclose(find_turn(asked, shown), mirrored)
+    shown[2] *= -1.0
+    assert find_turn(asked, shown) is None
+    assert_allclose(find_turn(asked, asked), np.eye(3))
+
+
+@pytest.mark.parametrize(("size", "said"), [(9.80665, "9.81 times"), (1.02, None), (0.0, None)])
+def test_a_rest_in_another_unit_is_refused(size, said):
+    frame, means = Frame(np.zeros(3), 1.0, (0, 1, 2), 1.0), np.eye(3)
+    still = SimpleNamespace(found=SimpleNamespace(mean=np.array([0.0, 0.0, size])))
+    refused = refuse_unit(still, frame, means)
+    assert refused is None if said is None else said in refused
+    assert refuse_unit(still, frame, means[:1]) is None
+
+
+def test_the_next_position_as_it_is_laid_out_or_by_short_ways(monkeypatch):
+    """From +z by way of +x to −z are 180°, the other way round 270."""
+    monkeypatch.setattr("multipos.capturing.evaluation.gain_at", lambda *_, **__: 0.5)
+    up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    scheme = mp.Scheme("mine", up, np.full((3, 3, 3), np.nan), ("a", "b", "c"))
+    taken = [SimpleNamespace(position="a")]
+    labels = [_next_of_scheme(scheme, None, NOTHING, taken, {}, o).label for o in (None, "travel")]
+    assert labels == ["b", "c"]
+    assert _next_of_scheme(scheme, None, NOTHING, [], {}, None).label == "a"
+    taken = [SimpleNamespace(position=label) for label in "abc"]
+    assert _next_of_scheme(scheme, None, NOTHING, taken, {}, None) is None
+
+
+def test_rows_that_are_kept_in_a_file_and_let_go(monkeypatch):
+    monkeypatch.setattr(live_rests, "_IN_MEMORY", 10)
+    store, table = _Store(2), np.arange(22.0).reshape(2, 11)
+    for first, last in ((0, 4), (4, 8), (8, 11)):
+        store.add(np.ascontiguousarray(table[:, first:last]))
+
+    def kept():
+        return [(first, piece.tolist()) for first, piece in store.pieces()]
+
+    old, new = (0, table[:, :8].tolist()), (8, table[:, 8:].tolist())
+    for row, left in ((0, [old, new]), (7, [old, new]), (8, [new]), (10, [new]), (11, [])):
+        store.forget(row)
+        assert kept() == left
+    store.add(table[:, :3])
+    assert kept() == [(11, table[:, :3].tolist())]
+    store.close()
+
+
+def test_a_rest_begins_and_ends_with_its_first_and_last_sample():
+    assert LiveRows.time(SimpleNamespace(rate=100.0), Rest(50, 101)) == (0.5, 1.0)
+    assert LiveRows.time(SimpleNamespace(rate=None), Rest(50, 101)) is None
+
+
+def test_lines_are_whole_and_a_silent_source_is_heard():
+    assert _whole_lines(b"1,2", b"3\r\n4,5\r6") == ("1,23\n4,5\n", b"6")
+    assert _whole_lines(b"", b"4,5\r") == ("", b"4,5\r")  # a line feed may follow
+    assert _whole_lines(b"1,2", None) == ("", b"")
+    silent, heard = threading.Event(), []
+
+    def chunks():
+        heard.append(silent.wait(20))
+        yield from (b"a", b"b", None, b"c")
+
+    found = []
+    for chunk in read_ahead(chunks()):
+        if chunk == b"":
+            silent.set()
+        found.append("|" if chunk is None else chunk.decode())
+    assert heard == [True]
+    assert "".join(found) == "ab|c"
 
 
 def test_a_target_is_met_from_six_degrees_of_freedom_on():

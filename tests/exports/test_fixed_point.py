@@ -11,7 +11,7 @@ import pytest
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.c_fixed import find_fixed_point, fixed_forces
+from multipos.exports.c_fixed import _shift, find_fixed_point, fixed_forces
 
 UP = mp.read_scheme("fibonacci-24").up
 MATRIX = np.array([[1.02, 0.01, -0.02], [-0.015, 0.98, 0.01], [0.02, 0.005, 1.01]])
@@ -63,8 +63,12 @@ def test_c_and_python_are_the_same_to_the_bit(model, unit, scale, tmp_path):
 def test_no_reading_overflows():
     """The sums of eq. (1) in integers without a bound, for the largest readings there are."""
     # eq. (2) of exports.c_fixed
+    assert [_shift(3.0, 2**30, c, 2**20) for c in (0.0, 5.0)] == [28, 17]
+    assert _shift(0.0, 2**30, 0.0, 2**20) == 62
     for model, unit, scale in CASES:
         fixed = find_fixed_point(calibration(model, unit, scale))
+        largest = np.abs(fixed.linear).sum(axis=1).max()
+        assert 2 * largest > 2**30 or 2 * np.abs(fixed.constant).max() > 2**61
         for row, c in zip(fixed.linear.tolist(), fixed.constant.tolist(), strict=True):
             assert sum(abs(v) for v in row) * 2**31 + abs(c) + 2**fixed.shift < 2**63
         for row in fixed.quadratic.tolist():

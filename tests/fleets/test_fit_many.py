@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import multipos as mp
+from multipos.fleets.workers import open_engine
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 
@@ -204,7 +205,20 @@ def test_units_that_are_numbers_stay_numbers():
 
 
 def test_units_none_of_which_can_be_fitted_fail_each_by_itself():
-    table = {"unit": [1, 1, 2, 2], "up_x": [0.0, 1.0] * 2, "up_y": [0.0] * 4, "up_z": [1.0, 0.0] * 2}
+    table = {
+        "unit": [1, 1, 2, 2],
+        "up_x": [0.0, 1.0] * 2,
+        "up_y": [0.0] * 4,
+        "up_z": [1.0, 0.0] * 2,
+    }
     found = mp.fit_many(table | {"ax": [0.0, 1.0, 0.1, 0.9]}, unit_column="unit")
     assert found["unit"].tolist() == [1, 2]
     assert all(reason.startswith("2 readings cannot ") for reason in found["reason"])
+
+
+@pytest.mark.parametrize(
+    ("engine", "kind"), [("threads", ThreadPoolExecutor), ("processes", ProcessPoolExecutor)]
+)
+def test_an_engine_is_what_it_says(engine, kind):
+    with open_engine(engine) as executor:
+        assert type(executor) is kind

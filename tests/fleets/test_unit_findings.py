@@ -4,10 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import multipos as mp
 from multipos.diagnostics.examination import _score
-from multipos.diagnostics.score_tests import score_of_term
+from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.finding import Finding, serious
 from multipos.fleets import solving, unit_findings
 from multipos.fleets.fixtures import Fixture
@@ -39,6 +40,7 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
     ("scheme", "flaw", "options", "code"),
     [
         ("fibonacci-24", {}, {}, ""),
+        ("faces-corners-14", {}, {"outputs": "az", "axes": "z"}, ""),
         ("fibonacci-24", {"cubic": 2e-3}, {}, "missing-term"),
         ("fibonacci-24", {"out": 5e-3}, {}, "outlier"),
         ("fibonacci-24", {"off_deg": 0.1}, {}, "placement"),
@@ -111,3 +113,10 @@ def test_rivals_of_a_drift_have_the_scores_of_fit(monkeypatch):
 def test_there_are_no_angles_of_two_axes_or_of_many_positions(axes, n):
     shared = SimpleNamespace(model=SimpleNamespace(axes=axes), reference=np.zeros((n, 3)))
     assert Fixture.of(shared, (), shared.reference) is None
+
+
+def test_outputs_together_are_judged_by_fisher():
+    """−2 Σ ln p of three outputs on χ² of six; two kinds that are tested share the level."""
+    level = 1.0 - np.sqrt(1.0 - LEVEL)
+    limits = [np.log(level), -0.5 * stats.chi2.isf(level, 6), -np.inf]
+    np.testing.assert_allclose(unit_findings._limits(np.array([[1, 3, 0]]))[0], limits)
