@@ -18,7 +18,7 @@ def deviation(x: list[float], known: bool = True) -> float:
     if not known and len(x) < 2:
         raise ValueError(f"{len(x) + 1} are needed")
     mean = sum(x) / len(x)
-    return 1.25 * (sum(each**2 for each in x) - mean) + scale(mean, x)
+    return 1.25 * (sum(each**2 for each in x) - mean) * self.sign + scale(mean, x)
 '''
 
 
@@ -33,7 +33,7 @@ def test_what_computes_is_changed_and_what_speaks_is_not(tmp_path):
     assert ("each ** 2", "each * 2") in found
     assert ("scale(mean, x)", "scale(x, mean)") in found
     assert ("sum((each ** 2 for each in x)) - mean", "sum((each ** 2 for each in x))") in found
-    assert not any("+ 1" in before for before, _ in found)
+    assert not any("+ 1" in before or "self.sign" in before[-9:] for before, _ in found)
 
 
 @pytest.mark.parametrize("room", ["bias_stability", "exports"])

@@ -269,9 +269,8 @@ def t_quantile(p: float, dof: float) -> float:
         return normal_quantile(p)
     if dof > _NEARLY_NORMAL:  # [1]_ (26.7.5), whose next term is z⁷/384ν³
         z = normal_quantile(p)
-        return (
-            z + (z**3 + z) / (4.0 * dof) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0 / dof / dof
-        )
+        second = (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * dof)
+        return z + ((z**3 + z) / 4.0 + second) / dof
     if p > 0.5:
         return -t_quantile(1.0 - p, dof)
     central = 1.0 - 2.0 * p

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_correction import declarations
 from multipos.exports.parts import Correction
-from multipos.exports.replay import Drive, expected_rows, fitted_rows
+from multipos.exports.replay import Drive, _meet_edges, expected_rows, fitted_rows
 from multipos.exports.target_correction import _MAIN
 from multipos.regression.observations import causal_rate
 
@@ -368,3 +369,10 @@ def test_each_run_starts_at_rest(tmp_path):
         mp.regress(both, **options)
     regression.save(tmp_path / "reg.json")
     assert mp.load_regression(tmp_path / "reg.json") == regression
+
+
+def test_rows_that_are_made_up_meet_an_edge_from_below():
+    values = np.array([[4.0], [5.2], [9.0]])
+    regression = SimpleNamespace(segment_variable="t", edges=(5.0,))
+    _meet_edges(SimpleNamespace(regressions=[regression], inputs=("t",)), values)
+    assert values[:, 0].tolist() == [np.nextafter(5.0, 0.0), 5.0, 9.0]

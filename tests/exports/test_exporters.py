@@ -15,7 +15,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_body import needed_steps
 from multipos.exports.c_source import SIGNATURE, signature
-from multipos.exports.laws import reduce_to
+from multipos.exports.laws import in_metres, raw_zero, reduce_to
 from multipos.exports.targets import export, verify_export
 from multipos.numerics.rotations import rotation_matrix
 from multipos.sensor.model import build_model
@@ -625,3 +625,28 @@ def test_how_many_steps_by_hand():
     cal = mp.fit(mp.Readings(up + 0.02 * up**2, up=up), model="own-quadratic")
     steps, rho = needed_steps(cal, cal.sensitivity, single=False)
     assert (steps, rho) == (14, pytest.approx(0.08, rel=1e-9))
+
+
+@pytest.mark.parametrize(
+    ("size", "how", "metres"),
+    [
+        (9.8, {"unit": "m/s^2"}, 1.0),
+        (1.0, {"unit": "g"}, 9.80665),
+        (4096.0, {"unit": "count", "nominal": (3.0, 4096.0)}, 9.80665 / 4096.0),
+        (5.0, {}, 1.0),  # not stated, but within two of 9.80665
+        (19.0, {}, 1.0),
+        (4.8, {}, None),
+        (20.0, {}, None),
+        (9.8, {"unit": "V"}, None),
+    ],
+)
+def test_the_metres_of_a_unit_of_the_readings(size, how, metres):
+    up = mp.read_scheme("faces-6").up
+    nominal = how.get("nominal")
+    found = mp.fit(mp.Readings(size * up, up=up, unit=how.get("unit", "reading")), nominal=nominal)
+    if metres is None:
+        with pytest.raises(mp.MultiposError, match="state the driver's conversion"):
+            in_metres(found, "px4")
+    else:
+        assert in_metres(found, "px4") == pytest.approx(metres, rel=1e-12)
+    assert raw_zero(found) == (3.0 if nominal else 0.0)

@@ -96,7 +96,9 @@ def _spoken_apart(node: ast.AST) -> Iterator[ast.AST]:
 
 def _others(node: ast.AST) -> Iterator[ast.expr]:
     """Yield what may stand for an expression instead."""
-    if isinstance(node, ast.BinOp) and type(node.op) in _OTHER and not _is_text(node):
+    if isinstance(node, ast.BinOp) and type(node.op) in _OTHER:
+        if _is_text(node) or _is_by_sign(node):
+            return
         yield ast.BinOp(node.left, _OTHER[type(node.op)](), node.right)
         if isinstance(node.op, ast.Add | ast.Sub):
             yield node.left
@@ -118,3 +120,9 @@ def _others(node: ast.AST) -> Iterator[ast.expr]:
 def _is_text(node: ast.BinOp) -> bool:
     parts = [part for part in ast.walk(node) if isinstance(part, ast.Constant | ast.JoinedStr)]
     return any(isinstance(part, ast.JoinedStr) or isinstance(part.value, str) for part in parts)
+
+
+def _is_by_sign(node: ast.BinOp) -> bool:
+    """Tell whether a number is multiplied by or divided by a sign, which is the same."""
+    by = ast.unparse(node.right).rpartition(".")[2]
+    return isinstance(node.op, ast.Mult | ast.Div) and by in ("sign", "signs")

@@ -41,6 +41,8 @@ _BESIDE = {
         "tests/sensor/test_magnetometer.py",
         "tests/regression/test_regress.py",
     ),
+    "exports": ("tests/sensor/test_magnetometer.py",),
+    "capturing": ("tests/sensor/test_magnetometer.py",),
     "fleets": ("tests/uncertainty/test_claims.py",),
 }
 _LIBRARIES = (

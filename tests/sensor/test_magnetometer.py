@@ -137,6 +137,7 @@ def test_autopilots_correct_by_their_own_equation(target, unit, form, tmp_path):
     rows, _u = readings(sd=0.0)
     cal = mp.fit(rows, unit="uT", field_size=SIZE)
     exported = mp.export(cal, to=target, device_id=7)
+    assert not exported.findings
     kinds = ("OFF", "SCALE", "ODIAG") if target == "px4" else ("OFS", "DIA", "ODI")
     found = {}
     for line in exported.text.splitlines():
@@ -153,6 +154,16 @@ def test_autopilots_correct_by_their_own_equation(target, unit, form, tmp_path):
     verified = mp.verify_export(tmp_path / "file", cal)
     assert verified.target == target
     assert not verified.findings
+
+
+@pytest.mark.parametrize(("factor", "more", "kind"), [(1.0, 400.0, "OFS"), (6.0, 0.0, "DIA")])
+def test_ardupilot_takes_offsets_to_1800_milligauss_and_scales_from_a_fifth(factor, more, kind):
+    rows, _ = readings(sd=0.0)
+    rows = {name: factor * (column - np.mean(column)) + more for name, column in rows.items()}
+    cal = mp.fit(rows, unit="uT", field_size=SIZE)
+    (found,) = mp.export(cal, to="ardupilot", device_id=7).findings
+    names = ", ".join(f"COMPASS_{kind}_{axis}" for axis in "XYZ")
+    assert found.text == f"{names} exceed what ArduPilot accepts"
 
 
 def test_ros_takes_the_offset_in_tesla(tmp_path):
