@@ -12,7 +12,7 @@ from test_exporters import SANITIZERS, WARNINGS, made
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.c_correction import declarations
+from multipos.exports.c_correction import _Writer, declarations
 from multipos.exports.parts import Correction
 from multipos.exports.replay import Drive, _meet_edges, expected_rows, fitted_rows
 from multipos.exports.target_correction import _MAIN
@@ -376,3 +376,12 @@ def test_rows_that_are_made_up_meet_an_edge_from_below():
     regression = SimpleNamespace(segment_variable="t", edges=(5.0,))
     _meet_edges(SimpleNamespace(regressions=[regression], inputs=("t",)), values)
     assert values[:, 0].tolist() == [np.nextafter(5.0, 0.0), 5.0, 9.0]
+
+
+@pytest.mark.parametrize(("value", "towards"), [(0.1, 1.0), (0.1, -1.0), (0.7, 1.0), (0.7, -1.0)])
+def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, towards):
+    """Of doubles .1 is below and .7 above its nearest in single precision."""
+    near = np.float32(value) + np.spacing(np.float32(value)) * np.arange(-1, 2, dtype=np.float32)
+    inside = [float(x) for x in near if (float(x) - value) * towards >= 0.0]
+    writer = SimpleNamespace(_single=True, _number=float)
+    assert _Writer._inside(writer, value, towards) == min(inside, key=lambda x: abs(x - value))
