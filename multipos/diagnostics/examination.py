@@ -72,6 +72,7 @@ from multipos.numerics.arrays import Array, median
 from multipos.positions.order import share_absorbed
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import MAGNETIC, worded
 from multipos.sensor.model import Model
@@ -215,6 +216,23 @@ def drift_absorbed(c: Calibration) -> Finding | None:
         f"The order of the positions absorbs {100.0 * share:.0f} % of a linear drift: that part of "
         "one would stand in the parameters, and neither in the residuals nor in U.",
     )
+
+
+def hidden_table(c: Calibration) -> Finding | None:
+    """Find rolls whose table may be off by what the model takes for the sensor."""
+    if isinstance(c.model, ExpressionModel) or c.readings.up is None or not c.estimator.exact:
+        return None
+    if all(term.force_degree < 2 for terms in c.model.terms for term in terms):
+        return None  # residuals show a harmonic
+    from multipos.uncertainty.turntable import changes_unseen, in_words_of_unseen
+
+    sizes = changes_unseen(c).tolist()
+    units, U = c.model.units, c.U.tolist()
+    changes = [each for each in zip(c.names, sizes, units, U, strict=True) if each[1] > 0.0]
+    if not changes:
+        return None
+    action = "State the table as [index] in a budget."
+    return Finding("hidden-table", "note", in_words_of_unseen(changes), action)
 
 
 def open_headings(c: Calibration) -> Finding | None:
@@ -423,6 +441,7 @@ OF_RESIDUALS: tuple[Question, ...] = (
     poorly_determined,
     hidden_terms,
     drift_absorbed,
+    hidden_table,
     zero_per_soak,
     missing_term,
     outlier,

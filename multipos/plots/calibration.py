@@ -17,7 +17,7 @@ from multipos.plots.style import (
     name_series,
     scale_by_powers,
 )
-from multipos.sensor.calibration import Calibration, nominal_error
+from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensitivities
@@ -93,13 +93,16 @@ def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":
 def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     """Draw the size of the error at every position before and after compensation [g].
 
-    Before: `nominal_error`, after: compensated force less reference.
+    Before: `nominal_error` where a reading has a nominal size, after: compensated force less
+    reference.
     """
     c = calibration
-    before, after = nominal_error(c), compensated_error(c)
-    at = np.arange(len(before))
-    tiny = 1e-3 * max(float(np.nanmax(before)), 1e-12)
-    axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
+    after = compensated_error(c)
+    before = nominal_error(c) if has_nominal(c) else None
+    at = np.arange(len(after))
+    tiny = 1e-3 * max(float(np.nanmax(after if before is None else before)), 1e-12)
+    if before is not None:
+        axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
     axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
     scale_by_powers(axes, "y", c.field.printed)
     axes.set_ylabel("error")

@@ -21,7 +21,7 @@ from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import size_residuals
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
-from multipos.sensor.calibration import Calibration, nominal_errors
+from multipos.sensor.calibration import Calibration, has_nominal, nominal_errors
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
 
@@ -79,15 +79,17 @@ def _largest(sizes: Array) -> NDArray[np.intp]:
 def error_picture(calibration: Calibration, words: Words = str) -> str:
     """Return the error of every position before and after, each on two halves of the sphere.
 
-    Equal-area, seen from +z and from −z. The arrow at a position is the part of the error across
-    its up vector; the ring is the part along it, filled where it points out. Before and after have
-    scales of their own, by the largest error, which is written above. Where the orientations are
-    unknown, errors along are all there is.
+    Before only where a reading has a nominal size. Equal-area, seen from +z and from −z. The arrow
+    at a position is the part of the error across its up vector; the ring is the part along it,
+    filled where it points out. Before and after have scales of their own, by the largest error,
+    which is written above. Where the orientations are unknown, errors along are all there is.
     """
     c = calibration
-    picture = _Picture(2 * _ROW)
+    stages = ("before", "after") if has_nominal(c) else ("after",)
+    picture = _Picture(len(stages) * _ROW)
     up = c.sign * directions(c.reference)
-    for i, when in enumerate(("before", "after")):
+    for i, when in enumerate(stages):
+        colour = COLOURS[when == "before"]
         across, along = split_errors(c, when)
         size = np.hypot(np.linalg.norm(across, axis=1), along)
         largest = float(np.nanmax(size, initial=0.0))
@@ -104,8 +106,8 @@ def error_picture(calibration: Calibration, words: Words = str) -> str:
             for place, step, part in zip(flat(up[on], side), steps, along[on] * scale, strict=True):
                 x, y = centre + _RADIUS * place * (1.0, -1.0)
                 r = 1.0 + 0.5 * _RADIUS * abs(part)
-                picture.circle(x, y, r, COLOURS[1 - i], filled=part > 0.0)
-                _draw_arrow(picture, x, y, _RADIUS * step * (1.0, -1.0), COLOURS[1 - i])
+                picture.circle(x, y, r, colour, filled=part > 0.0)
+                _draw_arrow(picture, x, y, _RADIUS * step * (1.0, -1.0), colour)
     return str(picture)
 
 

@@ -37,7 +37,7 @@ from multipos.reports.sections import (
 )
 from multipos.reports.sensor_result import readings_table
 from multipos.reports.sheets import Sheet, table_error_sheets
-from multipos.sensor.calibration import Calibration, nominal_error
+from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check
@@ -66,7 +66,8 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         printed = column(sizes[shown], c.field.printed, float(sd.max()), signed=True)
         columns.append((f"{tr('size of the force')} [{printed.unit}]", [*printed.cells, "", ""]))
     if math.isfinite(c.rms):
-        for when, error in (("before", nominal_error(c)), ("after", compensated_error(c))):
+        before = [("before", nominal_error(c))] if has_nominal(c) else []
+        for when, error in (*before, ("after", compensated_error(c))):
             printed = column([*error[shown]], c.field.printed)
             columns.append((f"{tr('error')} {tr(when)} [{printed.unit}]", [*printed.cells, "", ""]))
         paragraphs.append(_kind_of_error(c, tr))
@@ -110,7 +111,9 @@ def _kind_of_residual(c: Calibration, tr: Translator) -> str:
 
 
 def _kind_of_error(c: Calibration, tr: Translator) -> str:
-    """Return what an error before compensation is."""
+    """Return what an error before compensation is, and one after it."""
+    if not has_nominal(c):
+        return tr("After: compensated. At the same positions that were fitted.")
     if c.nominal is None:
         return tr(
             "Before: readings divided by one nominal scale factor (1 for readings in g, else "

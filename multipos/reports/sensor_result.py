@@ -28,7 +28,7 @@ from multipos.reports.sections import (
     Translator,
     chosen_rows,
 )
-from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration import Calibration, has_nominal
 from multipos.sensor.found import Sessions
 from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.propagation import Evaluation
@@ -69,7 +69,11 @@ def result_section(c: Calibration, budget: Evaluation, tr: Translator, *, forces
 
 def _picture(c: Calibration, tr: Translator) -> Figure:
     return Figure(
-        tr("Errors at all positions, before and after compensation"),
+        tr(
+            "Errors at all positions, before and after compensation"
+            if has_nominal(c)
+            else "Errors at all positions after compensation"
+        ),
         tr(
             "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
             "errors along the up vector, filled where they point out; each picture has a scale of "

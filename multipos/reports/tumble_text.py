@@ -137,6 +137,7 @@ def _coefficient_rows(
 
 def _hidden_section(found: Tumble) -> _Sections:
     hidden = [*found.unidentifiable, *found.weak]
+    hidden += [each.text for each in found.findings if each.code == "hidden-table"]
     if found.taken_as_zero:
         hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")
     if hidden:

@@ -578,15 +578,22 @@ def rms_before(calibration: Calibration) -> float | None:
 
     None where neither says what a reading is in g.
     """
-    if calibration.field.magnetic:
+    if calibration.field.magnetic or not has_nominal(calibration):
         return None
     if calibration.nominal is None:
-        if calibration.model.unit not in MICRO_G:
-            return None
         nominal = Nominal(0.0, _PER_G / MICRO_G[calibration.model.unit])
         calibration = replace(calibration, nominal=nominal)
     error = nominal_error(calibration)
     return math.sqrt(float(error @ error) / len(error))
+
+
+def has_nominal(calibration: Calibration) -> bool:
+    """Tell whether a conversion or the unit says what a reading was before it was compensated.
+
+    Of volts about a zero of 2.5 V neither does: an error before would be that zero.
+    """
+    c = calibration
+    return c.field.magnetic or c.nominal is not None or c.model.unit in MICRO_G
 
 
 def hidden_turn(calibration: Calibration, errors: Array) -> Array | None:

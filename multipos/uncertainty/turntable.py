@@ -61,6 +61,7 @@ Eqs. (10) and (11) of docs/theory/tumble.md.
 What rolls tell of the turntable, and of the sensor beside it: results of `turntable`.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -69,7 +70,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import RankError
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.known import ZERO_NORM
+from multipos.files.numbers import in_unit
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.factoring import separability
@@ -505,6 +508,11 @@ def _columns(
     return names, np.concatenate([circle, own], axis=2).reshape(n * m, -1)
 
 
+_SPREAD = 8  # angles of a roll, from which on harmonics of the circle differ
+_UNSEEN = 0.01  # of the square of an effect, which residuals keep of what they do not show
+_HUNDREDTH = math.radians(0.01)
+_NAMED = 2  # parameters
+_POOR = 1.5  # times by which other parameters enlarge a u
 _SHIFTED = 1e-3  # chance of a zero shift where there is none
 
 
@@ -609,9 +617,49 @@ def _separated(
     return kept_shifts, kept, np.column_stack([design, effect[:, kept]])
 
 
+def changes_unseen(calibration: Calibration) -> Array:
+    """Return by how much harmonics of the table change each parameter (p,), and no residual.
+
+    Of a hundredth of a degree, of the harmonic of one roll or of all alike that changes it most;
+    zero where the rolls show every harmonic, or the covariance of the readings, the budget or the
+    angle of the head states the table.
+    """
+    c = calibration
+    changed = np.zeros(len(c.parameters))
+    stated = c.readings.covariance is not None or "index" in c.budget_tables
+    if c.estimator is not Estimator.LINEAR or c.readings.up is None or stated:
+        return changed
+    rolls = tuple(r for r in find_rolls(c.readings) if len(r.distinct) >= _SPREAD)
+    if not any(roll.spans_a_turn for roll in rolls) or find_head(c.readings):
+        return changed
+    linear = c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
+    each = table_effects(c, rolls, linear).reshape(-1, len(rolls), len(QUANTITIES))[:, :, 1:]
+    effects = np.concatenate([*each.swapaxes(0, 1), each.sum(axis=1)], axis=1)
+    gain = estimator_gain(c)
+    slopes = parameter_jacobian(c.model, c.parameters, c.reference, c.readings.environment)
+    left = effects - slopes.reshape(len(effects), -1) @ (gain @ effects)
+    hidden = np.sum(left**2, axis=0) < _UNSEEN * np.sum(effects**2, axis=0)
+    moved = np.abs(gain @ effects[:, hidden]).max(axis=1, initial=0.0)
+    return np.asarray(np.where(moved > _UNSEEN * moved.max(initial=0.0), moved, 0.0) * _HUNDREDTH)
+
+
+def in_words_of_unseen(changes: Sequence[tuple[str, float, str, float]]) -> str:
+    """Return what U leaves out, from name, change, unit and U of what harmonics change."""
+    largest = sorted(changes, key=lambda each: -each[1] / max(each[3], 1e-300))[:_NAMED]
+    listed = ", ".join(f"{name} by {in_unit(size, unit)}" for name, size, unit, _ in largest)
+    return (
+        "U excludes harmonics of the table's angle, which these rolls cannot show: 0.01 degrees of "
+        f"one change {listed}"
+    )
+
+
 def find_in_rolls(calibration: Calibration) -> list[Finding]:
     """Say which rolls leave much of the turn out, and which zeros shifted between rolls."""
-    rolls = find_rolls(calibration.readings)
+    rolls, action = find_rolls(calibration.readings), "Take positions over the full circle."
+    poor = any(not roll.spans_a_turn for roll in rolls) and _largest_loss(calibration) > _POOR
+    own = tuple(axis for axis in calibration.model.inputs if axis in calibration.model.axes)
+    if own != calibration.model.inputs:  # a tilt sensor has no more of the circle
+        action = f"Fit with --inputs {','.join(own)}, or take positions over the full circle."
     said = [
         Finding(
             "part-of-a-turn",
@@ -621,10 +669,10 @@ def find_in_rolls(calibration: Calibration) -> list[Finding]:
                 "360 degrees without a position; bias, scale and cross terms are "
                 "poorly separated there"
             ),
-            "Take positions over the full circle.",
+            action,
         )
         for roll in rolls
-        if not roll.spans_a_turn
+        if not roll.spans_a_turn and poor
     ]
     said += find_in_head(calibration.readings)
     if len(rolls) < 2:
@@ -638,6 +686,17 @@ def find_in_rolls(calibration: Calibration) -> list[Finding]:
             named, action = (shift.output,), "State the shift of the bench with state_bench."
             said.append(Finding("zero-shift", "warning", text, action, outputs=named, p=shift.p))
     return said
+
+
+def _largest_loss(c: Calibration) -> float:
+    """Return how many times, at most, a parameter's u is larger for the others being fitted."""
+    largest = 1.0
+    _, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
+    for _, slopes in blocks:
+        inverse = np.linalg.pinv(slopes)
+        loss = np.linalg.norm(inverse, axis=1) * np.linalg.norm(slopes, axis=0)
+        largest = max(largest, float(loss.max(initial=1.0)))
+    return largest
 
 
 def _described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:

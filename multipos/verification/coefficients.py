@@ -26,7 +26,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import ZERO_NORM
-from multipos.finding import Finding, Findings
+from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.quantiles import coverage_factor
@@ -35,7 +35,7 @@ from multipos.positions.readings import Readings
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
-from multipos.uncertainty.turntable import BesideTable
+from multipos.uncertainty.turntable import BesideTable, changes_unseen, in_words_of_unseen
 
 # Coefficient: its term of eq. (1), sign, unit, and the customary unit, a millionth of it.
 COEFFICIENTS = {
@@ -224,6 +224,27 @@ def find_without_u(found: Mapping[str, TumbleCoefficient]) -> Findings:
     if not all(name.startswith("delta") for name in names):
         action = "Roll again with the unit remounted by 90 degrees, and give `head_deg`."
     return (Finding("table", "warning", text, action),)
+
+
+def find_hidden_table(
+    found: Mapping[str, TumbleCoefficient], calibration: Calibration, axis: str
+) -> Findings:
+    """Say which coefficients the table may change without a residual, where they have a U."""
+    c = calibration
+    if errors_of(c.findings):
+        return ()
+    sizes = changes_unseen(c)
+    if not sizes.any() or any(math.isnan(entry.U) for entry in found.values()):
+        return ()
+    scale = abs(found["K1"].value)
+    changes = []
+    for name, entry in found.items():
+        size = float(sizes[c.model.index(c.outputs[0], _term(name, axis))])
+        if size > 0.0:
+            per = 1.0 if name == "K1" else scale
+            changes.append((name, size / per, entry.unit or c.model.units[1], entry.U))
+    action = "Roll again with the unit remounted by 90 degrees, and give `head_deg`."
+    return (Finding("hidden-table", "note", in_words_of_unseen(changes), action),)
 
 
 def _leaning(entry: TumbleCoefficient) -> TumbleCoefficient:

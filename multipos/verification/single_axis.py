@@ -52,6 +52,7 @@ from multipos.verification.coefficients import (
     DEFAULT,
     TumbleCoefficient,
     coefficients_beside,
+    find_hidden_table,
     find_without_u,
     fitted_coefficients,
     formula_of,
@@ -60,6 +61,7 @@ from multipos.verification.coefficients import (
     those_that_hold,
 )
 
+_OF_TUMBLE = ("hidden-table", "part-of-a-turn")  # which a tumble says in its own words
 _STILL = 1e-9  # [rad], a turn that is none
 _FEWEST = 2  # angles come to both ways, without which there is no spread
 
@@ -260,11 +262,12 @@ def tumble_output(
     stated = calibration.readings.covariance is not None
     held = those_that_hold(coefficients, beside, table.beside, stated=stated)
     findings = (
-        *calibration.findings,
+        *(each for each in calibration.findings if each.code not in _OF_TUMBLE),
         *_of_plane(coefficients, calibration),
         *repeated,
         *strange_harmonics(residual),
         *find_without_u(held),
+        *find_hidden_table(held, calibration, axis),
     )
     return Tumble(
         coefficients=held,

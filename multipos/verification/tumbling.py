@@ -35,6 +35,7 @@ from multipos.uncertainty.turntable import BesideTable, TableErrors, table_error
 from multipos.verification.coefficients import (
     TumbleCoefficient,
     coefficients_beside,
+    find_hidden_table,
     find_without_u,
     fitted_coefficients,
     roles,
@@ -281,6 +282,7 @@ def _beside_all(
     plain = fitted_coefficients(one.calibration, axis)
     stated = one.calibration.readings.covariance is not None
     held = those_that_hold(plain, beside, found, stated=stated)
-    before = find_without_u(one.coefficients)
-    kept = (each for each in one.findings if each not in before)
-    return replace(one, coefficients=held, findings=in_order((*kept, *find_without_u(held))))
+    before = {each.text for each in find_without_u(one.coefficients)}
+    kept = (e for e in one.findings if e.text not in before and e.code != "hidden-table")
+    said = (*find_without_u(held), *find_hidden_table(held, one.calibration, axis))
+    return replace(one, coefficients=held, findings=in_order((*kept, *said)))

@@ -901,11 +901,14 @@ def zeros_that_shift_between_rolls(rng):
     yield mp.fit({name: again[name] for name in ("Ux", "Uy")}, scheme="dual-axis-48", unit="V")
 
 
-def tumbled(rng, angle, lean=0.0, more=0.0):
+ARC = np.arange(-80.0, 81.0, 10.0)
+
+
+def tumbled(rng, angle, lean=0.0, more=0.0, **options):
     t = np.radians(angle - lean)
     volt = 0.01 + 2.5 * np.cos(t) + more * np.cos(5.0 * t) + 1e-4 * rng.standard_normal(len(t))
     table = {"roll_axis": ["z"] * len(angle), "angle_deg": angle, "volt": volt}
-    return mp.tumble(table, unit="V")
+    return (mp.fit if options else mp.tumble)(table, unit="V", **options)
 
 
 @follows("wrong-plane")
@@ -926,11 +929,23 @@ def a_table_with_a_fifth_harmonic(rng):
     yield tumbled(rng, FULL)
 
 
-@follows("part-of-a-turn", "Take positions over")
 @follows("part-of-a-turn", "Measure without a gap")
 def an_arc_of_a_tumble(rng):
-    yield tumbled(rng, np.arange(-80.0, 81.0, 10.0))
+    yield tumbled(rng, ARC)
     yield tumbled(rng, FULL)
+
+
+@follows("part-of-a-turn", "Take positions over")
+def an_arc_of_a_parabola(rng):
+    yield tumbled(rng, ARC, inputs="x", model="1 + x + x^2")
+    yield tumbled(rng, FULL, inputs="x", model="1 + x + x^2")
+
+
+@follows("part-of-a-turn", "Fit with --inputs")
+def tilts_about_level(rng):
+    found = yield mp.fit(rolls(rng, np.arange(75.0, 106.0, 3.0)), unit="V")
+    level = rolls(rng, np.arange(75.0, 106.0, 3.0))
+    yield mp.fit(level, unit="V", inputs=option(found, r"--inputs (\S+?),? or"))
 
 
 def with_table_error(rng, starts):
@@ -954,6 +969,20 @@ def a_table_error_of_one_roll(rng):
     # by hand: what the head does to the angle is none of K0 and K1 any more
     assert abs(found["K0"].value - 0.01 / 2.5) < max(3.0 * found["K0"].u, 1e-5)
     yield found
+
+
+@follows("hidden-table", "Roll again")
+def a_circle_that_one_roll_cannot_show(rng):
+    yield tumbled(rng, FULL)
+    yield mp.tumble(with_table_error(rng, [0.0, 90.0]), unit="V")
+
+
+@follows("hidden-table", "State the table")
+def a_circle_that_a_budget_states(rng):
+    table, options = with_table_error(rng, [0.0]), {"model": "1 + x + y + x^2", "unit": "V"}
+    del table["head_deg"]
+    yield mp.fit(table, **options)
+    yield mp.fit(table, budget={"index": {"u_deg": 0.02, "harmonics": [1, 2]}}, **options)
 
 
 @follows("head-unused", "Correct")

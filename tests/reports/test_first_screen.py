@@ -176,6 +176,18 @@ def test_arrows_are_errors_across_and_rings_errors_along(cal):
     assert np.hypot(to_x - x, to_y - y).max() < 58.0 * 0.32 + 0.15
 
 
+def test_there_is_no_before_where_nothing_says_what_a_reading_is_in_g(cal):
+    """By hand: of 2.5 V + 1 V/g the largest error before is that zero, which is no error."""
+    volts = mp.Readings(2.5 + values(), up=UP, unit="V")
+    stated, bare = mp.fit(volts, nominal=(2.5, 1.0)), mp.fit(volts)
+    before = re.search(r">before: largest [^<]+<", error_picture(cal))[0]
+    assert before in error_picture(stated)
+    assert "before" not in error_picture(bare)
+    assert ">after: largest" in error_picture(bare)
+    assert "error before" in plain_report(build_content(stated))
+    assert "before" not in plain_report(build_content(bare)).lower()
+
+
 def test_unknown_orientations_have_errors_along_alone(unknown):
     assert not split_errors(unknown, "before")[0].any()
     assert not split_errors(unknown, "after")[0].any()

@@ -13,7 +13,7 @@ from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import installation_sheets, table_error_sheets
-from multipos.uncertainty.turntable import QUANTITIES, shaft_effects
+from multipos.uncertainty.turntable import QUANTITIES, changes_unseen, shaft_effects
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
@@ -130,6 +130,44 @@ def test_uncertainty_of_a_table_error_by_hand():
     error = next(e for e in mp.table_errors(cal).errors if e.quantity == "second_cos")
     assert_allclose(np.radians(error.u_deg), 2e-5 / math.sqrt(17), rtol=1e-4)  # K1 is 1 so far
     assert_allclose(error.U_deg / error.u_deg, 2.1098, rtol=1e-4)  # t of 17 at 0.975
+
+
+def test_what_one_roll_cannot_show_of_its_table_is_said_with_its_size():
+    """By hand: the sine of the circle is a_i² − 1, its cosine −a_i a_p, and 2 a_i³ − 2 a_i."""
+    noise = 1e-5 * np.cos(5 * T)
+    cal = mp.fit({"E": np.cos(T) + noise}, scheme="tumble-24", model="1 + x + y + x^2 + x^3 + x*y")
+    one = math.radians(0.01)
+    expected = {"bias_E": 1, "scale_E": 2, "quad_E": 1, "cubic_E": 2, "product_E_xy": 1}
+    found = dict(zip(cal.names, changes_unseen(cal).tolist(), strict=True))
+    assert {name: size for name, size in found.items() if size} == pytest.approx(
+        {name: one * size for name, size in expected.items()}, rel=1e-3
+    )
+    # of a line residuals show it, and a head that is read, or stated, is in U
+    assert not changes_unseen(
+        mp.fit({"E": np.cos(T) + noise}, scheme="tumble-24", inputs="x,y")
+    ).any()
+    assert not changes_unseen(
+        mp.fit(mp.state_bench(cal, reading_sd=1e-5), model=cal.model.text)
+    ).any()
+
+
+def test_a_stated_table_is_in_u_of_what_one_roll_cannot_show():
+    """Twenty benches whose encoder is off by .02°, of its circle: U holds 40 of 40 but two."""
+    rng, held, plain = np.random.default_rng(4), [], []
+    for _ in range(20):
+        first, second = rng.uniform(0.0, 2.0 * np.pi, 2)
+        stood = T + math.radians(0.02) * (np.sin(T + first) + 0.5 * np.cos(2 * T + second))
+        table = {"E": 0.012 + np.cos(stood) + 1e-4 * rng.standard_normal(24)}
+        options = {"scheme": "tumble-24", "model": "1 + x + y + x^2 + x*y", "unit": "g"}
+        alone = mp.fit(table, **options)
+        stated = mp.fit(table, budget={"index": {"u_deg": 0.016, "harmonics": [1, 2]}}, **options)
+        for cal, hits in ((alone, plain), (stated, held)):
+            hits += [abs(cal["bias_E"].value - 0.012) < cal["bias_E"].U]
+            hits += [abs(cal["quad_E"].value) < cal["quad_E"].U]
+        assert "hidden-table" in {finding.code for finding in alone.findings}
+        assert "hidden-table" not in {finding.code for finding in stated.findings}
+    assert np.mean(plain) < 0.5
+    assert np.mean(held) >= 0.9
 
 
 def test_stated_bench_puts_the_drift_into_u():

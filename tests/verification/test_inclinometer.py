@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos import cli
+from multipos.finding import serious
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.tilt import (
     axis_tilt,
@@ -287,6 +288,21 @@ def test_rolls_that_do_not_span_a_turn_are_warned_of(tmp_path, capsys):
     assert (
         "the roll about y leaves 270 of 360 degrees without a position" in capsys.readouterr().err
     )
+
+
+def test_tilts_about_level_separate_all_that_a_tilt_sensor_has():
+    """By hand: sines of −15° to 15° sum to zero, so bias and scale factor are independent."""
+    tilt = np.radians(np.arange(-15.0, 16.0, 3.0))
+    zero = 0.0 * tilt
+    up = np.zeros((22, 3))
+    up[:, 0], up[:, 1] = np.r_[np.sin(tilt), zero], np.r_[zero, np.sin(tilt)]
+    up[:, 2] = np.sqrt(1.0 - up[:, 0] ** 2 - up[:, 1] ** 2)
+    values = 2.5 + 4.0 * up[:, :2] + 1e-4 * np.random.default_rng(3).standard_normal((22, 2))
+    readings = mp.Readings(values, outputs=("Ux", "Uy"), up=up, unit="V")
+    assert serious(mp.fit(readings, inputs="x,y").findings) == ()
+    found = {str(finding) for finding in serious(mp.fit(readings).findings)}
+    assert all("Fit with --inputs x,y" in text for text in found)
+    assert len(found) == 2  # rolls
 
 
 def test_readings_outside_the_range(tmp_path, capsys):
