@@ -11,7 +11,7 @@ from typing import get_args
 import pytest
 
 import multipos
-from multipos.exports.target_ros import NOISE_TARGETS
+from multipos.exports.target_matrices import NOISE_TARGETS
 from multipos.exports.targets import TARGETS, TargetName
 from multipos.numerics.terms import NAMED, Formula, NamedModel
 

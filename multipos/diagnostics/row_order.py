@@ -45,13 +45,7 @@ from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, median, recur
 from multipos.numerics.factoring import Covariance, factor
-from multipos.numerics.quantiles import (
-    chi2_quantile,
-    chi2_tail,
-    f_log_tails,
-    f_quantile,
-    f_tail,
-)
+from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_log_tails, f_quantile, f_tail
 from multipos.numerics.rotations import cross_matrix
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration

@@ -23,12 +23,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import (
-    Estimates,
-    compensated,
-    join_estimates,
-    model_coefficients,
-)
+from multipos.estimation.batches import Estimates, compensated, join_estimates, model_coefficients
 from multipos.estimation.known import ROUNDING, share_design
 from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.orientation_variance import (
@@ -50,12 +45,7 @@ from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.levenberg_marquardt import Rules, descend
 from multipos.numerics.quantiles import chi2_quantile
-from multipos.numerics.rotations import (
-    directions,
-    step_derivative,
-    step_on_sphere,
-    tangent_basis,
-)
+from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.numerics.terms import COMPONENTS
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import find_outlying_positions

@@ -44,12 +44,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import (
-    Estimates,
-    compensated,
-    join_estimates,
-    model_coefficients,
-)
+from multipos.estimation.batches import Estimates, compensated, join_estimates, model_coefficients
 from multipos.estimation.identifiability import plausible_range
 from multipos.estimation.known import REJECTED, ROUNDING
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean

@@ -28,6 +28,7 @@ as many are written as bring all of it within the tolerance.
 import itertools
 import math
 import re
+from collections.abc import Mapping
 from fractions import Fraction
 from operator import mul
 
@@ -406,14 +407,9 @@ class _Writer:
         """
         index = {name: j for j, name in enumerate(self._middle)}
         if any(factor.function for factor in term.factors):
-            factors = []
-            for factor in term.factors:
-                e = f"env[{index[factor.variable]}]"
-                factors += [e] * factor.power
-                if factor.function:
-                    factors.append(f"({self._written(_code(factor).value, e)})")
+            named = {name: f"env[{j}]" for name, j in index.items()}
             there = value * float(term.evaluate(self._middle))
-            product = " * ".join(factors)
+            product = " * ".join(written_factors(term, named, self._single))
             return [(value, product), (-there, "1"), (there, "")]
         parts = [(value, "")]
         for factor in term.factors:
@@ -477,6 +473,18 @@ def _derivative(term: Term, axis: str) -> tuple[float, Term, str]:
         rest = tuple(factor for factor in term.factors if factor is not mine)
         return 1.0, Term(rest), _code(mine).slope
     return float(mine.degree), term.lowered(mine), ""
+
+
+def written_factors(term: Term, named: Mapping[str, str], single: bool) -> list[str]:
+    """Return the factors of a term in C, with what its variables are called there."""
+    zero, one = literal(0.0, single), literal(1.0, single)
+    factors = []
+    for factor in term.factors:
+        variable = named.get(factor.variable, factor.variable)
+        factors += [variable] * factor.power
+        if factor.function:
+            factors.append(f"({_code(factor).value.format(v=variable, zero=zero, one=one)})")
+    return factors
 
 
 def _code(factor: Factor) -> Code:

@@ -26,12 +26,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos import __version__
-from multipos.exports.c_body import environment_range, literal
-from multipos.exports.c_source import c_source, comment
+from multipos.exports.c_body import environment_range, literal, written_factors
 from multipos.exports.parts import Correction
+from multipos.exports.target_c import c_source, comment
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
-from multipos.numerics.terms import CONSTANT, FUNCTIONS, Term
+from multipos.numerics.terms import CONSTANT, Term
 from multipos.regression.observations import filter_time
 from multipos.regression.region import Region
 from multipos.regression.regression import Regression
@@ -324,7 +324,7 @@ class _Writer:
         every = s.terms if s.region is None else s.region.terms
         names: dict[Term, str] = {CONSTANT: ""}
         for term in every:
-            factors = self._factors(term, variables)
+            factors = written_factors(term, variables, self._single)
             if len(factors) > 1:
                 names[term] = f"t{len(names)}"
                 lines.append(f"{indent}const {self._kind} {names[term]} = {' * '.join(factors)};")
@@ -355,15 +355,3 @@ class _Writer:
                 f"{indent}{'h += z * z' if i else f'{kind} h = z * z'};",
             ]
         return [*lines, f"{indent}if (h > {self._number(region.limit)}) beyond = 1;"]
-
-    def _factors(self, term: Term, variables: dict[str, str]) -> list[str]:
-        factors = []
-        for factor in term.factors:
-            v = variables[factor.variable]
-            factors += [v] * factor.power
-            if factor.function:
-                code = FUNCTIONS[factor.function].code
-                assert code is not None  # a regression has no function that C cannot write
-                value = code.value.format(v=v, zero=self._number(0.0), one=self._number(1.0))
-                factors.append(f"({value})")
-        return factors

@@ -49,7 +49,7 @@ int main(void)
 def run_c(path: str, text: bytes, calibration: Calibration, declaration: str, rows: Array) -> Array:
     """Return what the function of a C file makes of rows (n, M + E), in a folder of its own.
 
-    `declaration` is that of its function, as `multipos.exports.c_source` writes it.
+    `declaration` is that of its function, as `multipos.exports.target_c` writes it.
     """
     kind, axes = declaration.split("const ")[1].split()[0], len(sensed_axes(calibration.model))
     raw, count = len(calibration.outputs), len(calibration.model.environment)

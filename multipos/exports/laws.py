@@ -81,16 +81,18 @@ class Drift(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """Matrix T (3, 3), offset o (3,) and drift of eqs. (1) and (2)."""
+    """Matrix T (3, 3), offset o (3,) and drift of eqs. (1) and (2), and V, where it is unknown."""
 
     matrix: Array
     offset: Array
     drift: Drift | None = None
+    turn: Array = np.eye(3)
 
     def of_raw_in(self, metres: float, zero: float = 0.0) -> "Correction":
         """Return the law of raw values in m/s², which are `metres` (readings − `zero`)."""
         drift = None if self.drift is None else self.drift.scaled(metres)
-        return Correction(self.matrix / metres, (self.offset - zero) * metres, drift)
+        offset = (self.offset - zero) * metres
+        return Correction(self.matrix / metres, offset, drift, self.turn)
 
 
 class Law(NamedTuple):
@@ -100,26 +102,6 @@ class Law(NamedTuple):
     formula: str  # the terms it has
     lost: bool  # whether the calibration says more than this law can
     rms: float  # [g]
-    turn: Array = np.eye(3)  # V, where it is unknown
-
-    @property
-    def matrix(self) -> Array:
-        """T of eq. (1), (3, 3)."""
-        return self.correction.matrix
-
-    @property
-    def offset(self) -> Array:
-        """The offset o of eq. (1), (3,)."""
-        return self.correction.offset
-
-    @property
-    def drift(self) -> Drift | None:
-        """How the offset drifts, where it does."""
-        return self.correction.drift
-
-    def of_raw_in(self, metres: float, zero: float = 0.0) -> "Law":
-        """Return the law of raw values in m/s², which are `metres` (readings − `zero`)."""
-        return self._replace(correction=self.correction.of_raw_in(metres, zero))
 
 
 def reduce_to(
@@ -174,9 +156,8 @@ def reduce_to(
         if calibration.estimator is not Estimator.UNKNOWN:
             _require_no_turn(calibration, turn, target, allow_lossy)
             turn = np.eye(3)
-    found = Correction(matrix, linear[order, 0], drift)
-    residuals = law_residuals(calibration, found, tesla, turn)
-    law = Law(found, formula, lost, rms_left(calibration, residuals), turn)
+    found = Correction(matrix, linear[order, 0], drift, turn)
+    law = Law(found, formula, lost, rms_left(calibration, law_residuals(calibration, found, tesla)))
     if lost and not allow_lossy:
         raise MultiposError(f"{loss_text(calibration, law, target)}; accept it with --allow-lossy.")
     return _of_offset(calibration, law, target, tesla) if offset_alone and tesla else law
@@ -186,7 +167,7 @@ def _of_offset(calibration: Calibration, law: Law, target: str, tesla: float) ->
     """Return a law whose matrix is one: of the consumer's raw field the offset is taken away."""
     size = in_metres(calibration, target, tesla)
     found = law.correction._replace(matrix=np.eye(3) * size)
-    left = rms_left(calibration, law_residuals(calibration, found, tesla, law.turn))
+    left = rms_left(calibration, law_residuals(calibration, found, tesla))
     return law._replace(correction=found, lost=True, rms=left)
 
 
@@ -253,19 +234,14 @@ def _drift(calibration: Calibration, model: Model, parameters: Array) -> Drift |
     return zero.about(float(np.mean(seen)))[1]
 
 
-def law_residuals(
-    calibration: Calibration,
-    law: Correction,
-    tesla: float | None = None,
-    turn: Array | None = None,
-) -> Array:
+def law_residuals(calibration: Calibration, law: Correction, tesla: float | None = None) -> Array:
     """Return the specific force of the law less the reference (n, 3) [g] at each position."""
     order = [calibration.model.axes.index(axis) for axis in COMPONENTS]
     raw = calibration.readings.values[:, order] - law.offset
     if law.drift is not None:
         raw = raw - law.drift.offset(calibration.readings.environment[TEMPERATURE])
     force = raw @ law.matrix.T / reference_in(calibration, tesla)
-    return (force if turn is None else force @ turn.T) - specific_force(calibration)
+    return force @ law.turn.T - specific_force(calibration)
 
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:

@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.laws import (
@@ -26,14 +27,7 @@ from multipos.exports.laws import (
     reduce_to,
     rms_left,
 )
-from multipos.exports.target import (
-    Exported,
-    GivenFile,
-    Target,
-    Verification,
-    Wish,
-    find_strange,
-)
+from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
 from multipos.finding import Finding, forced, in_order
@@ -41,6 +35,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
 from multipos.sensor.inverse import read_nominal
+
+Written = tuple[str, list[Finding]]  # the text of a file, and what is said of it
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _NOMINAL = re.compile(
@@ -55,7 +51,7 @@ def parameter_target(
     formula: str,
     *,
     raw: Literal["readings", "counts", "m/s^2"],
-    write: Callable[[Calibration, Law, Wish], tuple[str, list[Finding]]],
+    write: Callable[[Calibration, Correction, Wish], Written],
     recognises: Callable[[str], bool],
     read: Callable[[str, str], Correction],
     suffix: str,
@@ -101,7 +97,7 @@ def parameter_target(
         metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
         law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
-        text, found = write(calibration, law.of_raw_in(metres, zero), wish)
+        text, found = write(calibration, law.correction.of_raw_in(metres, zero), wish)
         if law.lost:
             said = _residual_error(calibration, law, _CALLED.get(name, name), tesla)
             found = [Finding("lossy", "warning", said), *found]
@@ -115,13 +111,13 @@ def parameter_target(
         if (stated := _NOMINAL.search(file.text)) is not None:
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
         check_inputs(calibration, name, thermal=thermal)
-        expected = of_target(calibration, formula, name, allow_lossy=True)
+        expected = of_target(calibration, formula, name, allow_lossy=True).correction
         metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
         zero = 0.0 if raw == "readings" else raw_zero(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
-            law = given.of_raw_in(1.0 / metres, -zero * metres)
-            residuals = law_residuals(calibration, law, tesla, expected.turn)
-            should = law_residuals(calibration, expected.correction, tesla, expected.turn)
+            law = given.of_raw_in(1.0 / metres, -zero * metres)._replace(turn=expected.turn)
+            residuals = law_residuals(calibration, law, tesla)
+            should = law_residuals(calibration, expected, tesla)
             thermal_too = (given.drift is None) == (expected.drift is None)
             difference = float(np.abs(residuals - should).max()) if thermal_too else np.inf
             rms = rms_left(calibration, residuals)
@@ -147,7 +143,7 @@ def _residual_error(calibration: Calibration, law: Law, called: str, tesla: floa
     """Return in words what a law leaves of the readings, beside no calibration and a full one."""
     before, full = rms_before(calibration), _rms(calibration, calibration.rms)
     beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
-    residuals = law_residuals(calibration, law.correction, tesla, law.turn)
+    residuals = law_residuals(calibration, law.correction, tesla)
     turned = hidden_turn(calibration, calibration.sign * residuals) is not None
     left = ", without a rotation in the case, which positions set by hand hide" if turned else ""
     return (
@@ -165,14 +161,6 @@ def _rms(calibration: Calibration, rms: float) -> str:
 def size_of(calibration: Calibration) -> float:
     """Return the size of a magnetic reference, 1 of gravity, to which roundings are relative."""
     return calibration.field.magnitude if calibration.field.magnetic else 1.0
-
-
-def diagonal_values(calibration: Calibration, law: Law, names: tuple[str, ...]) -> list[float]:
-    """Return the offsets and scales of a law, six, that single precision is to hold."""
-    values: list[float] = [*law.offset.tolist(), *np.diag(law.matrix).tolist()]
-    for name, value in zip(names, values, strict=True):
-        require_writable(calibration, name, value, np.finfo(np.float32))
-    return values
 
 
 def read_named(path: str, text: str, names: tuple[str, ...]) -> Array:
@@ -223,15 +211,16 @@ def require_instance(wish: Wish, target: str, allowed: range) -> int:
 
 
 def require_writable(
-    calibration: Calibration, name: str, value: float, precision: "np.finfo[Any]"
+    calibration: Calibration, name: str, values: ArrayLike, precision: "np.finfo[Any]"
 ) -> None:
-    """Refuse, by name, a number that the consumer's precision cannot hold, or a scale it loses."""
+    """Refuse, by name, numbers that the consumer's precision cannot hold, or a scale it loses."""
     least = float(precision.tiny) if "SCAL" in name else 0.0
-    if not least <= abs(value) <= float(precision.max):
-        raise MultiposError(
-            f"{name} would be {value:.3g}, which the consumer cannot hold; fit readings in a unit "
-            f"nearer to their size than '{calibration.model.unit}'."
-        )
+    for value in np.ravel(values).tolist():
+        if not least <= abs(value) <= float(precision.max):
+            raise MultiposError(
+                f"{name} would be {value:.3g}, which the consumer cannot hold; fit readings in a "
+                f"unit nearer to their size than '{calibration.model.unit}'."
+            )
 
 
 def origin(calibration: Calibration) -> list[str]:

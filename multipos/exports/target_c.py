@@ -1,51 +1,483 @@
-"""A C99 function, see `multipos.exports.c_source`; read back by compiling and running it.
+"""The C99 file of a calibration, the program that tests it, and how it is read back.
 
-A C file may come from somebody else, and to compile and run it is to do what it says. So the file
-is written again from the calibration, and where both are the same to the byte, it is the text of
-this program that is compiled. Any other C runs only where the user says so.
+The file holds one function and nothing else: no library, memory or state, so that it can be
+called from any firmware. What the function does is in `multipos.exports.c_body`.
+
+The C function that tells tilt: the angles of `multipos.sensor.tilt`, from NAME_compensate.
+
+Three axes need no size of gravity; one or two take the arcsine of f/g, and NAN where |f| exceeds g
+by more than `beyond_vertical` says of that axis. With two axes the third component w follows from
+|f| = g; what it does to the outputs, d(f, w), is taken off the readings before they are compensated
+again,
+
+    f <- compensate(raw - d(f, w)),    w = ±sqrt(g² - |f|²),                                (1)
+
+as often as `multipos.sensor.inverse` does.
+
+It is read back by compiling and running it. A C file may come from somebody else, and to compile
+and run it is to do what it says. So the file is written again from the calibration, and where both
+are the same to the byte, it is the text of this program that is compiled. Any other C runs only
+where the user says so.
 """
 
 import re
+from collections.abc import Sequence
+from textwrap import wrap
 
 import numpy as np
 
 from multipos import __version__
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.c_body import environment_range, function_body, literal, written_factors
+from multipos.exports.c_expression import expression_body, unseen_part
 from multipos.exports.c_fixed import (
     FIXED,
+    FixedPoint,
     find_fixed_point,
+    fixed_body,
+    fixed_defines,
     fixed_forces,
+    fixed_notes,
     fixed_signature,
     fixed_test,
 )
 from multipos.exports.c_running import run_c
-from multipos.exports.c_source import (
-    METRES,
-    SIGNATURE,
-    WRITTEN_BY,
-    c_source,
-    c_test,
-    fixed_source,
-    of_field,
-    signature,
-)
 from multipos.exports.laws import rms_left
 from multipos.exports.parameters import size_of
-from multipos.exports.target import (
-    Exported,
-    GivenFile,
-    Target,
-    Verification,
-    Wish,
-    find_strange,
-)
+from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
+from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
-from multipos.finding import Findings
+from multipos.finding import Findings, forced
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.inverse import STEPS, XTOL, sensed_axes, unseen_axes
+from multipos.sensor.tilt import at_rest, beyond_vertical, magnitude_of, tilt_at_rest
+from multipos.uncertainty.validity import applied
 from multipos.units import STANDARD_GRAVITY
+
+
+def declaration(calibration: Calibration, function: str, result: str, single: bool) -> str:
+    """Return the declaration of a function of raw outputs to one number an axis, without `;`."""
+    kind = "float" if single else "double"
+    env = len(calibration.model.environment)
+    between = f", const {kind} env[{env}]" if env else ""
+    axes = len(sensed_axes(calibration.model))
+    raw = f"const {kind} raw[{len(calibration.outputs)}]"
+    return f"void {function}({raw}{between}, {kind} {result}[{axes}])"
+
+
+def tilt_signature(calibration: Calibration, name: str, single: bool) -> str:
+    """Return the declaration of NAME_tilt, without a semicolon."""
+    return declaration(calibration, f"{name}_tilt", "tilt_deg", single)
+
+
+def tilt_header(calibration: Calibration) -> list[str]:
+    """Return what the comment of the file says of the angles."""
+    sensed = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    named = f"tilt_deg[{len(sensed)}] = {', '.join(sensed)}"
+    lines = [f"{named} above the horizon [degrees], at rest, positive where the axis points up"]
+    if len(sensed) < len(COMPONENTS):
+        room = beyond_vertical(calibration)
+        limits = ", ".join(
+            f"{axis} {value:.9g} g" for axis, value in zip(sensed, room.tolist(), strict=True)
+        )
+        lines.append(
+            f"NAN where |f| is beyond {magnitude_of(calibration):.9g} g by more than {limits}"
+        )
+    return lines
+
+
+def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metres: bool) -> str:
+    """Return the function.
+
+    Raises
+    ------
+    MultiposError
+        Two axes of a model whose third component C cannot write.
+    """
+    axes = sensed_axes(calibration.model)
+    kind, f = ("float", "f") if single else ("double", "")
+    env = ", env" if calibration.model.environment else ""
+    unit = STANDARD_GRAVITY if in_metres else 1.0
+    lines = ["{", f"    {kind} f[{len(axes)}];", f"    {name}_compensate(raw{env}, f);"]
+    degrees = literal(180.0 / np.pi, single)
+    sign = "" if calibration.sign > 0.0 else "-"
+    if len(axes) == len(COMPONENTS):
+        for k in range(3):
+            i, j = (other for other in range(3) if other != k)
+            across = f"sqrt{f}(f[{i}] * f[{i}] + f[{j}] * f[{j}])"
+            lines.append(f"    tilt_deg[{k}] = {degrees} * atan2{f}({sign}f[{k}], {across});")
+        return _closed(calibration, name, single, lines)
+    size = magnitude_of(calibration) * unit
+    if len(axes) == 2:
+        lines += _third(calibration, name, single, unit)
+    one, rooms = literal(1.0, single), beyond_vertical(calibration) / magnitude_of(calibration)
+    for k, room in enumerate(rooms.tolist()):
+        limit = literal(1.0 + room, single)
+        clipped = f"fmax{f}(-{one}, fmin{f}({one}, s{k}))"
+        lines += [
+            f"    const {kind} s{k} = {sign}f[{k}] / {literal(size, single)};",
+            f"    const int seen{k} = s{k} <= {limit} && -s{k} <= {limit};",
+            f"    tilt_deg[{k}] = seen{k} ? {degrees} * asin{f}({clipped}) : NAN;",
+        ]
+    return _closed(calibration, name, single, lines)
+
+
+def _closed(calibration: Calibration, name: str, single: bool, lines: list[str]) -> str:
+    return "\n".join([tilt_signature(calibration, name, single), *lines, "}"]) + "\n"
+
+
+def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:
+    """Return eq. (1), where the model has the component that no output senses."""
+    if isinstance(calibration.model, ExpressionModel):
+        lines, parts = unseen_part(calibration, single=single)
+    else:
+        lines, parts = [], _of_third(calibration, single)
+    if not any(parts):
+        return []
+    kind, f = ("float", "f") if single else ("double", "")
+    env = ", env" if calibration.model.environment else ""
+    (third,) = unseen_axes(calibration.model)
+    sensed = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    size = literal(magnitude_of(calibration) ** 2, single)
+    sign = "" if calibration.sign > 0.0 else "-"
+    scale = "" if unit == 1.0 else f" / {literal(unit, single)}"
+    seen = [f"        const {kind} {axis} = f[{k}]{scale};" for k, axis in enumerate(sensed)]
+    left = " - ".join([size, *(f"{axis} * {axis}" for axis in sensed)])
+    zero, tolerance = literal(0.0, single), literal(XTOL, single)
+    less = [f"raw[{i}] - ({part})" if part else f"raw[{i}]" for i, part in enumerate(parts)]
+    return [
+        f"    {kind} before = {zero};",
+        f"    for (int turn = 0; turn < {STEPS}; ++turn) {{",
+        *seen,
+        f"        const {kind} {COMPONENTS[third]} = {sign}sqrt{f}(fmax{f}({zero}, {left}));",
+        f"        if (fabs{f}({COMPONENTS[third]} - before) <= {tolerance})",
+        "            break;",
+        f"        before = {COMPONENTS[third]};",
+        *(f"        {line}" for line in lines),
+        f"        const {kind} less[{len(less)}] = {{{', '.join(less)}}};",
+        f"        {name}_compensate(less{env}, f);",
+        "    }",
+    ]
+
+
+def _of_third(calibration: Calibration, single: bool) -> list[str]:
+    """Return what terms with the unseen component add to each output, in C; '' for nothing."""
+    model = calibration.model
+    third = COMPONENTS[unseen_axes(model)[0]]
+    theta = model.coefficients(calibration.parameters)
+    index = {column: f"env[{j}]" for j, column in enumerate(model.environment)}
+    result = []
+    for row in theta.tolist():
+        parts = [
+            " * ".join([literal(value, single), *written_factors(term, index, single)])
+            for value, term in zip(row, model.basis_terms, strict=True)
+            if value and any(factor.variable == third for factor in term.factors)
+        ]
+        result.append(" + ".join(parts))
+    return result
+
+
+SIGNATURE = re.compile(
+    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
+    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
+    re.MULTILINE | re.ASCII,
+)
+METRES = re.compile(r"^ \* accel\[\d+\] = [^\n]*\[m/s\^2\], convention", re.MULTILINE)
+WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
+_WIDTH = 90  # of a comment
+_NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
+
+
+def require_identifier(name: str) -> None:
+    """Refuse a name that is no C identifier."""
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
+
+
+def c_source(
+    calibration: Calibration,
+    name: str,
+    *,
+    single: bool,
+    in_metres: bool = False,
+    tilt: bool = False,
+) -> str:
+    """Return the C99 file of a calibration, its force in g or in m/s², and its tilt.
+
+    Raises
+    ------
+    UsageError
+        `name` is no C identifier.
+    MultiposError
+        The steps would not converge, or a coefficient is beyond the precision.
+    """
+    require_identifier(name)
+    _require_held(calibration, single)
+    _vectors(calibration, single)  # which says why, where the model has no inverse
+    if isinstance(calibration.model, ExpressionModel):
+        body, how, library = expression_body(calibration, single=single)
+    else:
+        (body, how), library = function_body(calibration, single=single), False
+    include = "#include <math.h>\n\n" if library or tilt else ""
+    if in_metres:
+        body = _in_metres(body, calibration, single)
+    if tilt and calibration.field.magnetic:
+        raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
+    if in_metres and calibration.field.magnetic:
+        raise UsageError("--output-unit is of forces; a field is in the unit of its size.")
+    head = _header(calibration, name, how, "m/s^2" if in_metres else _unit(calibration), tilt)
+    text = f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+    if tilt:
+        text += "\n" + tilt_function(calibration, name, single=single, in_metres=in_metres)
+    return of_field(text, calibration)
+
+
+def of_field(text: str, calibration: Calibration) -> str:
+    """Return C of a magnetometer, whose result is called field and not accel; any other as it is.
+
+    Called where the calibration's own words, which may be any, are not in the text or are alike.
+    """
+    return re.sub(r"\baccel\b", "field", text) if calibration.field.magnetic else text
+
+
+def fixed_source(fixed: FixedPoint, name: str) -> str:
+    """Return the C99 file of a calibration in whole numbers."""
+    require_identifier(name)
+    how = "one matrix product" if not fixed.products else f"{1 + fixed.steps} steps"
+    unit = _unit(fixed.calibration)
+    head = _header(fixed.calibration, name, how, unit, False, fixed_notes(fixed, name))
+    text = (
+        f"{head}\n#include <stdint.h>\n\n{fixed_defines(fixed, name)}\n"
+        f"{fixed_signature(fixed.calibration, name)}\n{fixed_body(fixed)}"
+    )
+    return of_field(text, fixed.calibration)
+
+
+def _unit(calibration: Calibration) -> str:
+    return calibration.field.unit or "1 where the field is as at calibration"
+
+
+def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
+    """Return the body of the function with its answer turned from g to m/s² at the end."""
+    axes = len(sensed_axes(calibration.model))
+    last = "\n".join(f"    accel[{k}] *= {literal(STANDARD_GRAVITY, single)};" for k in range(axes))
+    return f"{body.rstrip().removesuffix('}')}{last}\n}}\n"
+
+
+def signature(calibration: Calibration, name: str, single: bool) -> str:
+    """Return the declaration, without a semicolon."""
+    return of_field(declaration(calibration, f"{name}_compensate", "accel", single), calibration)
+
+
+def c_test(
+    calibration: Calibration,
+    name: str,
+    *,
+    single: bool,
+    in_metres: bool = False,
+    tilt: bool = False,
+) -> str:
+    """Return a C99 program that checks the function against values from Python."""
+    kind = "float" if single else "double"
+    raw, env, force = _vectors(calibration, single)
+    tolerance, unit = "5e-7f" if single else "1e-9", calibration.field.unit
+    if calibration.field.magnetic:
+        size = calibration.field.magnitude
+        tolerance = literal((5e-7 if single else 1e-9) * float(f"{size:.0e}"), single)
+    if in_metres:
+        force = force * STANDARD_GRAVITY
+        tolerance, unit = "5e-6f" if single else "1e-8", "m/s^2"
+    arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
+    text = "\n".join(array(key, values, single) for key, values in arrays)
+    call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
+    declared, checked, library = "", "", ""
+    if tilt:
+        text += "\n" + array("angle", _angles(calibration, raw, env), single)
+        declared = f"\n{tilt_signature(calibration, name, single)};"
+        checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
+    return of_field(
+        f"""\
+/* Self-test of {name}_compensate: compile with the file that holds it, and run.
+   Exits with 0 where every value is met within {tolerance} {unit}. */
+{library}#include <stdio.h>
+
+{signature(calibration, name, single)};{declared}
+
+enum {{ COUNT = {len(raw)}, AXES = {force.shape[1]} }};
+
+{text}
+
+int main(void)
+{{
+    int failed = 0;
+    for (int i = 0; i < COUNT; ++i) {{
+        {kind} accel[AXES];
+        {name}_compensate({call}, accel);
+        for (int k = 0; k < AXES; ++k) {{
+            const {kind} off = accel[k] - expected[i][k];
+            if (!(off < {tolerance} && -off < {tolerance})) {{
+                printf("vector %d, axis %d: off by %g {unit}\\n", i + 1, k + 1, (double)off);
+                failed = 1;
+            }}
+        }}
+{checked}    }}
+    puts(failed ? "FAILED" : "{name}_compensate: all values met");
+    return failed;
+}}
+""",
+        calibration,
+    )
+
+
+def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
+    """Return the tilt (n, K) [degrees] of readings as Python tells it."""
+    columns = dict(zip(calibration.model.environment, env.T, strict=True))
+    rest = at_rest(calibration, raw, columns)
+    return np.asarray(np.degrees(tilt_at_rest(calibration, rest, columns).tilt))
+
+
+def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
+    """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
+    f, tolerance = ("f", "2e-6f") if single else ("", "1e-9")
+    turn = literal(np.pi / 180.0, single)
+    return f"""\
+        {kind} tilt[AXES];
+        {name}_tilt({call}, tilt);
+        for (int k = 0; k < AXES; ++k) {{
+            const {kind} off = sin{f}({turn} * tilt[k]) - sin{f}({turn} * angle[i][k]);
+            if (isnan(tilt[k]) != isnan(angle[i][k]) || off > {tolerance} || -off > {tolerance}) {{
+                printf("vector %d, axis %d: %g and not %g degrees\\n", i + 1, k + 1,
+                       (double)tilt[k], (double)angle[i][k]);
+                failed = 1;
+            }}
+        }}
+"""
+
+
+def _require_held(calibration: Calibration, single: bool) -> None:
+    """Refuse, by name, what a precision cannot hold."""
+    model = calibration.model
+    limits = np.finfo(np.float32 if single else np.float64)
+    largest, smallest = float(limits.max), float(limits.tiny)
+    precision = "single" if single else "double"
+    way = ("leave out --float, or " if single else "") + "fit in a unit nearer to its size"
+    needed = _negligible(calibration)
+    for name, value, least in zip(calibration.names, calibration.parameters, needed, strict=True):
+        size = abs(float(value))
+        if size > largest or least < size < smallest:
+            lost = "overflows" if size > largest else "vanishes"
+            raise MultiposError(f"'{name}' = {value:.3g} {lost} in {precision} precision; {way}.")
+    for name in model.environment:
+        if max(map(abs, environment_range(calibration, name))) > largest:
+            raise MultiposError(f"column '{name}' overflows in {precision} precision; {way}.")
+
+
+def _negligible(calibration: Calibration) -> Array:
+    """Return how small each parameter (p,) may be and be nothing, in its output."""
+    model = calibration.model
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
+    sizes = _NEGLIGIBLE * np.abs(slope).max(axis=1)
+    return model.per_parameter(sizes, sizes.min())
+
+
+def _header(
+    calibration: Calibration,
+    name: str,
+    how: str,
+    unit: str,
+    tilt: bool,
+    notes: tuple[str, ...] = (),
+) -> str:
+    c = calibration
+    model = c.model
+    axes = sensed_axes(model)
+    env = [
+        f"env[{j}] = {n}, calibrated from {low:.6g} to {high:.6g}"
+        for j, n in enumerate(model.environment)
+        for low, high in [environment_range(c, n)]
+    ]
+    sensed = [COMPONENTS[i] for i in axes]
+    rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
+    what = "specific force" if c.convention == "specific-force" else "gravity"
+    what = "magnetic field" if c.field.magnetic else what
+    convention = "" if c.field.magnetic else f", convention {c.convention}"
+    left = c.field.shown(c.rms) if c.field.magnetic else f"{1e3 * c.rms:.3g} mg"
+    lines = [
+        f"{name}_compensate: raw {c.field.sensor.lower()} readings to {what} [{unit}].",
+        *(line for said in forced(c.diagnostics.findings) for line in wrap(said, _WIDTH)),
+        "",
+        f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
+        *env,
+        f"accel[{len(sensed)}] = {', '.join(sensed)} [{unit}]{convention}",
+        "raw and accel may be the same array.",
+        *notes,
+        *(tilt_header(c) if tilt else ()),
+        "",
+        f"model       {model.text}",
+        f"computed by {how}",
+        f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
+        f"written by  multipos {__version__}",
+        f"residual    rms {left} after compensation",
+        f"valid       {_validity(c, axes)}; beyond it the model extrapolates",
+        f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
+        "",
+        *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
+    ]
+    if c.field.magnetic:
+        lines += ["", "hard iron: the bias of each output; soft iron: the matrix"]
+    elif unit != "g":
+        one = "one g, the local gravity, is taken as" if c.gravity is None else "one g is"
+        lines.insert(1, f"{one} 9.80665 m/s^2.")
+    return "/*\n" + "\n".join(f" * {comment(line)}".rstrip() for line in lines) + "\n */"
+
+
+def _validity(calibration: Calibration, axes: Sequence[int]) -> str:
+    words = applied(calibration).in_words(axes)
+    return words if calibration.readings.forced.any() else f"|accel| {words}"
+
+
+def comment(text: str) -> str:
+    """Return text that stays on its line of a comment: it ends none, begins none, continues none.
+
+    A backslash goes first, since it becomes a slash; ``??/`` is a backslash too, a trigraph.
+    """
+    text = visible(text).replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", text)
+
+
+def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Array]:
+    """Return readings of the calibration and some between them, with what Python makes of them."""
+    readings = calibration.readings
+    names = calibration.model.environment
+    rows = np.linspace(0, len(readings) - 1, min(len(readings), 12)).round().astype(int)
+    raw = readings.values[rows]
+    env = np.empty((len(rows), len(names)))
+    for j, name in enumerate(names):
+        env[:, j] = readings.environment[name][rows]
+    between = (raw + np.roll(raw, 1, axis=0)) / 2.0
+    raw = np.concatenate([raw, between])
+    env = np.concatenate([env, (env + np.roll(env, 1, axis=0)) / 2.0])
+    if single:
+        raw, env = raw.astype(np.float32).astype(float), env.astype(np.float32).astype(float)
+    force = calibration.compensate(raw, dict(zip(names, env.T, strict=True)))
+    sound = np.isfinite(force).all(axis=1)
+    return raw[sound], env[sound], force[sound]
+
+
+def array(name: str, values: Array, single: bool) -> str:
+    """Return a constant array of rows, of length ``COUNT``."""
+    kind = "float" if single else "double"
+    cells = [
+        ["NAN" if value != value else literal(value, single) for value in row]
+        for row in values.tolist()
+    ]
+    rows = ",\n".join(f"    {{{', '.join(row)}}}" for row in cells)
+    return f"static const {kind} {name}[COUNT][{values.shape[1]}] = {{\n{rows}\n}};"
+
 
 _SHOWN = 60  # characters of a line in a message
 _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the calibration's [g]
@@ -62,7 +494,7 @@ def _write(calibration: Calibration, wish: Wish) -> Exported:
 
 
 def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
-    path, raw = file.path, file.raw
+    path = file.path
     if FIXED.search(file.text):
         return _read_back_fixed(file, calibration)
     found = SIGNATURE.search(file.text)
@@ -72,17 +504,15 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     name, single = found["name"], found["type"] == "float"
     in_metres = METRES.search(file.text) is not None
     tilt = f"void {name}_tilt(" in file.text
-    own = c_source(calibration, name, single=single, in_metres=in_metres, tilt=tilt).encode()
-    foreign = raw != own
-    if foreign and not file.run_foreign_code:
-        raise MultiposError(f"{path}: {difference_of(raw, own)}")
+    own = c_source(calibration, name, single=single, in_metres=in_metres, tilt=tilt)
+    foreign = is_foreign(file, own)
     readings = calibration.readings
     columns = {name: readings.environment[name] for name in names}
     rows = np.column_stack([readings.values, *columns.values()])
     if single:
         rows = rows.astype(np.float32).astype(np.float64)
     declared = signature(calibration, name, single)
-    force = run_c(path, raw if foreign else own, calibration, declared, rows)
+    force = run_c(path, file.raw, calibration, declared, rows)
     if in_metres:
         force = force / STANDARD_GRAVITY
     should = calibration.compensate(
@@ -102,14 +532,10 @@ def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
     assert found is not None
     _check_sizes(file.path, found, calibration)
     fixed = find_fixed_point(calibration)
-    own = fixed_source(fixed, found["name"]).encode()
-    foreign = file.raw != own
-    if foreign and not file.run_foreign_code:
-        raise MultiposError(f"{file.path}: {difference_of(file.raw, own)}")
+    foreign = is_foreign(file, fixed_source(fixed, found["name"]))
     rows = fixed.whole(calibration.readings.values)
     declared = fixed_signature(calibration, found["name"])
-    text = file.raw if foreign else own
-    whole = run_c(file.path, text, calibration, declared, rows.astype(np.float64))
+    whole = run_c(file.path, file.raw, calibration, declared, rows.astype(np.float64))
     findings = find_strange(
         file.path,
         float(np.abs(whole - fixed_forces(fixed, rows)).max()) / fixed.accel_per_g,
@@ -156,6 +582,20 @@ def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> N
             f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
             "export again."
         )
+
+
+def is_foreign(file: GivenFile, own: str) -> bool:
+    """Tell whether a file that may be run is not what export writes, to the byte.
+
+    Raises
+    ------
+    MultiposError
+        It is not, and may not be run.
+    """
+    foreign = file.raw != own.encode()
+    if foreign and not file.run_foreign_code:
+        raise MultiposError(f"{file.path}: {difference_of(file.raw, own.encode())}")
+    return foreign
 
 
 def difference_of(raw: bytes, own: bytes) -> str:

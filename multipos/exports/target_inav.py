@@ -19,8 +19,8 @@ import re
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.exports.laws import DIAGONAL, Correction, Law, scale_per_g
-from multipos.exports.parameters import origin, parameter_target, read_named
+from multipos.exports.laws import DIAGONAL, Correction, scale_per_g
+from multipos.exports.parameters import Written, origin, parameter_target, read_named
 from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.sensor.calibration import Calibration
@@ -50,7 +50,7 @@ def _nominal(calibration: Calibration) -> int:
     return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
 
 
-def _write(calibration: Calibration, law: Law, _: Wish) -> tuple[str, list[Finding]]:
+def _write(calibration: Calibration, law: Correction, _: Wish) -> Written:
     counts = _nominal(calibration)
     slopes = np.diag(law.matrix) / STANDARD_GRAVITY
     zeros, gains = np.rint(law.offset), np.rint(_UNITY * counts * slopes)

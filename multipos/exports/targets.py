@@ -14,19 +14,16 @@ from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import Parts, split_parts
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish
-from multipos.exports.target_ardupilot import ARDUPILOT
+from multipos.exports.target_autopilots import (
+    ARDUPILOT,
+    ARDUPILOT_MAGNETOMETER,
+    PX4,
+    PX4_MAGNETOMETER,
+)
 from multipos.exports.target_c import C
 from multipos.exports.target_correction import Replay, correction_of, replay, write_correction
-from multipos.exports.target_imucal import IMUCAL
 from multipos.exports.target_inav import INAV
-from multipos.exports.target_kalibr import KALIBR
-from multipos.exports.target_magnetometer import (
-    ARDUPILOT_MAGNETOMETER,
-    PX4_MAGNETOMETER,
-    ROS_MAGNETOMETER,
-)
-from multipos.exports.target_px4 import PX4
-from multipos.exports.target_ros import ROS, write_noise
+from multipos.exports.target_matrices import IMUCAL, KALIBR, ROS, ROS_MAGNETOMETER, write_noise
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes

@@ -39,12 +39,7 @@ from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
 from multipos.fitting.completion import complete
-from multipos.fitting.options import (
-    Options,
-    check_options,
-    choose_estimator,
-    criterion_in_words,
-)
+from multipos.fitting.options import Options, check_options, choose_estimator, criterion_in_words
 from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import Array, coarse_steps
 from multipos.numerics.losses import Loss

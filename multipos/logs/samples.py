@@ -30,15 +30,7 @@ from multipos.logs.clock import (
     usual_step,
     wraps_of,
 )
-from multipos.logs.rests import (
-    LARGEST_SAMPLE,
-    PIECE,
-    Rest,
-    Spikes,
-    Survey,
-    Windows,
-    choose_grid,
-)
+from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Spikes, Survey, Windows, choose_grid
 from multipos.logs.table import Log, Piece
 from multipos.numerics.arrays import Array, median
 

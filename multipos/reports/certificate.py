@@ -28,11 +28,7 @@ from multipos.reports.evidence import (
     rolls_section,
     temperature_sections,
 )
-from multipos.reports.findings import (
-    budget_section,
-    parameters_section,
-    sphere_section,
-)
+from multipos.reports.findings import budget_section, parameters_section, sphere_section
 from multipos.reports.fit_checks import checks_section
 from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
 from multipos.reports.sensor_result import (

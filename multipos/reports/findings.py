@@ -16,11 +16,7 @@ from multipos.files.numbers import (
     readable_unit,
 )
 from multipos.numerics.terms import COMPONENTS
-from multipos.reports.quantities import (
-    leaning_quantities,
-    parameter_cells,
-    quantity_rows,
-)
+from multipos.reports.quantities import leaning_quantities, parameter_cells, quantity_rows
 from multipos.reports.sections import LONG_TABLE, PageTable, Section, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel

@@ -21,13 +21,7 @@ from multipos.reports.quantities import (
     parameter_cells,
     quantity_rows,
 )
-from multipos.reports.sections import (
-    Figure,
-    PageTable,
-    Section,
-    Translator,
-    chosen_rows,
-)
+from multipos.reports.sections import Figure, PageTable, Section, Translator, chosen_rows
 from multipos.sensor.calibration import Calibration, has_nominal
 from multipos.sensor.found import Sessions
 from multipos.sensor.inverse import sensed_axes

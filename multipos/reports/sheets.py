@@ -6,14 +6,7 @@ into a report of any form and language.
 
 from typing import NamedTuple
 
-from multipos.files.numbers import (
-    chance,
-    number,
-    plain_number,
-    readable_unit,
-    table,
-    uncertain,
-)
+from multipos.files.numbers import chance, number, plain_number, readable_unit, table, uncertain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors, ZeroShift
 

@@ -3,14 +3,7 @@
 import math
 from collections.abc import Mapping
 
-from multipos.files.numbers import (
-    chance,
-    number,
-    p_in_words,
-    plain_number,
-    table,
-    uncertain,
-)
+from multipos.files.numbers import chance, number, p_in_words, plain_number, table, uncertain
 from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets

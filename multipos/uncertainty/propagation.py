@@ -35,13 +35,7 @@ from multipos.numerics.arrays import LARGEST, Array, quadratic
 from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
-from multipos.uncertainty.budgets import (
-    OF_FORCE_ALONE,
-    Budget,
-    BudgetSource,
-    Quantity,
-    read_budget,
-)
+from multipos.uncertainty.budgets import OF_FORCE_ALONE, Budget, BudgetSource, Quantity, read_budget
 from multipos.uncertainty.sensitivities import Cleared, clear_scatter, is_bounded, parameter_effects
 
 

@@ -80,12 +80,7 @@ from multipos.sensor.tilt import (
 from multipos.uncertainty.validity import unseen_covariance
 from multipos.verification.agreement import judge_run
 from multipos.verification.regression_checks import check_regression, check_regressions
-from multipos.verification.verdicts import (
-    Check,
-    family_confidence,
-    judge_errors,
-    require_limit,
-)
+from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.
 Errors = tuple[Array, Array, Array, Array, Array]

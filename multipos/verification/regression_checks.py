@@ -48,19 +48,9 @@ from multipos.regression.correlation import Law, TimeOrder, Whitening, find_nois
 from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
-from multipos.verification.agreement import (
-    RATE,
-    Agreement,
-    no_agreement,
-    root_of,
-)
+from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
 from multipos.verification.consistency import Words, judge_together
-from multipos.verification.verdicts import (
-    Check,
-    family_confidence,
-    judge_errors,
-    require_limit,
-)
+from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 _LAWS = 12  # of the plausible ones: the likeliest ten are next to each other
 _RANK = 1e-9

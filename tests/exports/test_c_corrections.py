@@ -14,8 +14,7 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_correction import _Writer, declarations
 from multipos.exports.parts import Correction
-from multipos.exports.replay import Drive, _meet_edges, expected_rows, fitted_rows
-from multipos.exports.target_correction import _MAIN
+from multipos.exports.target_correction import _MAIN, Drive, _meet_edges, expected_rows, fitted_rows
 from multipos.regression.observations import causal_rate
 
 ROWS = 100_000

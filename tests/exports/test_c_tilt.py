@@ -62,7 +62,7 @@ def angles_by_c(tmp_path, cal, exported, raw):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
 @pytest.mark.parametrize(("outputs", "model", "convention", "options"), KINDS)
 def test_c_tells_the_angles_of_apply(tmp_path, outputs, model, convention, options):
-    # eq. (1) of exports.c_source
+    # eq. (1) of exports.target_c
     cal = calibrated(outputs, model, convention)
     exported = mp.export(cal, "c", tilt=True, **options)
     size = np.array([0.99, 1.0, 1.0 + 0.5 * beyond_vertical(cal)[0], 1.2])

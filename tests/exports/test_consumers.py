@@ -116,7 +116,7 @@ def test_px4_with_temperature_by_its_law(tmp_path):
 
 
 def test_ardupilot_with_temperature_by_its_law(tmp_path):
-    # eq. (1) of exports.target_ardupilot
+    # eq. (1) of exports.target_autopilots
     cal, readings = warmed(np.diag(np.diag(K)))
     exported = mp.export(cal, "ardupilot", device_id=7, instance=3)
     found = pairs(exported.text)
@@ -249,7 +249,7 @@ def kalibr_matrices(text):
 
 @pytest.mark.parametrize("mounted", ["as it is", "quarter turn", "mirrored"])
 def test_kalibr_has_a_lower_triangle_and_a_rotation_beside_it(mounted, tmp_path):
-    # eq. (1) of exports.target_kalibr
+    # eq. (1) of exports.target_matrices
     # raw = K a with K = M C: M M' = K K', of which Cholesky's factor is M but for a common sign
     turn = {"quarter turn": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "mirrored": -np.eye(3)}
     response = K @ np.array(turn.get(mounted, np.eye(3)))

@@ -14,8 +14,8 @@ from log_bench import sensor, shared
 import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_body import needed_steps
-from multipos.exports.c_source import SIGNATURE, signature
 from multipos.exports.laws import in_metres, raw_zero, reduce_to
+from multipos.exports.target_c import SIGNATURE, signature
 from multipos.exports.targets import export, verify_export
 from multipos.numerics.rotations import rotation_matrix
 from multipos.sensor.model import build_model

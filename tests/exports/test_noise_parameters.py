@@ -26,7 +26,7 @@ def values(text):
 
 
 def test_kalibr_takes_densities_in_metres(stability):
-    # eq. (1) of exports.target_ros
+    # eq. (2) of exports.target_matrices
     found = values(mp.export(stability, to="kalibr").text)
     # white noise of one sample: N = sd/√f; 20,000 samples know it to a percent or so
     density = SD * 9.80665 / np.sqrt(RATE)
@@ -36,7 +36,7 @@ def test_kalibr_takes_densities_in_metres(stability):
 
 
 def test_ros_takes_the_variance_of_one_message(stability):
-    # eq. (2) of exports.target_ros
+    # eq. (3) of exports.target_matrices
     found = values(mp.export(stability, to="ros").text)
     covariance = np.array(found["linear_acceleration_covariance"]).reshape(3, 3)
     np.testing.assert_allclose(np.diag(covariance), (SD * 9.80665) ** 2, rtol=0.1)

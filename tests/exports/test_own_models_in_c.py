@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.exports.c_source import c_source
+from multipos.exports.target_c import c_source
 from multipos.positions.scheme import read_scheme
 
 UP = read_scheme("all-26").up

@@ -133,7 +133,7 @@ def symmetric_root(soft):
 )
 def test_autopilots_correct_by_their_own_equation(target, unit, form, tmp_path):
     """PX4: S (raw − OFF) in gauss; ArduPilot: S (raw + OFS) in milligauss; ODIAG xy, xz, yz."""
-    # eq. (1) of exports.target_magnetometer
+    # eq. (2) of exports.target_autopilots
     rows, _u = readings(sd=0.0)
     cal = mp.fit(rows, unit="uT", field_size=SIZE)
     exported = mp.export(cal, to=target, device_id=7)

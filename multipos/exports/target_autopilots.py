@@ -1,0 +1,353 @@
+"""Autopilots: accelerometers and magnetometers of PX4 and ArduPilot.
+
+PX4 [1]_: ``CAL_ACC0_XOFF`` … and ``CAL_ACC0_XSCALE`` …, in the form of QGroundControl. It takes
+corrected = (raw − OFF − thermal offset) SCALE axis by axis, raw in m/s², so that OFF = o at the
+mean temperature and SCALE = T_ii. The thermal offset [2]_ is Σ X_k (t − TREF)^k, k = 0 to 3, with t
+held to TMIN … TMAX, so that ``TC_A0_X1_0`` … are c_1 … of the x axis and X0 is 0.
+
+ArduPilot [3]_: ``INS_ACCOFFS_X`` … and ``INS_ACCSCAL_X`` …, in the form of Mission Planner. It
+takes corrected = (raw − p(t) + p(CALTEMP) − OFFS) SCAL axis by axis, raw in m/s², so that OFFS = o
+at the temperature CALTEMP and SCAL = T_ii. The drift [4]_ is
+
+    p(t) = 1e-6 [ACC1 (t − 35) + ACC2 (t − 35)² + ACC3 (t − 35)³],                          (1)
+
+t in °C and held to TMIN … TMAX.
+
+Of a magnetometer they correct hard iron, and the symmetric root of soft iron: PX4 [5]_, in gauss,
+corrected = S (raw − OFF), and ArduPilot [6]_, in milligauss and after the turn of its board,
+corrected = S (raw + OFS), so that OFF = o and OFS = −o, with
+
+    S = [[SCALE_x, ODIAG_x, ODIAG_y], [·, SCALE_y, ODIAG_z], [·, ·, SCALE_z]],             (2)
+
+which ArduPilot calls DIA and ODI.
+
+PX4 looks a calibration up by the ID of the sensor's device: what stands under another ID, or none,
+is not used. ArduPilot takes an accelerometer for calibrated where the saved ``INS_ACC_ID`` is that
+of its device [7]_.
+
+References
+----------
+.. [1] PX4-Autopilot, ``sensor_calibration/Accelerometer.hpp``, ``Correct``, and
+   ``Accelerometer.cpp``, ``ParametersUpdate``.
+.. [2] PX4-Autopilot, ``TemperatureCompensation.cpp``, ``calc_thermal_offsets_3D``.
+.. [3] ArduPilot, ``AP_InertialSensor_Backend::_rotate_and_correct_accel``.
+.. [4] ArduPilot, ``AP_InertialSensor_tempcal.cpp``, ``correct_sensor``.
+.. [5] PX4-Autopilot, ``sensor_calibration/Magnetometer.hpp``, ``Correct``, and
+   ``Magnetometer.cpp``, ``ParametersUpdate``.
+.. [6] ArduPilot, ``AP_Compass_Backend.cpp``, ``correct_field``; limits: ``CompassCalibrator.cpp``,
+   ``fit_acceptable``, and ``COMPASS_OFFS_MAX``.
+.. [7] ArduPilot, ``AP_InertialSensor::accel_calibrated_ok_all``.
+"""
+
+import re
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from multipos.exports.laws import DIAGONAL, LINEAR, Correction, Drift
+from multipos.exports.parameters import (
+    Written,
+    origin,
+    parameter_target,
+    read_named,
+    require_instance,
+    require_writable,
+)
+from multipos.exports.target import Wish
+from multipos.finding import Finding
+from multipos.numerics.arrays import Array
+from multipos.sensor.calibration import Calibration
+
+_Values = list[tuple[str, float | int]]  # of parameters, by name
+
+_GAUSS, _MILLIGAUSS = 1e-4, 1e-7
+_UPPER = ((0, 1), (0, 2), (1, 2))  # of eq. (2), where x, y, z of the off-diagonals stand
+_REFERENCE = 35.0  # [°C], t of eq. (1) is counted from it
+_UNIT = 1e-6
+_REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
+
+
+# --- what both have in common
+
+
+def _values(
+    calibration: Calibration, law: Correction, names: tuple[str, ...], sign: float = 1.0
+) -> _Values:
+    """Return offset, diagonal and, where named, off-diagonals, that single precision is to hold."""
+    beside = [law.matrix[place] for place in _UPPER]
+    values = np.concatenate([sign * law.offset, np.diag(law.matrix), beside])[: len(names)].tolist()
+    for name, value in zip(names, values, strict=True):
+        if value or "ODI" not in name:
+            require_writable(calibration, name, value, np.finfo(np.float32))
+    return list(zip(names, values, strict=True))
+
+
+def _correction(numbers: Array, sign: float = 1.0, drift: Drift | None = None) -> Correction:
+    """Return the law of the numbers of `_values`."""
+    matrix = np.diag(numbers[3:6])
+    for (i, j), value in zip(_UPPER, numbers[6:].tolist(), strict=False):
+        matrix[i, j] = matrix[j, i] = value
+    return Correction(matrix, sign * numbers[:3], drift)
+
+
+def _identified(found: _Values, sensor: str, wish: Wish, *, px4: bool) -> list[Finding]:
+    """Put the ID of the device before its parameters, or say that there is none."""
+    if wish.device_id is not None:
+        found.insert(0, (sensor, wish.device_id))
+        return []
+    text = f"{sensor} is missing; ArduPilot will ask for a calibration"
+    if px4:
+        text = f"{sensor} is missing; PX4 will ignore the file"
+    return [Finding("no-device-id", "warning", text, "Add --device-id.")]
+
+
+def _instance(given: "re.Pattern[str]", text: str) -> int:
+    return min(int(found["instance"] or 1) for found in given.finditer(text))
+
+
+def _reader(
+    given: "re.Pattern[str]", names: Callable[[int], tuple[str, ...]], sign: float
+) -> Callable[[str, str], Correction]:
+    """Return what reads the file of a magnetometer."""
+
+    def read(path: str, text: str) -> Correction:
+        return _correction(read_named(path, text, names(_instance(given, text))), sign)
+
+    return read
+
+
+def _turned(law: Correction) -> list[str]:
+    """Return what is said of the turn that a symmetric matrix leaves open."""
+    if np.allclose(law.turn, np.eye(3)):
+        return []
+    return ["the matrix is the symmetric root: orientations were unknown, and so is a turn"]
+
+
+_target = partial(parameter_target, raw="m/s^2", takes=("instance", "device_id"))
+
+
+# --- PX4
+
+_PX4_INSTANCES = range(4)
+_PX4_GIVEN = re.compile(r"^(?!#).*\bCAL_ACC(?P<instance>\d)_[XYZ]", re.MULTILINE)
+_PX4_MAG_GIVEN = re.compile(r"^(?!#).*\bCAL_MAG(?P<instance>\d)_[XYZ]", re.MULTILINE)
+
+
+def _px4_names(instance: int) -> tuple[str, ...]:
+    return tuple(f"CAL_ACC{instance}_{axis}{kind}" for kind in ("OFF", "SCALE") for axis in "XYZ")
+
+
+def _px4_mag_names(instance: int) -> tuple[str, ...]:
+    kinds = ("OFF", "SCALE", "ODIAG")
+    return tuple(f"CAL_MAG{instance}_{axis}{kind}" for kind in kinds for axis in "XYZ")
+
+
+def _px4_slopes(instance: int) -> tuple[str, ...]:
+    return tuple(f"TC_A{instance}_X{power}_{axis}" for power in (1, 2, 3) for axis in range(3))
+
+
+def _px4_limits(instance: int) -> tuple[str, ...]:
+    return tuple(f"TC_A{instance}_{name}" for name in ("TREF", "TMIN", "TMAX"))
+
+
+def _params_text(head: list[str], found: _Values) -> str:
+    """Return the file of QGroundControl: lines of a name and a value, with the type of each."""
+    lines = [
+        *(f"# {line}" for line in head),
+        "#",
+        "# Vehicle-Id Component-Id Name Value Type",
+        *(
+            f"1\t1\t{name}\t{value!r}\t{_INT32 if isinstance(value, int) else _REAL32}"
+            for name, value in found
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+    instance = require_instance(wish, "px4", _PX4_INSTANCES)
+    found = _values(calibration, law, _px4_names(instance))
+    missing = _identified(found, f"CAL_ACC{instance}_ID", wish, px4=True)
+    thermal = ""
+    if law.drift is not None:
+        found += _px4_thermal(law.drift, instance, wish.device_id)
+        thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
+    head = [*origin(calibration), f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"]
+    return _params_text(head, found), missing
+
+
+def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
+    """Return the parameters of the thermal offset."""
+    limits = (drift.reference, drift.low, drift.high)
+    return [
+        ("TC_A_ENABLE", 1),
+        *([] if device_id is None else [(f"TC_A{instance}_ID", device_id)]),
+        *((f"TC_A{instance}_X0_{axis}", 0.0) for axis in range(3)),
+        *zip(_px4_slopes(instance), drift.slopes.ravel().tolist(), strict=True),
+        *zip(_px4_limits(instance), limits, strict=True),
+    ]
+
+
+def _read_px4(path: str, text: str) -> Correction:
+    instance = _instance(_PX4_GIVEN, text)
+    numbers = read_named(path, text, _px4_names(instance))
+    drift = None
+    if any(name in text for name in _px4_slopes(instance)):
+        slopes = read_named(path, text, _px4_slopes(instance)).reshape(3, 3)
+        drift = Drift(slopes, *read_named(path, text, _px4_limits(instance)).tolist())
+    return _correction(numbers, drift=drift)
+
+
+def _write_px4_mag(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+    instance = require_instance(wish, "px4", _PX4_INSTANCES)
+    found = _values(calibration, law, _px4_mag_names(instance))
+    missing = _identified(found, f"CAL_MAG{instance}_ID", wish, px4=True)
+    equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
+    return _params_text([*origin(calibration), *_turned(law), equation], found), missing
+
+
+PX4 = _target(
+    "px4",
+    DIAGONAL,
+    write=_write_px4,
+    recognises=lambda text: _PX4_GIVEN.search(text) is not None,
+    read=_read_px4,
+    suffix=".params",
+    thermal=True,
+)
+
+PX4_MAGNETOMETER = _target(
+    "px4",
+    LINEAR,
+    write=_write_px4_mag,
+    recognises=lambda text: _PX4_MAG_GIVEN.search(text) is not None,
+    read=_reader(_PX4_MAG_GIVEN, _px4_mag_names, 1.0),
+    suffix=".params",
+    tesla=_GAUSS,
+)
+
+
+# --- ArduPilot
+
+_ARDUPILOT_INSTANCES = range(1, 4)
+_ARDUPILOT_GIVEN = re.compile(r"^(?!#).*\bINS_ACC(?P<instance>[23]?)(?:OFFS|SCAL)_", re.MULTILINE)
+_ARDUPILOT_MAG_GIVEN = re.compile(
+    r"^(?!#).*\bCOMPASS_(?:OFS|DIA|ODI)(?P<instance>[23]?)_", re.MULTILINE
+)
+# What the ground stations accept: offset [m/s²] and scale, of a magnetometer offset [milligauss],
+# diagonal, and what is beside it.
+_LIMITS = (3.5, (0.8, 1.2))
+_MAG_LIMITS, _BESIDE = (1800.0, (0.2, 5.0)), 1.0
+
+
+def _numbered(instance: int) -> str:
+    return "" if instance == 1 else str(instance)  # the first has none
+
+
+def _ardupilot_names(instance: int) -> tuple[str, ...]:
+    number = _numbered(instance)
+    return tuple(f"INS_ACC{number}{kind}_{axis}" for kind in ("OFFS", "SCAL") for axis in "XYZ")
+
+
+def _ardupilot_mag_names(instance: int) -> tuple[str, ...]:
+    number = _numbered(instance)
+    return tuple(
+        f"COMPASS_{kind}{number}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in "XYZ"
+    )
+
+
+def _ardupilot_slopes(instance: int) -> tuple[str, ...]:
+    return tuple(f"INS_TCAL{instance}_ACC{power}_{axis}" for power in (1, 2, 3) for axis in "XYZ")
+
+
+def _ardupilot_limits(instance: int) -> tuple[str, ...]:
+    names = tuple(f"INS_TCAL{instance}_{name}" for name in ("TMIN", "TMAX"))
+    return (f"INS_ACC{instance}_CALTEMP", *names)
+
+
+def _beyond(found: _Values, *, magnetic: bool) -> list[Finding]:
+    """Return what the ground stations do not accept."""
+    offset, (low, high) = _MAG_LIMITS if magnetic else _LIMITS
+    bad = [name for name, value in found[:3] if abs(value) > offset]
+    bad += [name for name, value in found[3:6] if not low <= value <= high]
+    bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
+    if not bad:
+        return []
+    text = f"{', '.join(bad)} exceed what ArduPilot accepts"
+    action = "Check the unit and the axes." if magnetic else "Check the unit and the convention."
+    return [Finding("beyond-target", "warning", text, action)]
+
+
+def _parm_text(head: list[str], found: _Values) -> str:
+    """Return the file of Mission Planner: lines of a name and a value."""
+    lines = [*(f"# {line}" for line in head), *(f"{name},{value!r}" for name, value in found)]
+    return "\n".join(lines) + "\n"
+
+
+def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+    instance = require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
+    found = _values(calibration, law, _ardupilot_names(instance))
+    findings = _beyond(found, magnetic=False)
+    sensor = f"INS_ACC{_numbered(instance)}_ID"
+    findings += _identified(found, sensor, wish, px4=False)
+    thermal = ""
+    if law.drift is not None:
+        found += _ardupilot_thermal(law.drift, instance)
+        thermal = " - p(t) + p(CALTEMP)"
+    head = [*origin(calibration), f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"]
+    return _parm_text(head, found), findings
+
+
+def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
+    """Return the parameters of eq. (1)."""
+    _, about = drift.about(_REFERENCE)
+    slopes = (about.slopes / _UNIT).ravel().tolist()
+    limits = (drift.reference, drift.low, drift.high)
+    return [
+        (f"INS_TCAL{instance}_ENABLE", 1),
+        *zip(_ardupilot_limits(instance), limits, strict=True),
+        *zip(_ardupilot_slopes(instance), slopes, strict=True),
+    ]
+
+
+def _read_ardupilot(path: str, text: str) -> Correction:
+    instance = _instance(_ARDUPILOT_GIVEN, text)
+    numbers, drift = read_named(path, text, _ardupilot_names(instance)), None
+    if any(name in text for name in _ardupilot_slopes(instance)):
+        slopes = read_named(path, text, _ardupilot_slopes(instance)).reshape(3, 3) * _UNIT
+        at, low, high = read_named(path, text, _ardupilot_limits(instance)).tolist()
+        drift = Drift(slopes, _REFERENCE, low, high)
+        numbers[:3] -= drift.offset(at)
+    return _correction(numbers, drift=drift)
+
+
+def _write_ardupilot_mag(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+    instance = require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
+    found = _values(calibration, law, _ardupilot_mag_names(instance), -1.0)
+    findings = _beyond(found, magnetic=True)
+    sensor = f"COMPASS_DEV_ID{_numbered(instance)}"
+    findings += _identified(found, sensor, wish, px4=False)
+    equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
+    return _parm_text([*origin(calibration), *_turned(law), equation], found), findings
+
+
+ARDUPILOT = _target(
+    "ardupilot",
+    DIAGONAL,
+    write=_write_ardupilot,
+    recognises=lambda text: _ARDUPILOT_GIVEN.search(text) is not None,
+    read=_read_ardupilot,
+    suffix=".parm",
+    thermal=True,
+)
+
+ARDUPILOT_MAGNETOMETER = _target(
+    "ardupilot",
+    LINEAR,
+    write=_write_ardupilot_mag,
+    recognises=lambda text: _ARDUPILOT_MAG_GIVEN.search(text) is not None,
+    read=_reader(_ARDUPILOT_MAG_GIVEN, _ardupilot_mag_names, -1.0),
+    suffix=".parm",
+    tesla=_MILLIGAUSS,
+)

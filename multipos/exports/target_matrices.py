@@ -1,0 +1,417 @@
+"""Consumers of a matrix and an offset: Kalibr, ROS and the Python package imucal.
+
+Kalibr [1]_: YAML of an IMU, with its scale-misalignment matrix and noise densities.
+raw = M C a + b in m/s², with the specific force a in case axes. Kalibr takes the axes of its sensor
+from the accelerometer, so that its M is lower triangular and its readers take six numbers of it:
+
+    K = T⁻¹ = M C,    M lower triangular, C a rotation,                                    (1)
+
+with a diagonal of M above zero, or below it where the three outputs are left-handed; b = o. Kalibr
+lets b move with time, so that its own files have none: ``bias`` and ``C_i_case``, named as Kalibr
+names ``C_gyro_i``, are there for those who read the file. A consumer finds C a = M⁻¹ (raw − b).
+
+The noise densities are those of `multipos stability`: white noise N [m/s²/√Hz] with σ(τ) = N/√τ
+and random walk K [m/s³/√Hz] with σ(τ) = K √(τ/3), the largest of the three axes, since Kalibr has
+one for all. By themselves, as other programs ask for them, they are [2]_
+
+    accelerometer_noise_density = N,      accelerometer_random_walk = K,                    (2)
+
+and a message of ROS at the sample rate f [Hz] has the variances
+
+    linear_acceleration_covariance = diag(N_i² f),                                          (3)
+
+with −1 as the first element of the covariances of what an accelerometer does not measure [3]_.
+
+The ROS package imu_calib [4]_: YAML with ``SM`` (9, by rows) and ``bias`` (3). It takes
+corrected = SM raw − bias, in the unit of the readings, so that SM = T and bias = T o. Of a
+magnetometer imu_filter_madgwick [5]_ of ROS, in tesla, corrects hard iron alone: raw − mag_bias.
+
+The Python package imucal [6]_: JSON of a ``FerrarisCalibrationInfo``. It takes
+corrected = R_a⁻¹ K_a⁻¹ (raw − b_a), in m/s² from the unit of the readings, so that K_a R_a = T⁻¹
+and b_a = o. K_a is diagonal, and the rows of R_a are of unit length. The gyroscope is not
+calibrated here: its matrices leave it as it is, and its units stay open.
+
+References
+----------
+.. [1] ethz-asl/kalibr, ``IccScaledMisalignedImu`` and the page "IMU Noise Model".
+.. [2] github.com/ethz-asl/kalibr, wiki, *IMU Noise Model*.
+.. [3] ROS, ``sensor_msgs/Imu``.
+.. [4] github.com/dpkoch/imu_calib, ``AccelCalib::applyCalib``.
+.. [5] github.com/CCNYRoboticsLab/imu_tools, ``imu_filter_ros.cpp``, ``imuMagCallback``.
+.. [6] mad-lab-fau/imucal, ``FerrarisCalibrationInfo._calibrate_acc``, and
+   ``CalibrationInfo.from_json_file``, format 2.0.0.
+"""
+
+import json
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from multipos.bias_stability.stability_result import Stability
+from multipos.errors import MultiposError, UsageError
+from multipos.exports.laws import LINEAR, Correction, in_metres
+from multipos.exports.parameters import (
+    Written,
+    origin,
+    parameter_target,
+    read_named,
+    read_numbers,
+    require_writable,
+)
+from multipos.exports.target import Exported, Wish
+from multipos.files.spelling import visible
+from multipos.files.trees import to_json
+from multipos.finding import Finding
+from multipos.numerics.arrays import Array
+from multipos.numerics.rotations import rotation_vector
+from multipos.sensor.calibration import Calibration
+from multipos.units import MICRO_G, STANDARD_GRAVITY
+
+_ROW = r"\[[^\]\n]*\]"
+_M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
+_C = re.compile(rf"^ +C_i_case:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
+_BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
+_NO_NOISE = Finding(
+    "no-noise-density",
+    "warning",
+    "the file lacks the noise densities that Kalibr needs",
+    "Add the result of multipos stability with --stability.",
+)
+
+
+def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+    response, turn = _in_own_axes(np.asarray(np.linalg.inv(law.matrix), dtype=np.float64))
+    for key, array in (("M", response), ("bias", law.offset)):
+        require_writable(calibration, key, array, np.finfo(np.float64))
+    findings = []
+    turned: list[str] = []
+    if not np.array_equal(turn, np.eye(3)):
+        angle = np.degrees(np.linalg.norm(rotation_vector(turn)))
+        text = f"M is in accelerometer axes; C_i_case turns case axes into them, by {angle:.2g}°"
+        action = "Apply its transpose to forces that are needed in case axes."
+        findings.append(Finding("full-matrix", "note", text, action))
+        turned = ["    C_i_case:", *(f"    - {row}" for row in turn.tolist())]
+    noise: list[str] = []
+    if wish.stability is None:
+        findings.append(_NO_NOISE)
+    else:
+        white, walk = densities(calibration, wish.stability)
+        noise = [
+            f"  accelerometer_noise_density: {white!r}  # m/s^2/sqrt(Hz)",
+            f"  accelerometer_random_walk: {walk!r}  # m/s^3/sqrt(Hz)",
+            f"  update_rate: {float(wish.stability.sample_rate)!r}  # Hz",
+        ]
+    lines = [
+        *(f"# {line}" for line in origin(calibration)),
+        f"# raw = M {'C_i_case ' * bool(turned)}a + bias in m/s^2; Kalibr has no constant bias",
+        "imu0:",
+        "  model: scale-misalignment",
+        "  accelerometers:",
+        "    M:",
+        *(f"    - {row}" for row in response.tolist()),
+        *turned,
+        f"    bias: {law.offset.tolist()}",
+        *noise,
+    ]
+    return "\n".join(lines) + "\n", findings
+
+
+def _in_own_axes(response: Array) -> tuple[Array, Array]:
+    """Return M and C of eq. (1)."""
+    Q, R = np.linalg.qr(response.T)
+    sign = np.copysign(1.0, np.diag(R)) * np.copysign(1.0, np.linalg.det(response))
+    return np.tril(R.T * sign), Q.T * sign[:, None]
+
+
+def densities(calibration: Calibration, stability: Stability) -> tuple[float, float]:
+    """Return white noise [m/s²/√Hz] and random walk [m/s³/√Hz], the largest of the outputs.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    stability : Stability
+        Of its outputs, or of compensated force in g.
+
+    Raises
+    ------
+    MultiposError
+        It is of other outputs, or of another unit.
+    """
+    forces = [name for name in ("f_x", "f_y", "f_z") if name in stability.outputs]
+    names = forces or list(calibration.outputs)
+    missing = [name for name in names if name not in stability.outputs]
+    if missing:
+        raise MultiposError(
+            f"the stability is of {', '.join(stability.outputs)}, but this calibration has "
+            f"'{missing[0]}'; give stability the same outputs, or CAL.json with --calibration."
+        )
+    if stability.unit in MICRO_G:
+        metres = MICRO_G[stability.unit] * 1e-6 * STANDARD_GRAVITY
+    elif not forces and stability.unit == calibration.model.unit:
+        metres = in_metres(calibration, "kalibr")
+    else:
+        raise MultiposError(
+            f"the stability is in '{stability.unit}', but Kalibr takes m/s^2; give stability "
+            "CAL.json with --calibration."
+        )
+    walk = max(stability.outputs[name].random_walk.value for name in names)
+    return float(metres * max(white_noise(stability, names))), float(metres * walk)
+
+
+def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
+    """Return the white noise of outputs, in the unit of a static record.
+
+    Raises
+    ------
+    MultiposError
+        Noise of another kind hides that of an output: a density of zero is none.
+    """
+    white = {name: float(stability.outputs[name].white_noise.value) for name in names}
+    for name, value in white.items():
+        if not value > 0.0:
+            raise MultiposError(
+                f"slow noise hides the white noise of '{name}', and a density of zero is none; "
+                "record the sensor at rest, where nothing moves it."
+            )
+    return list(white.values())
+
+
+def _read_kalibr(path: str, text: str) -> Correction:
+    matrix, turn, bias = _M.search(text), _C.search(text), _BIAS.search(text)
+    response = _cells(path, "M", matrix[1] if matrix else "", 9).reshape(3, 3)
+    if turn is not None:
+        response = response @ _cells(path, "C_i_case", turn[1], 9).reshape(3, 3)
+    offset = _cells(path, "bias", bias[1] if bias else "", 3)
+    try:
+        return Correction(np.asarray(np.linalg.inv(response)), offset)
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: M has no inverse; export again.") from None
+
+
+def _cells(path: str, key: str, text: str, count: int) -> Array:
+    cells = [cell for row in re.findall(_ROW, text) for cell in re.findall(r"[^\s,\[\]]+", row)]
+    return read_numbers(path, key, cells, count)
+
+
+KALIBR = parameter_target(
+    "kalibr",
+    LINEAR,
+    raw="m/s^2",
+    write=_write_kalibr,
+    recognises=lambda text: re.search(r"^ +accelerometers:", text, re.MULTILINE) is not None,
+    read=_read_kalibr,
+    suffix=".yaml",
+    takes=("stability",),
+)
+
+
+NOISE_TARGETS = ("kalibr", "ros")
+
+
+def write_noise(stability: Stability, to: str) -> Exported:
+    """Return the noise parameters of a static record for Kalibr or ROS.
+
+    Raises
+    ------
+    UsageError
+        Another target.
+    MultiposError
+        The record is neither in g nor in m/s², or shows no white noise.
+    """
+    if to not in NOISE_TARGETS:
+        raise UsageError(f"noise parameters go --to {' or '.join(NOISE_TARGETS)}, got '{to}'.")
+    if stability.unit not in MICRO_G:
+        raise MultiposError(
+            f"the stability is in '{stability.unit}', but {to} takes m/s^2; give stability the "
+            "calibration with --calibration."
+        )
+    metres = MICRO_G[stability.unit] * 1e-6 * STANDARD_GRAVITY
+    white = [metres * each for each in white_noise(stability, stability.outputs)]
+    walk = [float(metres * each.random_walk.value) for each in stability.outputs.values()]
+    rate = float(stability.sample_rate)
+    if to == "kalibr":
+        lines = [
+            "# of the accelerometer; gyroscopes are not measured in static positions",
+            f"accelerometer_noise_density: {max(white)!r}  # m/s^2/sqrt(Hz)",
+            f"accelerometer_random_walk: {max(walk)!r}  # m/s^3/sqrt(Hz)",
+            f"update_rate: {rate!r}  # Hz",
+        ]
+        return Exported("kalibr", "\n".join(lines) + "\n")
+    if len(white) != 3:
+        raise MultiposError(
+            f"a message of ROS has three accelerations, but the stability is of {len(white)} "
+            "outputs; give stability all three."
+        )
+    diagonal = [0.0] * 9
+    diagonal[::4] = [value**2 * rate for value in white]
+    unknown = [-1.0, *[0.0] * 8]
+    lines = [
+        f"# sensor_msgs/Imu, of one message at {rate:g} Hz; -1: not measured",
+        f"linear_acceleration_covariance: {diagonal}  # (m/s^2)^2",
+        f"angular_velocity_covariance: {unknown}",
+        f"orientation_covariance: {unknown}",
+    ]
+    return Exported("ros", "\n".join(lines) + "\n")
+
+
+def _write_imu_calib(calibration: Calibration, law: Correction, _: Wish) -> Written:
+    matrix, bias = law.matrix, law.matrix @ law.offset
+    for key, array in (("SM", matrix), ("bias", bias)):
+        require_writable(calibration, key, array, np.finfo(np.float64))
+    unit = calibration.model.unit
+    raw = "the unit of the readings" if unit == "reading" else unit
+    lines = [
+        *(f"# {line}" for line in origin(calibration)),
+        f"# corrected = SM raw - bias in m/s^2, raw in {visible(raw)}",
+        f"SM: {matrix.ravel().tolist()}",
+        f"bias: {bias.tolist()}",
+    ]
+    return "\n".join(lines) + "\n", []
+
+
+def _recognises_imu_calib(text: str) -> bool:
+    return all(re.search(rf"^{key}:", text, re.MULTILINE) for key in ("SM", "bias"))
+
+
+def _read_imu_calib(path: str, text: str) -> Correction:
+    """Return T and o from the YAML of imu_calib, as its law uses them."""
+    found = {}
+    for key, count in (("SM", 9), ("bias", 3)):
+        block = re.search(rf"^{key}:\s*\[([^\]]*)\]", text, re.MULTILINE)
+        cells = re.findall(r"[^\s,]+", block[1]) if block else []
+        found[key] = read_numbers(path, key, cells, count)
+    matrix = found["SM"].reshape(3, 3)
+    try:
+        return Correction(matrix, np.asarray(np.linalg.solve(matrix, found["bias"])))
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: SM has no inverse; export again.") from None
+
+
+ROS = parameter_target(
+    "ros-imu-calib",
+    LINEAR,
+    raw="readings",
+    write=_write_imu_calib,
+    recognises=_recognises_imu_calib,
+    read=_read_imu_calib,
+    suffix=".yaml",
+)
+
+
+_FORMAT = "2.0.0"
+_RAW = "a.u."  # how imucal calls a unit of its own
+_ACCELERATION = {"K_a": (3, 3), "R_a": (3, 3), "b_a": (3,)}
+
+
+def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> Written:
+    response = np.linalg.inv(law.matrix)
+    scale = np.linalg.norm(response, axis=1)
+    found = {
+        "K_a": np.diag(scale),
+        "R_a": response / scale[:, None],
+        "b_a": law.offset,
+    }
+    for key, array in found.items():
+        require_writable(calibration, key, array, np.finfo(np.float64))
+    unit = calibration.model.unit
+    nothing = np.zeros(3)
+    content = {
+        "acc_unit": "m/s^2",
+        "gyr_unit": None,
+        "from_acc_unit": _RAW if unit == "reading" else visible(unit),
+        "from_gyr_unit": None,
+        "comment": "; ".join(origin(calibration)),
+        **found,
+        "K_g": np.eye(3),
+        "R_g": np.eye(3),
+        "K_ga": np.zeros((3, 3)),
+        "b_g": nothing,
+        "cal_type": "Ferraris",
+        "_format_version": _FORMAT,
+    }
+    text = "the gyroscope part is the identity, as imucal requires one"
+    return to_json(content), [Finding("gyroscope-unchanged", "note", text)]
+
+
+def _recognises_imucal(text: str) -> bool:
+    return text.lstrip().startswith("{") and all(f'"{key}"' in text for key in _ACCELERATION)
+
+
+def _read_imucal(path: str, text: str) -> Correction:
+    try:
+        held = json.loads(text)
+    except ValueError:
+        raise MultiposError(f"{path}: not valid JSON; export again.") from None
+    version = held.get("_format_version")
+    if version != _FORMAT:
+        raise MultiposError(
+            f"{path}: the format of imucal is {version!r}, but '{_FORMAT}' is read here; export "
+            "again."
+        )
+    scale, rotation, bias = (_numbers_imucal(path, held, key) for key in _ACCELERATION)
+    try:
+        return Correction(np.linalg.inv(rotation) @ np.linalg.inv(scale), bias)
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: K_a or R_a has no inverse; export again.") from None
+
+
+def _numbers_imucal(path: str, held: dict[str, object], key: str) -> Array:
+    try:
+        values = np.array(held[key], dtype=np.float64)
+    except (KeyError, TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != _ACCELERATION[key] or not np.isfinite(values).all():
+        size = " by ".join(map(str, _ACCELERATION[key]))
+        raise MultiposError(f"{path}: {key} needs {size} numbers; export again.")
+    return values
+
+
+IMUCAL = parameter_target(
+    "imucal",
+    LINEAR,
+    raw="readings",
+    write=_write_imucal,
+    recognises=_recognises_imucal,
+    read=_read_imucal,
+    suffix=".json",
+)
+
+
+# --- magnetometers of ROS
+
+_MAG_BIAS = tuple(f"mag_bias_{axis}" for axis in "xyz")
+
+
+def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> Written:
+    for name, value in zip(_MAG_BIAS, law.offset, strict=True):
+        require_writable(calibration, name, value, np.finfo(np.float64))
+    lines = [
+        *(f"# {line}" for line in origin(calibration)),
+        "# imu_filter_madgwick: corrected = raw - mag_bias, in tesla; soft iron is not corrected",
+        "/**:",
+        "  ros__parameters:",
+        *(f"    {name}: {v!r}" for name, v in zip(_MAG_BIAS, law.offset.tolist(), strict=True)),
+    ]
+    return "\n".join(lines) + "\n", []
+
+
+def _read_magnetometer(path: str, text: str) -> Correction:
+    return Correction(np.eye(3), read_named(path, text.replace(":", " "), _MAG_BIAS))
+
+
+def _recognises_magnetometer(text: str) -> bool:
+    return all(re.search(rf"^\s*{name}:", text, re.MULTILINE) for name in _MAG_BIAS)
+
+
+ROS_MAGNETOMETER = parameter_target(
+    "ros",
+    LINEAR,
+    raw="m/s^2",
+    write=_write_magnetometer,
+    recognises=_recognises_magnetometer,
+    read=_read_magnetometer,
+    suffix=".yaml",
+    tesla=1.0,
+    offset_alone=True,
+)
