@@ -2,6 +2,11 @@
 
 import os
 
+# As the commands do: threads of linear algebra that wait for each other beside other processes
+# take ten times the time. Said before NumPy is imported, which reads it once.
+if not any(f"{name}_NUM_THREADS" in os.environ for name in ("OMP", "OPENBLAS", "MKL")):
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 from hypothesis import HealthCheck, settings
 
 # Wall-clock never decides a test; on a shared machine the same examples are drawn every time.
