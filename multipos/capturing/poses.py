@@ -169,7 +169,7 @@ def find_frame(
 def _turns() -> Array:
     """Return the signed permutations (48, 3, 3): the identity, other rotations, mirrors."""
     every = [
-        np.eye(3)[list(order)] * np.array(signs)
+        np.diag(signs)[list(order)]
         for order in permutations(range(3))
         for signs in product((1.0, -1.0), repeat=3)
     ]

@@ -2,8 +2,10 @@
 
 import dataclasses
 import json
+import math
 import os
 import shutil
+import subprocess
 import time
 
 import numpy as np
@@ -12,6 +14,7 @@ from log_bench import sensor
 
 import multipos as mp
 from multipos.cli import main
+from multipos.exports.c_running import _SECONDS, _bound
 from multipos.exports.targets import export, verify_export
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
@@ -206,3 +209,13 @@ def test_parameters_beyond_all_numbers_differ(cal, tmp_path):
     far = lambda text: text.replace("CAL_ACC0_XOFF\t", "CAL_ACC0_XOFF\t1e300\t#")  # noqa: E731
     (found,) = edited(cal, "px4", far, tmp_path).findings
     assert (found.code, found.level) == ("export-differs", "error")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no bounds there")
+def test_a_second_lies_between_the_signal_that_says_why_and_the_end():
+    hard = subprocess.run(["sh", "-c", "ulimit -Ht"], capture_output=True, text=True, check=True)
+    largest = math.inf if hard.stdout.strip() == "unlimited" else int(hard.stdout)
+    show = ["sh", "-c", "ulimit -t; ulimit -Ht"]
+    done = subprocess.run(show, capture_output=True, text=True, check=True, preexec_fn=_bound)
+    soft = min(_SECONDS, largest)
+    assert done.stdout.split() == [f"{soft}", f"{min(soft + 1, largest)}"]
