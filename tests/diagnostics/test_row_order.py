@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.diagnostics.row_order import LEVEL, residuals_in_order, search, search_units
+from multipos.diagnostics.row_order import (
+    LEVEL,
+    _correlation,
+    _law_of_slow,
+    residuals_in_order,
+    search,
+    search_units,
+)
 
 K = np.array([[1.008, 0.004, -0.007], [-0.003, 0.991, 0.006], [0.005, -0.002, 1.012]])
 ZERO = np.array([0.012, -0.021, 0.034])
@@ -267,3 +274,29 @@ def test_a_drift_and_a_slip_by_two_fits_each():
 
 def test_a_drift_is_named_beside_a_stated_noise():
     assert "drift" in {finding.code for finding in world("drift", 3, reading_sd=SD).findings}
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_law_of_slow_noise_is_that_of_a_ratio_of_squares(beside):
+    """Σ λ z²/Σ z² of normal z: three moments, λ the eigenvalues of Ω beside the fit.
+
+    By the moments of Dirichlet's law: (Σλ)/ν, (2 Σλ² + (Σλ)²)/ν(ν + 2), and so on.
+    """
+    # eq. (2) of diagnostics.row_order
+    rng = np.random.default_rng(8)
+    n, groups, total = 14, [], np.zeros(3)
+    across = rng.normal(size=(n, 3)) if beside else None
+    gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    omega = _correlation(n) ** gap
+    if across is not None:
+        omega = omega * (across @ across.T)
+    for p, outputs in ((3, [0, 1]), (5, [2])):
+        Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        groups.append((np.array(outputs), np.ascontiguousarray(Q[:, :p])))
+        values, nu = np.linalg.eigvalsh(Q[:, p:].T @ omega @ Q[:, p:]), n - p
+        s1, s2, s3 = (np.sum(values**k) for k in (1, 2, 3))
+        m1, m2 = s1 / nu, (2 * s2 + s1**2) / (nu * (nu + 2))
+        m3 = (8 * s3 + 6 * s1 * s2 + s1**3) / (nu * (nu + 2) * (nu + 4))
+        total += len(outputs) * np.array([m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3])
+    mean, sd, skewness = _law_of_slow(tuple(groups), across)
+    np.testing.assert_allclose([mean, sd**2, skewness * sd**3], total, rtol=1e-9)

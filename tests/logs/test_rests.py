@@ -20,6 +20,9 @@ from multipos.logs.rests import (
     Survey,
     Windows,
     _change,
+    _first_peak,
+    _onset,
+    _smooth,
     choose_grid,
     detect_static,
 )
@@ -476,3 +479,21 @@ def test_u_of_a_mean_that_does_not_settle_by_the_line_of_its_allan_variances():
     slope, end = np.polyfit(x, logs, 1, w=weights)
     assert slope > 0.3
     assert rest.u[0] == pytest.approx(np.sqrt(2.0 * np.exp(end)), rel=1e-9)
+
+
+def test_an_onset_is_where_a_square_begins():
+    """Samples that are the ramp itself are explained by none as well."""
+    z = np.maximum(np.arange(1.0, 21.0) - 12.0, 0.0)[None] ** 2
+    assert _onset(z, 15, 0.0) == 12
+    assert _onset(z, 9, 0.0) == 9  # no more than that
+    assert _onset(z, 15, 1e9) == 15  # all explain as much as any
+
+
+def test_the_first_peak_of_a_histogram_is_a_fifth_of_the_highest():
+    assert _first_peak(np.array([0.0, 3.0, 1.0, 10.0, 2.0])) == 1
+    assert _first_peak(np.array([0.0, 1.9, 1.0, 10.0, 2.0])) == 3
+    # of a hundredth of a decade each, by a kernel of .05 that ends at four of it
+    spread = _smooth(np.eye(1, 101, 50)[0])
+    np.testing.assert_allclose(
+        spread[[50, 45, 55, 70, 71]], [1, *[np.exp(-0.5)] * 2, np.exp(-8), 0]
+    )

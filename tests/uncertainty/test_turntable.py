@@ -1,6 +1,7 @@
 """Errors of the turntable: estimated where the data can, named where the sensor does the same."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import installation_sheets, table_error_sheets
-from multipos.uncertainty.turntable import QUANTITIES, changes_unseen, shaft_effects
+from multipos.uncertainty.turntable import QUANTITIES, _unused, changes_unseen, shaft_effects
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
@@ -262,3 +263,11 @@ def test_a_shaft_off_the_horizon_moves_the_output_along_it_by_hand():
             assert_allclose(effect[roll.rows], cal.sign * wave * along, rtol=1e-12, atol=1e-15)
             others = np.setdiff1d(np.arange(48), roll.rows)
             assert not effect[others].any()
+
+
+def test_a_head_that_turns_otherwise_is_named_by_its_first_reading():
+    roll = SimpleNamespace(rows=np.arange(6, 9), axis="x")
+    (found,) = _unused([SimpleNamespace(roll=roll, head=np.zeros(1))])
+    assert found.text.startswith("reading 7: ")
+    (found,) = _unused([SimpleNamespace(roll=roll, head=np.full(9, np.nan))])
+    assert "of the roll about x lack" in found.text

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
+from multipos.verification.agreement import _Weights
 from multipos.verification.verdicts import family_confidence
 
 UP = read_scheme("faces-edges-18").up
@@ -257,3 +258,12 @@ def test_rows_that_are_interchanged_explain_why_a_run_disagrees():
     (disagrees,) = (each for each in found.findings if each.code == "run-disagrees")
     assert "probable cause" not in disagrees.text
     assert disagrees.action == ""
+
+
+def test_weights_beside_free_columns_by_matrices():
+    """V⁻¹ − V⁻¹F(F'V⁻¹F)⁻¹F'V⁻¹ of V = I + LL', written out."""
+    rng = np.random.default_rng(5)
+    L, F, a, b = (rng.normal(size=(9, k)) for k in (3, 2, 1, 2))
+    W = np.linalg.inv(np.eye(9) + L @ L.T)
+    W -= W @ F @ np.linalg.inv(F.T @ W @ F) @ F.T @ W
+    assert_allclose(_Weights(L, F).product(a, b), a.T @ W @ b, atol=1e-12)
