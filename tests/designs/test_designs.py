@@ -23,7 +23,7 @@ from multipos.designs.criteria import (
 )
 from multipos.designs.exchange import choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
-from multipos.designs.optimum import optimise_candidates, optimise_sphere
+from multipos.designs.optimum import maxima, optimise_candidates, optimise_sphere
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
@@ -700,3 +700,21 @@ def test_how_tilt_follows_force_by_differences(name, axes):
             step = 1e-6 * np.eye(3)[j]
             slope = (angle(up + step) - angle(up - step)) / 2e-6
             assert_allclose(along[:, place], slope, atol=1e-8)
+
+
+def test_maxima_of_a_function_of_directions():
+    """Of u'Au those along ± the first eigenvector alone; of a sum of two hills both tops."""
+    axis = np.array([0.3, -0.5, 0.81])
+    axis /= np.linalg.norm(axis)
+    A = 3.0 * np.outer(axis, axis) + np.diag([0.1, 0.2, 0.3])
+    values, vectors = np.linalg.eigh(A)
+    up, height = maxima(lambda u: np.einsum("ni,ij,nj->n", u, A, u))
+    best = height >= height.max() - 1e-9
+    np.testing.assert_allclose(height[best], values[2], rtol=1e-12)
+    assert best.sum() == 2
+    np.testing.assert_allclose(np.abs(up[best] @ vectors[:, 2]), 1.0, atol=1e-9)
+    up, height = maxima(
+        lambda u: np.exp(20.0 * (u @ axis - 1.0)) + 0.5 * np.exp(20.0 * (u[:, 0] - 1.0))
+    )
+    assert np.abs(up @ axis).max() == pytest.approx(1.0, abs=1e-8)
+    assert height.max() == pytest.approx(1.0, abs=1e-5)

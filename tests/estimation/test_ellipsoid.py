@@ -5,9 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 from orientation_bench import BIAS, MATRIX, Sensor, lower
 
+import multipos as mp
 from multipos.errors import MultiposError
 from multipos.estimation.starts import ellipsoid_start
-from multipos.estimation.unknown_orientations import symmetric_root
+from multipos.estimation.unknown_orientations import _quadrics, symmetric_root
 from multipos.positions.scheme import read_scheme
 
 
@@ -63,3 +64,17 @@ def test_flat_readings_are_refused():
     values[:, 0] = 1.0
     with pytest.raises(MultiposError, match="never change"):
         ellipsoid_start(values, 1.0, crossed=True)
+
+
+def test_the_quadric_through_points_of_an_ellipsoid_is_its_own():
+    # eq. (5) of estimation.unknown_orientations
+    K = np.array([[1.1, 0.05, -0.1], [0.02, 0.9, 0.08], [-0.06, 0.03, 1.3]])
+    bias, up = np.array([0.2, -0.1, 0.05]), mp.read_scheme("fibonacci-24").up
+    for k, crossed in ((K, True), (np.diag(np.diag(K)), False)):
+        points = np.stack([(bias + up @ k.T).T, 5.0 * (up @ k.T).T])
+        found = _quadrics(points, crossed=crossed)
+        np.testing.assert_allclose(found.bias, [bias, np.zeros(3)], atol=1e-12)
+        np.testing.assert_allclose(found.square, [k @ k.T, 25.0 * k @ k.T], rtol=1e-9, atol=1e-12)
+        assert found.good.all()
+    flat = np.stack([(up * [1.0, 1.0, 0.0]).T])
+    assert not _quadrics(flat, crossed=False).clear.any()

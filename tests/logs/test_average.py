@@ -16,7 +16,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.logs.averaging import average
 from multipos.logs.faults import _semi_axes, compare_scales, find_faults, suspects
-from multipos.logs.joining import Match, match_directions
+from multipos.logs.joining import Match, _from_ranges, match_directions
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.rest_means import RestMean
 
@@ -739,3 +739,11 @@ def test_an_array_has_the_names_that_it_is_given(how):
     names = ["ax", "ay", "az"]
     log = open_log(np.arange(12.0).reshape(4, 3), **{how: names})
     assert list(log.columns) == names
+
+
+def test_bias_and_scale_by_what_readings_and_targets_cover():
+    """0 to 4, 10 to 30 for −1 to 1; where targets do not move, the mean scale of the others."""
+    means = np.array([[0.0, 30.0, 5.0], [4.0, 10.0, 5.0]])
+    bias, scale = _from_ranges(means, np.array([[-1.0, 1.0, 0.5], [1.0, -1.0, 0.5]]))
+    np.testing.assert_allclose(scale, [2.0, 10.0, 6.0])
+    np.testing.assert_allclose(bias, [2.0, 20.0, 5.0 - 6.0 * 0.5])

@@ -6,7 +6,7 @@ from findings_bench import texts
 from log_bench import columns_of, sensor
 
 import multipos as mp
-from multipos.logs.faults import find_second_unit, is_factor, is_saturated
+from multipos.logs.faults import _bits, find_second_unit, is_factor, is_saturated
 from multipos.logs.rests import Grid, Survey, Windows
 
 OUTPUTS = ("ax", "ay", "az")
@@ -135,3 +135,20 @@ def test_a_sensor_of_any_unit_is_fine():
     for size in (1e-3, 1.0, 9.8, 1e3, 2.0**14):
         log = {n: c * (size if n != "time" else 1.0) for n, c in columns_of(sensor()).items()}
         assert texts(mp.average(log)) == ()
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "step", "bits"),
+    [
+        (-2048.0, 2047.0, 1.0, 12),
+        (0.0, 4095.0, 1.0, 12),
+        (-32700.0, 32700.0, 2.0, 16),
+        (0.0, 4000.0, 1.0, 0),  # of 4095 less than 98 %
+        (-2049.0, 2047.0, 1.0, 0),
+        (-1.5, 4095.0, 1.0, 0),
+        (0.0, 4095.5, 1.0, 0),
+        (0.0, 4095.0, 0.5, 0),
+    ],
+)
+def test_how_many_bits_an_output_fills(low, high, step, bits):
+    assert _bits(low, high, step) == bits

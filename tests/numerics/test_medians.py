@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from multipos.numerics.arrays import median
+from multipos.numerics.arrays import coarse_steps, median
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,15 @@ def test_digit_by_digit_that_of_numpy(shape, axis):
 def test_a_median_of_numbers_near_the_largest_there_is():
     assert median([1.7e308, 1.5e308, -1.0]) == 1.5e308
     assert median([1.5e308, 1.7e308]) == 1.6e308  # half of the sum, which is no number
+
+
+def test_steps_of_a_converter_are_those_that_all_differences_hold():
+    """Of quarters; of no grid; of quarters that scatter by as much; of halves of the same."""
+    rng = np.random.default_rng(4)
+    quarters = 0.25 * rng.integers(0, 40, 60)
+    halves = 0.5 * np.array([0.0, 40.0] * 30)  # too few to show a step of their own
+    values = np.column_stack([quarters, rng.normal(size=60), quarters, halves])
+    found = coarse_steps(values, np.array([0.1, 1e-9, 0.13, 0.1]))
+    np.testing.assert_allclose(found, [0.25, 0.0, 0.0, 0.25], rtol=1e-12)
+    many = np.tile(values, (20, 1))
+    np.testing.assert_allclose(coarse_steps(many, np.array([0.1, 1.0, 0.13, 0.1])), found)

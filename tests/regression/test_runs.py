@@ -1,6 +1,7 @@
 """What differs from one switch-on to the next: zeros by hand, coverage on runs never seen."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,10 @@ import pytest
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.quantiles import coverage_factor, normal_quantile
+from multipos.numerics.quantiles import coverage_factor, normal_quantile, t_tail
+from multipos.numerics.terms import linear_term
+from multipos.regression.robust import find_between
+from multipos.regression.segment import Coefficient, Segment
 
 # y = x + a, a = 0 in run 1 (two rows) and 2 in run 2 (four rows)
 TWO = {
@@ -138,3 +142,49 @@ def test_rows_that_depend_on_each_other_keep_what_runs_differ_by():
     zeros = [np.mean((data["y"] - 2.0 * data["t"])[data["run"] == i]) for i in range(4)]
     for covariance in (segment.covariance, segment.robust.covariance):
         assert math.sqrt(covariance[0, 0]) == pytest.approx(np.std(zeros, ddof=1) / 2.0, rel=0.05)
+
+
+def between_three(offsets, slopes, terms, noise=0.0):
+    """Three runs of 32 rows, t within one of 5, but of the third, whose rows lie higher by one."""
+    t = np.concatenate([5.0 + np.linspace(-1.0, 1.0, 32) + more for more in (0.0, 0.0, 1.0)])
+    run = np.repeat([0, 1, 2], 32)
+    left = np.array(offsets)[run] + np.array(slopes)[run] * (t - t.mean())
+    left = left + noise * np.tile([1.0, -1.0, -1.0, 1.0], 24)
+    data = SimpleNamespace(columns={"t": t}, run=run, response=left + 3.0)
+    return find_between(np.ones((96, 1)), data, terms, np.array([3.0]), "t", 96.0)
+
+
+def test_what_differs_between_runs_by_hand():
+    """Offsets 1, 2, 6 and slopes 0, 1, 5: variances and covariance are 7."""
+    # eq. (2) of regression.robust
+    found = between_three([1.0, 2.0, 6.0], [0.0, 1.0, 5.0], [None, linear_term("t")])
+    assert (found.runs, found.variable, found.dof) == (3, "t", 2)
+    assert found.centre == pytest.approx(16 / 3)
+    np.testing.assert_allclose(found.covariance, np.full((2, 2), 7.0), rtol=1e-12)
+    assert between_three([1.0, 2.0, 6.0], [0.0, 1.0, -1.0], [linear_term("t")], 1.0).variable == "t"
+    for terms, slopes, noise in (
+        ([None], [0.0, 1.0, 5.0], 0.0),
+        ([linear_term("t")], [0.0] * 3, 0.0),
+        # 0, 1, −1 are what noise of ±10 over Σx² = 32·33/93 gives: F = 1/9.4; of ±1 it is 10
+        ([linear_term("t")], [0.0, 1.0, -1.0], 10.0),
+    ):
+        found = between_three([1.0, 2.0, 6.0], slopes, terms, noise)
+        assert found.variable is None
+        # the third run lies at 2/3 beyond the centre, the others at 1/3 below it
+        off = np.array([1.0, 2.0, 6.0]) + np.array(slopes) * np.array([-1 / 3, -1 / 3, 2 / 3])
+        np.testing.assert_allclose(found.covariance, [[off.var(ddof=1)]], rtol=1e-12)
+
+
+def test_a_coefficient_of_few_runs_has_their_degrees_of_freedom():
+    """u² = .09, of it .04 on four runs more, the rest on 20: .0081/(.04²/4 + .05²/20)."""
+    between = SimpleNamespace(of_coefficients=lambda terms: np.array([[0.04]]), runs=5)
+    segment = SimpleNamespace(between=between, terms=(), robust=None, dof=(1.0, 20.0))
+    found = Segment._judged_by_runs(segment, Coefficient("x", 0.6, 0.3, 2.0, 0.05), 0)
+    assert found.dof == pytest.approx(0.0081 / 0.000525, rel=1e-12)
+    assert found.p == pytest.approx(t_tail(2.0, 0.0081 / 0.000525), rel=1e-12)
+    assert found.p_robust is None
+    segment.robust = SimpleNamespace(t_dof=10.0)
+    robust = Coefficient("x", 0.6, 0.1, 6.0, 0.05, 0.3, 2.0, 0.1)
+    found = Segment._judged_by_runs(segment, robust, 0)
+    assert found.dof == pytest.approx(0.0081 / 0.00065, rel=1e-12)
+    assert found.p_robust == pytest.approx(t_tail(2.0, 0.0081 / 0.00065), rel=1e-12)

@@ -15,6 +15,7 @@ from multipos.cli import main
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import f_quantile, normal_quantile
+from multipos.regression.observations import _slopes
 
 FORMULA = (
     "1 + x + y + z + own^2 + own^3 + temperature + temperature^2 + temperature^3"
@@ -275,3 +276,15 @@ def test_figures_draw_what_they_are_given(tmp_path):
     left = np.abs(after.get_ydata()).max()
     assert left < np.abs(drawn[1].get_ylim()).max() < 2.0 * left
     assert (tmp_path / "figure.svg").stat().st_size > 0
+
+
+def test_slopes_of_windows_are_least_squares():
+    rng = np.random.default_rng(7)
+    t = 1e6 + np.cumsum(rng.uniform(0.5, 1.5, 600))
+    v = 20.0 + np.sin(t / 30.0)
+    first, end = np.maximum(np.arange(600) - 4, 0), np.minimum(np.arange(600) + 6, 600)
+    found = _slopes(t, v, first, end)
+    for row in (0, 5, 255, 256, 300, 599):
+        some = slice(first[row], end[row])
+        slope = np.polyfit(t[some] - t[row], v[some], 1)[0]
+        assert found[row] == pytest.approx(slope, rel=1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import multipos as mp
 from multipos.cli import main
@@ -17,6 +18,7 @@ from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty import validity
 from multipos.uncertainty.budgets import read_budget
+from multipos.uncertainty.monte_carlo import _rotate
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
 from multipos.uncertainty.validity import evaluate_sphere, unseen_covariance
@@ -608,3 +610,11 @@ def test_unseen_terms_are_read_by_their_kind():
     assert (found.u, found.unit, found.dof) == (1.0, "g", math.inf)
     with pytest.raises(MultiposError, match="unknown kind of term 'own'"):
         read_budget({"unseen": {"own": 1e-4}})
+
+
+@pytest.mark.parametrize("size", [1e-9, 0.3, 3.0])
+def test_vectors_are_turned_as_by_scipy(size):
+    vectors = size * mp.read_scheme("fibonacci-12").up
+    force = mp.read_scheme("icosahedron-12").up.copy()
+    turned = Rotation.from_rotvec(vectors).apply(force)
+    np.testing.assert_allclose(_rotate(force, vectors), turned, atol=1e-14)

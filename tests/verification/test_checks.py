@@ -12,7 +12,7 @@ import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
 from multipos.reports.check_text import check_text
-from multipos.verification.checks import _expanded
+from multipos.verification.checks import _expanded, line_departure
 from multipos.verification.verdicts import judge_errors
 
 FACES = read_scheme("faces-corners-14").up
@@ -251,3 +251,13 @@ def test_a_run_without_a_column_of_the_model_is_refused():
     cal = mp.fit(readings, model=model)
     with pytest.raises(mp.MultiposError, match="no column 'temperature', which the model"):
         mp.check(cal, mp.Readings(values, up=up))
+
+
+def test_the_departure_from_a_line_by_hand():
+    """y = x + (0, .3, 0): .2 from its line, over a span of 2, or of ±2."""
+    x = np.column_stack([[-1.0, 0.0, 1.0, 5.0], [1.0] * 4, [-1.0, 0.0, 1.0, 5.0]])
+    error = np.column_stack([[0.0, 0.3, 0.0, 9.0], [0.0] * 4, [1.0, 0.0, -1.0, np.nan]])
+    counted = np.array([[True, True, True]] * 3 + [[False, True, True]])
+    found = line_departure(x, error, counted, None)
+    np.testing.assert_allclose(found, [10.0, np.nan, np.nan], rtol=1e-12)  # no span; no slope
+    np.testing.assert_allclose(line_departure(x, error, counted, 2.0)[0], 5.0, rtol=1e-12)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.errors import UsageError
-from multipos.verification.recalibration import _rates
+from multipos.verification.recalibration import Rate, _due, _rates
 
 UP = mp.read_scheme("fibonacci-24").up
 
@@ -126,3 +126,20 @@ def test_a_change_beyond_its_limit_is_a_negative_verdict(files, capsys):
     changes = json.loads(capsys.readouterr().out)["changes"]
     assert [each["name"] for each in changes if each["within"] is False] == ["bias_ax"]
     assert cli.main(["compare", *paths, "--limits", "bias=1mg"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("value", "rate", "day"),
+    [
+        (0.0, Rate(0.1, 0.1), "1975-01-01"),  # 1/.2 years of 365.25 days
+        (0.0, Rate(-0.1, 0.3), "1972-07-02"),  # −1 is reached at .4 a year, +1 at .2
+        (0.5, Rate(0.1, 0.4), "1971-01-01"),
+        (0.0, Rate(0.0, 0.05), None),  # in 20 years
+        (2.0, Rate(0.1, 0.1), "1970-01-01"),  # beyond it already
+        (0.0, Rate(0.1, float("nan")), None),
+        (0.0, None, None),
+    ],
+)
+def test_when_a_bound_is_reached_by_hand(value, rate, day):
+    # eq. (3) of verification.recalibration
+    assert _due(value, rate, -1.0, 1.0, 0.0) == day
