@@ -1,5 +1,7 @@
 """White noise, flicker and random walk are recovered, and U covers them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from noise_bench import flicker, walk, white
@@ -14,6 +16,7 @@ from multipos.bias_stability.allan import (
     octaves,
     starts,
 )
+from multipos.bias_stability.trends import _left_over
 
 N = 8192
 
@@ -110,3 +113,20 @@ def test_degrees_of_freedom_follow_the_noise_that_is_there():
     few, many = (degrees_of_freedom(x, lengths, [10_000]) for x in (with_walk, white_only))
     assert (few < many)[3:].all()
     assert few[-1] > 1.0
+
+
+def test_what_a_trend_leaves_of_squared_differences():
+    """By sums over blocks of ten samples, with the trend taken off; of a slope c: c² m⁴ each."""
+    rng = np.random.default_rng(6)
+    v, trend = rng.normal(size=30), 0.05 * np.arange(30.0)
+    record = SimpleNamespace(length=10, values=v + trend, samples=300, sums=[1e9, 1e-9, 0.0, 0.0])
+    found = _left_over(record, trend, [5, 4, 30, 80])
+    squares = {5: 291.0, 4: 293.0, 30: 241.0, 80: 141.0}  # n − 2m + 1
+    assert found[0] == pytest.approx(1e9 - squares[5] * (0.05 / 10) ** 2 * 5**4, rel=1e-12)
+    assert 0.0 < found[1] < 1e-9
+    w = v - (v + trend).mean()
+    for place, m in ((2, 30), (3, 80)):
+        k = m // 10
+        ends = range(len(w) - 2 * k + 1)
+        z = [10.0 * (w[i + k : i + 2 * k].sum() - w[i : i + k].sum()) for i in ends]
+        assert found[place] == pytest.approx(squares[m] * np.mean(np.square(z)), rel=1e-9)

@@ -14,7 +14,14 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_correction import _Writer, declarations
 from multipos.exports.parts import Correction
-from multipos.exports.target_correction import _MAIN, Drive, _meet_edges, expected_rows, fitted_rows
+from multipos.exports.target_correction import (
+    _MAIN,
+    Drive,
+    _meet_edges,
+    _swing,
+    expected_rows,
+    fitted_rows,
+)
 from multipos.regression.observations import causal_rate
 
 ROWS = 100_000
@@ -384,3 +391,14 @@ def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, toward
     inside = [float(x) for x in near if (float(x) - value) * towards >= 0.0]
     writer = SimpleNamespace(_single=True, _number=float)
     assert _Writer._inside(writer, value, towards) == min(inside, key=lambda x: abs(x - value))
+
+
+def test_a_swing_goes_slowly_and_then_as_fast_as_it_may():
+    """Three turns in 400 rows, 5·2π·3/400 a row at most; then 1 a row at most."""
+    found = _swing(0.0, 10.0, 1.0, 400)
+    steps = np.abs(np.diff(found))
+    assert 0.0 <= found.min() < 0.01
+    assert 9.99 < found.max() <= 10.0
+    assert steps[:99].max() == pytest.approx(5.0 * 2.0 * np.pi * 3.0 / 400, rel=0.01)
+    assert steps[100:199].max() == pytest.approx(1.0, rel=0.01)
+    assert steps[200:299].max() < 0.25

@@ -5,6 +5,7 @@ import pytest
 from log_bench import columns_of
 
 import multipos as mp
+from multipos.logs.clock import _turns_slowly
 
 OUTPUTS = ("ax", "ay", "az")
 RATE = 100.0
@@ -222,3 +223,15 @@ def test_three_columns_that_show_gravity_are_taken_and_said(header, first, log, 
     found = mp.average(tmp_path / "log.txt")
     np.testing.assert_allclose(found.readings.values, mp.average(log).readings.values, rtol=1e-9)
     assert any("by what they show of gravity" in each.text for each in found.findings)
+
+
+def test_what_turns_in_small_steps_is_no_sample_a_second():
+    """A turn over 400 rows, the same in eight poses of 50 rows, one at rest, and too few rows."""
+    angle = 2.0 * np.pi * np.arange(400) / 400
+    noise = 1e-3 * np.random.default_rng(2).standard_normal((2, 400))
+    turning = np.array([np.cos(angle), np.sin(angle)]) + noise
+    posed = np.repeat(turning[:, 25::50], 50, axis=1) + noise
+    assert _turns_slowly(turning)
+    assert not _turns_slowly(posed)
+    assert not _turns_slowly(np.array([[1.0], [0.0]]) + noise)
+    assert not _turns_slowly(turning[:, :5])
