@@ -242,6 +242,9 @@ def test_a_path_in_python_is_read_as_the_command_reads_it(tmp_path):
     np.testing.assert_allclose(found.f_x, mp.apply(cal, columns).f_x, rtol=1e-12)
     with pytest.raises(MultiposError, match="outside"):
         mp.apply(cal, path, outside="refuse")
+    columns["ax"] = np.array([0.0, 0.0, 9.0, 0.0, 0.0])
+    with pytest.raises(MultiposError, match=r"row 3, column 'ax': .* \(1 of 5"):
+        mp.apply(cal, columns, outside="refuse")
 
 
 @pytest.mark.parametrize(

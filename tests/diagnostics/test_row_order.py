@@ -5,12 +5,14 @@ import re
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 import multipos as mp
 from multipos.diagnostics.row_order import (
     LEVEL,
     _correlation,
     _law_of_slow,
+    fit_sizes,
     residuals_in_order,
     search,
     search_units,
@@ -300,3 +302,25 @@ def test_the_law_of_slow_noise_is_that_of_a_ratio_of_squares(beside):
         total += len(outputs) * np.array([m1, m2 - m1**2, m3 - 3 * m1 * m2 + 2 * m1**3])
     mean, sd, skewness = _law_of_slow(tuple(groups), across)
     np.testing.assert_allclose([mean, sd**2, skewness * sd**3], total, rtol=1e-9)
+
+
+def test_one_size_of_all_outputs_makes_the_product_of_their_squares_least():
+    """Σ ν ln |e − V s|² over outputs, by SciPy's search; Λ is by how much it falls."""
+    rng = np.random.default_rng(3)
+    bases = [np.linalg.qr(rng.normal(size=(14, k)))[0] for k in (2, 4)]
+    Z = rng.normal(size=(1, 14, 2, 1))
+    e = np.array([0.3, 1.5]) * rng.normal(size=(1, 14, 2)) + 0.4 * Z[..., 0]
+    for i, Q in enumerate(bases):
+        e[0, :, i] -= Q @ (Q.T @ e[0, :, i])
+
+    def deviance(s):
+        total = 0.0
+        for i, Q in enumerate(bases):
+            V = Z[0, :, i, 0] - Q @ (Q.T @ Z[0, :, i, 0])
+            total += (14 - Q.shape[1]) * np.log(np.sum((e[0, :, i] - s * V) ** 2))
+        return total
+
+    found = optimize.minimize_scalar(deviance, bounds=(-2.0, 2.0), method="bounded")
+    sizes, gain = fit_sizes(bases, Z, e)
+    assert sizes[0, 0] == pytest.approx(found.x, abs=2e-3)
+    assert gain[0] == pytest.approx(deviance(0.0) - found.fun, rel=1e-3)

@@ -11,6 +11,7 @@ from scipy.special import betainc
 
 import multipos as mp
 from multipos.estimation.outliers import _is_beyond, _log_beta_tail, find_outlying_rows
+from multipos.estimation.robustness import huber_factors
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
 ZERO = np.array([0.012, -0.021, 0.034])
@@ -161,3 +162,11 @@ def test_an_ellipsoid_is_linear_in_its_form():
     found = find_outlying_rows(mp.fit(given, unknown_orientation=True).model, given, None)
     assert found.rows.tolist() == [7]
     assert found.off[0] == pytest.approx(0.05, rel=0.01)
+
+
+def test_hubers_factor_by_hand():
+    """psi' 1 and 0: mean 1/2, variance 1/4; half of two degrees used: (3/2)² (1 + 4/4)/1/(1/4)."""
+    # eq. (1) of estimation.robustness
+    q, weight, slope = np.array([1.0, 4.0]), np.array([1.0, 0.5]), np.array([1.0, 0.0])
+    found = huber_factors(q, np.ones(2), weight, slope, np.array(1.0))
+    assert found == pytest.approx(18.0, rel=1e-12)
