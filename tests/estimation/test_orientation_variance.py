@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import optimize, stats
 from test_likelihood import KINDS, a_problem
 
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
 from multipos.estimation.orientation_variance import Block, _axes, _Evaluator
+from multipos.estimation.posteriors import _search_half
 from multipos.estimation.problem import start_state
 from multipos.positions.orientations import OpenRolls
 
@@ -193,3 +195,17 @@ def test_axes_of_errors_give_their_covariance_back(unequal):
         whole = (variance + 0.1)[..., None] * np.eye(3)
         whole = whole + factor * spread @ np.swapaxes(spread, 2, 3)
         assert_allclose(turned, whole, rtol=0, atol=1e-12)
+
+
+def test_half_the_shortest_symmetric_interval_of_a_mixture_of_normals():
+    """Σ w P(|x| ≤ U) = .95 by SciPy, of normals off zero."""
+    means, sds = np.array([0.0, 1.5, -4.0]), np.array([1.0, 0.3, 0.5])
+    weights = np.array([0.6, 0.3, 0.1])
+
+    def lacking(U):
+        inside = stats.norm.cdf((U - means) / sds) - stats.norm.cdf((-U - means) / sds)
+        return float(weights @ inside) - 0.95
+
+    found = _search_half(means[None, :, None], sds[None, :, None], weights[None], 0.95)
+    assert found.shape == (1, 1)
+    assert found[0, 0] == pytest.approx(optimize.brentq(lacking, 0.1, 30.0, xtol=1e-12), rel=1e-9)
