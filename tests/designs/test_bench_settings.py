@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.designs.criteria import _leaning
 from multipos.designs.designing import design_text
 from multipos.units import cos_deg, sin_deg
 
@@ -74,3 +75,15 @@ def test_included_positions_keep_their_numbers_and_fine_sets_have_none():
     long = "+".join(["cube"] * 60)  # longer than the name of a file may be
     assert {s["scheme"] for s in mp.design("linear", 6, candidates=long).settings} == {"faces-6"}
     assert list(mp.design("linear", 6).columns()) == ["position", "up_x", "up_y", "up_z"]
+
+
+def test_a_range_of_tilts_leans_the_axes_that_are_not_upright():
+    up, leaning = _leaning("tilt", 30.0, [0, 1, 2])
+    assert leaning == [0, 1]
+    np.testing.assert_allclose(np.linalg.norm(up, axis=1), 1.0)
+    np.testing.assert_allclose(np.abs(up[:, :2]).max(axis=0), 0.5)  # sin 30°
+    assert up[:, 2].min() == pytest.approx(np.sqrt(0.5))
+    up, leaning = _leaning("level", 0.3, [2])  # z alone leans itself, from x
+    assert leaning == [2]
+    assert (up[:, 2].min(), up[:, 2].max()) == (-0.3, 0.3)
+    assert up[:, 0].min() == pytest.approx(np.sqrt(1.0 - 0.09))

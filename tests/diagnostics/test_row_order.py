@@ -9,9 +9,11 @@ from scipy import optimize
 
 import multipos as mp
 from multipos.diagnostics.row_order import (
+    _MOST,
     LEVEL,
     _correlation,
     _law_of_slow,
+    _some,
     fit_sizes,
     residuals_in_order,
     search,
@@ -324,3 +326,10 @@ def test_one_size_of_all_outputs_makes_the_product_of_their_squares_least():
     sizes, gain = fit_sizes(bases, Z, e)
     assert sizes[0, 0] == pytest.approx(found.x, abs=2e-3)
     assert gain[0] == pytest.approx(deviance(0.0) - found.fun, rel=1e-3)
+
+
+def test_where_a_cause_may_begin():
+    assert _some(3, 6).tolist() == [3, 4, 5]
+    assert _some(5, 3).tolist() == []
+    many = _some(7, 7 + 10 * _MOST)
+    assert (len(many), many[0], many[-1]) == (_MOST, 7, 6 + 10 * _MOST)

@@ -13,7 +13,7 @@ import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
 from multipos.estimation.orientation_variance import Block, _axes, _Evaluator
-from multipos.estimation.posteriors import _search_half
+from multipos.estimation.posteriors import _COVERAGE, _INNER, _search_half, dof_of_tails
 from multipos.estimation.problem import start_state
 from multipos.positions.orientations import OpenRolls
 
@@ -209,3 +209,9 @@ def test_half_the_shortest_symmetric_interval_of_a_mixture_of_normals():
     found = _search_half(means[None, :, None], sds[None, :, None], weights[None], 0.95)
     assert found.shape == (1, 1)
     assert found[0, 0] == pytest.approx(optimize.brentq(lacking, 0.1, 30.0, xtol=1e-12), rel=1e-9)
+
+
+@pytest.mark.parametrize("dof", [1.5, 7.0, 40.0])
+def test_degrees_of_freedom_by_how_much_wider_the_outer_interval_is(dof):
+    outer, inner = (stats.t.isf((1.0 - p) / 2.0, dof) for p in (_COVERAGE, _INNER))
+    assert dof_of_tails(np.array([outer / inner]))[0] == pytest.approx(dof, rel=0.02)

@@ -18,7 +18,7 @@ from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.uncertainty import validity
 from multipos.uncertainty.budgets import read_budget
-from multipos.uncertainty.monte_carlo import _rotate
+from multipos.uncertainty.monte_carlo import _BLOCK, _rotate, _until_stable
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
 from multipos.uncertainty.validity import evaluate_sphere, unseen_covariance
@@ -618,3 +618,17 @@ def test_vectors_are_turned_as_by_scipy(size):
     force = mp.read_scheme("icosahedron-12").up.copy()
     turned = Rotation.from_rotvec(vectors).apply(force)
     np.testing.assert_allclose(_rotate(force, vectors), turned, atol=1e-14)
+
+
+def test_trials_go_on_until_averages_are_stable():
+    """Equal blocks stay the same: as many as 100/(1 − p) and the first take; others never end."""
+    block = np.random.default_rng(1).standard_normal((_BLOCK // 2, 1))
+    done, stable = _until_stable(iter([block] * 9), 0.95, np.ones(1), np.full(1, 1e-6))
+    assert (stable, len(done)) == (True, 2)
+    fewest = 100.0 / (1.0 - 0.9999)
+    blocks = int(np.ceil(fewest / len(block)))
+    done, stable = _until_stable(iter([block] * 999), 0.9999, np.ones(1), np.full(1, 1e-6))
+    assert (stable, len(done)) == (True, blocks)
+    moving = iter([block + k for k in range(6)])
+    done, stable = _until_stable(moving, 0.95, np.ones(1), np.full(1, 1e-6))
+    assert (stable, len(done)) == (False, 6)

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.errors import UsageError
-from multipos.verification.recalibration import Rate, _due, _rates
+from multipos.verification.recalibration import Rate, _bounds, _due, _rates
 
 UP = mp.read_scheme("fibonacci-24").up
 
@@ -143,3 +143,11 @@ def test_a_change_beyond_its_limit_is_a_negative_verdict(files, capsys):
 def test_when_a_bound_is_reached_by_hand(value, rate, day):
     # eq. (3) of verification.recalibration
     assert _due(value, rate, -1.0, 1.0, 0.0) == day
+
+
+def test_what_is_limited_and_where_it_is():
+    """A pair bounds the value itself, one number its change; a side that is not given is open."""
+    assert _bounds((None, 2.0), 0.5, 1.5) == (-np.inf, 2.0, 1.5)
+    assert _bounds((-2.0, None), 0.5, 1.5) == (-2.0, np.inf, 1.5)
+    assert _bounds(3.0, 0.5, 1.5) == (-3.0, 3.0, 1.0)
+    assert _bounds(None, 0.5, 1.5) == (-np.inf, np.inf, 1.5)
