@@ -16,7 +16,7 @@ from multipos.bias_stability.allan import (
     octaves,
     starts,
 )
-from multipos.bias_stability.trends import _left_over
+from multipos.bias_stability.trends import _left_over, _pooled
 
 N = 8192
 
@@ -130,3 +130,17 @@ def test_what_a_trend_leaves_of_squared_differences():
         ends = range(len(w) - 2 * k + 1)
         z = [10.0 * (w[i + k : i + 2 * k].sum() - w[i : i + k].sum()) for i in ends]
         assert found[place] == pytest.approx(squares[m] * np.mean(np.square(z)), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "variances", "mean", "u", "dof"),
+    [
+        ([5.0], [4.0], 5.0, 2.0, np.inf),
+        ([1.0, 3.0], [1.0, 1.0], 2.0, 1.0, 1.0),  # scatter of 2 over 1: u is √(2/2)
+        ([0.0, 1.0], [1.0, 4.0], 0.2, np.sqrt(0.8), np.inf),
+    ],
+)
+def test_trends_of_records_together_by_hand(values, variances, mean, u, dof):
+    found = _pooled(values, variances)
+    assert (found.value, found.u) == (pytest.approx(mean), pytest.approx(u))
+    assert found.dof == dof

@@ -11,7 +11,16 @@ from scipy.special import ndtr
 
 from multipos import MultiposError, UsageError
 from multipos.logs import rest_means as of_rests
-from multipos.logs.rest_means import RestSum, autocovariances, density_with_dof, rest_means
+from multipos.logs.rest_means import (
+    _EDGE,
+    RestSum,
+    _criterion,
+    _edge,
+    _lines,
+    autocovariances,
+    density_with_dof,
+    rest_means,
+)
 from multipos.logs.rests import (
     Finder,
     Grid,
@@ -497,3 +506,21 @@ def test_the_first_peak_of_a_histogram_is_a_fifth_of_the_highest():
     np.testing.assert_allclose(
         spread[[50, 45, 55, 70, 71]], [1, *[np.exp(-0.5)] * 2, np.exp(-8), 0]
     )
+
+
+def test_lines_ends_and_orders_of_batches_by_hand():
+    """A rise over three batches, of which a fourth is no part; ends of 3 over the root of 4/2."""
+    rise, left = _lines(np.array([[[-1.0, 0.0, 1.0, 0.0]]]), np.array([[3]]))
+    np.testing.assert_allclose(rise, [[3.0]])
+    np.testing.assert_allclose(left, 0.0, atol=1e-15)
+    batches = np.zeros(2 * _EDGE)
+    batches[:2], batches[-2:] = 3.0, -1.0
+    phases = np.concatenate([[0.0], np.cumsum(batches)])[None, None]
+    count = np.array([[2 * _EDGE]])
+    np.testing.assert_allclose(_edge(phases, count, np.array([[4.0]])), 3.0 / np.sqrt(2.0))
+    phases[..., -3:] += np.array([0.0, -4.0, -8.0])  # of the last two −5 each
+    np.testing.assert_allclose(_edge(phases, count, np.array([[4.0]])), 5.0 / np.sqrt(2.0))
+    assert _edge(phases, count, np.zeros((1, 1))) == 0.0
+    # AICc: n ln σ² + 2 (k + 1) n/(n − k − 2)
+    found = _criterion(np.array([np.e]), 1, np.array([10]))
+    assert found == pytest.approx(10.0 + 40.0 / 7.0, rel=1e-12)

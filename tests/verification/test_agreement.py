@@ -4,6 +4,7 @@ import json
 import math
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
-from multipos.verification.agreement import _Weights
+from multipos.verification.agreement import _dof_of_steps, _Weights
 from multipos.verification.verdicts import family_confidence
 
 UP = read_scheme("faces-edges-18").up
@@ -267,3 +268,23 @@ def test_weights_beside_free_columns_by_matrices():
     W = np.linalg.inv(np.eye(9) + L @ L.T)
     W -= W @ F @ np.linalg.inv(F.T @ W @ F) @ F.T @ W
     assert_allclose(_Weights(L, F).product(a, b), a.T @ W @ b, atol=1e-12)
+
+
+@pytest.mark.parametrize("nu", [10.0, math.inf])
+def test_degrees_of_freedom_of_a_step_by_its_share_from_soaks(nu):
+    """1/(s²/q + (1 − s)²/ν), s by how much the last column of L takes from X'V⁻¹X."""
+    rng = np.random.default_rng(6)
+    X, L = rng.normal(size=(7, 2)), rng.normal(size=(7, 3))
+    known, whole = (
+        np.diag(X.T @ np.linalg.solve(np.eye(7) + own @ own.T, X)) for own in (L[:, :2], L)
+    )
+    s = 1.0 - whole / known
+    free = np.zeros((7, 0))
+    model = SimpleNamespace(output_of=(0, 1))
+    c = SimpleNamespace(parameters=np.zeros(2), dof=np.array([nu, 40.0]), model=model)
+    run = SimpleNamespace(soaks=1, q=np.array([3.0, 5.0]))
+    found = _dof_of_steps(c, run, _Weights(L, free), [L, free, X, None])
+    expected = 1.0 / (s**2 / [3.0, 5.0] + (1.0 - s) ** 2 / min(nu, 40.0))
+    assert_allclose(found, expected, rtol=1e-9)
+    run.soaks = 0
+    assert_allclose(_dof_of_steps(c, run, _Weights(L, free), [L, free, X, None]), min(nu, 40.0))

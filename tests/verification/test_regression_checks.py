@@ -3,12 +3,14 @@
 import json
 import math
 import xml.etree.ElementTree as ET
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_bench import run
 from findings_bench import texts
 from numpy.testing import assert_allclose
+from scipy import stats
 from scipy.stats import f
 
 import multipos as mp
@@ -17,6 +19,7 @@ from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
 from multipos.reports.check_text import check_text
 from multipos.verification import regression_checks
+from multipos.verification.regression_checks import _judge_by
 
 
 def chamber(seed, n=80, noise=1e-3):
@@ -387,3 +390,32 @@ def test_the_run_as_a_whole_by_hand(monkeypatch):
     V = s2 * np.eye(2) + B.T @ Z @ C @ Z.T @ B
     F = B.T @ e @ np.linalg.solve(V, B.T @ e) / 2.0
     assert found.p == pytest.approx(f.sf(F, 2, 38), rel=1e-6)
+
+
+@pytest.mark.parametrize("between", [False, True])
+def test_the_agreement_of_a_run_by_dense_covariances(between):
+    """Q of what the terms explain, on the fewer degrees of freedom; of runs each its own mean."""
+    rng = np.random.default_rng(9)
+    n, X = 24, rng.normal(size=(24, 3))
+    Z = np.kron(np.eye(2), np.ones((12, 1))) if between else np.zeros((n, 0))
+    e, root = rng.normal(size=n), 0.3 * rng.normal(size=(3, 3))
+    runs = SimpleNamespace(covariance=np.array([[0.25]]), runs=5)
+    segment = SimpleNamespace(dof=(2.0, 15.0), robust=None, between=runs if between else None)
+    rows = SimpleNamespace(e=e, X=X, Z=Z, root=root)
+    found = _judge_by(SimpleNamespace(segments=[segment]), rows, lambda both: both)
+    K = np.eye(n) - Z @ np.linalg.pinv(Z)  # of what runs leave
+    B = np.linalg.qr(K @ X)[0]
+    nu = n - Z.shape[1] - 3
+    s2 = (np.sum((K @ e) ** 2) - np.sum((B.T @ e) ** 2)) / nu
+    V = s2 * np.eye(3) + B.T @ X @ root @ root.T @ X.T @ B
+    Q = (B.T @ e) @ np.linalg.solve(V, B.T @ e)
+    p = [stats.f.sf(Q / 3, 3, min(nu, 15))]
+    if between:
+        for k in range(2):
+            mean, own = e[12 * k : 12 * k + 12].mean(), X[12 * k : 12 * k + 12].mean(axis=0)
+            v = s2 / 12 + np.sum((own @ root) ** 2) + 0.25
+            p.append(stats.f.sf(mean**2 / v, 1, 4))
+        assert found.p == pytest.approx(stats.combine_pvalues(p).pvalue, rel=1e-6)
+    else:
+        assert found.statistic == pytest.approx(Q / 3, rel=1e-9)
+        assert found.p == pytest.approx(p[0], rel=1e-9)
