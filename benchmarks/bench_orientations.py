@@ -23,7 +23,7 @@ from benchmarks.timing import Ratio, paired_ratio
 from multipos.estimation.descent import maximise
 from multipos.estimation.problem import Problem, State, start_state
 from multipos.estimation.starts import ellipsoid_start
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 

@@ -14,13 +14,13 @@ import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.files.numbers import number, table
 from multipos.files.tables import Column, write_table
 from multipos.files.trees import to_json
 from multipos.files.whole import make_folder, write_text
 from multipos.fitting.fit_readings import fit
+from multipos.numerics.arrays import Mask
 from multipos.positions.readings import Readings
 from multipos.reports.summary import text_report
 from multipos.results import Result, frozen
@@ -151,8 +151,8 @@ def demo_dict(found: Demonstration) -> dict[str, object]:
     }
 
 
-def _agrees(found: Demonstration) -> NDArray[np.bool_]:
-    result: NDArray[np.bool_] = np.abs(PRINTED.ravel() - found.closed_form.parameters) < _LAST_DIGIT
+def _agrees(found: Demonstration) -> Mask:
+    result: Mask = np.abs(PRINTED.ravel() - found.closed_form.parameters) < _LAST_DIGIT
     return result
 
 

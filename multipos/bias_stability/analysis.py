@@ -30,7 +30,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.bias_stability.allan import degrees_of_freedom, octaves, starts
 from multipos.bias_stability.stability_result import (
@@ -60,7 +59,7 @@ from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median, require_rate
+from multipos.numerics.arrays import Array, Places, median, require_rate
 from multipos.numerics.quantiles import check_confidence, coverage_factor
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -101,7 +100,7 @@ def find_movement(means: Array) -> Movement | None:
     return Movement(largest + 1, float(jump[largest]), _separate(moved))
 
 
-def _separate(moved: NDArray[np.intp]) -> int:
+def _separate(moved: Places) -> int:
     """Return of how many movements blocks are: those nearer than three are of one."""
     return 1 + int((np.diff(moved) > _BESIDE).sum())
 

@@ -11,12 +11,10 @@ from multipos.logs.clock import time_columns
 from multipos.logs.log_columns import Outputs, choose_outputs
 from multipos.logs.samples import Progress, Samples, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.positions.headers import require_units
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
 from multipos.units import STANDARD_GRAVITY
 
 _BLOCKS = 256  # at least so many of a long record, less than twice as many
@@ -160,7 +158,7 @@ def _names(raw: tuple[str, ...], calibration: Calibration | None) -> tuple[str, 
     if calibration is None:
         return raw
     symbol = calibration.field.symbol
-    return tuple(f"{symbol}_{COMPONENTS[axis]}" for axis in sensed_axes(calibration.model))
+    return tuple(f"{symbol}_{COMPONENTS[axis]}" for axis in calibration.model.sensed_axes)
 
 
 def _temperature(log: Log, wanted: RecordOptions, samples: Samples) -> slice:

@@ -31,8 +31,8 @@ from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import Averages
 from multipos.logs.joining import Chosen, complete
 from multipos.logs.still import StillLog
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, formula_columns
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
 from multipos.positions.order import Order, travel_order

@@ -49,9 +49,8 @@ from multipos.designs.prospects import information_of, measured
 from multipos.errors import MultiposError
 from multipos.logs.faults import at_one_value, is_factor
 from multipos.logs.still import Still
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import read_scheme
 from multipos.results import Result, frozen

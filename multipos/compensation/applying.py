@@ -49,7 +49,7 @@ from itertools import chain, repeat
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
 from multipos.diagnostics.model_error import find_hidden
@@ -67,20 +67,15 @@ from multipos.files.tables import (
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece, called_as
-from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.numerics.quantiles import f_tail
-from multipos.numerics.terms import COMPONENTS, largest_value
+from multipos.numerics.terms import largest_value
 from multipos.positions.headers import plain_names, require_units, under_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import worded
-from multipos.sensor.inverse import (
-    has_other_solutions,
-    require_response,
-    sensed_axes,
-    sensitivities,
-)
+from multipos.sensor.inverse import has_other_solutions, require_response, sensitivities
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt
 from multipos.uncertainty.validity import applied, unseen_covariance
 
@@ -118,7 +113,7 @@ def parity(
         Standard uncertainty of the readings.
     """
     model, parameters = calibration.model, calibration.parameters
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     sound = np.isfinite(force.sum(axis=1))
     full = np.zeros((len(raw), 3))
     full[:, sensed] = np.where(sound[:, None], force, 0.0)
@@ -176,7 +171,7 @@ def add_columns(
     beyond, clamped = _environment_outside(calibration, table, environment)
     if outside == "clamp":
         environment = clamped
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     noise = None if uncertainty is None else uncertainty.noise.of(table)
     tilts: dict[str, Array] = {}
     if tilt:
@@ -259,7 +254,7 @@ def _tilts(
     calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array | None
 ) -> dict[str, Array]:
     """Return the tilt of each axis at rest, with its uncertainties where the noise is known."""
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     if len(axes) == 3:
         angle = triad_tilt(rest, calibration.sign)
     else:
@@ -328,7 +323,7 @@ def refusal(where: str, beyond: int, rows: int) -> MultiposError:
 
 def _environment_outside(
     calibration: Calibration, table: Table, environment: Mapping[str, Array]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+) -> tuple[Mask, dict[str, Array]]:
     """Return which rows leave the calibrated range of a column, and the columns clamped to it."""
     beyond = np.zeros(table.rows, dtype=bool)
     clamped = {}

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.applying import AppliedColumns, Outside, check_outside, find_outside
 from multipos.compensation.reading_noise import check_noise_options
@@ -22,7 +21,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, Table, read_table
 from multipos.finding import Finding, Findings, about, in_order
-from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.arrays import LARGEST, Array, Mask
 from multipos.numerics.terms import largest_value
 from multipos.positions.headers import in_celsius, under_names
 from multipos.positions.reading_tables import nonnegative_column
@@ -240,7 +239,7 @@ def _noise(
     return "what the regression left of its own rows", None
 
 
-def _refuse_outside(table: Table, target: str, beyond: NDArray[np.bool_]) -> None:
+def _refuse_outside(table: Table, target: str, beyond: Mask) -> None:
     if beyond.any():
         row = int(np.argmax(beyond))
         raise MultiposError(

@@ -34,7 +34,7 @@ from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes, sensitivities
+from multipos.sensor.inverse import sensitivities
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.propagation import (
     Evaluation,
@@ -210,7 +210,7 @@ class ReadingUncertainty:
         c, n = self.calibration, len(force)
         sound = np.asarray(np.isfinite(force).all(axis=1))
         full = np.zeros((n, 3))
-        full[:, list(sensed_axes(c.model))] = np.where(sound[:, None], force, 0.0)
+        full[:, list(c.model.sensed_axes)] = np.where(sound[:, None], force, 0.0)
         inverse, by_parameter = sensitivities(c.model, c.parameters, full, environment)
         gradient = (inverse @ by_parameter).reshape(-1, len(c.parameters))
         rows = self.budget.rows

@@ -54,9 +54,9 @@ from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.factoring import name_combinations, separability
-from multipos.numerics.terms import COMPONENTS, ModelText, Term
+from multipos.numerics.terms import ModelText, Term
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame, frozen

@@ -36,12 +36,11 @@ import numpy as np
 
 from multipos.designs.information import Blocks, Setting, log_det, multiply
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import Term
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import sensed_axes
 from multipos.sensor.model import Model
 
 _LEANS = 13  # tilts of an axis over a range, whose mean stands for all
@@ -146,7 +145,7 @@ def _weigh_range(name: str, setting: Setting) -> Array:
     """Return B for the mean variance of tilt or force over a range: `multipos.designs.criteria`."""
     up, directions = range_directions(name, setting.model.axes)
     X, J = setting.design(setting.size * up), setting.force_jacobian(up)
-    by_parameter = np.linalg.pinv(J[:, :, list(sensed_axes(setting.model))]) @ X  # (n, K, p)
+    by_parameter = np.linalg.pinv(J[:, :, list(setting.model.sensed_axes)]) @ X  # (n, K, p)
     B = np.zeros((X.shape[2], X.shape[2]))
     for along in directions:
         rows = np.einsum("nk,nkp->np", along, by_parameter)

@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.assessment import (
     Assessment,
@@ -39,8 +38,8 @@ from multipos.files.numbers import table
 from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
 from multipos.finding import Findings
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, ModelText
+from multipos.numerics.arrays import COMPONENTS, Array, Places
+from multipos.numerics.terms import ModelText
 from multipos.positions.benches import bench_settings, read_bench
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, read_scheme
@@ -301,7 +300,7 @@ def design(
     )
 
 
-def _order(setting: Setting, up: Array, given: Array, order: Order) -> NDArray[np.intp]:
+def _order(setting: Setting, up: Array, given: Array, order: Order) -> Places:
     """Return the rows of new positions as they are laid out behind those given."""
     if order == "travel":
         return travel_order(up, given[-1:])

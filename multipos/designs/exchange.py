@@ -24,13 +24,12 @@ from functools import partial
 from itertools import combinations_with_replacement, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 
-Choice = NDArray[np.intp]
+Choice = Places
 
 _TINY = float(np.finfo(float).tiny)
 _SINGULAR = -30.0  # ln of what rounding may leave of a determinant that is 0, over its diagonal

@@ -25,9 +25,8 @@ import numpy as np
 from multipos.errors import UsageError
 from multipos.estimation.user_models import hold_free_rotations, nominal_parameters
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.order import share_absorbed
 from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel

@@ -29,12 +29,11 @@ from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, log_det, multiply, tangents, unit
 from multipos.errors import ConvergenceError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 
@@ -74,7 +73,7 @@ class ContinuousOptimum:
     """
 
     up: Array
-    chosen: NDArray[np.intp]
+    chosen: Places
     weights: Array
     value: float
     log_det: float
@@ -289,7 +288,7 @@ def _apart(up: Array, height: Array) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=2)
-def _grid(count: int) -> tuple[Array, list[tuple[int, NDArray[np.bool_]]]]:
+def _grid(count: int) -> tuple[Array, list[tuple[int, Mask]]]:
     """Return directions on a golden spiral, and its neighbours: by index offsets, where near.
 
     Neighbours on the spiral are a Fibonacci number of places apart, which one depends on the
@@ -302,11 +301,11 @@ def _grid(count: int) -> tuple[Array, list[tuple[int, NDArray[np.bool_]]]]:
     return up, list(zip(offsets, near, strict=True))
 
 
-def _taken(rows: Blocks, chosen: NDArray[np.intp]) -> Blocks:
+def _taken(rows: Blocks, chosen: Places) -> Blocks:
     return tuple(Z[chosen] for Z in rows)
 
 
-def _spread(rows: Blocks) -> NDArray[np.intp]:
+def _spread(rows: Blocks) -> Places:
     """Return candidates that determine every parameter: pivots of each block, as QR picks them."""
     chosen: list[int] = []
     for Z in rows:

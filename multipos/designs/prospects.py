@@ -22,8 +22,7 @@ from multipos.estimation.correlated_rows import order_in_time
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.finding import Findings, errors_of
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.positions.benches import read_bench
 from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme

@@ -21,20 +21,20 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.repairs import listed_reference
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
 from multipos.numerics.arrays import (
+    COMPONENTS,
     Array,
+    Places,
     coarse_steps,
     count_different,
     median,
     resolution,
     row_keys,
 )
-from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 
 _SPAN = 0.5  # of the own reference [g], below which an output may well stand still
@@ -153,7 +153,7 @@ def saturated(c: Calibration) -> Finding | None:
     )
 
 
-def _clipped(reference: Array, values: Array) -> NDArray[np.intp] | None:
+def _clipped(reference: Array, values: Array) -> Places | None:
     """Return the rows whose reading is the largest of all and should have been larger."""
     top = values == values.max()
     others = ~top

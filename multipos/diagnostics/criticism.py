@@ -30,10 +30,10 @@ import numpy as np
 
 from multipos.errors import MultiposError, RankError
 from multipos.estimation.known import ZERO_NORM
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.terms import Term
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel

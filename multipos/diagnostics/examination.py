@@ -29,7 +29,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.columns import (
     counter_column,
@@ -68,7 +67,7 @@ from multipos.diagnostics.score_tests import judge_model, score_of_term
 from multipos.estimation.gains import estimator_gain
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.positions.order import share_absorbed
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
@@ -171,7 +170,7 @@ def _poorly_known(c: Calibration) -> Finding | None:
     )
 
 
-def are_poorly_known(model: Model, parameters: Array, U: Array) -> NDArray[np.bool_]:
+def are_poorly_known(model: Model, parameters: Array, U: Array) -> Mask:
     """Tell which units (B,) have a linear term that is nearly open; of many at once.
 
     Parameters
@@ -183,7 +182,7 @@ def are_poorly_known(model: Model, parameters: Array, U: Array) -> NDArray[np.bo
     return np.asarray((_shares(model, parameters, U) > _POOR).any(axis=1))
 
 
-def are_open(model: Model, parameters: Array, U: Array) -> NDArray[np.bool_]:
+def are_open(model: Model, parameters: Array, U: Array) -> Mask:
     """Return of which units (B,) U leaves an own scale factor open, if that is not zero."""
     share = _shares(model, parameters, U)[:, list(model.own_scales)]
     return np.asarray(((share > _OPEN) & (share < 1.0)).any(axis=1))

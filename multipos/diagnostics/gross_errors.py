@@ -48,9 +48,8 @@ from multipos.diagnostics.scales import (
 )
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.quantiles import f_tail
-from multipos.numerics.terms import COMPONENTS
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 

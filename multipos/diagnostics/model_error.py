@@ -27,15 +27,13 @@ two causes a zero of its own for each soak explains the other, so it is asked fi
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import Kind, formula_with, lacking, left_of, seen_rows
 from multipos.diagnostics.score_tests import judge_model, significant
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.factoring import column_norms
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -234,7 +232,7 @@ def are_better_with(
     added: Sequence[Array],
     largest: Sequence[Array],
     values: Sequence[Array],
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Tell in which units (B,) further terms lower the errors at rows that are left out.
 
     Parameters

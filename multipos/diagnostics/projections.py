@@ -44,12 +44,11 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.factoring import Covariance, column_norms, factor
 from multipos.numerics.least_squares import block_design
-from multipos.numerics.terms import COMPONENTS, NAMED, Term, kind_terms
+from multipos.numerics.terms import NAMED, Term, kind_terms
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -210,9 +209,9 @@ class Projection:
     whitener: Array
     fitted: tuple[Array, ...]
     rows: Array
-    output: NDArray[np.intp]
-    starts: NDArray[np.intp]
-    place: NDArray[np.intp]
+    output: Places
+    starts: Places
+    place: Places
     q: Array
     left: Array
     names: tuple[str, ...]
@@ -346,7 +345,7 @@ def seen_rows(V: Array, scale: Array) -> Array:
 
 def values_of(
     kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
-) -> tuple[Array, NDArray[np.intp]]:
+) -> tuple[Array, Places]:
     """Return all terms as columns (n, M, R) of readings, and the kind of each (R,)."""
     rows, output_of, kind_of = terms_of(kinds, force, environment)
     result = np.zeros((len(force), len(kinds[0].terms), len(rows)))
@@ -356,7 +355,7 @@ def values_of(
 
 def terms_of(
     kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
-) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+) -> tuple[Array, Places, Places]:
     """Return all terms as rows (R, n), and the output and kind of each (R,)."""
     variables = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)} | dict(environment)
     places = [

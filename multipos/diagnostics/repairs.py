@@ -37,11 +37,9 @@ from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.positions.order import lay_out
 from multipos.positions.readings import Readings
 from multipos.results import frozen
@@ -137,7 +135,7 @@ class View:
         other.__dict__["_decomposed"] = self._decomposed  # of the positions alone
         return other
 
-    def turned(self, rows: NDArray[np.intp]) -> "View":
+    def turned(self, rows: Places) -> "View":
         """Return the same readings with the reference turned over in some rows."""
         sign = np.ones((len(self.odd), 1))
         sign[rows] = -1.0
@@ -181,8 +179,7 @@ def listed_reference(c: Calibration) -> Array | None:
     return np.asarray(c.sign * size * up)
 
 
-Rows = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+Rows = Places
 FACTORS = (
     STANDARD_GRAVITY,
     1.0 / STANDARD_GRAVITY,

@@ -50,7 +50,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.columns import repeated_rows
 from multipos.diagnostics.score_tests import significant
@@ -60,10 +59,9 @@ from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, resolution
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, resolution
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import diagonal
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -101,7 +99,7 @@ class Residuals:
 
     error: Array
     basis: Array
-    columns: Sequence[NDArray[np.intp]]
+    columns: Sequence[Places]
     slopes: Array
     force: Array
     stated: Array
@@ -126,7 +124,7 @@ class Residuals:
         return np.asarray(square * both - moved[..., :, None] * moved[..., None, :])
 
     @cached_property
-    def parameters(self) -> NDArray[np.intp]:
+    def parameters(self) -> Places:
         """Place of every parameter among M rows of T columns (p,)."""
         width = self.basis.shape[1]
         return np.concatenate([i * width + own for i, own in enumerate(self.columns)])
@@ -148,7 +146,7 @@ class Residuals:
         sizes = np.linalg.svd(np.linalg.qr(left, mode="r"), compute_uv=False)
         return len(left) - int(np.sum(sizes > sizes[0] * max(left.shape) * np.finfo(float).eps))
 
-    def some(self, which: NDArray[np.intp]) -> "Residuals":
+    def some(self, which: Places) -> "Residuals":
         """Return some of the units."""
         parts = self.error[which], self.slopes[which], self.stated[which]
         return Residuals(parts[0], self.basis, self.columns, parts[1], self.force, parts[2])
@@ -189,7 +187,7 @@ def explain_orientations(of: Residuals) -> Explained:
     return _fit(of, [np.eye(3)[None, None], of.across], np.stack([tau2, s2], axis=1))
 
 
-def hints_at_orientations(of: Residuals, equal: Explained) -> NDArray[np.bool_]:
+def hints_at_orientations(of: Residuals, equal: Explained) -> Mask:
     """Return of which units eq. (2) falls with s² from zero, at the τ² of equal outputs (B,).
 
     Where it does not, s² = 0 is a minimum, and `explain_orientations` need not search.
@@ -199,21 +197,21 @@ def hints_at_orientations(of: Residuals, equal: Explained) -> NDArray[np.bool_]:
     return ~_held(theta, slopes)[:, 1]
 
 
-def prefers_orientations(equal: Explained, moved: Explained) -> NDArray[np.bool_]:
+def prefers_orientations(equal: Explained, moved: Explained) -> Mask:
     """Return of which units orientation error explains the residuals better (B,)."""
     # on the edge of what s² may be χ² has half its weight at zero
     gain = equal.deviance - moved.deviance
     return np.asarray(gain >= chi2_quantile(1.0 - 2.0 * LEVEL, 1.0))
 
 
-def prefers_unequal(equal: Explained, unequal: Explained) -> NDArray[np.bool_]:
+def prefers_unequal(equal: Explained, unequal: Explained) -> Mask:
     """Return of which units unequal outputs explain the residuals better (B,)."""
     free = unequal.variances.shape[1] - 1.0
     gain = equal.deviance - unequal.deviance
     return np.asarray((gain > chi2_quantile(1.0 - LEVEL, free)) if free else gain > np.inf)
 
 
-def across_the_force(of: Residuals) -> NDArray[np.bool_]:
+def across_the_force(of: Residuals) -> Mask:
     """Return of which units R of eq. (4) is more than chance (B,), without a stated noise."""
     n, m = of.error.shape[1:]
     dof = np.array([n - len(own) for own in of.columns])
@@ -282,11 +280,11 @@ def _first_down(
     return trial, there
 
 
-def _some(slopes: _Slopes, which: NDArray[np.bool_]) -> _Slopes:
+def _some(slopes: _Slopes, which: Mask) -> _Slopes:
     return _Slopes(*(each[which] for each in slopes))
 
 
-def _held(theta: Array, here: _Slopes) -> NDArray[np.bool_]:
+def _held(theta: Array, here: _Slopes) -> Mask:
     """Return which variances (B, J) are zero and would fall."""
     return np.asarray((theta == 0.0) & (here.expected > here.observed))
 

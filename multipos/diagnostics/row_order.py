@@ -41,9 +41,8 @@ from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, median, recur
+from multipos.numerics.arrays import Array, Mask, Places, median, recur
 from multipos.numerics.factoring import Covariance, factor
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_log_tails, f_quantile, f_tail
 from multipos.numerics.rotations import cross_matrix
@@ -73,7 +72,7 @@ TIME, APPROACH, SLOW = "time", "approach", "time-correlated"
 _CHANGES = ("slipped", "replaced")
 _OF_ATTITUDE = ("slipped", "level", "table")  # where a turn of the case is free, nothing
 
-Rows = NDArray[np.intp]
+Rows = Places
 
 
 @frozen(eq=True)
@@ -224,7 +223,7 @@ class Shown(NamedTuple):
     score: Array
     p: Array
     step: Rows
-    wholly: NDArray[np.bool_]
+    wholly: Mask
 
 
 def time_order(c: Calibration) -> Rows:
@@ -588,7 +587,7 @@ def _correlation(n: int) -> float:
     return min(max(1.0 - 5.0 / n, 0.5), 0.95)
 
 
-def _judge_slow(plan: Plan, e: Array, whole: NDArray[np.bool_], score: Array, p: Array) -> None:
+def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> None:
     """Fill in S and p (B,) of slow noise, of unit e (n, M, B), of units that are whole (B,)."""
     if plan.slow is None:
         return

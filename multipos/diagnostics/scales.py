@@ -26,9 +26,8 @@ import numpy as np
 from multipos.diagnostics.repairs import FACTORS
 from multipos.files.spelling import quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.rotations import align, rotation_vector
-from multipos.numerics.terms import COMPONENTS
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY

@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.projections import (
     IDENTIFIABLE,
@@ -47,7 +46,7 @@ from multipos.diagnostics.row_order import slow_score
 from multipos.estimation.gains import information_at_solution
 from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.rotations import directions
 from multipos.numerics.terms import kind_terms
 from multipos.results import frozen
@@ -55,7 +54,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import inverses, sensed_axes
+from multipos.sensor.inverse import inverses
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
@@ -201,7 +200,7 @@ def explained_by(found: Projection, errors: Array) -> Array:
 
 def ratios_of(
     explained: Array, whole: Array | float, q: Array, left: Array | float, least_variance: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+) -> tuple[Array, Array, Mask]:
     """Return R of eq. (1) (…, kinds, outputs), ν, and where there is such a test."""
     nu = left - q
     rest = np.maximum(whole - explained, nu * least_variance)
@@ -264,7 +263,7 @@ class _Sums:
     size: Array
     across: Array
     information: Array
-    kind_of: NDArray[np.intp]
+    kind_of: Places
     whole: float
     left: float
     least_variance: float = 0.0
@@ -365,7 +364,7 @@ def _scale(size: Array) -> Array:
 
 
 def _explained(
-    gram: Array, score: Array, size: Array, kind_of: NDArray[np.intp], kinds: int
+    gram: Array, score: Array, size: Array, kind_of: Places, kinds: int
 ) -> tuple[Array, Array, Array]:
     """Return Δ, q and the least part that is left of a term, (K,) each, of every kind."""
     explained, q, least = np.zeros(kinds), np.zeros(kinds), np.zeros(kinds)
@@ -387,7 +386,7 @@ def _explained(
     return explained, q, least
 
 
-def _identifiable(gram: Array, size: Array, mine: NDArray[np.bool_]) -> Array:
+def _identifiable(gram: Array, size: Array, mine: Mask) -> Array:
     """Return T (R, r) of the terms of a kind, T'GT = 1."""
     scale = _scale(size)
     values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
@@ -412,7 +411,7 @@ def _hidden(
     force, means = sphere(c)
     p = len(c.parameters)
     by_force = c.model.force_jacobian(c.parameters, force, means)
-    inverse = inverses(by_force[:, :, list(sensed_axes(c.model))])
+    inverse = inverses(by_force[:, :, list(c.model.sensed_axes)])
     if c.model.gauge is not None:
         inverse = directions(force)[:, None, :] @ inverse
     moved = np.zeros((*inverse.shape[:2], p))

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, Term
-from multipos.sensor.inverse import sensed_axes
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import Term
 from multipos.sensor.model import Model
 
 Outputs = Sequence[Array] | Array  # one (B, n) array an output
@@ -120,7 +119,7 @@ def _invert(
     model: Model, environment: Mapping[str, Array], theta: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the inverse (B, K, M) of the sensitivities, and of which units there is one."""
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     matrix = _linear_part(model, environment, theta)[:, :, sensed]
     inverted = _can_be_inverted(matrix)
     matrix[~inverted] = np.eye(*matrix.shape[1:])
@@ -198,7 +197,7 @@ def compensated(
     """
     count, n = values[0].shape
     inverse, sound = _invert(model, environment, theta)
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     misfit = np.stack(list(residuals), axis=2)
     if model.is_linear:
         return Compensated(misfit @ inverse.transpose(0, 2, 1), inverse, sound)

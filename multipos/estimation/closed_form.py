@@ -29,14 +29,12 @@ Song and Qin 2009.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.known import ZERO_NORM, solve_known
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.least_squares import solve
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.sensor.found import add_scatter
 from multipos.sensor.model import Model, build_model
@@ -44,7 +42,7 @@ from multipos.sensor.model import Model, build_model
 _TOLERANCE = 1e-9  # [g], the lower bound below which a component of the reference is zero
 
 
-def six_positions(reference: Array) -> NDArray[np.intp] | None:
+def six_positions(reference: Array) -> Places | None:
     """Return which row is +x, −x, +y, −y, +z, −z up, or None if these are not the six positions.
 
     Parameters
@@ -71,7 +69,7 @@ def six_positions(reference: Array) -> NDArray[np.intp] | None:
 
 
 def closed_form_weights(
-    reference: Array, rows: NDArray[np.intp], own: int, *, quadratic: bool = True
+    reference: Array, rows: Places, own: int, *, quadratic: bool = True
 ) -> Array:
     """Return how each coefficient of one output is made of the six readings.
 
@@ -159,7 +157,7 @@ def closed_form_gain(model: Model, reference: Array) -> Array:
     return weights
 
 
-def _require_six(reference: Array) -> NDArray[np.intp]:
+def _require_six(reference: Array) -> Places:
     rows = six_positions(reference)
     if rows is None:
         raise MultiposError(

@@ -50,11 +50,10 @@ from dataclasses import replace
 from math import inf, log, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array, Places, count_different, recur, row_keys
+from multipos.numerics.arrays import Array, Mask, Places, count_different, recur, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.positions.orientations import StatedOrientations
@@ -117,7 +116,7 @@ def spread_correlation(
     return _unknown(solution, readings, order)
 
 
-def order_in_time(readings: Readings) -> NDArray[np.intp] | None:
+def order_in_time(readings: Readings) -> Places | None:
     """Return the rows (n,) in order of their column `time`, of few; None where it gives none."""
     time = readings.environment.get(_TIME)
     few = _FEWEST_IN_TIME <= len(readings) <= _DENSE
@@ -140,9 +139,7 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 
-def find_correlated(
-    reference: Array, values: Sequence[Array], residuals: Sequence[Array]
-) -> NDArray[np.bool_]:
+def find_correlated(reference: Array, values: Sequence[Array], residuals: Sequence[Array]) -> Mask:
     """Tell of which of B units the rows of an output are correlated, without stated noise.
 
     Parameters
@@ -178,7 +175,7 @@ def _places(reference: Array) -> Places:
     return np.unique(np.array(row_keys(reference)), return_inverse=True)[1]
 
 
-def _are_correlated(error: Array, quiet: Array, place: Places) -> NDArray[np.bool_]:
+def _are_correlated(error: Array, quiet: Array, place: Places) -> Mask:
     """Tell of which records (B, n) the scatter within positions is correlated.
 
     What is below `quiet` (B,) is rounding: positions that repeat to the last digit.
@@ -190,7 +187,7 @@ def _are_correlated(error: Array, quiet: Array, place: Places) -> NDArray[np.boo
     return np.asarray((np.abs(scatter).max(axis=1) > quiet) & beyond)
 
 
-def _known_in_time(solution: Solution, readings: Readings, order: NDArray[np.intp]) -> Solution:
+def _known_in_time(solution: Solution, readings: Readings, order: Places) -> Solution:
     """Judge rows in order of time by eq. (5), outputs together."""
     model, sd = solution.model, _sd(solution, readings)[order]
     phi = model.basis(solution.reference, readings.environment)[order]
@@ -209,7 +206,7 @@ def _known_in_time(solution: Solution, readings: Readings, order: NDArray[np.int
     return _with(solution, found)
 
 
-def _unknown(solution: Solution, readings: Readings, order: NDArray[np.intp] | None) -> Solution:
+def _unknown(solution: Solution, readings: Readings, order: Places | None) -> Solution:
     """Judge the misfit along the force: n'e with M'n = f, M the slopes of the outputs."""
     n, model = len(readings), solution.model
     degrees = float(n - len(solution.parameters))
@@ -389,7 +386,7 @@ def half_of_mixture(weight: Array, variances: Array, dof: float) -> Array:
     return np.asarray(half)
 
 
-def _are_beyond_chance(scatter: Array, place: Places, degrees: float) -> NDArray[np.bool_]:
+def _are_beyond_chance(scatter: Array, place: Places, degrees: float) -> Mask:
     """Tell of which records (B, n) sums of neighbours are too large for independent rows, eq. (1).
 
     χ² by the cube root of Wilson and Hilferty, which is normal.

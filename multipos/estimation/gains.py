@@ -37,7 +37,6 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.closed_form import closed_form_gain
@@ -54,7 +53,7 @@ from multipos.estimation.problem import (
     start_state,
 )
 from multipos.estimation.unknown_orientations import UnknownSearch, is_along_force
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.losses import loss_weight
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.orientations import place
@@ -80,7 +79,7 @@ class FisherInformation(Protocol):
     point: Point
     information: Array  # S with priors, (p + shared, p + shared)
 
-    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
+    def with_slopes(self, columns: Array, output_of: Places) -> OtherSlopes:
         """Return the sums with slopes Z (q, n), each of one output."""
 
     def leverage(self, covariance: Array) -> Array:
@@ -124,7 +123,7 @@ class _OneRow:
                 root * each for each in (self.normal, self.rows, self.height)
             )
 
-    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
+    def with_slopes(self, columns: Array, output_of: Places) -> OtherSlopes:
         rows = self.normal.take(output_of, axis=0) * columns
         return OtherSlopes(rows @ rows.T, self.rows @ rows.T, self.gradient, rows @ self.height)
 
@@ -158,7 +157,7 @@ class _General:
         self.along_force = is_along_force(problem)
         self.precision = problem.precision
 
-    def with_slopes(self, columns: Array, output_of: NDArray[np.intp]) -> OtherSlopes:
+    def with_slopes(self, columns: Array, output_of: Places) -> OtherSlopes:
         p, end = self.p, self.p + len(columns)
         blocks = []
         for output, (places, slopes) in enumerate(self.point.blocks):
@@ -251,7 +250,7 @@ def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -
     return optimum.point.objective / nu
 
 
-def estimated_variances(calibration: Calibration) -> NDArray[np.bool_]:
+def estimated_variances(calibration: Calibration) -> Mask:
     """Return whether reading noise and orientation sd were estimated by restricted likelihood."""
     found = calibration.variance_components or VarianceComponents()
     return np.array([found.reading_sd is not None, found.orientation_sd_deg is not None])

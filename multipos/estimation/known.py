@@ -38,7 +38,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
@@ -47,7 +46,7 @@ from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, take_stated
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.factoring import separability, singular_values
 from multipos.numerics.least_squares import (
     DependentColumnsError,
@@ -57,7 +56,7 @@ from multipos.numerics.least_squares import (
     solve,
 )
 from multipos.numerics.quantiles import chi2_quantile
-from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.numerics.terms import linear_term
 from multipos.positions.readings import Readings, add_variances
 from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
@@ -405,7 +404,7 @@ def _weigh_group(
     return b, r
 
 
-def _are_regular(group: Design, variance: Array) -> NDArray[np.bool_]:
+def _are_regular(group: Design, variance: Array) -> Mask:
     """Return for which variances (K, n) eq. (3) has enough digits."""
     near = variance.max(axis=1) <= _WORST * variance.min(axis=1)
     return np.asarray(near & (group.condition <= _WORST))

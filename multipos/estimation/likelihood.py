@@ -39,7 +39,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.problem import (
     Normal,
@@ -50,7 +49,7 @@ from multipos.estimation.problem import (
     put_on_circles,
     spread_inclinations,
 )
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.losses import loss, loss_weight
 from multipos.numerics.rotations import (
     cross_matrix,
@@ -297,12 +296,7 @@ class Eliminated(NamedTuple):
 
 
 def eliminate(
-    precision: Array,
-    jacobian: Array,
-    weighted: Array,
-    prior: Array,
-    exact: NDArray[np.bool_],
-    rolled: NDArray[np.bool_],
+    precision: Array, jacobian: Array, weighted: Array, prior: Array, exact: Mask, rolled: Mask
 ) -> Eliminated:
     """Eliminate the angles t_k, in the axes that diagonalise J' Sigma^-1 J.
 

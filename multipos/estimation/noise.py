@@ -50,7 +50,7 @@ from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array, Places, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
 from multipos.results import frozen
@@ -246,7 +246,7 @@ class _Unit:
         point = self.optimum.point
         return np.array([point.objective]), np.array([np.sum(point.residuals**2)])
 
-    def searched(self, excess: Array, factor: Array | None) -> "tuple[_Unit, NDArray[np.bool_]]":
+    def searched(self, excess: Array, factor: Array | None) -> "tuple[_Unit, Mask]":
         problem = replace(self.first, precision=_precision(self.first, float(excess[0])))
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
@@ -285,7 +285,7 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     return _identifiable(problem, state.theta, tuple(blocks))
 
 
-def _variances(problem: Problem, rows: NDArray[np.bool_]) -> Array:
+def _variances(problem: Problem, rows: Mask) -> Array:
     if problem.precision.ndim == 2:
         return np.asarray(1.0 / problem.precision[rows])
     return _covariances(problem)[rows]

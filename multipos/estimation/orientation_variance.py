@@ -34,10 +34,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.posteriors import Both, Found, Posterior, integrate, integrate_grid
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import Array, Mask, Places
 
 ROUNDS = 8  # of noise and estimates
 CONVERGED = 1e-4  # relative change of the noise far below its uncertainty
@@ -135,7 +134,7 @@ class Units(Protocol):
     def squares(self) -> tuple[Array, Array]:
         """Return F under the present noise, and the sum of squared residuals, (B,) each."""
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, NDArray[np.bool_]]:
+    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
         """Return the units under τ² and F (B,), searched on from here, and which have ended."""
 
 
@@ -145,7 +144,7 @@ class Estimated(NamedTuple):
     posterior: Posterior
     excess: Array  # τ², (B,)
     both: Both | None
-    converged: NDArray[np.bool_]
+    converged: Mask
 
 
 UnitsT = TypeVar("UnitsT", bound=Units)
@@ -169,13 +168,13 @@ class Components:
         Whose searches have ended.
     """
 
-    def __init__(self, valid: NDArray[np.bool_], parameters: int) -> None:
+    def __init__(self, valid: Mask, parameters: int) -> None:
         self.valid = valid.copy()
         self.U, self.tails = np.full((2, len(valid), parameters), np.nan)
         self.dof, self.excess, self.u = np.full((3, len(valid)), np.nan)
         self.factor, self.low, self.high = np.ones((3, len(valid)))
 
-    def put(self, units: Places, estimated: Estimated, which: NDArray[np.bool_]) -> None:
+    def put(self, units: Places, estimated: Estimated, which: Mask) -> None:
         """Put what is found of `which` of some units in places of `units`."""
         posterior = estimated.posterior.of(which)
         self.U[units], self.tails[units] = posterior.centred, posterior.tails
@@ -187,12 +186,7 @@ class Components:
 
 
 def find_excess(
-    units: UnitsT,
-    valid: NDArray[np.bool_],
-    parameters: int,
-    dof: float,
-    *,
-    stated: bool = True,
+    units: UnitsT, valid: Mask, parameters: int, dof: float, *, stated: bool = True
 ) -> Components:
     """Return the excess variance of units, which follow to the solutions under it.
 
@@ -227,7 +221,7 @@ def find_excess(
 
 def find_both(
     units: UnitsT,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     parameters: int,
     dof: float,
     *,
@@ -291,7 +285,7 @@ def _alternate(
     return found
 
 
-def least_variance(spreads: Array, values: Array, separated: NDArray[np.bool_]) -> Array:
+def least_variance(spreads: Array, values: Array, separated: Mask) -> Array:
     """Return variances (B,) of readings so small that they change nothing.
 
     Parameters
@@ -308,7 +302,7 @@ def least_variance(spreads: Array, values: Array, separated: NDArray[np.bool_]) 
     return np.asarray(np.maximum(part**2 * spreads / values[0].size, rounding**2))
 
 
-def contrasts(linear: Linear) -> NDArray[np.intp]:
+def contrasts(linear: Linear) -> Places:
     """Return how many contrasts (B,) of readings no orientation error touches.
 
     They alone determine τ²: combinations along the normals of the sphere, less what the

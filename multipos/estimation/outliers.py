@@ -36,9 +36,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, Places, resolution
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, resolution
 from multipos.numerics.factoring import Covariance, column_scales, factor
-from multipos.numerics.terms import COMPONENTS, Term, kind_terms
+from multipos.numerics.terms import Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values
@@ -61,8 +61,6 @@ _BLOCK = 40  # rows, of more of which several are put back at once
 _ROUNDING = 1e-9  # of the readings: residuals that are nothing
 _RIDGE = 1e-12
 _SINGULAR = 1e-9
-
-Mask = NDArray[np.bool_]
 
 
 @frozen

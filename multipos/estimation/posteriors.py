@@ -23,9 +23,8 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf
 from multipos.results import frozen
 
@@ -89,7 +88,7 @@ class Posterior:
     def _mean(self, values: Array) -> Array:
         return np.asarray(np.einsum("bg,bg->b", self.weights, values))
 
-    def of(self, units: NDArray[np.bool_]) -> "Posterior":
+    def of(self, units: Mask) -> "Posterior":
         """Return some of the units."""
         arrays = (self.nodes, self.weights, self.moves, self.variances, self.size)
         return Posterior(*(each[units] for each in arrays))

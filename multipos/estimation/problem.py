@@ -26,14 +26,12 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.finding import Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import align, directions, tangent_basis
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import OpenRolls, StatedOrientations, across, listed_rows
 from multipos.positions.readings import Readings
 from multipos.results import frozen
@@ -107,9 +105,7 @@ def eliminate_free(
     return weighted @ inverse, inverse, np.asarray(marginal), determinant
 
 
-def turn_to_axes(
-    rolls: OpenRolls, direction: Array, listed: NDArray[np.bool_], reference: Array
-) -> Array:
+def turn_to_axes(rolls: OpenRolls, direction: Array, listed: Mask, reference: Array) -> Array:
     """Return the rotation or reflection (3, 3) that brings rolls and listed directions home.
 
     The plane of the rolls about an axis says where that axis is, but for its sense; where nothing
@@ -214,7 +210,7 @@ class Problem:
     precision: Array
     reference: Array
     orientation_sd: Array
-    group: NDArray[np.intp]
+    group: Places
     weight: Array
     groups: int = 0
     attitude: Array | None = None
@@ -245,17 +241,17 @@ class Problem:
             return np.where(self.orientation_sd > 0.0, 1.0 / self.orientation_sd**2, 0.0)
 
     @cached_property
-    def exact(self) -> NDArray[np.bool_]:
+    def exact(self) -> Mask:
         """Positions known exactly, (n,)."""
         return np.asarray((self.orientation_sd == 0.0) & ~self.rolled)
 
     @cached_property
-    def rolled(self) -> NDArray[np.bool_]:
+    def rolled(self) -> Mask:
         """Positions that are rolls of open angle, (n,)."""
         return np.zeros(len(self.values), bool) if self.rolls is None else self.rolls.rows
 
     @cached_property
-    def unknown(self) -> NDArray[np.bool_]:
+    def unknown(self) -> Mask:
         """Positions of which nothing is known, (n,)."""
         return np.isinf(self.orientation_sd)
 
@@ -265,7 +261,7 @@ class Problem:
         return np.asarray(self.values.shape[1] - 2.0 * self.unknown - 1.0 * self.rolled)
 
     @property
-    def listed(self) -> NDArray[np.bool_]:
+    def listed(self) -> Mask:
         """Rows whose direction is listed in the world's axes."""
         return listed_rows(self.orientation_sd, self.group, self.rolls)
 

@@ -25,7 +25,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
@@ -50,7 +49,7 @@ from multipos.estimation.robustness import (
 )
 from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
-from multipos.numerics.arrays import Array, Places, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.positions.readings import Readings
@@ -110,7 +109,7 @@ class Ended(NamedTuple):
 
     moves: Array  # d, from the plain fit (B, p)
     residuals: Array  # (B, n)
-    converged: NDArray[np.bool_]
+    converged: Mask
     iterations: Places
     last_step: Array  # relative, (B,)
     decrement: Array  # (B,)
@@ -194,7 +193,7 @@ class _Spot(NamedTuple):
         F = loss(name, q, linear.degrees).sum(axis=1)
         return _Spot(self.plain, self.first, self.variance, moves, r, q, F)
 
-    def some(self, which: NDArray[np.bool_]) -> "_Spot":
+    def some(self, which: Mask) -> "_Spot":
         """Return some of the units."""
         return _Spot(*(each[which] for each in self))
 
@@ -230,10 +229,10 @@ class _Units:
 
     linear: Linear
     variance: Array  # (B, n)
-    kept: NDArray[np.bool_]  # (B, n)
+    kept: Mask  # (B, n)
     moves: Array  # (B, p)
     residuals: Array  # (B, n)
-    converged: NDArray[np.bool_]
+    converged: Mask
     iterations: Places
     last_step: Array
     decrement: Array

@@ -36,7 +36,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.descent import resume
@@ -45,7 +44,7 @@ from multipos.estimation.likelihood import assemble, full, linearise, respond
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.problem import Optimum, Problem
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss_slope, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.sensor.fit_diagnostics import NoiseTest
@@ -125,7 +124,7 @@ def aside_finding(label: str, misfit: float) -> Finding:
     return Finding("set-aside", "warning", text, "Measure it again.", rows=(label,))
 
 
-def set_aside(problem: Problem, rows: NDArray[np.bool_]) -> Problem:
+def set_aside(problem: Problem, rows: Mask) -> Problem:
     """Return the problem in which the marked positions (n,) count for nothing."""
     weight = np.where(rows, ASIDE, 1.0)
     column = weight.reshape(-1, *[1] * (problem.precision.ndim - 1))

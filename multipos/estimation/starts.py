@@ -49,10 +49,10 @@ from multipos.estimation.unknown_orientations import (
     linear_parameters,
     symmetric_root,
 )
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.least_squares import solve
 from multipos.numerics.rotations import align
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.terms import Term
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
 

@@ -47,11 +47,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.problem import Solution
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
 from multipos.positions.readings import Readings
 
@@ -110,7 +109,7 @@ class StatedNoise(NamedTuple):
 
     u: Array
     dof: Array | None
-    sound: NDArray[np.bool_]
+    sound: Mask
 
 
 def take_stated(stated: Sequence[Array], stated_dof: Sequence[Array]) -> StatedNoise:

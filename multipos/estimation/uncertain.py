@@ -24,7 +24,6 @@ JCGM 102; docs/theory/orientations.md.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.gains import FisherInformation, information_at
@@ -38,7 +37,7 @@ from multipos.estimation.noise import (
 from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
 from multipos.estimation.starts import own_starts, reduced_information, search, too_few
 from multipos.finding import Finding, Findings, about
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import StatedOrientations, across
@@ -387,7 +386,7 @@ def _inclinations(problem: Problem, state: State, readings: Readings) -> dict[st
     return dict(zip(_labels(readings, problem.rolls.cone), tilts, strict=True))
 
 
-def _labels(readings: Readings, number: NDArray[np.intp]) -> list[str]:
+def _labels(readings: Readings, number: Places) -> list[str]:
     """Return the labels of groups in the order of their numbers (n,), −1 for none."""
     pairs = zip(readings.group or (), number.tolist(), strict=False)
     return list(dict.fromkeys(label for label, own in pairs if own >= 0))

@@ -42,11 +42,10 @@ from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
 from multipos.estimation.unknown_orientations import combined
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules, descend
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
-from multipos.numerics.terms import COMPONENTS
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import find_outlying_positions
 from multipos.sensor.model import Model
@@ -310,7 +309,7 @@ class UncertainSearch:
         return Linear((Block(np.moveaxis(error, 0, 2), design, spread, variance),))
 
 
-def search(start: UncertainSearch, place: Place) -> tuple[Place, NDArray[np.bool_]]:
+def search(start: UncertainSearch, place: Place) -> tuple[Place, Mask]:
     """Return where the searches of units end, and of which they do."""
     largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
     found, ended = descend(start, place, _RULES, largest)
@@ -348,7 +347,7 @@ class _Units:
         residuals = self.found.residuals
         return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", NDArray[np.bool_]]:
+    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", Mask]:
         stated = self.stated
         sd = stated.orientation_sd
         if factor is not None:
@@ -529,12 +528,7 @@ def _any_noise(values: Array) -> Array:
 
 
 def _with_noise(
-    shared: SharedOrientations,
-    start: UncertainSearch,
-    place: Place,
-    valid: NDArray[np.bool_],
-    *,
-    stated: bool,
+    shared: SharedOrientations, start: UncertainSearch, place: Place, valid: Mask, *, stated: bool
 ) -> tuple[_Units, Components]:
     """Return the solutions under the noise that is found, and its components."""
     p, dof = len(shared.model.keys), shared.dof
@@ -561,7 +555,7 @@ def _with_noise(
     return units, found
 
 
-def _are_clear(shared: SharedOrientations, units: _Units, U: Array) -> NDArray[np.bool_]:
+def _are_clear(shared: SharedOrientations, units: _Units, U: Array) -> Mask:
     """Return of which units residuals and U (B, p) raise no doubt."""
     place, variance = units.found, units.search.variance
     information = units.search.linearise(place).information

@@ -52,13 +52,12 @@ from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import Array, Places, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.levenberg_marquardt import Rules, descend
 from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
-from multipos.numerics.terms import COMPONENTS
 from multipos.results import frozen
 from multipos.sensor.model import Model
 
@@ -317,7 +316,7 @@ class UnknownSearch:
         return phi.T.reshape(-1, count, n)
 
 
-def search(start: UnknownSearch, place: Place) -> tuple[Place, NDArray[np.bool_]]:
+def search(start: UnknownSearch, place: Place) -> tuple[Place, Mask]:
     """Return where the searches of units end, and of which they do."""
     largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
     found, ended = descend(start, place, Rules(), largest)
@@ -348,7 +347,7 @@ class _Units:
         residuals = self.found.residuals
         return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", NDArray[np.bool_]]:
+    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", Mask]:
         following = replace(self.search, variance=self.stated + excess[:, None])
         place, ended = search(following, following.under_noise(self.found))
         return _Units(following, self.stated, place), ended
@@ -408,7 +407,7 @@ class _Found(NamedTuple):
     place: Place
     u: Array  # (B, p)
     dof: Array  # (B,)
-    valid: NDArray[np.bool_]
+    valid: Mask
 
 
 def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) -> Estimates:
@@ -456,9 +455,7 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     )
 
 
-def _with_excess(
-    start: UnknownSearch, place: Place, noise: StatedNoise, valid: NDArray[np.bool_]
-) -> _Found:
+def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:
     """Return the solutions with the excess variance of readings whose noise is stated."""
     stated = start.variance.copy()
     n, p = start.values.shape[2], len(start.shared.model.keys)
@@ -485,7 +482,7 @@ def _with_excess(
     return _Found(units.found, u, dof, found.valid & inverse.valid)
 
 
-def _start(shared: SharedSphere, values: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:
     """Return which units have an ellipsoid, parameters (B, p) and forces (3, B, n) there."""
     model = shared.model
     crossed = any("cross_" in name for name in model.names)
@@ -535,7 +532,7 @@ class Ellipsoids(NamedTuple):
     lower: Array
     change: Array
     thickness: Array
-    clear: NDArray[np.bool_]
+    clear: Mask
 
 
 def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
@@ -570,8 +567,8 @@ def fit_ellipsoids(values: Array, *, crossed: bool) -> Ellipsoids:
 class _Quadrics(NamedTuple):
     bias: Array  # b, (B, 3)
     square: Array  # ρ² B⁻¹, (B, 3, 3)
-    good: NDArray[np.bool_]  # that are ellipsoids
-    clear: NDArray[np.bool_]  # far from anything else
+    good: Mask  # that are ellipsoids
+    clear: Mask  # far from anything else
 
 
 def _quadrics(points: Array, *, crossed: bool) -> _Quadrics:
@@ -626,7 +623,7 @@ class _Inverse(NamedTuple):
     """Inverses of matrices (B, p, p), and which of these are well conditioned."""
 
     matrix: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
 
 
 def _inverse(information: Array) -> _Inverse:
@@ -640,9 +637,7 @@ def _inverse(information: Array) -> _Inverse:
     return _Inverse(np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :]), valid)
 
 
-def _is_identifiable(
-    shared: SharedSphere, place: Place, information: Array, factor: Array
-) -> NDArray[np.bool_]:
+def _is_identifiable(shared: SharedSphere, place: Place, information: Array, factor: Array) -> Mask:
     """Return which units determine every parameter far beyond what noise alone could explain."""
     model = shared.model
     typical = median(place.theta, axis=0)

@@ -43,16 +43,14 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import ConvergenceError, MultiposError, UsageError
 from multipos.estimation.descent import maximise, resume
 from multipos.estimation.known import solve_known
 from multipos.estimation.problem import Optimum, Problem, Solution, State, start_state
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.rotations import cross_matrix
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration import Status
@@ -158,7 +156,7 @@ def nominal_parameters(model: ExpressionModel) -> Array:
     return first_guesses(model, own, force, {}, keep=True)[0]
 
 
-def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> Iterator[Array]:
+def _trials(model: ExpressionModel, start: Array, free: Mask) -> Iterator[Array]:
     """Yield starts whose free parameters have values to be tried, the same for all outputs."""
     names = list(dict.fromkeys(str(model.keys[i][1]) for i in np.flatnonzero(free)))
     if len(names) <= _ALONE:
@@ -174,12 +172,7 @@ def _trials(model: ExpressionModel, start: Array, free: NDArray[np.bool_]) -> It
         yield theta
 
 
-def _improved(
-    model: ExpressionModel,
-    theta: Array,
-    sought: NDArray[np.bool_],
-    readings: _Weighted,
-) -> Array:
+def _improved(model: ExpressionModel, theta: Array, sought: Mask, readings: _Weighted) -> Array:
     """Return parameters after a step of Gauss and Newton on those that are sought, eq. (1)."""
     outputs, blocks = model.respond(theta, readings.force, readings.environment)
     left = readings.values - outputs

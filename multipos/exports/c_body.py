@@ -35,10 +35,9 @@ from operator import mul
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, CONSTANT, FUNCTIONS, Code, Factor, Term, linear_term
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import CONSTANT, FUNCTIONS, Code, Factor, Term, linear_term
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
 
 _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
 _SLOWEST = 0.5
@@ -81,7 +80,7 @@ def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tup
 def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> int:
     """Return how many steps of eq. (1) bring every force of a grid within a tolerance [g]."""
     model, parameters = calibration.model, calibration.parameters
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     force, columns = force_grid(calibration, _REACH)
     size = np.linalg.norm(force, axis=1)
     within = size <= np.abs(force).max() * (1.0 + 1e-9)
@@ -103,7 +102,7 @@ def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> i
 def force_grid(calibration: Calibration, headroom: float) -> tuple[Array, dict[str, Array]]:
     """Return forces (n, 3) [g] up to so many times the calibrated one, and columns with them."""
     model = calibration.model
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     reach = headroom * float(np.linalg.norm(calibration.reference, axis=1).max())
     line, still = np.linspace(-reach, reach, _GRID), np.zeros(1)
     axes = [line if i in sensed else still for i in range(3)]
@@ -115,7 +114,7 @@ def force_grid(calibration: Calibration, headroom: float) -> tuple[Array, dict[s
 
 def _contraction(calibration: Calibration, slope: Array) -> float:
     model = calibration.model
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     grid, columns = force_grid(calibration, _HEADROOM)
     jacobian = model.force_jacobian(calibration.parameters, grid, columns)[:, :, sensed]
     if len(slope) > len(sensed):
@@ -225,7 +224,7 @@ class _Writer:
         self._model = calibration.model
         self._single = single
         self._kind = "float" if single else "double"
-        self._sensed = [COMPONENTS[i] for i in sensed_axes(self._model)]
+        self._sensed = [COMPONENTS[i] for i in self._model.sensed_axes]
         self._theta = self._model.coefficients(calibration.parameters)
         self._middle = {
             name: _held_by_both(float(np.mean(environment_range(calibration, name))))
@@ -233,7 +232,7 @@ class _Writer:
         }
         linear = self._model.linear_map(self._middle) @ calibration.parameters
         self._bias = linear[:, 0]
-        self._slope = linear[:, [1 + i for i in sensed_axes(self._model)]]
+        self._slope = linear[:, [1 + i for i in self._model.sensed_axes]]
         self._inverse = exact_inverse(self._slope)
 
     @property

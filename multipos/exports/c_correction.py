@@ -37,7 +37,6 @@ from multipos.regression.region import Region
 from multipos.regression.regression import Regression
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.validity import applied
 
 _ROUNDING = {False: 2.0**-53, True: 2.0**-24}
@@ -255,7 +254,7 @@ class _Writer:
 
     def _force_beyond(self, calibration: Calibration) -> list[str]:
         """Write what tells forces that were not applied, as `apply` does."""
-        seen, axes = applied(calibration), list(sensed_axes(calibration.model))
+        seen, axes = applied(calibration), list(calibration.model.sensed_axes)
         squares = " + ".join(f"force[{i}] * force[{i}]" for i in range(len(axes)))
         lines = [f"    const {self._kind} size = {squares};"]
         limits = [self._number(seen.limit(size) ** 2) for size in (seen.sphere, seen.largest)]

@@ -26,11 +26,9 @@ from multipos.exports.c_body import (
     needed_steps,
     steps_in_words,
 )
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import sensed_axes, unseen_axes
 
 _BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
 _SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
@@ -91,7 +89,7 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
     """
     model = calibration.model
     assert isinstance(model, ExpressionModel)
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
     slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0][:, sensed]
     kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
@@ -140,7 +138,7 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
 
     model = calibration.model
     assert isinstance(model, ExpressionModel)
-    (third,) = unseen_axes(model)
+    (third,) = model.unseen_axes
     force = casadi.SX.sym("f", 3)
     env = casadi.SX.sym("e", len(model.environment))
     without = casadi.vertcat(*(0 if i == third else force[i] for i in range(3)))
@@ -173,7 +171,7 @@ def _newton_steps(calibration: Calibration, single: bool) -> int:
         They do not settle.
     """
     model = calibration.model
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     grid, columns = force_grid(calibration, _BEYOND)
     true, found = grid[:, sensed], np.zeros(grid.shape)
     raw = model.predict(calibration.parameters, grid, columns)
@@ -205,7 +203,7 @@ def _write_step(
 
     model = calibration.model
     assert isinstance(model, ExpressionModel)
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     force, raw = casadi.SX.sym("f", len(sensed)), casadi.SX.sym("raw", len(model.outputs))
     env = casadi.SX.sym("e", len(model.environment))
     full = casadi.SX.zeros(3)

@@ -27,12 +27,11 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, Term
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import sensed_axes
 
 COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole numbers
 PER_G = 1_000_000  # of force, so that one is a µg
@@ -112,7 +111,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
         The model is not linear or quadratic in the forces alone, or its numbers do not fit.
     """
     c, model = calibration, calibration.model
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     _require_quadratic(c, sensed)
     theta = model.coefficients(c.parameters)
     columns = [
@@ -239,7 +238,7 @@ def _per_unit(c: Calibration) -> int:
 
 def fixed_signature(c: Calibration, name: str) -> str:
     """Return the declaration, without a semicolon."""
-    axes = len(sensed_axes(c.model))
+    axes = len(c.model.sensed_axes)
     result = "field" if c.field.magnetic else "accel"
     return f"void {name}_compensate(const int32_t raw[{len(c.outputs)}], int32_t {result}[{axes}])"
 

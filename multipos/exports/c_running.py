@@ -17,7 +17,6 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import visible
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import sensed_axes
 
 _COMPILERS = ("cc", "gcc", "clang")
 _SECONDS = 60
@@ -51,7 +50,7 @@ def run_c(path: str, text: bytes, calibration: Calibration, declaration: str, ro
 
     `declaration` is that of its function, as `multipos.exports.target_c` writes it.
     """
-    kind, axes = declaration.split("const ")[1].split()[0], len(sensed_axes(calibration.model))
+    kind, axes = declaration.split("const ")[1].split()[0], len(calibration.model.sensed_axes)
     raw, count = len(calibration.outputs), len(calibration.model.environment)
     environment = (
         f"{kind} env[{count}]; for (int j = 0; j < {count}; ++j) env[j] = ({kind})row[{raw} + j];"

@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
 from multipos.estimation.known import solve_known
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration, hidden_turn
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import in_tesla

@@ -31,8 +31,7 @@ from multipos.exports.target import Exported, GivenFile, Target, Verification, W
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
 from multipos.finding import Finding, forced, in_order
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
 from multipos.sensor.inverse import read_nominal
 

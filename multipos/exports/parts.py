@@ -6,13 +6,12 @@ from functools import cached_property
 
 from multipos.errors import UsageError
 from multipos.files.trees import read_schema
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.sensor.inverse import sensed_axes
 
 Part = Calibration | Regression | Regressions
 Parts = Part | Sequence[Part]
@@ -41,7 +40,7 @@ class Correction:
         if self.calibration is None:
             return ()
         symbol = self.calibration.field.symbol
-        return tuple(f"{symbol}_{COMPONENTS[i]}" for i in sensed_axes(self.calibration.model))
+        return tuple(f"{symbol}_{COMPONENTS[i]}" for i in self.calibration.model.sensed_axes)
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:

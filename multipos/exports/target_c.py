@@ -48,11 +48,10 @@ from multipos.exports.target import Exported, GivenFile, Target, Verification, W
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
 from multipos.finding import Findings, forced
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import STEPS, XTOL, sensed_axes, unseen_axes
+from multipos.sensor.inverse import STEPS, XTOL
 from multipos.sensor.tilt import at_rest, beyond_vertical, magnitude_of, tilt_at_rest
 from multipos.uncertainty.validity import applied
 from multipos.units import STANDARD_GRAVITY
@@ -63,7 +62,7 @@ def declaration(calibration: Calibration, function: str, result: str, single: bo
     kind = "float" if single else "double"
     env = len(calibration.model.environment)
     between = f", const {kind} env[{env}]" if env else ""
-    axes = len(sensed_axes(calibration.model))
+    axes = len(calibration.model.sensed_axes)
     raw = f"const {kind} raw[{len(calibration.outputs)}]"
     return f"void {function}({raw}{between}, {kind} {result}[{axes}])"
 
@@ -75,7 +74,7 @@ def tilt_signature(calibration: Calibration, name: str, single: bool) -> str:
 
 def tilt_header(calibration: Calibration) -> list[str]:
     """Return what the comment of the file says of the angles."""
-    sensed = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    sensed = [COMPONENTS[i] for i in calibration.model.sensed_axes]
     named = f"tilt_deg[{len(sensed)}] = {', '.join(sensed)}"
     lines = [f"{named} above the horizon [degrees], at rest, positive where the axis points up"]
     if len(sensed) < len(COMPONENTS):
@@ -97,7 +96,7 @@ def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metre
     MultiposError
         Two axes of a model whose third component C cannot write.
     """
-    axes = sensed_axes(calibration.model)
+    axes = calibration.model.sensed_axes
     kind, f = ("float", "f") if single else ("double", "")
     env = ", env" if calibration.model.environment else ""
     unit = STANDARD_GRAVITY if in_metres else 1.0
@@ -139,8 +138,8 @@ def _third(calibration: Calibration, name: str, single: bool, unit: float) -> li
         return []
     kind, f = ("float", "f") if single else ("double", "")
     env = ", env" if calibration.model.environment else ""
-    (third,) = unseen_axes(calibration.model)
-    sensed = [COMPONENTS[i] for i in sensed_axes(calibration.model)]
+    (third,) = calibration.model.unseen_axes
+    sensed = [COMPONENTS[i] for i in calibration.model.sensed_axes]
     size = literal(magnitude_of(calibration) ** 2, single)
     sign = "" if calibration.sign > 0.0 else "-"
     scale = "" if unit == 1.0 else f" / {literal(unit, single)}"
@@ -166,7 +165,7 @@ def _third(calibration: Calibration, name: str, single: bool, unit: float) -> li
 def _of_third(calibration: Calibration, single: bool) -> list[str]:
     """Return what terms with the unseen component add to each output, in C; '' for nothing."""
     model = calibration.model
-    third = COMPONENTS[unseen_axes(model)[0]]
+    third = COMPONENTS[model.unseen_axes[0]]
     theta = model.coefficients(calibration.parameters)
     index = {column: f"env[{j}]" for j, column in enumerate(model.environment)}
     result = []
@@ -262,7 +261,7 @@ def _unit(calibration: Calibration) -> str:
 
 def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
     """Return the body of the function with its answer turned from g to m/s² at the end."""
-    axes = len(sensed_axes(calibration.model))
+    axes = len(calibration.model.sensed_axes)
     last = "\n".join(f"    accel[{k}] *= {literal(STANDARD_GRAVITY, single)};" for k in range(axes))
     return f"{body.rstrip().removesuffix('}')}{last}\n}}\n"
 
@@ -394,7 +393,7 @@ def _header(
 ) -> str:
     c = calibration
     model = c.model
-    axes = sensed_axes(model)
+    axes = model.sensed_axes
     env = [
         f"env[{j}] = {n}, calibrated from {low:.6g} to {high:.6g}"
         for j, n in enumerate(model.environment)
@@ -556,7 +555,7 @@ def _verified(
     foreign: bool,
     findings: Findings,
 ) -> Verification:
-    sensed = list(sensed_axes(calibration.model))
+    sensed = list(calibration.model.sensed_axes)
     all_axes = np.zeros_like(calibration.reference)
     all_axes[:, sensed] = force - calibration.reference[:, sensed]
     return Verification(
@@ -575,7 +574,7 @@ def _verified(
 
 def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> None:
     model = calibration.model
-    sizes = (len(calibration.outputs), len(model.environment), len(sensed_axes(model)))
+    sizes = (len(calibration.outputs), len(model.environment), len(model.sensed_axes))
     env = found.groupdict().get("env")
     if (int(found["raw"]), int(env or 0), int(found["accel"])) != sizes:
         raise MultiposError(

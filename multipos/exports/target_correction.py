@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.applying import add_columns
 from multipos.compensation.correction import read_predictors
@@ -32,7 +31,7 @@ from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import LARGEST, Array, median
+from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
 from multipos.regression.observations import filter_time, number_labels
 from multipos.regression.prediction import clear_of_limits, predict_clamped
 from multipos.regression.regression import Regression
@@ -56,12 +55,12 @@ class Drive:
         The inputs of the correction.
     """
 
-    run: NDArray[np.intp]
+    run: Places
     time: Array
     values: Array
 
     @cached_property
-    def begins(self) -> NDArray[np.bool_]:
+    def begins(self) -> Mask:
         """Whether a row is the first of its run."""
         return np.concatenate(([True], np.diff(self.run) != 0))
 
@@ -78,8 +77,8 @@ class Expected(NamedTuple):
     """
 
     out: Array  # (n, K)
-    beyond: NDArray[np.bool_]
-    certain: NDArray[np.bool_]
+    beyond: Mask
+    certain: Mask
 
 
 def expected_rows(c: Correction, drive: Drive, *, single: bool) -> Expected:
@@ -108,9 +107,7 @@ def expected_rows(c: Correction, drive: Drive, *, single: bool) -> Expected:
     return Expected(out, beyond, certain)
 
 
-def _certain(
-    c: Correction, r: Regression, columns: Mapping[str, Array], close: float
-) -> NDArray[np.bool_]:
+def _certain(c: Correction, r: Regression, columns: Mapping[str, Array], close: float) -> Mask:
     """Tell which rows are clear of every value at which something changes."""
     certain = np.ones(len(next(iter(columns.values()))) if columns else 1, dtype=bool)
     for name in (name for name in columns if name in r.rates or name in c.forces):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.whole import reading
-from multipos.numerics.arrays import Array, places_of_kinds
+from multipos.numerics.arrays import Array, Places, places_of_kinds
 
 Column = Sequence[Any] | NDArray[Any]  # of a table
 
@@ -210,7 +210,7 @@ def joined_cells(columns: Sequence[Column]) -> Cells | None:
     return Cells(raw, (_Piece(0, len(raw), 0),), rows, place, mark)
 
 
-def arrange_cells(columns: Mapping[str, Cells], rows: NDArray[np.intp]) -> dict[str, Cells]:
+def arrange_cells(columns: Mapping[str, Cells], rows: Places) -> dict[str, Cells]:
     """Return some rows of columns of one text in an order of their own, in memory."""
     one = next(iter(columns.values()))
     lines = np.array([line for piece in one.pieces for line in _rows_of(one.raw, piece)], object)

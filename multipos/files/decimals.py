@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 
 Bytes = NDArray[np.uint8]
 
@@ -97,7 +97,7 @@ def _bytes(texts: Sequence[str]) -> Bytes:
     return array.view(np.uint8).reshape(len(texts), -1)
 
 
-def _shortest(a: Array, e: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _shortest(a: Array, e: Places) -> tuple[NDArray[np.int64], Mask]:
     """Return M of the shortest text, and where that is certain."""
     power = _POWERS[16 - e]
     high = a * power
@@ -120,9 +120,7 @@ def _shortest(a: Array, e: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray
     return whole, sure
 
 
-def _rounded(
-    a: Array, e: NDArray[np.intp], digits: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _rounded(a: Array, e: Places, digits: int) -> tuple[NDArray[np.int64], Mask]:
     """Return M of so many digits, and where it has no more."""
     at = digits - 1 - e
     scaled = np.where(at >= 0, a * _POWERS[np.maximum(at, 0)], a / _POWERS[np.maximum(-at, 0)])
@@ -130,9 +128,7 @@ def _rounded(
     return whole, whole < 10**digits
 
 
-def _laid_out(
-    whole: NDArray[np.int64], e: NDArray[np.intp], negative: NDArray[np.bool_], count: int
-) -> Bytes:
+def _laid_out(whole: NDArray[np.int64], e: Places, negative: Mask, count: int) -> Bytes:
     """Return numbers of so many digits as text, with the point where their exponents have it."""
     digits = _digits_of(whole, count)
     before = max(int(e.max(initial=-1)) + 1, 0)  # digits before the point

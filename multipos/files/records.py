@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import control_characters, visible
-from multipos.numerics.arrays import SMALLEST
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, SMALLEST
 from multipos.results import frozen
 
 LARGEST = 1e100  # of a number; squares and their sums stay finite

@@ -25,9 +25,9 @@ from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.losses import Loss
-from multipos.numerics.terms import COMPONENTS, Formula, ModelText
+from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import field_of_outputs
 from multipos.positions.order import Order

@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Literal, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.diagnostics.examination import examine
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
@@ -41,9 +41,9 @@ from multipos.finding import Finding, warn
 from multipos.fitting.completion import complete
 from multipos.fitting.options import Options, check_options, choose_estimator, criterion_in_words
 from multipos.logs.faults import saturated_few
-from multipos.numerics.arrays import Array, coarse_steps
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
-from multipos.numerics.terms import COMPONENTS, ModelText, Term, formula_columns, largest_value
+from multipos.numerics.terms import ModelText, Term, formula_columns, largest_value
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.order import Order
@@ -451,7 +451,7 @@ def _magnetic(
 
 def find_apart(
     model: Model, readings: Readings, stated_up: StatedOrientations, exclude: Names
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return which rows (n,) are to be set aside.
 
     Raises
@@ -499,7 +499,7 @@ def _without_saturated(readings: Readings, whole: Readings) -> Readings:
 
 
 def with_excluded(
-    calibration: Calibration, readings: Readings, reference: Array, apart: NDArray[np.bool_]
+    calibration: Calibration, readings: Readings, reference: Array, apart: Mask
 ) -> Calibration:
     """Return a calibration with how far off it the rows are that were set aside.
 

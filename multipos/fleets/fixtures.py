@@ -19,13 +19,11 @@ six faces: half of every angle goes into cross terms). Positions with such a par
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.batches import Estimates
 from multipos.estimation.known import SharedDesign
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.rotations import cross_matrix
-from multipos.numerics.terms import COMPONENTS
 from multipos.results import frozen
 
 _MOST = 120  # positions: G has (3 n)² numbers
@@ -52,7 +50,7 @@ class Fixture:
     labels: tuple[str, ...]
     up: Array
     inverse: Array
-    identifiable: NDArray[np.bool_]
+    identifiable: Mask
 
     @classmethod
     def of(cls, shared: SharedDesign, labels: tuple[str, ...], up: Array) -> "Fixture | None":
@@ -74,7 +72,7 @@ class Fixture:
         return cls(labels, up, pinv, _identifiable(Vt[~seen], shared.reference))
 
 
-def _identifiable(unseen: Array, reference: Array) -> NDArray[np.bool_]:
+def _identifiable(unseen: Array, reference: Array) -> Mask:
     """Tell at which positions nothing is unseen but turns about f and the common rotation."""
     n = len(reference)
     along = np.zeros((n, n, 3))
@@ -91,15 +89,13 @@ class FixtureSums(NamedTuple):
     station: int
     labels: tuple[str, ...]
     up: Array
-    identifiable: NDArray[np.bool_]
+    identifiable: Mask
     units: int
     total: Array
     square: Array
 
 
-def sum_fixtures(
-    fixture: Fixture, found: Estimates, stations: NDArray[np.intp]
-) -> tuple[FixtureSums, ...]:
+def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[FixtureSums, ...]:
     """Return the sums of units, station by station.
 
     Parameters

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
 from multipos.positions import attitudes
 from multipos.positions.headers import FORCE
 from multipos.results import frozen
@@ -185,7 +185,7 @@ class Conditions:
         names = [f"{kind}_{output}" for output in outputs]
         return self._columns(rows, names) if set(names) <= set(rows.columns) else []
 
-    def _sound_units(self, rows: Rows) -> NDArray[np.bool_]:
+    def _sound_units(self, rows: Rows) -> Mask:
         """Tell of which units all cells can be what a fit takes."""
         bad = np.zeros(self._grouped.starts[-1], dtype=np.bool_)
         for column in self.values:
@@ -300,7 +300,7 @@ def find_trials(rows: Rows, grouped: Grouped) -> Trials | None:
     )
 
 
-def _come_again(labels: Codes, grouped: Grouped) -> NDArray[np.bool_]:
+def _come_again(labels: Codes, grouped: Grouped) -> Mask:
     """Tell in which visits (B,) the first label comes again, without a look at each."""
     column, starts = grouped.arranged(labels), grouped.starts[:-1]
     same = column == np.repeat(column[starts], grouped.counts)
@@ -324,7 +324,7 @@ def _trials_of(rows: Places, labels: Codes) -> list[Places]:
     return [rows[rank == trial] for trial in range(int(counts[0]))]
 
 
-def gather_study(trials: Trials, parameters: Array, usable: NDArray[np.bool_]) -> GaugeStudy | None:
+def gather_study(trials: Trials, parameters: Array, usable: Mask) -> GaugeStudy | None:
     """Return the study of trials that are solved; a unit with a trial that is not usable is out.
 
     Parameters

@@ -37,12 +37,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.fleets.pictures import line_order
 from multipos.fleets.stations import NORMAL, near_median
 from multipos.fleets.unit_results import Units
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.quantiles import chi2_quantile, f_tail, normal_quantiles
 
 RATE = 0.01  # of false discoveries
@@ -53,7 +52,7 @@ _SHOWN = 3  # parameters that are named of a unit
 _ROWS = 50_000  # units that are worked on at once
 
 
-def find_outliers(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
     """Return the units that do not belong, the farthest first.
 
     Parameters
@@ -133,7 +132,7 @@ def _squared(theta: Array, covariance: Array) -> Array:
     return distance
 
 
-def _covariance(theta: Array, kept: NDArray[np.bool_]) -> Array:
+def _covariance(theta: Array, kept: Mask) -> Array:
     """Return the covariance (p, p) of the rows of (n, p) that are kept."""
     count, mean = int(kept.sum()), np.mean(theta, axis=0, where=kept[:, None])
     square = np.zeros((len(mean), len(mean)))
@@ -154,7 +153,7 @@ def _tail(distance: Array, n: int, p: int) -> Array:
     return np.array([f_tail(ratio, float(p), float(n - p)) for ratio in ratios.tolist()])
 
 
-def discoveries(p_values: Array) -> NDArray[np.intp]:
+def discoveries(p_values: Array) -> Places:
     """Return which p values are so small that of all these at most `RATE` are so by chance."""
     order = np.argsort(p_values)
     allowed = RATE * np.arange(1, len(order) + 1) / len(order)
@@ -178,7 +177,7 @@ _EDGE = 0.05  # of the units at either end, in which no step is looked for
 _FEWEST = 20  # units of a station
 
 
-def find_drift(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def find_drift(units: Units, counted: Mask) -> list[dict[str, Any]]:
     """Return the parameters that moved, by station, the surest first.
 
     Parameters
@@ -189,7 +188,7 @@ def find_drift(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]
     """
     stations = np.array(units.station)
     order, timed = line_order(units)
-    tests: list[tuple[str, int, NDArray[np.intp], int, float]] = []
+    tests: list[tuple[str, int, Places, int, float]] = []
     for station in dict.fromkeys(units.station):
         mine = order[(counted & (stations == station))[order]]
         if len(mine) < _FEWEST:
@@ -238,13 +237,7 @@ def find_step(scores: Array) -> tuple[int, float]:
 
 
 def _said(
-    units: Units,
-    timed: bool,
-    station: str,
-    place: int,
-    mine: NDArray[np.intp],
-    after: int,
-    chance: float,
+    units: Units, timed: bool, station: str, place: int, mine: Places, after: int, chance: float
 ) -> dict[str, Any]:
     values = units.parameters[mine, place]
     same = np.zeros(len(mine), dtype=np.intp)

@@ -17,11 +17,10 @@ Sources: NIST/SEMATECH e-Handbook of Statistical Methods, sections 6.3.2.2 and 6
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.fleets.stations import NORMAL
 from multipos.fleets.unit_results import Units
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 
 _D2 = 2.0 / np.sqrt(np.pi)
 _SIGMAS = 3.0
@@ -103,13 +102,13 @@ def histogram(values: Array) -> dict[str, Any] | None:
     }
 
 
-def line_order(units: Units) -> tuple[NDArray[np.intp], bool]:
+def line_order(units: Units) -> tuple[Places, bool]:
     """Return the units in the order of time, else of their rows, and whether it is of time."""
     timed = bool(np.isfinite(units.time).all())
     return np.argsort(units.time if timed else units.first, kind="stable"), timed
 
 
-def charts(units: Units, counted: NDArray[np.bool_]) -> list[list[dict[str, Any]]]:
+def charts(units: Units, counted: Mask) -> list[list[dict[str, Any]]]:
     """Return of every parameter the lines of its stations: medians of consecutive units."""
     order, _ = line_order(units)
     stations = np.array(units.station, dtype=np.str_)

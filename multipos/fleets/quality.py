@@ -44,7 +44,7 @@ from multipos.errors import MultiposError
 from multipos.files.limits import Limit
 from multipos.files.spelling import near
 from multipos.fleets.unit_results import Texts, Units
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import beta_quantile, coverage_factors, erf, normal_quantile
 from multipos.results import frozen
 
@@ -85,7 +85,7 @@ class UnitSpread(NamedTuple):
     true: float  # NaN where the measurement explains all
 
 
-def spread_of(values: Array, u: Array | None, stations: NDArray[np.intp]) -> UnitSpread:
+def spread_of(values: Array, u: Array | None, stations: Places) -> UnitSpread:
     """Return how values (n,) spread.
 
     Parameters
@@ -151,7 +151,7 @@ def describe(
     unit: str,
     values: Array,
     u: Array | None,
-    stations: NDArray[np.intp],
+    stations: Places,
     limits: tuple[float, float] | None,
     confidence: float,
 ) -> dict[str, Any]:
@@ -204,7 +204,7 @@ class Verdicts:
     causes: Mapping[str, int]
 
 
-def judge_units(units: Units, limits: Sequence[Limit], unfit: NDArray[np.bool_]) -> Verdicts:
+def judge_units(units: Units, limits: Sequence[Limit], unfit: Mask) -> Verdicts:
     """Return the verdicts of units.
 
     Parameters

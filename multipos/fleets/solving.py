@@ -58,9 +58,8 @@ from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import UnitTests, find_in_units, may_lack_terms, unit_tests
-from multipos.numerics.arrays import Array, Places, coarse_steps, median
+from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.orientations import resolve
 from multipos.positions.reading_tables import read_readings
 from multipos.results import frozen
@@ -68,7 +67,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Field
-from multipos.sensor.inverse import inverses, sensed_axes
+from multipos.sensor.inverse import inverses
 from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
@@ -114,7 +113,7 @@ def find_suspects(
 
 def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
     """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
-    sensed = sensed_axes(model)
+    sensed = model.sensed_axes
     leans = np.zeros(len(matrix), dtype=np.bool_)
     for i, axis in enumerate(model.axes):
         own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]

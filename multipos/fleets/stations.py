@@ -47,15 +47,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.finding import Finding, Findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.unit_results import Units
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.rotations import rotation_matrix
-from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
+from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.sensor.model import Model
 
 _OFF = 0.1  # [deg] from which a station is said to be off,
@@ -131,10 +130,10 @@ _LEAST = 1e-12  # of the whole variance: what is left within units, where roundi
 NORMAL = 1.482602218505602  # standard deviation over median absolute deviation, of a normal law
 _AT_ONCE = 50_000  # units that are worked on at once
 
-Codes = NDArray[np.intp]
+Codes = Places
 
 
-def describe_stations(units: Units, counted: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def describe_stations(units: Units, counted: Mask) -> list[dict[str, Any]]:
     """Return what is said of every station.
 
     Parameters
@@ -267,7 +266,7 @@ def is_off(angle: Mapping[str, float] | None) -> bool:
 
 
 def _levels(
-    units: Units, counted: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+    units: Units, counted: Mask, stations: Codes, who: Codes, count: int
 ) -> list[dict[str, Any] | None] | None:
     matrix = None if units.model is None else linear_parts(units.model, units.parameters)
     if matrix is None:
@@ -305,7 +304,7 @@ def linear_parts(model: Model, parameters: Array) -> Array | None:
 
 
 def _shifts(
-    units: Units, counted: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+    units: Units, counted: Mask, stations: Codes, who: Codes, count: int
 ) -> list[dict[str, Any] | None] | None:
     model = units.model
     assert model is not None
@@ -331,7 +330,7 @@ def _by_station(
 
 
 def _against_mean(
-    values: Array, usable: NDArray[np.bool_], stations: Codes, who: Codes, count: int
+    values: Array, usable: Mask, stations: Codes, who: Codes, count: int
 ) -> list[dict[str, float]] | None:
     """Return every station's effect against the mean of all, None where a station has no unit."""
     kept = usable & near_median(values, usable, stations)
@@ -348,7 +347,7 @@ def _against_mean(
     ]
 
 
-def near_median(values: Array, usable: NDArray[np.bool_], stations: Codes) -> NDArray[np.bool_]:
+def near_median(values: Array, usable: Mask, stations: Codes) -> Mask:
     """Tell which values are not far from the median of their station."""
     near = np.zeros(len(values), dtype=np.bool_)
     for station in np.unique(stations[usable]).tolist():

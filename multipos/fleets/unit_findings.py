@@ -45,9 +45,8 @@ from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
-from multipos.numerics.arrays import Array, resolution, row_keys
+from multipos.numerics.arrays import COMPONENTS, Array, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration

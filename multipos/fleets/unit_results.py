@@ -11,7 +11,7 @@ from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import GaugeStudy
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import Solved
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.results import Columns, frozen
 from multipos.sensor.model import Model
 
@@ -68,7 +68,7 @@ class Units:
     findings: Texts
     why_unfit: Texts
     reasons: Texts
-    first: NDArray[np.intp]
+    first: Places
     time: Array
     fixtures: tuple[FixtureSums, ...]
     confidence: float
@@ -83,12 +83,12 @@ class Units:
         return len(self.unit)
 
     @property
-    def failed(self) -> NDArray[np.bool_]:
+    def failed(self) -> Mask:
         """Which units have no numbers."""
         return np.array([bool(reason) for reason in self.reasons])
 
     @property
-    def unfit(self) -> NDArray[np.bool_]:
+    def unfit(self) -> Mask:
         """Which units have a calibration that is not fit for use."""
         return np.array([bool(why) for why in self.why_unfit])
 

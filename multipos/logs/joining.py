@@ -55,7 +55,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import listed
@@ -71,7 +70,7 @@ from multipos.logs.faults import (
 from multipos.logs.rest_means import COSINES, RestMean, with_rounding
 from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog, found_so_far, would_take
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_tail
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
@@ -91,7 +90,7 @@ class Match(NamedTuple):
     second_deg: Array
 
     @property
-    def doubtful(self) -> NDArray[np.bool_]:
+    def doubtful(self) -> Mask:
         """Where the nearest direction may be the wrong one."""
         far = self.distance_deg > FARTHEST_DEG
         return np.asarray(far | (2.0 * self.distance_deg > self.second_deg))
@@ -585,8 +584,6 @@ _ORDER = np.arange(1, COSINES + 1)
 _WEIGHT = _ORDER**-1.5 / np.sum(_ORDER**-1.5)
 _DOF = 1.0 / float(_WEIGHT @ _WEIGHT)  # of the weighted mean of one rest
 _NEEDED = ("n", "sd", "u", "drift_factor")  # of a rest
-
-Mask = NDArray[np.bool_]
 
 
 class Law(NamedTuple):

@@ -50,7 +50,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.results import Result, frozen
 
 Counts = NDArray[np.signedinteger[Any]]
@@ -224,7 +224,7 @@ def with_rounding(found: Sequence[RestMean], resolution: Array) -> list[RestMean
     return [replace(each, u=u[i]) if raised[i].any() else each for i, each in enumerate(found)]
 
 
-def is_one_code(found: RestMean) -> NDArray[np.bool_]:
+def is_one_code(found: RestMean) -> Mask:
     """Tell of which outputs (M,) all samples of a rest are equal."""
     return np.asarray((found.longest >= found.n) & (found.n > 1))
 

@@ -47,7 +47,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import take_in
@@ -55,7 +55,7 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import Array, median, require_rate
+from multipos.numerics.arrays import Array, Mask, median, require_rate
 from multipos.results import frozen
 
 BLOCKS = 8  # of a window
@@ -527,7 +527,7 @@ class _Runs:
         self.found: list[list[int]] = []
         self.open = False
 
-    def add(self, inside: NDArray[np.bool_], count: int) -> None:
+    def add(self, inside: Mask, count: int) -> None:
         """Add whether windows are of the kind; so many have come before."""
         changes = np.flatnonzero(np.diff(inside, prepend=self.open))
         for edge in (count + changes).tolist():

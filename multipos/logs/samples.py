@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import IO, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
@@ -32,7 +31,7 @@ from multipos.logs.clock import (
 )
 from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Spikes, Survey, Windows, choose_grid
 from multipos.logs.table import Log, Piece
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 
 
 class Runs:
@@ -87,7 +86,6 @@ class Runs:
 
 Progress = Callable[[float], object]  # is called with how much of the log has been read, 0 to 1
 
-Mask = NDArray[np.bool_]
 
 _IN_MEMORY = 1 << 22  # bytes
 _LATEST = 1e25  # of the other columns: no clock counts so far, in picoseconds neither
@@ -391,7 +389,7 @@ class Samples:
         self.wraps = found.size or size, count + found.wraps
         return found.time
 
-    def _check_time(self, table: Table, time: Array, rows: NDArray[np.intp]) -> None:
+    def _check_time(self, table: Table, time: Array, rows: Places) -> None:
         assert self.clock is not None
         back = np.flatnonzero(np.diff(time, prepend=self._last) < 0.0)
         if len(back):

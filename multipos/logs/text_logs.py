@@ -45,7 +45,7 @@ from multipos.logs.layout import (
 from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, ReadPieces
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.results import frozen
 
 
@@ -158,10 +158,10 @@ class _Cells(NamedTuple):
     length: NDArray[np.int64]
     digits: NDArray[np.int64]
     decimals: NDArray[np.int64]
-    negative: NDArray[np.bool_]
-    odd: NDArray[np.bool_]  # neither digits alone nor digits with a point and a minus
+    negative: Mask
+    odd: Mask  # neither digits alone nor digits with a point and a minus
 
-    def texts(self, which: NDArray[np.bool_]) -> list[bytes]:
+    def texts(self, which: Mask) -> list[bytes]:
         """Return what some cells hold."""
         pairs = zip(self.end[which].tolist(), self.length[which].tolist(), strict=True)
         return [self.block[end - length : end] for end, length in pairs]

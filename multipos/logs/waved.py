@@ -20,7 +20,6 @@ from dataclasses import field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import quoted
@@ -28,8 +27,7 @@ from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array, Places, median
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen, plain
 
@@ -173,7 +171,7 @@ def waved(
     return Waved(source, outputs, len(values), readings, tuple(findings), unit)
 
 
-def worth_keeping(values: Array) -> tuple[NDArray[np.intp], int]:
+def worth_keeping(values: Array) -> tuple[Places, int]:
     """Return the rows (k,) of readings (n, 3) that are kept, in order, and the stride."""
     n = len(values)
     if values.shape[1] != len(COMPONENTS):
@@ -233,7 +231,7 @@ def _stride(misfit: Array, along: Array) -> int:
     return lag
 
 
-def _squares_of(along: Array) -> NDArray[np.intp]:
+def _squares_of(along: Array) -> Places:
     """Return in which square of a cube's faces directions (n, 3) are."""
     largest = np.abs(along).argmax(axis=1)
     rows = np.arange(len(along))

@@ -12,7 +12,7 @@ fast as LAPACK's substitution of two diagonals, whose import takes longer than m
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,9 @@ from multipos.errors import UsageError
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]  # of rows or units among others
+Mask = NDArray[np.bool_]
+Environment = Mapping[str, ArrayLike]  # columns of the readings beside the outputs, by name
+COMPONENTS = ("x", "y", "z")  # of a vector, the last axis of an array
 
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
 _LEVELS = 100  # readings of which the resolution is found

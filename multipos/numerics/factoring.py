@@ -62,10 +62,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 
 RANK = 1e-13  # singular values of the scaled design below this part of the largest are zero
 BLOCK = 8192  # numbers factored at once: in cache, and below the size that BLAS starts threads for
@@ -305,7 +305,7 @@ def cross_residual(X: Array, r: Array, c: Array | None = None) -> Array:
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # the other two axes, in cyclic order
 
 
-def _places(row: NDArray[np.intp], column: NDArray[np.intp]) -> NDArray[np.intp]:
+def _places(row: Places, column: Places) -> Places:
     """Return where G_row,column stands among nine numbers, (9,)."""
     return (3 * row[:, None] + column).ravel()
 
@@ -456,7 +456,7 @@ def _sentence(v: Array, names: Sequence[str], rows: str) -> str:
     return f"`{_sum(v, left, names)}` cannot be separated from `{_sum(-v, right, names)}`"
 
 
-def _sum(v: Array, used: NDArray[np.intp], names: Sequence[str]) -> str:
+def _sum(v: Array, used: Places, names: Sequence[str]) -> str:
     text = ""
     for j in used:
         size = f"{abs(v[j]):.3g}"

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import Array, Mask, Places
 
 _XTOL = 1e-13  # relative step that is only rounding
 _STUCK = 1e12  # damping beyond which nothing moves
@@ -105,7 +105,7 @@ ROBUST = Rules(iterations=2000, decrement=1e-14, weighted=True)
 class Ended(NamedTuple):
     """How B searches ended."""
 
-    converged: NDArray[np.bool_]
+    converged: Mask
     iterations: Places
     last_step: Array  # relative
     gradient: Array  # root of the last decrement
@@ -113,8 +113,8 @@ class Ended(NamedTuple):
     def put(
         self,
         units: Places,
-        which: NDArray[np.bool_],
-        converged: NDArray[np.bool_],
+        which: Mask,
+        converged: Mask,
         iterations: Places,
         last_step: Array,
         decrement: Array,
@@ -216,9 +216,7 @@ class _Going(NamedTuple):
         """Return some of the searches."""
         return _Going(self.damping[units], self.before[units], self.iterations[units])
 
-    def refused(
-        self, taken: NDArray[np.bool_], fall: Array, flat: NDArray[np.bool_]
-    ) -> tuple["_Going", NDArray[np.bool_]]:
+    def refused(self, taken: Mask, fall: Array, flat: Mask) -> tuple["_Going", Mask]:
         """Return the searches after steps of which some were refused, and which are stuck."""
         damping = np.where(taken, 0.1 * self.damping, np.maximum(10.0 * self.damping, 1e-10))
         stuck = flat | (damping > _STUCK)

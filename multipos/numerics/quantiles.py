@@ -58,10 +58,9 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import SMALLEST, Array
+from multipos.numerics.arrays import SMALLEST, Array, Mask
 
 LARGEST = 500.0
 _STEPS = 100_000
@@ -484,7 +483,7 @@ def _slope(x: Array, here: Array) -> Array:
     return np.asarray(step / (1.0 / above - 1.0 / here))
 
 
-def _shifted(x: Array) -> tuple[Array, list[tuple[Array, NDArray[np.bool_]]]]:
+def _shifted(x: Array) -> tuple[Array, list[tuple[Array, Mask]]]:
     """Return arguments raised to where the series are good, and the steps on the way."""
     y = np.array(x, dtype=np.float64)
     low = []

@@ -59,10 +59,10 @@ from math import inf, log
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.factoring import BLOCK, name_combinations, separability
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.results import Result, frozen
@@ -625,11 +625,8 @@ def all_subsets(
 
 
 def _stand_on_theirs(
-    member: NDArray[np.bool_],
-    free: Sequence[int],
-    forced: Sequence[int],
-    requires: Sequence[frozenset[int]],
-) -> NDArray[np.bool_]:
+    member: Mask, free: Sequence[int], forced: Sequence[int], requires: Sequence[frozenset[int]]
+) -> Mask:
     """Tell of each subset whether every column in it has the columns that it requires."""
     result = np.ones(len(member), dtype=bool)
     for place, j in enumerate(free):

@@ -31,7 +31,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import LARGEST, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
 from multipos.results import frozen
 
 
@@ -169,7 +169,6 @@ def _parts(match: re.Match[str]) -> tuple[str, str, str]:
     return match[function or "alone"], function, match["exponent"] or ""
 
 
-COMPONENTS = ("x", "y", "z")
 NamedModel = Literal[
     "linear",
     "own-quadratic",

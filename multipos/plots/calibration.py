@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.rotations import directions
-from multipos.numerics.terms import COMPONENTS
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, scale_by_powers
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.sensor.found import Estimator

@@ -12,12 +12,10 @@ from html import escape
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.files.numbers import number, readable_unit
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.rotations import directions
-from multipos.numerics.terms import COMPONENTS
 from multipos.plots.calibration import size_residuals
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
@@ -68,7 +66,7 @@ class _Picture:
         return "".join([*self._parts, "</svg>"])
 
 
-def _largest(sizes: Array) -> NDArray[np.intp]:
+def _largest(sizes: Array) -> Places:
     """Return the places of all sizes, of very many those of the largest in equal parts."""
     places = np.arange(len(sizes))
     if len(sizes) <= 2 * _DRAWN:

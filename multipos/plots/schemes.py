@@ -11,8 +11,8 @@ from multipos.designs.designing import Design
 from multipos.designs.information import inform, log_det
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, ModelText
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import ModelText
 from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
 from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, write_title
 from multipos.positions.scheme import Scheme, read_scheme

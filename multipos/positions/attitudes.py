@@ -20,12 +20,11 @@ import re
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Table
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.units import cos_deg, sin_deg
 
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
@@ -64,7 +63,7 @@ def check_convention(convention: str) -> None:
         raise UsageError(f"unknown convention '{convention}'; give specific-force or gravity.")
 
 
-def rows_with_orientation(table: Table) -> NDArray[np.bool_] | None:
+def rows_with_orientation(table: Table) -> Mask | None:
     """Return which rows (n,) give an orientation at all; None without orientation columns."""
     form = _form(table)
     if form is None:
@@ -74,7 +73,7 @@ def rows_with_orientation(table: Table) -> NDArray[np.bool_] | None:
     return given & ~rows_without_angle(table)
 
 
-def rows_without_angle(table: Table) -> NDArray[np.bool_]:
+def rows_without_angle(table: Table) -> Mask:
     """Return the rows (n,) that name the axis of a roll and leave its angle open."""
     if not all(name in table for name in FORMS["roll about an axis"]):
         return np.zeros(table.rows, dtype=bool)
@@ -84,7 +83,7 @@ def rows_without_angle(table: Table) -> NDArray[np.bool_]:
     )
 
 
-def read_attitudes(table: Table, unknown: NDArray[np.bool_] | None = None) -> Attitudes | None:
+def read_attitudes(table: Table, unknown: Mask | None = None) -> Attitudes | None:
     """Return the attitudes a table holds, or None where it has no orientation columns.
 
     Rows marked `unknown` (n,) may leave their orientation empty; it is NaN then.

@@ -21,13 +21,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.quantiles import f_tail
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen
 
@@ -55,7 +53,7 @@ class Roll(Result):
 
     plane: str
     axis: str
-    rows: NDArray[np.intp]
+    rows: Places
     angle: Array
 
     @property
@@ -88,7 +86,7 @@ class Roll(Result):
         return tuple(np.round(np.degrees(self.distinct[twice]), 6).tolist())
 
     @property
-    def groups(self) -> NDArray[np.intp]:
+    def groups(self) -> Places:
         """Which of the distinct angles each position has (n,)."""
         after = np.searchsorted(self.distinct, self.angle + _SAME) - 1
         return np.asarray(np.maximum(after, 0))
@@ -171,7 +169,7 @@ def find_rolls(readings: Readings, first: str = "x", sign: float = 1.0) -> tuple
     return tuple(found)
 
 
-def _horizontal(readings: Readings, level: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _horizontal(readings: Readings, level: Mask) -> Places:
     """Return the horizontal axis of every position, −1 where it is on no roll."""
     result = np.full(len(level), -1)
     clear = level.sum(axis=1) == 1
@@ -192,9 +190,7 @@ def _horizontal(readings: Readings, level: NDArray[np.bool_]) -> NDArray[np.intp
     return result
 
 
-def _turned_about(
-    possible: NDArray[np.intp], often: NDArray[np.intp], planes: set[int], east: int
-) -> int:
+def _turned_about(possible: Places, often: Places, planes: set[int], east: int) -> int:
     """Return the one of two horizontal axes that a position was turned about, −1 if open.
 
     `often` says how many positions each axis is horizontal in, `planes` are the axes of the rolls

@@ -37,13 +37,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes
 from multipos.units import STANDARD_GRAVITY
 
@@ -61,7 +59,7 @@ def left_by_apply(table: Table) -> tuple[str, ...]:
     return tuple(name for name in table.columns if _APPLIED.fullmatch(name))
 
 
-def states_forces(table: Table, oriented: NDArray[np.bool_] | None) -> bool:
+def states_forces(table: Table, oriented: Mask | None) -> bool:
     """Tell whether the columns f_x, f_y, f_z state forces, and not what was compensated.
 
     Parameters
@@ -76,12 +74,12 @@ def states_forces(table: Table, oriented: NDArray[np.bool_] | None) -> bool:
     return oriented is None or not oriented.all()
 
 
-def known_rows(force: Array) -> NDArray[np.bool_]:
+def known_rows(force: Array) -> Mask:
     """Return the rows (n,) of forces (n, 3) that are known."""
     return np.asarray(np.isfinite(force).all(axis=1))
 
 
-def read_forces(table: Table, oriented: NDArray[np.bool_] | None) -> Array:
+def read_forces(table: Table, oriented: Mask | None) -> Array:
     """Return the forces (n, 3) [g] that a table states, NaN in rows that state none.
 
     Raises
@@ -142,7 +140,7 @@ def read_reference_u(table: Table, force: Array | None) -> Array | None:
     return np.nan_to_num(u)
 
 
-def _refuse_cells(table: Table, bad: NDArray[np.bool_], fault: str) -> None:
+def _refuse_cells(table: Table, bad: Mask, fault: str) -> None:
     if bad.any():
         row, i = np.argwhere(bad)[0].tolist()
         raise MultiposError(f"{table.where(row, REFERENCE_U[i])}: {fault}.")

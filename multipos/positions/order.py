@@ -26,10 +26,10 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 
 Order = Literal["spread", "travel", "paper"]
 ORDERS: tuple[Order, ...] = ("spread", "travel", "paper")
@@ -59,7 +59,7 @@ def check_order(order: str) -> None:
         )
 
 
-def lay_out(up: ArrayLike, order: Order, columns: Array | None = None) -> NDArray[np.intp]:
+def lay_out(up: ArrayLike, order: Order, columns: Array | None = None) -> Places:
     """Return which position is laid out first, second, …, as rows.
 
     Parameters
@@ -85,7 +85,7 @@ def share_absorbed(columns: Array, c: Array) -> float:
     return min(float(inside @ inside) / size, 1.0) if size > 0.0 else 0.0
 
 
-def _spread(columns: Array) -> NDArray[np.intp]:
+def _spread(columns: Array) -> Places:
     """Return the order of rows (n,) in which columns (n, p) absorb the least of the courses."""
     n = len(columns)
     if n < 3:
@@ -120,7 +120,7 @@ def _worst(inside: Array, n: int) -> Array:
     return np.asarray(largest if n >= _FIRST else shares[..., 0] + _REST * largest)
 
 
-def _exchange(Q: Array, C: Array, rows: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
+def _exchange(Q: Array, C: Array, rows: Places) -> tuple[float, Places]:
     """Return rows after the exchanges that help, each time the best one, and what they reach."""
     i, j = np.triu_indices(len(rows), 1)
     steps = C[j] - C[i]
@@ -145,7 +145,7 @@ def travel_deg(up: ArrayLike) -> float:
     return float(np.degrees(_angles(vectors[:-1], vectors[1:]).sum()))
 
 
-def travel_order(up: Array, start: Array | None = None) -> NDArray[np.intp]:
+def travel_order(up: Array, start: Array | None = None) -> Places:
     """Return the rows of up vectors (n, 3) in an order that is short to travel.
 
     Parameters

@@ -23,14 +23,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source, Table
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.positions.attitudes import rows_without_angle
 from multipos.positions.headers import component
 from multipos.positions.order import Order, check_order
@@ -51,11 +49,11 @@ class OpenRolls:
         Number of the inclination that it shares, −1 where the axis is level.
     """
 
-    axis: NDArray[np.intp]
-    cone: NDArray[np.intp]
+    axis: Places
+    cone: Places
 
     @property
-    def rows(self) -> NDArray[np.bool_]:
+    def rows(self) -> Mask:
         """Positions that are rolls of open angle, (n,)."""
         return np.asarray(self.axis >= 0)
 
@@ -103,9 +101,7 @@ def read_open_rolls(table: Table, findings: list[Finding]) -> tuple[str, ...] | 
     )
 
 
-def gather_open_rolls(
-    readings: Readings, group: Sequence[str], unknown: NDArray[np.bool_]
-) -> OpenRolls | None:
+def gather_open_rolls(readings: Readings, group: Sequence[str], unknown: Mask) -> OpenRolls | None:
     """Return the rolls of open angle among positions; None where there are none.
 
     Parameters
@@ -145,7 +141,7 @@ def gather_open_rolls(
     return OpenRolls(axis, cone)
 
 
-def _grouped(axis: NDArray[np.intp], group: Sequence[str]) -> list[str]:
+def _grouped(axis: Places, group: Sequence[str]) -> list[str]:
     """Return the groups of rolls of open angle, in their order."""
     return [label for one, label in zip(axis, group, strict=True) if label and one >= 0]
 
@@ -181,7 +177,7 @@ class StatedOrientations:
 
     reference: Array
     orientation_sd: Array
-    group: NDArray[np.intp]
+    group: Places
     attitude: Array | None = None
     level_sd: float = 0.0
     estimated: bool = False
@@ -204,14 +200,12 @@ class StatedOrientations:
         return int(self.group.max()) + 1
 
     @property
-    def listed(self) -> NDArray[np.bool_]:
+    def listed(self) -> Mask:
         """Positions whose direction is listed in the world's axes, (n,)."""
         return listed_rows(self.orientation_sd, self.group, self.rolls)
 
 
-def listed_rows(
-    orientation_sd: Array, group: NDArray[np.intp], rolls: OpenRolls | None
-) -> NDArray[np.bool_]:
+def listed_rows(orientation_sd: Array, group: Places, rolls: OpenRolls | None) -> Mask:
     """Return the positions (n,) whose direction is listed in the world's axes."""
     listed = np.isfinite(orientation_sd) & (group < 0)
     return listed if rolls is None else listed & ~rolls.rows
@@ -298,7 +292,7 @@ def place(
     )
 
 
-def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> NDArray[np.intp]:
+def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> Places:
     """Return the number of the group whose rotation a position shares (n,), −1 for none."""
     if rolls is not None:  # whose groups share an inclination
         pairs = zip(labels, rolls.rows.tolist(), strict=True)
@@ -309,9 +303,7 @@ def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> NDArray[np
     return np.array([number.get(label, -1) for label in labels])
 
 
-def _references(
-    readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None, size: float
-) -> Array:
+def _references(readings: Readings, unknown: Mask, rolls: OpenRolls | None, size: float) -> Array:
     """Return the references (n, 3) [g]: known forces as they stand, the others of a size."""
     reference = size * _directions(readings, unknown, rolls) + 0.0
     if readings.force is None:
@@ -322,7 +314,7 @@ def _references(
     return np.where(readings.forced[:, None], np.sign(size) * known, reference) + 0.0
 
 
-def _directions(readings: Readings, unknown: NDArray[np.bool_], rolls: OpenRolls | None) -> Array:
+def _directions(readings: Readings, unknown: Mask, rolls: OpenRolls | None) -> Array:
     """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
     if unknown.all():
         return np.tile(_ANY, (len(readings), 1))
@@ -489,7 +481,7 @@ def _require_one_size(readings: Readings) -> None:
         )
 
 
-def _attitude(readings: Readings, unknown: NDArray[np.bool_]) -> Array:
+def _attitude(readings: Readings, unknown: Mask) -> Array:
     n = len(readings)
     rotation = np.full((n, 3, 3), np.nan) if readings.rotation is None else readings.rotation
     open_heading = np.isnan(rotation).any(axis=(1, 2)) & ~unknown

@@ -9,14 +9,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import Names, listed, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes
 from multipos.positions.headers import (
     ACCELERATION_UNITS,
@@ -220,7 +218,7 @@ def _where_it_stood(
 
 def _without_attitude(
     free: Table, spread: Array | None, rolls: tuple[str, ...] | None, force: Array | None
-) -> NDArray[np.bool_] | None:
+) -> Mask | None:
     """Return the rows (n,) that need no attitude: unknown, a roll of open angle, a known force."""
     open_ = None if rolls is None else np.array([axis != "" for axis in rolls])
     forced = None if force is None else known_rows(force)

@@ -15,12 +15,12 @@ from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import control_characters, numbered, require_columns, visible
 from multipos.finding import Findings
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask
 from multipos.positions import attitudes
 from multipos.positions.headers import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular, frozen
@@ -197,14 +197,14 @@ class Readings(Result, Tabular):
         return numbered(len(self))
 
     @property
-    def forced(self) -> NDArray[np.bool_]:
+    def forced(self) -> Mask:
         """Rows whose specific force is known as it stands, (n,)."""
         if self.force is None:
             return np.zeros(len(self), dtype=bool)
         return known_rows(self.force)
 
     @property
-    def rolled(self) -> NDArray[np.bool_]:
+    def rolled(self) -> Mask:
         """Rows that are rolls of open angle, (n,)."""
         if self.open_roll is None:
             return np.zeros(len(self), dtype=bool)
@@ -341,7 +341,7 @@ def select_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
     )
 
 
-def select_rows(readings: Readings, kept: NDArray[np.bool_]) -> Readings:
+def select_rows(readings: Readings, kept: Mask) -> Readings:
     """Return the rows (n,) of readings that are kept, with the labels that they had."""
     rows = np.flatnonzero(kept)
     m = readings.values.shape[1]

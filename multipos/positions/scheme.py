@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import is_file
 from multipos.files.spelling import numbered, visible
 from multipos.files.tables import Source, read_table
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.positions.attitudes import (
     FORMS,
     UP,
@@ -164,7 +163,7 @@ def lay_scheme(source: "Source | Scheme", order: Order | None) -> Scheme:
     return read_scheme(source, order=order or ("spread" if named else "paper"))
 
 
-def _taken(scheme: Scheme, rows: NDArray[np.intp]) -> Scheme:
+def _taken(scheme: Scheme, rows: Places) -> Scheme:
     """Return the positions of a scheme in another order, each with its label."""
     return Scheme(
         scheme.name,

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
@@ -28,7 +27,7 @@ from multipos.regression.segmentation import segment_of
 BRANCHES = ("heating", "cooling")
 
 
-def branch_of(rate: Array, run: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+def branch_of(rate: Array, run: Places | None = None) -> Places:
     """Return 0 where it heats and 1 where it cools.
 
     A row without change is as the one before in its run; before the first change it heats.

@@ -44,7 +44,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import find_copies
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array, median
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Places, median
 from multipos.regression.correlation import Noise, TimeOrder, time_order
 from multipos.results import frozen
 
@@ -58,7 +58,7 @@ def default_window(time: ArrayLike) -> float:
 
 
 def form_rate(
-    time: Array, values: Array, *, window: float, causal: bool, run: NDArray[np.intp] | None
+    time: Array, values: Array, *, window: float, causal: bool, run: Places | None
 ) -> Array:
     """Return the rate of a column by eq. (1) or (2), run by run.
 
@@ -87,7 +87,7 @@ def form_rate(
     return rate
 
 
-def rows_of_runs(run: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def rows_of_runs(run: Places) -> list[Places]:
     """Return the rows of each run, in their order."""
     order = np.argsort(run, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(run[order])) + 1)
@@ -137,7 +137,7 @@ def causal_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = No
     return np.array(rates)
 
 
-def _require_rising(t: Array, rows: NDArray[np.intp], where: str) -> None:
+def _require_rising(t: Array, rows: Places, where: str) -> None:
     """Refuse a time that does not increase, by the row of the table."""
     still = np.flatnonzero(~(np.diff(t) > 0.0))
     if len(still):
@@ -204,7 +204,7 @@ def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = 
     return _slopes(t, v, first, end)
 
 
-def _slopes(t: Array, v: Array, first: NDArray[np.intp], end: NDArray[np.intp]) -> Array:
+def _slopes(t: Array, v: Array, first: Places, end: Places) -> Array:
     """Slopes of the rows first … end, from running sums of products."""
     # Running sums over a long log cancel where a window's own spread is small beside the mean;
     # sums about a centre near the window keep their digits, so rows are taken in pieces.
@@ -225,7 +225,7 @@ def _slopes(t: Array, v: Array, first: NDArray[np.intp], end: NDArray[np.intp]) 
     return slopes
 
 
-Rows = NDArray[np.intp]
+Rows = Places
 
 _TIME = re.compile(
     r"time|timestamp|time[ _]stamp|(time|timestamp|t)[ _]?\(?(s|sec|ms|us|ns)\)?"

@@ -23,9 +23,8 @@ range of temperature.
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_by_tenths, coverage_factor
 from multipos.regression.observations import Rows
 from multipos.regression.regression import Balance, Regression
@@ -42,7 +41,7 @@ def place_rows(
 
 def predict_clamped(
     regression: Regression, columns: Mapping[str, Array], rows: int, run: Rows | None
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Return what is predicted of rows with their variables held in range, and which had to be."""
     place = place_rows(regression, columns, rows, run)
     beyond, clamped = hold_inside(regression, columns, place)
@@ -51,7 +50,7 @@ def predict_clamped(
 
 def clear_of_limits(
     regression: Regression, columns: Mapping[str, Array], n: int, run: Rows | None, unit: float
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Tell which rows are clearly in or out by leverage, where terms are off by a share `unit`."""
     place = place_rows(regression, columns, n, run)
     clear = np.ones(n, dtype=bool)
@@ -65,9 +64,7 @@ def clear_of_limits(
     return clear
 
 
-def predict_rows(
-    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
-) -> Array:
+def predict_rows(regression: Regression, columns: Mapping[str, Array], place: Places) -> Array:
     """Return what the regression predicts of every row."""
     predicted = np.empty(len(place))
     for number, segment in enumerate(regression.segments):
@@ -77,10 +74,7 @@ def predict_rows(
 
 
 def predict_uncertainty(
-    regression: Regression,
-    columns: Mapping[str, Array],
-    place: NDArray[np.intp],
-    sd: Array | None,
+    regression: Regression, columns: Mapping[str, Array], place: Places, sd: Array | None
 ) -> tuple[Array, Array]:
     """Return u and U (n,) of eqs. (1) and (2); `sd` None: the noise that each segment left."""
     u, U = np.empty(len(place)), np.empty(len(place))
@@ -108,8 +102,8 @@ def predict_uncertainty(
 
 
 def hold_inside(
-    regression: Regression, columns: Mapping[str, Array], place: NDArray[np.intp]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+    regression: Regression, columns: Mapping[str, Array], place: Places
+) -> tuple[Mask, dict[str, Array]]:
     """Return which rows leave what their segment was fitted to, and the columns clamped to it."""
     beyond = np.zeros(len(place), dtype=bool)
     clamped = {name: column.copy() for name, column in columns.items()}

@@ -14,13 +14,12 @@ from dataclasses import field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from multipos.files.numbers import chance, number, p_in_words, table, uncertain
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings, about, in_order
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Environment, Mask, Places
 from multipos.numerics.selection import Tested
 from multipos.regression.hysteresis import branch_of
 from multipos.regression.junctions import Junction
@@ -46,7 +45,7 @@ class Balance(Result):
     at: Array
     predicted: Array
     U: Array
-    outside: NDArray[np.bool_]
+    outside: Mask
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the points, one by one."""
@@ -132,9 +131,7 @@ class Regression(Result, Tabular):
     findings: Findings = ()
     balance: Balance | None = None
 
-    def segment_of(
-        self, columns: Mapping[str, Array], run: NDArray[np.intp] | None = None
-    ) -> NDArray[np.intp]:
+    def segment_of(self, columns: Mapping[str, Array], run: Places | None = None) -> Places:
         """Return the number of the segment of every row of columns (n,), of numbered runs."""
         n = len(next(iter(columns.values())))
         place = np.zeros(n, dtype=np.intp)
@@ -159,7 +156,7 @@ class Regression(Result, Tabular):
             )
         )
 
-    def predict(self, columns: Mapping[str, ArrayLike]) -> Array:
+    def predict(self, columns: Environment) -> Array:
         """Return the response (n,) that the model expects.
 
         Parameters

@@ -17,9 +17,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
@@ -107,12 +106,12 @@ class Between(Result):
         """Standard deviation of the slope, where it can be identified."""
         return None if self.variable is None else float(np.sqrt(self.covariance[1, 1]))
 
-    def variance(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+    def variance(self, columns: Mapping[str, Array], rows: Places) -> Array:
         """Return z'Ψz of eq. (3) there, at some rows of a table's columns."""
         z = self.columns(columns, rows)
         return np.asarray(np.einsum("ij,jk,ik->i", z, self.covariance, z))
 
-    def columns(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+    def columns(self, columns: Mapping[str, Array], rows: Places) -> Array:
         """Return z, what runs may differ by, at some rows of a table's columns."""
         z = np.ones((len(rows), len(self.covariance)))
         if self.variable is not None:
@@ -233,7 +232,7 @@ class Segment(Result):
         row = row._replace(dof=dof, p=t_tail(row.t, dof))
         return row if row.t_robust is None else row._replace(p_robust=t_tail(row.t_robust, dof))
 
-    def design(self, columns: Mapping[str, Array], rows: NDArray[np.intp]) -> Array:
+    def design(self, columns: Mapping[str, Array], rows: Places) -> Array:
         """Return the segment's design at some rows of a table's columns."""
         chosen = {f.variable: columns[f.variable][rows] for t in self.terms for f in t.factors}
         return evaluate_terms(self.terms, chosen, len(rows))

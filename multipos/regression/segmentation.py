@@ -36,16 +36,15 @@ from itertools import accumulate, pairwise
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.selection import Triangle, compress, join
 from multipos.numerics.terms import Factor, Term
 from multipos.results import frozen
 
-Rows = NDArray[np.intp]
+Rows = Places
 
 MOST = 6  # segments that are looked for
 _BINS = 48  # candidate edges and one: every pair of them is fitted
@@ -102,7 +101,7 @@ def hinges(
     )
 
 
-def segment_of(values: Array, edges: Sequence[float]) -> NDArray[np.intp]:
+def segment_of(values: Array, edges: Sequence[float]) -> Places:
     """Return the number of the segment of each row, from 0; an edge belongs to the one above."""
     return np.searchsorted(np.asarray(edges, dtype=np.float64), values, side="right")
 

@@ -15,12 +15,11 @@ from multipos.files.numbers import (
     pretty_unit,
     readable_unit,
 )
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS
 from multipos.reports.quantities import leaning_quantities, parameter_cells, quantity_rows
 from multipos.reports.sections import LONG_TABLE, PageTable, Section, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation, Row
 from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
@@ -228,7 +227,7 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
             )
         )
     if c.readings.forced.any():
-        printed = seen.in_words(sensed_axes(c.model))
+        printed = seen.in_words(c.model.sensed_axes)
         paragraphs.append(
             tr("Forces that were applied in addition to gravity: {range}.", range=printed)
         )

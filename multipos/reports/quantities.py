@@ -19,9 +19,8 @@ from multipos.files.numbers import (
     plain_number,
     readable_unit,
 )
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS
 from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration, Parameter
 from multipos.sensor.derived import intrinsic_gradient

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import MultiposError
@@ -21,7 +20,7 @@ from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
 from multipos.finding import serious
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.plots.style import COLOURS
 from multipos.plots.temperature import draw_path
 from multipos.regression.junctions import Junction
@@ -47,7 +46,7 @@ from multipos.reports.sections import (
 
 _DRAWN = 1000  # rows of a figure, about: a page of 4000 would have 1.8 MB
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-Rows = NDArray[np.intp]
+Rows = Places
 Titled = Callable[[str], str]  # the title of a section in a language, of a response
 
 

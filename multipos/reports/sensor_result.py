@@ -24,7 +24,6 @@ from multipos.reports.quantities import (
 from multipos.reports.sections import Figure, PageTable, Section, Translator, chosen_rows
 from multipos.sensor.calibration import Calibration, has_nominal
 from multipos.sensor.found import Sessions
-from multipos.sensor.inverse import sensed_axes
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied
 
@@ -81,7 +80,7 @@ def _validity(c: Calibration, tr: Translator) -> str:
     """Return within what the calibration holds."""
     said = tr(
         "Valid for forces {range}",
-        range=tr.message(pretty_unit(applied(c).in_words(sensed_axes(c.model)))),
+        range=tr.message(pretty_unit(applied(c).in_words(c.model.sensed_axes))),
     )
     for name in c.model.environment:
         column = c.readings.environment[name]

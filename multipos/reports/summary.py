@@ -12,14 +12,13 @@ import numpy as np
 
 from multipos.files.numbers import beyond_rounding, in_unit, largest_rows, number, p_in_words, table
 from multipos.finding import LEVELS, Finding, errors_of
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, CONSTANT
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows, rms_before
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import worded
-from multipos.sensor.inverse import sensed_axes
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 
@@ -71,7 +70,7 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
 def _with_angle(c: Calibration, size: float, tr: Translator, form: str = "{angle}") -> str:
     """Return a size, of an inclinometer with the angle near level that it is."""
     shown = _shown(c, size)
-    if c.field.magnetic or len(sensed_axes(c.model)) == len(COMPONENTS):
+    if c.field.magnetic or len(c.model.sensed_axes) == len(COMPONENTS):
         return shown
     return f"{shown} ({tr(form, angle=in_unit(math.degrees(size), 'deg'))})"
 
@@ -129,7 +128,7 @@ def _titled(title: str, body: str) -> str:
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     sections = [("Calibration", _summary(calibration))]
-    if len(sensed_axes(calibration.model)) < len(COMPONENTS):
+    if len(calibration.model.sensed_axes) < len(COMPONENTS):
         from multipos.reports.sheets import installation_sheets, table_error_sheets
         from multipos.uncertainty.turntable import has_rolls, table_errors
 

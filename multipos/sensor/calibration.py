@@ -32,10 +32,10 @@ from multipos.files.numbers import (
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.numerics.rotations import align, directions, rotation_vector
-from multipos.numerics.terms import COMPONENTS, linear_term
+from multipos.numerics.terms import linear_term
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import Drawn, Result, data_frame, frozen
@@ -351,7 +351,7 @@ class Calibration(Result, Drawn):
         if self.estimator is Estimator.UNKNOWN:
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
-        left = force - self.reference[:, list(inverse.sensed_axes(self.model))]
+        left = force - self.reference[:, list(self.model.sensed_axes)]
         return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
     @cached_property
@@ -390,16 +390,12 @@ class Calibration(Result, Drawn):
             angle["U"] = coverage_factor(self.confidence, own[pair[0]]) * angle["u"]
         return found
 
-    def predict(
-        self, reference: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
-    ) -> Array:
+    def predict(self, reference: ArrayLike, environment: Environment | None = None) -> Array:
         """Return the readings (n, M) that the model expects at a reference (n, 3) [g]."""
         force = np.array(reference, dtype=np.float64, ndmin=2)
         return self.model.predict(self.parameters, force, environment or {})
 
-    def compensate(
-        self, raw: ArrayLike, environment: Mapping[str, ArrayLike] | None = None
-    ) -> Array:
+    def compensate(self, raw: ArrayLike, environment: Environment | None = None) -> Array:
         """Return the force that explains raw readings.
 
         Parameters

@@ -47,9 +47,8 @@ from multipos.files.records import (
 )
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, read_findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.rotations import directions
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain

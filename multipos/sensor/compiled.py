@@ -39,9 +39,8 @@ from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.quantiles import erf
 
 Instruction = tuple[Any, ...]
@@ -419,7 +418,7 @@ class Compiled:
         return RowFunction(casadi.Function("rows", list(self._symbols), [column], {"cse": True}))
 
     @cached_property
-    def curved(self) -> NDArray[np.bool_]:
+    def curved(self) -> Mask:
         """Which pairs of parameters d²y/dp² can be other than zero for, (p, p)."""
         import casadi
 
@@ -430,7 +429,7 @@ class Compiled:
         return np.asarray(pattern != 0.0)
 
     @cached_property
-    def linear(self) -> NDArray[np.bool_]:
+    def linear(self) -> Mask:
         """Which parameters enter linearly together, (p,): as many as can."""
         curved = self.curved
         chosen: list[int] = []

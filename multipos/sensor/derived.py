@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.model import Model
 
 Value = dict[str, float]  # {"value": …, "u": …}

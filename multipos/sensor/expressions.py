@@ -27,11 +27,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from multipos.errors import UsageError
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Environment, Places
 from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.formulas import SHARED, ParsedModel, StatedParameter
@@ -145,7 +144,7 @@ class ExpressionModel(Model):
         return False
 
     @cached_property
-    def places(self) -> tuple[NDArray[np.intp], ...]:
+    def places(self) -> tuple[Places, ...]:
         """Where the parameters of each output stand, those that it shares last."""
         first = len(self.keys) - len(self.shared)
         return tuple(
@@ -161,13 +160,11 @@ class ExpressionModel(Model):
         places = tuple(tuple(own.tolist()) for own in self.places)
         return compile_model(self.functions, places, len(self.columns_used), len(self.keys))
 
-    def values(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> "Values":
+    def values(self, parameters: Array, force: Array, environment: Environment) -> "Values":
         """Return outputs and slopes at force (n, 3) [g]."""
         return self.compiled.evaluate(force, self._columns(force, environment), parameters)
 
-    def _columns(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
+    def _columns(self, force: Array, environment: Environment) -> Array:
         columns = np.empty((len(force), len(self.columns_used)))
         if not self.columns_used:
             return columns
@@ -177,7 +174,7 @@ class ExpressionModel(Model):
         return columns
 
     def respond(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+        self, parameters: Array, force: Array, environment: Environment
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         outer, slope = (self.outward(parameters)) if self.inner else (parameters, None)
@@ -187,22 +184,18 @@ class ExpressionModel(Model):
             slopes = tuple(s * slope[own] for s, own in zip(slopes, self.places, strict=True))
         return found.outputs, tuple(zip(self.places, slopes, strict=True))
 
-    def force_jacobian(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Array:
+    def force_jacobian(self, parameters: Array, force: Array, environment: Environment) -> Array:
         """Return dy/df (n, M, 3)."""
         outer = self.outward(parameters)[0] if self.inner else parameters
         return self.compiled.by_force(force, self._columns(force, environment), outer)
 
-    def predict(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Array:
+    def predict(self, parameters: Array, force: Array, environment: Environment) -> Array:
         """Return the outputs (n, M)."""
         outer = self.outward(parameters)[0] if self.inner else parameters
         return self.compiled.predict(force, self._columns(force, environment), outer)
 
     def second_derivatives(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+        self, parameters: Array, force: Array, environment: Environment
     ) -> Array:
         """Return d²y/dp² (n, M, p, p)."""
         return self.compiled.bends(force, self._columns(force, environment), parameters)
@@ -225,7 +218,7 @@ class ExpressionModel(Model):
         return not (self.bounded or self.shared or self.beliefs.any())
 
     @cached_property
-    def columns(self) -> tuple[NDArray[np.intp], ...]:
+    def columns(self) -> tuple[Places, ...]:
         """For each output, where its parameters stand among the columns of all outputs."""
         return tuple(np.arange(part.start, part.stop) for part in self.slices)
 

@@ -63,7 +63,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named, Number
 from multipos.finding import Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
@@ -72,7 +72,6 @@ from multipos.numerics.quantiles import (
     f_tail,
     t_tail,
 )
-from multipos.numerics.terms import COMPONENTS
 from multipos.results import Result, frozen, plain
 from multipos.sensor.model import Model
 
@@ -87,7 +86,7 @@ _NOTHING = 1e-9  # of a reading whose row alone fixes a parameter
 
 
 def p_values(
-    errors: Array, leverage: Array, designs: Sequence[Array], questioned: NDArray[np.bool_]
+    errors: Array, leverage: Array, designs: Sequence[Array], questioned: Mask
 ) -> Array | None:
     """Return the p value of every reading that is questioned, eq. (5), row by row.
 
@@ -110,7 +109,7 @@ def p_values(
 
 
 def p_values_of_units(
-    errors: Array, leverage: Array, bases: Sequence[Array], questioned: NDArray[np.bool_]
+    errors: Array, leverage: Array, bases: Sequence[Array], questioned: Mask
 ) -> Array:
     """Return the p values (B, n, M) of eq. (5) of B units; NaN of what is not questioned.
 
@@ -162,8 +161,8 @@ def _tails(t2: Array, dof: Array) -> Array:
 
 
 def _without(
-    errors: Array, leverage: Array, bases: Sequence[Array], questioned: NDArray[np.bool_]
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+    errors: Array, leverage: Array, bases: Sequence[Array], questioned: Mask
+) -> tuple[Array, Array, Mask]:
     """Return squared errors and variance factors 1 ± h' (B, n, M), eq. (3), and where they exist.
 
     With Q'e = 0 the fit of the others is off by −G⁻¹ Σ Q_k e_k, G = 1 − Σ Q_k Q_k' over those that
@@ -370,7 +369,7 @@ def find_outliers(
     sd: Array | None = None,
     *,
     design: Array,
-    columns: Sequence[NDArray[np.intp]],
+    columns: Sequence[Places],
     per_g: Array | None = None,
 ) -> tuple[str, ...]:
     """Name the positions whose studentised residual, eq. (1), is beyond chance.
@@ -661,7 +660,7 @@ def lack_of_fit(
 
 
 def lack_of_fit_ratios(
-    residuals: Array, group: NDArray[np.intp], parameters: int, weight: Array
+    residuals: Array, group: Places, parameters: int, weight: Array
 ) -> tuple[Array, int, int] | None:
     """Return F (B,) of `lack_of_fit` and its degrees of freedom, of residuals (B, n).
 

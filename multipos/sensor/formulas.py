@@ -38,8 +38,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import near
 from multipos.files.trees import read_toml
-from multipos.numerics.arrays import LARGEST
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST
 from multipos.positions.headers import is_environment
 from multipos.results import Result, frozen
 

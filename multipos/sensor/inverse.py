@@ -31,11 +31,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import LARGEST, Array, median
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Environment, Mask, median
 from multipos.sensor.model import Model
 
 if TYPE_CHECKING:
@@ -47,21 +46,11 @@ _APART = 1e-6  # [g], from which on two solutions are two
 _CUBE = 9  # forces along an axis at which it is looked for a turning point
 
 
-def sensed_axes(model: Model) -> tuple[int, ...]:
-    """Return the components that the sensor has, as indices of x, y, z in order."""
-    return tuple(i for i, axis in enumerate(COMPONENTS) if axis in model.axes)
-
-
-def unseen_axes(model: Model) -> tuple[int, ...]:
-    """Return the components that no output senses as its own, as indices of x, y, z in order."""
-    return tuple(i for i, axis in enumerate(COMPONENTS) if axis not in model.axes)
-
-
 def invert(
     model: Model,
     parameters: Array,
     raw: Array,
-    environment: Mapping[str, ArrayLike],
+    environment: Environment,
     *,
     unseen: Array | None = None,
     start: Array | None = None,
@@ -82,14 +71,14 @@ def invert(
     MultiposError
         The linear part cannot be inverted.
     """
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     if model.is_linear:
         return _solve_linear(model, parameters, raw, unseen)
     force = np.zeros((len(raw), 3))
     if start is not None:
         force[:, sensed] = start[sensed]
     if unseen is not None:
-        others = list(unseen_axes(model))
+        others = list(model.unseen_axes)
         force[:, others] = unseen[:, others]
     active = np.arange(len(raw))
     used = [*model.environment, *(name for name in model.of_session if name in environment)]
@@ -116,11 +105,11 @@ def has_other_solutions(
     model: Model,
     parameters: Array,
     raw: Array,
-    environment: Mapping[str, ArrayLike],
+    environment: Environment,
     *,
     found: Array,
     reach: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Tell which readings (n,) a second force within reach explains as well as the one found.
 
     Only a model that turns back has any: where det dh/df, relative to that at no force, keeps its
@@ -136,7 +125,7 @@ def has_other_solutions(
     reach : float [g]
         What was calibrated.
     """
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     several = np.zeros(len(raw), dtype=bool)
     if not len(raw) or not _turns_back(model, parameters, environment, reach):
         return several
@@ -149,11 +138,9 @@ def has_other_solutions(
     return several
 
 
-def _turns_back(
-    model: Model, parameters: Array, environment: Mapping[str, ArrayLike], reach: float
-) -> bool:
+def _turns_back(model: Model, parameters: Array, environment: Environment, reach: float) -> bool:
     """Tell whether the outputs turn back somewhere in the cube of ± reach."""
-    sensed = list(sensed_axes(model))
+    sensed = list(model.sensed_axes)
     line = np.linspace(-reach, reach, _CUBE)
     axes = [line if i in sensed else np.zeros(1) for i in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -175,7 +162,7 @@ def invert_at_rest(
     model: Model,
     parameters: Array,
     raw: Array,
-    environment: Mapping[str, ArrayLike],
+    environment: Environment,
     *,
     magnitude: float,
     sign: ArrayLike,
@@ -193,7 +180,7 @@ def invert_at_rest(
     sign : float or (n,) array
         Of the unseen component.
     """
-    sensed, others = list(sensed_axes(model)), list(unseen_axes(model))
+    sensed, others = list(model.sensed_axes), list(model.unseen_axes)
     force = np.zeros((len(raw), 3))
     force[:, sensed] = invert(model, parameters, raw, environment)
     if len(others) != 1:
@@ -209,26 +196,24 @@ def invert_at_rest(
 
 
 def sensitivities(
-    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    model: Model, parameters: Array, force: Array, environment: Environment
 ) -> tuple[Array, Array]:
     """Return J^+ (n, K, M) and dh/dp (n, M, p) of eqs. (1), (2) at force (n, 3) [g]."""
     jacobian = model.force_jacobian(parameters, force, environment)
-    inverse = inverses(jacobian[:, :, list(sensed_axes(model))])
+    inverse = inverses(jacobian[:, :, list(model.sensed_axes)])
     return np.asarray(inverse), parameter_jacobian(model, parameters, force, environment)
 
 
-def unseen_leak(
-    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-) -> Array:
+def unseen_leak(model: Model, parameters: Array, force: Array, environment: Environment) -> Array:
     """Return J^+ dh/dw (n, K): what a unit of the one unseen component w does to the others."""
     jacobian = model.force_jacobian(parameters, force, environment)
-    inverse = inverses(jacobian[:, :, list(sensed_axes(model))])
-    leak: Array = inverse @ jacobian[:, :, list(unseen_axes(model))]
+    inverse = inverses(jacobian[:, :, list(model.sensed_axes)])
+    leak: Array = inverse @ jacobian[:, :, list(model.unseen_axes)]
     return leak[:, :, 0]
 
 
 def parameter_jacobian(
-    model: Model, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+    model: Model, parameters: Array, force: Array, environment: Environment
 ) -> Array:
     """Return dh/dp (n, M, p) at force (n, 3) [g]."""
     _, blocks = model.respond(parameters, force, environment)
@@ -276,7 +261,7 @@ def _rank(matrix: Array) -> int:
 
 
 def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | None) -> Array:
-    sensed = [1 + axis for axis in sensed_axes(model)]
+    sensed = [1 + axis for axis in model.sensed_axes]
     linear = model.linear_part(parameters, {})
     matrix = linear[:, sensed]
     if _rank(matrix) < matrix.shape[1]:
@@ -287,7 +272,7 @@ def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | N
     inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
     known = linear[:, 0]
     if unseen is not None:
-        others = list(unseen_axes(model))
+        others = list(model.unseen_axes)
         known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
     force: Array = (raw - known) @ inverse.T
     return force
@@ -311,7 +296,7 @@ def require_response(calibration: "Calibration") -> None:
     if not model.has_all_linear:
         return
     linear = model.linear_part(calibration.parameters, calibration.mean_environment)
-    matrix = linear[:, [1 + axis for axis in sensed_axes(model)]]
+    matrix = linear[:, [1 + axis for axis in model.sensed_axes]]
     if _rank(matrix) < min(matrix.shape):
         raise MultiposError(
             "the scale factors and cross terms form a singular matrix, so no force can be found "
@@ -340,5 +325,5 @@ def nominal_force(model: Model, values: Array, nominal: Nominal) -> Array:
     """Return the force (n, K) [g] that readings (n, M) are by eq. (4)."""
     converted = (values - nominal.bias) / nominal.scale
     own = np.array(model.axes)
-    axes = [COMPONENTS[i] for i in sensed_axes(model)]
+    axes = [COMPONENTS[i] for i in model.sensed_axes]
     return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])

@@ -21,14 +21,13 @@ from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
 from multipos.files.records import LONGEST
 from multipos.files.spelling import Names, listed, near, split_names
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Environment, Places
 from multipos.numerics.terms import (
-    COMPONENTS,
     CONSTANT,
     MODULUS,
     NAMED,
@@ -94,7 +93,7 @@ def parameter_label(output: str, axis: str, term: Term, field: Field = GRAVITY) 
     return worded(words.get(kind, f"coefficient of {term} in {output}"), field)
 
 
-Block = tuple[NDArray[np.intp], Array]  # places in the parameter vector, and dy/dp (n, p_i)
+Block = tuple[Places, Array]  # places in the parameter vector, and dy/dp (n, p_i)
 
 Gauge = Literal["lower", "symmetric"]
 GAUGES: tuple[Gauge, ...] = get_args(Gauge)
@@ -174,7 +173,17 @@ class Model(Result):
         )
 
     @cached_property
-    def output_of(self) -> NDArray[np.intp]:
+    def sensed_axes(self) -> tuple[int, ...]:
+        """Case axes that at least one output has as its own, in the order x, y, z."""
+        return tuple(i for i, axis in enumerate(COMPONENTS) if axis in self.axes)
+
+    @cached_property
+    def unseen_axes(self) -> tuple[int, ...]:
+        """Case axes that no output has as its own."""
+        return tuple(i for i, axis in enumerate(COMPONENTS) if axis not in self.axes)
+
+    @cached_property
+    def output_of(self) -> Places:
         """The output of each parameter (p,), M for what outputs share."""
         places = {output: i for i, output in enumerate(self.outputs)}
         last = len(self.outputs)
@@ -200,7 +209,7 @@ class Model(Result):
         return linear, [own[self.keys[i][0]] for i in linear]
 
     @cached_property
-    def force_degrees(self) -> NDArray[np.intp]:
+    def force_degrees(self) -> Places:
         """Degree in specific force of each parameter's term, (p,)."""
         return np.array([term.force_degree for _, term in self.keys], dtype=np.intp)
 
@@ -229,13 +238,13 @@ class Model(Result):
         return () if self.drift_per is None else (DRIFT,)
 
     @cached_property
-    def columns(self) -> tuple[NDArray[np.intp], ...]:
+    def columns(self) -> tuple[Places, ...]:
         """For each output, where its terms stand in `basis_terms`."""
         index = {term: column for column, term in enumerate(self.basis_terms)}
         return tuple(np.array([index[t] for t in terms], dtype=np.intp) for terms in self.terms)
 
     @cached_property
-    def contributions(self) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], ...]:
+    def contributions(self) -> tuple[tuple[Places, Places], ...]:
         """For each output, the basis terms it is made of and the parameters that multiply them."""
         result = []
         for output, (part, columns) in enumerate(zip(self.slices, self.columns, strict=True)):
@@ -245,7 +254,7 @@ class Model(Result):
             result.append((np.array(terms, dtype=np.intp), np.array(places, dtype=np.intp)))
         return tuple(result)
 
-    def variables(self, force: Array, environment: Mapping[str, ArrayLike]) -> dict[str, Any]:
+    def variables(self, force: Array, environment: Environment) -> dict[str, Any]:
         """Return the components by name, from force (n, 3) [g] and other columns."""
         missing = [name for name in self.environment if name not in environment]
         if missing:
@@ -259,7 +268,7 @@ class Model(Result):
             values[name] = np.asarray(environment.get(name, 0.0), dtype=np.float64)
         return values
 
-    def basis(self, force: Array, environment: Mapping[str, ArrayLike]) -> Array:
+    def basis(self, force: Array, environment: Environment) -> Array:
         """Return phi (n, T) at force (n, 3) [g]."""
         variables = self.variables(force, environment)
         phi = np.empty((len(self.basis_terms), len(force)))  # positions run fastest in memory
@@ -277,7 +286,7 @@ class Model(Result):
         return theta
 
     def respond(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
+        self, parameters: Array, force: Array, environment: Environment
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         phi = self.basis(force, environment)
@@ -286,16 +295,12 @@ class Model(Result):
         )
         return (self.coefficients(parameters) @ phi.T).T, blocks
 
-    def force_jacobian(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Array:
+    def force_jacobian(self, parameters: Array, force: Array, environment: Environment) -> Array:
         """Return dy/df (n, M, 3) at force (n, 3) [g]."""
         theta = self.coefficients(parameters)[None]
         return self.force_slopes(theta, force.T[:, None], environment)[:, :, 0].transpose(2, 0, 1)
 
-    def force_slopes(
-        self, coefficients: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Array:
+    def force_slopes(self, coefficients: Array, force: Array, environment: Environment) -> Array:
         """Return dy/df (M, 3, B, n) of B units with coefficients (B, M, T) at force (3, B, n) [g].
 
         The environment (n,) is that of every unit.
@@ -353,7 +358,7 @@ class Model(Result):
         )
 
     @cached_property
-    def rows(self) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[tuple[int, int, int], ...]]:
+    def rows(self) -> tuple[Places, Places, tuple[tuple[int, int, int], ...]]:
         """For each parameter its output and basis term, and what a gauge copies as in `mirrored`.
 
         The copies are (parameter, output, basis term).
@@ -362,9 +367,7 @@ class Model(Result):
         copies = tuple((source, target, column) for target, column, source in self.mirrored)
         return outputs, np.concatenate(self.columns), copies
 
-    def predict(
-        self, parameters: Array, force: Array, environment: Mapping[str, ArrayLike]
-    ) -> Array:
+    def predict(self, parameters: Array, force: Array, environment: Environment) -> Array:
         """Return the outputs (n, M) at force (n, 3) [g]."""
         return self.basis(force, environment) @ self.coefficients(parameters).T
 
@@ -395,7 +398,7 @@ class Model(Result):
         return result
 
     @cached_property
-    def linear_terms(self) -> tuple[tuple[NDArray[np.intp], ...], tuple[Term, ...]]:
+    def linear_terms(self) -> tuple[tuple[Places, ...], tuple[Term, ...]]:
         """Where in `linear_map` there is something, and the term of the environment that it is."""
         places, others = [], []
         for output, (columns, parameters) in enumerate(self.contributions):

@@ -15,7 +15,7 @@ from typing import Any
 
 from multipos.errors import UsageError
 from multipos.files.spelling import near
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS
 from multipos.sensor.compiled import Instruction, require_instructions, write_instructions
 from multipos.sensor.expressions import Expression, ExpressionModel, Symbol, load_casadi
 from multipos.sensor.formulas import (

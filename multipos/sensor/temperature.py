@@ -35,12 +35,12 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import Array, quadratic
+from multipos.numerics.arrays import COMPONENTS, Array, Places, quadratic
 from multipos.numerics.quantiles import coverage_factor, f_quantile
-from multipos.numerics.terms import COMPONENTS, CONSTANT, linear_term
+from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.positions.headers import SOAKS, TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, frozen, require
@@ -275,7 +275,7 @@ def _stated_zero(c: Calibration, output: str) -> float:
     return float(np.hypot(table.get(f"u_{output}", 0.0), scale * table.get(f"u_f_{axis}", 0.0)))
 
 
-def soaks_of(readings: Readings) -> NDArray[np.intp] | None:
+def soaks_of(readings: Readings) -> Places | None:
     """Return the number of the soak of each reading; None where there are none.
 
     By a column that is a label, else by temperature (`find_soaks`).
@@ -289,7 +289,7 @@ def soaks_of(readings: Readings) -> NDArray[np.intp] | None:
     return find_soaks(readings.environment[TEMPERATURE])
 
 
-def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
+def find_soaks(temperature: Array) -> Places | None:
     """Return the number of the soak of each row, None where temperatures do not stand in levels.
 
     Neighbouring rows of one soak are within 2 °C; a level that is left and come back to is another
@@ -306,12 +306,12 @@ def find_soaks(temperature: Array) -> NDArray[np.intp] | None:
     return _enough(level)
 
 
-def _soaks_in_order(temperature: Array) -> NDArray[np.intp]:
+def _soaks_in_order(temperature: Array) -> Places:
     changes = np.cumsum(np.abs(np.diff(temperature)) > _SOAK)
     return np.concatenate([[0], changes]).astype(np.intp)
 
 
-def _enough(soak: NDArray[np.intp]) -> NDArray[np.intp] | None:
+def _enough(soak: Places) -> Places | None:
     counts = np.bincount(soak)
     return soak if len(counts) >= _FEWEST and counts.min() >= 2 else None
 
@@ -347,14 +347,12 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     return _Soaks(sd, float(q), moves, within / s_0, covariance, found)
 
 
-def _places(c: Calibration, output: int) -> NDArray[np.intp]:
+def _places(c: Calibration, output: int) -> Places:
     """Return where the parameters of an output stand."""
     return np.flatnonzero(np.asarray(c.model.output_of) == output)
 
 
-def _hysteresis(
-    c: Calibration, soak: NDArray[np.intp], means: Array, sd: float
-) -> Mapping[str, Any] | None:
+def _hysteresis(c: Calibration, soak: Places, means: Array, sd: float) -> Mapping[str, Any] | None:
     """Return eq. (3) of what soaks leave of the zero, in order; None without levels read twice."""
     warm = c.readings.environment.get(TEMPERATURE)
     if warm is None:

@@ -39,13 +39,7 @@ from numpy.typing import ArrayLike
 from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import (
-    invert_at_rest,
-    sensed_axes,
-    sensitivities,
-    unseen_axes,
-    unseen_leak,
-)
+from multipos.sensor.inverse import invert_at_rest, sensitivities, unseen_leak
 
 _ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
 
@@ -71,7 +65,7 @@ def at_rest(
     up : (n, 3) array, optional
         Tells which way an unseen component points; it points up where not given.
     """
-    model, others = calibration.model, list(unseen_axes(calibration.model))
+    model, others = calibration.model, list(calibration.model.unseen_axes)
     sign = np.full(len(raw), calibration.sign)
     if up is not None and len(others) == 1:
         sign *= np.where(up[:, others[0]] < 0.0, -1.0, 1.0)
@@ -120,7 +114,7 @@ def tilt_at_rest(
     zeros : ZerosOfForce, optional
         Of soaks.
     """
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     noise = reading_noise(calibration) if noise is None else noise
     own, dof = force_uncertainty(calibration, rest, environment, noise, unseen)
     k = coverage_by_tenths(calibration.confidence, dof)
@@ -147,7 +141,7 @@ def beyond_vertical(calibration: Calibration) -> Array:
     One number an axis: U of the force with that axis up or down, whichever is larger, with the
     noise of a reading of the calibration, in the mean of its environment.
     """
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     upright = magnitude_of(calibration) * np.concatenate([np.eye(3)[axes], -np.eye(3)[axes]])
     environment = {
         name: np.full(len(upright), value) for name, value in calibration.mean_environment.items()
@@ -227,7 +221,7 @@ def _with_unseen(
     """Return the covariance (n, 2, 2) [g²] with what the unseen component adds, A of eq. (4)."""
     model = calibration.model
     leak = unseen_leak(model, calibration.parameters, rest, environment)
-    seen, unseen = rest[:, list(sensed_axes(model))], rest[:, unseen_axes(model)[0]]
+    seen, unseen = rest[:, list(model.sensed_axes)], rest[:, model.unseen_axes[0]]
     lever = np.abs(np.einsum("nk,nk->n", leak, seen))
     merging = np.abs(unseen) <= 2.0 * lever
     turn = np.einsum("ni,nj->nij", leak, seen) / np.where(merging, 1.0, unseen)[:, None, None]
@@ -241,8 +235,8 @@ def _with_unseen(
 def _unseen_circle(calibration: Calibration, rest: Array) -> Array:
     """Return the variance (n,) [g²] from cross terms on two components of unknown direction."""
     linear = calibration.model.linear_part(calibration.parameters, calibration.mean_environment)
-    (own,) = sensed_axes(calibration.model)
-    others = list(unseen_axes(calibration.model))
+    (own,) = calibration.model.sensed_axes
+    others = list(calibration.model.unseen_axes)
     weight = np.mean((linear[:, [1 + axis for axis in others]] / linear[:, [1 + own]]) ** 2, axis=0)
     level = np.maximum(magnitude_of(calibration) ** 2 - rest[:, own] ** 2, 0.0)
     return np.asarray(weight.sum() / 2.0 * level)

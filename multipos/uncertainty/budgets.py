@@ -50,8 +50,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.trees import read_toml
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import normal_gravity

@@ -34,13 +34,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, noise_factor, restate, return_to_optimum
 from multipos.estimation.problem import circle_basis, start_state
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
@@ -272,7 +271,7 @@ class MonteCarlo(Result, Tabular):
     symmetric: Array
     shortest: Array
     tolerance: Array
-    valid: NDArray[np.bool_]
+    valid: Mask
 
     def columns(self) -> dict[str, Any]:
         """Return the parameters: mean, u and both coverage intervals, tolerance and verdict."""

@@ -28,10 +28,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.estimation.gains import estimator_gain
-from multipos.numerics.arrays import LARGEST, Array, quadratic
+from multipos.numerics.arrays import LARGEST, Array, Mask, quadratic
 from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
@@ -71,7 +71,7 @@ class Row(Result):
     distribution: str
     dof: Array
     common: bool
-    contained: NDArray[np.bool_]
+    contained: Mask
     sensitivity: Array
     covariance: Array
 
@@ -335,7 +335,7 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     ]
 
 
-def _blocks(c: Calibration, covariance: Array) -> list[NDArray[np.bool_]]:
+def _blocks(c: Calibration, covariance: Array) -> list[Mask]:
     """Return which parameters (p,) are in one row: those of an output, all where any covary."""
     output_of = c.model.output_of
     apart = output_of[:, None] != output_of

@@ -66,14 +66,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.estimation.excess_variance import ExcessVariance, estimate_excess
 from multipos.estimation.gains import gravity_effect
 from multipos.estimation.stated_uncertainty import combined_dof
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, kind_terms
+from multipos.numerics.arrays import COMPONENTS, Array, Places
+from multipos.numerics.terms import kind_terms
 from multipos.positions.readings import diagonal
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
@@ -291,7 +290,7 @@ class _Shown:
     nu : (m,) array
     """
 
-    outputs: NDArray[np.intp]
+    outputs: Places
     residuals: Array
     pattern: Array
     nu: Array

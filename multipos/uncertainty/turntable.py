@@ -67,18 +67,16 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.gains import estimator_gain
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import in_unit
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.factoring import separability
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result, Tabular, frozen, require
@@ -317,9 +315,7 @@ def separable(design: Array, effects: Array) -> list[int]:
 Sizes = dict[int, tuple[float, float, float]]  # value, u and U of columns by their place
 
 
-def solve_beside(
-    bench: Bench, design: Array, identifiable: NDArray[np.bool_]
-) -> tuple[BesideTable, Sizes]:
+def solve_beside(bench: Bench, design: Array, identifiable: Mask) -> tuple[BesideTable, Sizes]:
     """Return the sensor beside errors of the table, and every column of the design with its U.
 
     Parameters
@@ -421,7 +417,7 @@ def _wrap(angle: Array) -> Array:
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
-def _mountings(roll: Roll, head: Array) -> list[tuple[float, NDArray[np.intp]]]:
+def _mountings(roll: Roll, head: Array) -> list[tuple[float, Places]]:
     """Return the sense and the places of the rows of each mounting of a roll.
 
     Of a head that turns by itself a single row, which is no mounting.
@@ -429,7 +425,7 @@ def _mountings(roll: Roll, head: Array) -> list[tuple[float, NDArray[np.intp]]]:
     """
     starts = {sense: roll.angle - sense * head for sense in (1.0, -1.0)}
     left = np.ones(len(head), dtype=bool)
-    fits: list[tuple[float, NDArray[np.bool_]]] = []
+    fits: list[tuple[float, Mask]] = []
     while left.any():
         row = int(np.argmax(left))
         if len(fits) == _MOST:

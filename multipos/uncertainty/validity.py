@@ -32,16 +32,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from multipos.estimation.gains import estimator_gain
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.terms import COMPONENTS, kind_terms
+from multipos.numerics.terms import kind_terms
 from multipos.positions.scheme import read_scheme
 from multipos.results import Keyed, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import parameter_jacobian, sensed_axes
+from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.inverse import sensitivities as inverse_sensitivities
 
 
@@ -62,9 +61,7 @@ def unseen_sizes(calibration: Calibration) -> dict[str, float]:
     return sizes | dict(quantities["unseen"].settings if "unseen" in quantities else {})
 
 
-def unseen_covariance(
-    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
-) -> Array:
+def unseen_covariance(calibration: Calibration, force: Array, environment: Environment) -> Array:
     """Return the covariance (n, K, K) [g²] that unseen terms add, by eq. (2).
 
     Parameters
@@ -76,7 +73,7 @@ def unseen_covariance(
     environment : mapping of str to (n,) array
     """
     c = calibration
-    sensed = list(sensed_axes(c.model))
+    sensed = list(c.model.sensed_axes)
     full = np.zeros((len(force), 3))
     full[:, sensed] = np.where(np.isfinite(force), force, 0.0)  # NaN: no force explains it
     moves = unseen_moves(c, full, environment)
@@ -87,9 +84,7 @@ def unseen_covariance(
     return np.asarray(off @ off.transpose(0, 2, 1))
 
 
-def unseen_moves(
-    calibration: Calibration, force: Array, environment: Mapping[str, ArrayLike]
-) -> Array:
+def unseen_moves(calibration: Calibration, force: Array, environment: Environment) -> Array:
     """Return how each unseen term moves readings beyond what the fit absorbed (n, M, terms).
 
     The bracket of eq. (2), at one standard uncertainty of each term; without terms (n, M, 0).
@@ -145,7 +140,7 @@ class ForcesSeen(NamedTuple):
     margin: float
     unit: str = "g"
 
-    def holds(self, force: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
+    def holds(self, force: Array, axes: Sequence[int]) -> Mask:
         """Tell which forces (n, K) along K axes are inside; NaN is not."""
         size = np.sqrt(np.einsum("ni,ni->n", force, force))
         if self.sphere == self.largest:
@@ -243,7 +238,7 @@ def evaluate_sphere(
     """
     require(calibration, Calibration)
     c = calibration
-    sensed = list(sensed_axes(c.model))
+    sensed = list(c.model.sensed_axes)
     force = size * read_scheme(directions).up[:, sensed]
     gradient, extra = _sensitivity(c, force)
     turns = {"force": np.broadcast_to(np.eye(len(sensed)), extra.shape)}
@@ -283,7 +278,7 @@ def _sensitivity(c: Calibration, force: Array) -> tuple[Array, Array]:
         for name in c.model.environment
     }
     full = np.zeros((len(force), len(COMPONENTS)))
-    full[:, list(sensed_axes(c.model))] = force
+    full[:, list(c.model.sensed_axes)] = force
     inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)
     return -inverse @ by_parameter, unseen_covariance(c, force, environment)
 

@@ -36,7 +36,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.handed import take_in
@@ -46,9 +46,8 @@ from multipos.finding import Finding, Findings, about, errors_of, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.quantiles import coverage_by_tenths
-from multipos.numerics.terms import COMPONENTS
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import require_units, unit_of
 from multipos.positions.orientations import are_samples, orient, refuse_open_rolls
@@ -58,14 +57,7 @@ from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import (
-    Nominal,
-    invert,
-    nominal_force,
-    read_nominal,
-    sensed_axes,
-    sensitivities,
-)
+from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, sensitivities
 from multipos.sensor.temperature import zeros_of_soaks
 from multipos.sensor.tilt import (
     ZerosOfForce,
@@ -122,7 +114,7 @@ def force_errors(
     calibration: Calibration, data: Readings, known: Array, nominal: Nominal, noise: RunNoise
 ) -> Errors:
     """Return the errors of force [g] against what the run is known to stand in (n, 3)."""
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     rest = at_rest(calibration, data.values, data.environment, data.up)
     if data.force is not None:
         rest = np.where(data.forced[:, None], _explained(calibration, data, known), rest)
@@ -161,7 +153,7 @@ def _zeros_of_force(
 def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
     """Return the force (n, 3) [g] that explains the readings, what no output senses as known."""
     force = known.copy()
-    force[:, list(sensed_axes(calibration.model))] = invert(
+    force[:, list(calibration.model.sensed_axes)] = invert(
         calibration.model, calibration.parameters, data.values, data.environment, unseen=known
     )
     return force
@@ -190,7 +182,7 @@ def tilt_errors(
 ) -> Errors:
     """Return the errors of tilt [degrees] against the positions of the run."""
     assert data.up is not None
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     reference = true_tilt(data.up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, data.up)
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
@@ -225,9 +217,7 @@ def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Arr
     return coverage_by_tenths(calibration.confidence, effective)
 
 
-def line_departure(
-    reference: Array, error: Array, counted: NDArray[np.bool_], reach: float | None
-) -> Array:
+def line_departure(reference: Array, error: Array, counted: Mask, reach: float | None) -> Array:
     """Return the largest departure from the least-squares line (K,), in percent of its span.
 
     The span is that of ± `reach`, where it is None of what was covered.
@@ -464,7 +454,7 @@ def _check_run(
             return tilt_errors(of, data, nominal, noise)
         return force_errors(of, data, known, nominal, noise)
 
-    axes = list(sensed_axes(calibration.model))
+    axes = list(calibration.model.sensed_axes)
     reference, before, after, u, U = errors(calibration)
     level = np.nan_to_num(np.degrees(true_tilt(data.up)))[:, axes]
     # A hair's breadth more, so that 60 degrees from a cosine is within 60.

@@ -34,10 +34,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -120,7 +119,7 @@ class Judgement:
 class _Family:
     """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,)."""
 
-    members: NDArray[np.intp]
+    members: Places
     name: str
     cofactors: Array
     variances: Array
@@ -264,7 +263,7 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     return families
 
 
-def is_apart(c: Calibration, covariance: Array, output_of: NDArray[np.intp]) -> bool:
+def is_apart(c: Calibration, covariance: Array, output_of: Places) -> bool:
     """Whether each output has its own scatter: not pooled, not correlated with another.
 
     Parameters

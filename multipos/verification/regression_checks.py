@@ -29,7 +29,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.compensation.correction import (
     as_fitted,
@@ -42,7 +41,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import p_in_words
 from multipos.files.tables import Source, read_table
 from multipos.finding import Finding, Findings, in_order
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.correlation import Law, TimeOrder, Whitening, find_noise, time_order
 from multipos.regression.observations import Rows
@@ -310,7 +309,7 @@ def _family_factor(r: Regression, errors: int) -> float:
     return sharper / coverage_factor(r.confidence, nu)
 
 
-def _rows_by_segment(r: Regression, place: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:
+def _rows_by_segment(r: Regression, place: Places) -> dict[str, Mask]:
     return {
         f"{number}: {format_span(r.range_variable, s.range, s.branch)}": place == number - 1
         for number, s in enumerate(r.segments, start=1)

@@ -22,12 +22,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor
 from multipos.numerics.terms import Formula, ModelText
@@ -111,7 +110,7 @@ def find_hysteresis(
     return found
 
 
-def passes(angle: Array) -> NDArray[np.intp]:
+def passes(angle: Array) -> Places:
     """Return +1 for readings (n,) of a forward pass, −1 of a backward one, 0 where none shows."""
     turned = np.remainder(np.diff(angle) + np.pi, 2.0 * np.pi) - np.pi
     way = np.sign(np.where(np.abs(turned) < _STILL, 0.0, turned))

@@ -20,8 +20,8 @@ from multipos.errors import UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.finding import Findings, in_order
-from multipos.numerics.arrays import Array
-from multipos.numerics.terms import COMPONENTS, ModelText
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.terms import ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import field_of_outputs
 from multipos.positions.orientations import orient, refuse_open_rolls

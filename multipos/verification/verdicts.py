@@ -71,8 +71,7 @@ from multipos.files.tables import Column, Source, read_table
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
-from multipos.numerics.arrays import LARGEST, Array
-from multipos.numerics.terms import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import Columns, Drawn, Result, data_frame, frozen
@@ -143,7 +142,7 @@ class Check(Result, Drawn):
     U: Array
     limit: float | None
     verdicts: NDArray[np.str_]
-    counted: NDArray[np.bool_]
+    counted: Mask
     linearity_percent: Mapping[str, Array]
     bias: float | None
     scale: float | None
@@ -152,7 +151,7 @@ class Check(Result, Drawn):
     sha256: str | None
     calibration: str | None = field(default=None, compare=False)
     against: str | None = None
-    segments: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    segments: Mapping[str, Mask] = field(default_factory=dict)
     U_family: Array | None = None
     consistency: Agreement | None = None
     findings: Findings = ()
@@ -228,9 +227,7 @@ class Check(Result, Drawn):
         write_text(path, to_json(self.to_dict()))
 
 
-def judge_errors(
-    after: Array, U: Array, limit: float | None, counted: NDArray[np.bool_]
-) -> NDArray[np.str_]:
+def judge_errors(after: Array, U: Array, limit: float | None, counted: Mask) -> NDArray[np.str_]:
     """Return the verdicts of eq. (1); empty without a limit and where nothing counts."""
     verdicts = np.full(after.shape, "", dtype="<U13")
     if limit is None:

@@ -13,8 +13,9 @@ from multipos.estimation.descent import maximise
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
+from multipos.numerics.arrays import COMPONENTS
 from multipos.numerics.rotations import rotation_matrix
-from multipos.numerics.terms import COMPONENTS, NAMED
+from multipos.numerics.terms import NAMED
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import load_casadi
 from multipos.sensor.model import build_model

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError
-from multipos.numerics.terms import COMPONENTS, NAMED
-from multipos.sensor.inverse import invert, parameter_jacobian, sensed_axes, sensitivities
+from multipos.numerics.arrays import COMPONENTS
+from multipos.numerics.terms import NAMED
+from multipos.sensor.inverse import invert, parameter_jacobian, sensitivities
 from multipos.sensor.model import build_model
 
 SENSORS = {
@@ -31,7 +32,7 @@ def sensor(model, kind, rng, environment=()):
 
 def forces(built, rng, count=20):
     f = np.zeros((count, 3))
-    sensed = list(sensed_axes(built))
+    sensed = list(built.sensed_axes)
     f[:, sensed] = rng.uniform(-1, 1, (count, len(sensed)))
     return f
 
@@ -47,7 +48,7 @@ def test_forward_then_inverse_is_identity(model, kind, seed):
     f = forces(built, rng)
     raw = built.predict(parameters, f, {})
     found = invert(built, parameters, raw, {})
-    assert_allclose(found, f[:, list(sensed_axes(built))], atol=1e-12)
+    assert_allclose(found, f[:, list(built.sensed_axes)], atol=1e-12)
 
 
 def test_the_unit_of_the_readings_does_not_matter():
@@ -123,7 +124,7 @@ def test_the_uncertainty_of_a_force_against_monte_carlo(kind):
     root = 1e-4 * rng.standard_normal((len(parameters), len(parameters)))
     f = forces(built, rng, 4)
     raw = built.predict(parameters, f, {})
-    sensed = list(sensed_axes(built))
+    sensed = list(built.sensed_axes)
     seen = np.zeros_like(f)
     seen[:, sensed] = f[:, sensed]
     inverse, slopes = sensitivities(built, parameters, seen, {})
