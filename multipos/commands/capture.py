@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from multipos.capturing.evaluation import SessionPlan
-from multipos.capturing.keeping import Kept, files_kept, keep
 from multipos.capturing.live_rests import RowOptions
 from multipos.capturing.running import (
     Captured,
+    Kept,
     captured,
+    files_kept,
+    keep,
     make_plan,
     make_reading,
     rescued,

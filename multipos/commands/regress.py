@@ -7,7 +7,7 @@ from multipos.commands.options import names
 from multipos.files.tables import Source
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
-from multipos.plots.temperature import regression_figure
+from multipos.plots.fits import regression_figure
 from multipos.regression.observations import join_runs
 from multipos.regression.regression import regression_sentence
 

@@ -18,7 +18,6 @@ from multipos.regression.regression import all_of
 from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.comparisons import comparison_content, read_comparison
 from multipos.reports.documents import (
     html_report,
     markdown_report,
@@ -26,8 +25,8 @@ from multipos.reports.documents import (
     plain_report,
     xml_report,
 )
-from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
+from multipos.reports.several import comparison_content, fleet_content, read_comparison
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.inverse import read_nominal

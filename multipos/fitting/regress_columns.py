@@ -46,8 +46,13 @@ from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
 from multipos.numerics.terms import evaluate_terms, largest_value
 from multipos.positions.headers import in_celsius, under_names
 from multipos.regression.correlation import Noise, find_noise, whitening_of
-from multipos.regression.hysteresis import BRANCHES, branch_of, compare_branches
-from multipos.regression.junctions import Junction, find_junctions
+from multipos.regression.junctions import (
+    BRANCHES,
+    Junction,
+    branch_of,
+    compare_branches,
+    find_junctions,
+)
 from multipos.regression.observations import (
     Data,
     Observations,

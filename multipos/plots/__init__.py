@@ -18,19 +18,20 @@ if TYPE_CHECKING:
         size_residuals,
         variance_shares,
     )
-    from multipos.plots.check import check_figure, draw_check
-    from multipos.plots.runs import draw_runs, runs_figure
-    from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
-    from multipos.plots.stability import draw_allan, draw_zero, stability_figure
-    from multipos.plots.style import new_figure, render, to_svg
-    from multipos.plots.temperature import (
+    from multipos.plots.fits import (
         calibration_figure,
+        check_figure,
         draw_balance,
+        draw_check,
         draw_correction,
         draw_curve,
         draw_path,
         regression_figure,
     )
+    from multipos.plots.runs import draw_runs, runs_figure
+    from multipos.plots.schemes import design_figure, draw_efficiency, draw_scheme, schemes_figure
+    from multipos.plots.stability import draw_allan, draw_zero, stability_figure
+    from multipos.plots.style import new_figure, render, to_svg
     from multipos.plots.tumble import (
         draw_harmonics,
         draw_residual_harmonics,
@@ -44,13 +45,12 @@ if TYPE_CHECKING:
 _FILES = {
     "calibration": "compensated_error draw_budget draw_errors draw_residuals "
     "draw_size_residuals nominal_error size_residuals variance_shares",
-    "check": "check_figure draw_check",
+    "fits": "calibration_figure check_figure draw_balance draw_check draw_correction draw_curve "
+    "draw_path regression_figure",
     "runs": "draw_runs runs_figure",
     "schemes": "design_figure draw_efficiency draw_scheme schemes_figure",
     "stability": "draw_allan draw_zero stability_figure",
     "style": "new_figure render to_svg",
-    "temperature": "calibration_figure draw_balance draw_correction draw_curve draw_path "
-    "regression_figure",
     "tumble": "draw_harmonics draw_residual_harmonics draw_rolls draw_signal tumble_figure",
 }
 __all__ = [

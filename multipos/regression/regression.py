@@ -21,8 +21,7 @@ from multipos.files.whole import write_text
 from multipos.finding import Findings, about, in_order
 from multipos.numerics.arrays import Array, Environment, Mask, Places
 from multipos.numerics.selection import Tested
-from multipos.regression.hysteresis import branch_of
-from multipos.regression.junctions import Junction
+from multipos.regression.junctions import Junction, branch_of
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result, Tabular, frozen, stacked

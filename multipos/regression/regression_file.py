@@ -45,8 +45,7 @@ from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, factor_from_list, factor_to_list, linear_term
-from multipos.regression.hysteresis import BRANCHES
-from multipos.regression.junctions import Junction
+from multipos.regression.junctions import BRANCHES, Junction
 from multipos.regression.region import Region
 from multipos.regression.regression import Balance, Regression, Regressions
 from multipos.regression.segment import Between, Coefficient, LeftOut, Robust, Segment

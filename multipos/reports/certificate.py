@@ -22,22 +22,24 @@ from multipos.finding import Findings, errors_of, in_order, serious
 from multipos.reports.check_text import check_sentence
 from multipos.reports.evidence import (
     check_section,
+    checks_section,
     correlation_section,
     positions_section,
     residuals_section,
     rolls_section,
     temperature_sections,
 )
-from multipos.reports.findings import budget_section, parameters_section, sphere_section
-from multipos.reports.fit_checks import checks_section
-from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
-from multipos.reports.sensor_result import (
+from multipos.reports.findings import (
     EQUIPMENT,
+    budget_section,
     equipment_section,
+    parameters_section,
     result_section,
     sessions_section,
     signature_section,
+    sphere_section,
 )
+from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
 from multipos.reports.summary import calibration_sentence
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration

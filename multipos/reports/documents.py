@@ -38,11 +38,10 @@ from multipos.fleets.fleet import Fleet
 from multipos.plots.style import COLOURS
 from multipos.regression.regression import Regression, Regressions
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.comparisons import comparison_content
 from multipos.reports.dcc import dcc_report
-from multipos.reports.fleets import fleet_content
 from multipos.reports.regressions import regression_content
 from multipos.reports.sections import Figure, Language, PageTable, Section
+from multipos.reports.several import comparison_content, fleet_content
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo

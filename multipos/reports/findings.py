@@ -1,28 +1,357 @@
-"""The sections of a report on what was found: parameters, sensor, uncertainty, compensation."""
+"""What a report says was found: the result, sessions, parameters, uncertainty, compensation.
 
-from collections.abc import Sequence
+Values stand with their uncertainty: in a unit that people read, to the digits of u. A row has one
+unit, by the larger of value and U; a column of numbers of one unit has one as well.
+
+The first screen is the result, one picture of all errors before and after, and how far it holds;
+what is signed last, and the equipment, are here as well.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.diagnostics.model_error import not_stated
 from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
+    beside,
+    beyond_rounding,
     common_units,
     decimals_of,
+    fixed,
     largest_rows,
+    most_of,
     number,
     plain_number,
     pretty_unit,
     readable_unit,
 )
-from multipos.numerics.arrays import COMPONENTS
-from multipos.reports.quantities import leaning_quantities, parameter_cells, quantity_rows
-from multipos.reports.sections import LONG_TABLE, PageTable, Section, Translator
-from multipos.sensor.calibration import Calibration
+from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.quantiles import coverage_factor
+from multipos.plots.pictures import error_picture
+from multipos.positions.headers import TEMPERATURE
+from multipos.reports.sections import (
+    LONG_TABLE,
+    Figure,
+    PageTable,
+    Section,
+    Translator,
+    chosen_rows,
+)
+from multipos.sensor.calibration import Calibration, Parameter, has_nominal
+from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.found import Sessions
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation, Row
 from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
+from multipos.units import unit_per
+
+
+class Quantity(NamedTuple):
+    """A quantity with its uncertainty."""
+
+    name: str
+    unit: str
+    value: float
+    u: float
+    U: float
+    k: float
+
+
+class Column(NamedTuple):
+    """Numbers of one unit as cells, and the unit."""
+
+    unit: str
+    cells: list[str]
+
+
+def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> list[Quantity]:
+    """Return sensitivities, offsets, angles between axes and mounting of a triad; else nothing.
+
+    What the gauge has fixed is left out.
+    """
+    if c.intrinsic is None:
+        return []
+    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
+    u, dof, _ = budget.combine(gradient)
+    per = unit_per(c.model.unit, 1, (), c.field.unit)
+    names = [
+        *((tr("Sensitivity of {output}", output=o), per) for o in c.outputs),
+        *((tr("Offset of {output}", output=o), c.field.printed) for o in c.outputs),
+        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
+        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
+    ]
+    if c.model.gauge is not None:
+        names = names[:-3]
+    found = zip(names, values.tolist(), u.tolist(), dof.tolist(), strict=False)
+    quantities = []
+    for (name, unit), value, sd, nu in found:
+        k = coverage_factor(c.confidence, nu)
+        quantities.append(Quantity(name, unit, value, sd, k * sd, k))
+    if c.field.magnetic:  # hard iron is the offset of the readings, in their unit
+        zero = [c[output, "1"] for output in c.outputs]
+        rows = slice(len(zero), 2 * len(zero))
+        quantities[rows] = [
+            Quantity(old.name, p.unit, p.value, p.u, p.U, p.k)
+            for old, p in zip(quantities[rows], zero, strict=True)
+        ]
+    return quantities
+
+
+def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
+    """Return how far each output leans to the others; without what the gauge has fixed."""
+    return [
+        Quantity(
+            tr("Output on {i}, tilt to {j}", i=pair[0], j=pair[1]),
+            "deg",
+            angle["value"],
+            angle["u"],
+            angle["U"],
+            angle["U"] / angle["u"],
+        )
+        for pair, angle in c.installation_deg.items()
+        if angle["u"]
+    ]
+
+
+def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
+    """Return name, value, U, unit and k of each; those of one unit have it in common."""
+    units = common_units((q.unit, most_of(q.value, q.U)) for q in found)
+    rows: list[tuple[str, ...]] = []
+    for q in found:
+        factor, unit = units[q.unit]
+        shown = beside(factor * q.value, factor * q.u, factor * q.U)
+        rows.append((q.name, *shown, unit, plain_number(q.k, 3)))
+    return rows
+
+
+def parameter_cells(entries: Iterable[Parameter]) -> list[tuple[str, str, str, str]]:
+    """Return value, u, U and unit of parameters; those of one unit have it in common."""
+    given = list(entries)
+    units = common_units((p.unit, most_of(p.value, p.U)) for p in given)
+    return [with_u(p.value, p.u, p.U, units[p.unit]) for p in given]
+
+
+def with_u(
+    value: float, u: float, U: float, unit: str | tuple[float, str]
+) -> tuple[str, str, str, str]:
+    """Return a value, its u and its U to the digits of u, and the unit of all three.
+
+    `unit` is that of the numbers, or the one to print with its factor, as of `common_units`.
+    """
+    factor, shown = readable_unit(most_of(value, U), unit) if isinstance(unit, str) else unit
+    decimals = decimals_of(factor * u)
+    value_cell, U_cell = beside(factor * value, factor * u, factor * U)
+    return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown
+
+
+def column(
+    values: Sequence[float] | Array,
+    unit: str | tuple[float, str],
+    u: float | None = None,
+    *,
+    signed: bool = False,
+    scale: float = 1.0,
+) -> Column:
+    """Return numbers as cells of one unit, to the digits of `u`, else to three.
+
+    What is but the rounding of numbers of size `scale` is 0. `unit` is that of the numbers, or
+    the one to print with its factor, as of `readable_unit`.
+    """
+    values = [beyond_rounding(x, scale) for x in np.asarray(values, dtype=np.float64).tolist()]
+    u = None if u is None else beyond_rounding(u, scale)
+    sizes = np.abs(np.asarray(values))
+    if isinstance(unit, str):
+        unit = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
+    factor, shown = unit
+    decimals = None if u is None else decimals_of(factor * u)
+    cells = []
+    for value in (factor * np.asarray(values, dtype=np.float64)).tolist():
+        if not np.isfinite(value):
+            cells.append(number(value))
+        elif decimals is None:
+            sign = "+" if signed and value > 0.0 else ""
+            cells.append(sign + plain_number(value))
+        else:
+            cells.append(fixed(value, decimals, signed=signed))
+    return Column(shown, cells)
+
+
+EQUIPMENT = {
+    "name": "Equipment",
+    "type": "Type",
+    "serial": "Serial number",
+    "calibrated": "Calibrated",
+    "due": "Due",
+    "certificate": "Certificate",
+}
+_LINE = "________________"  # to be written on by hand
+
+
+def result_section(c: Calibration, budget: Evaluation, tr: Translator, *, forces: bool) -> Section:
+    """Return the first screen below the answer: errors before and after, validity, the sensor.
+
+    Parameters
+    ----------
+    c : Calibration
+    budget : Evaluation
+    tr : Translator
+    forces : bool
+        Whether readings give forces, so that there are errors to speak of.
+    """
+    rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
+    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
+    caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=_percent(c))
+    return Section(
+        tr("Result"),
+        (_validity(c, tr),),
+        (_picture(c, tr),) if forces else (),
+        (PageTable(caption, header, tuple(rows)),) if rows else (),
+    )
+
+
+def _picture(c: Calibration, tr: Translator) -> Figure:
+    return Figure(
+        tr(
+            "Errors at all positions, before and after compensation"
+            if has_nominal(c)
+            else "Errors at all positions after compensation"
+        ),
+        tr(
+            "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
+            "errors along the up vector, filled where they point out; each picture has a scale of "
+            "its own."
+        ),
+        lambda: error_picture(c, tr.label),
+    )
+
+
+def _validity(c: Calibration, tr: Translator) -> str:
+    """Return within what the calibration holds."""
+    said = tr(
+        "Valid for forces {range}",
+        range=tr.message(pretty_unit(applied(c).in_words(c.model.sensed_axes))),
+    )
+    for name in c.model.environment:
+        column = c.readings.environment[name]
+        said += tr(
+            ", {name} {low} to {high}",
+            name=tr(name),
+            low=f"{column.min():.4g}",
+            high=f"{column.max():.4g}{' °C' if name == TEMPERATURE else ''}",
+        )
+    return said + tr(".")
+
+
+def _percent(c: Calibration) -> str:
+    return f"{100.0 * c.confidence:g}"
+
+
+def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:
+    """Return scale factors, biases and how the outputs lean, of one or two axes."""
+    wanted = [p for p in c.entries if p.name.startswith(("scale_", "bias_"))]
+    wanted.sort(key=lambda p: not p.name.startswith("scale_"))
+    found = [Quantity(tr.message(p.label), p.unit, p.value, p.u, p.U, p.k) for p in wanted]
+    return found + leaning_quantities(c, tr)
+
+
+def readings_table(c: Calibration, tr: Translator) -> PageTable:
+    """Return the readings as they were measured, with what was stated of each."""
+    shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
+    r = c.readings
+    columns: list[tuple[str, Sequence[str]]] = [(tr("Position"), r.labels)]
+    for i, output in enumerate(c.outputs):
+        decimals = decimals_of(float(c.residual_sd[i]))
+        form = ".10g" if decimals is None or decimals > 12 else f".{decimals + 1}f"
+        columns.append((f"{output} [{c.model.unit}]", [f"{v:{form}}" for v in r.values[:, i]]))
+    if r.u is not None:
+        for i, output in enumerate(c.outputs):
+            stated = column(r.u[:, i], c.model.unit)
+            columns.append((f"u {output} [{stated.unit}]", stated.cells))
+    if r.samples is not None:
+        columns.append(("n", [f"{n:g}" for n in r.samples]))
+    columns += [
+        (tr(name), [f"{v:.6g}" for v in r.environment[name]]) for name in c.model.environment
+    ]
+    rows = tuple(tuple(column[row] for _, column in columns) for row in shown)
+    header = tuple(name for name, _ in columns)
+    return PageTable(tr("Readings as measured") + suffix, header, rows, kept=kept)
+
+
+def equipment_section(said: Mapping[str, str], tr: Translator) -> Section | None:
+    """Return the equipment that the laboratory names; nothing where it names none."""
+    rows: list[tuple[str, ...]] = []
+    while any(f"equipment.{len(rows) + 1}.{key}" in said for key in EQUIPMENT):
+        rows.append(tuple(said.get(f"equipment.{len(rows) + 1}.{key}", "-") for key in EQUIPMENT))
+    if not rows:
+        return None
+    header = tuple(map(tr, EQUIPMENT.values()))
+    table = PageTable(tr("Equipment used"), header, tuple(rows), left=len(header))
+    return Section(tr("Equipment"), tables=(table,))
+
+
+def signature_section(said: Mapping[str, str], tr: Translator) -> Section:
+    """Return where the report is signed."""
+    rows = (
+        (tr("Authorised by"), said.get("report.authorised_by", _LINE)),
+        (tr("Date"), said.get("report.issued", _LINE)),
+        (tr("Signature"), _LINE),
+    )
+    table = PageTable(tr("Signed by"), (tr("Item"), tr("Value")), rows, left=2)
+    return Section(tr("Signature"), tables=(table,))
+
+
+def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Section:
+    """Return how many sessions there were, how they differ, and what U holds.
+
+    Parameters
+    ----------
+    c : Calibration
+        Combined of the sessions.
+    sessions : Sessions
+        Its own.
+    tr : Translator
+    """
+    header = ("Parameter", "Value", "u", "U", "Unit", "k", "sd between sessions")
+    table = PageTable(
+        tr("Parameters of all sessions"),
+        tuple(map(tr, header)),
+        _rows(c, sessions.sd),
+    )
+    return Section(
+        tr("Combined sessions"),
+        (
+            tr(
+                "{count} sessions were combined: {files}.",
+                count=str(sessions.runs),
+                files=tr.listed(sessions.files),
+            ),
+            tr(
+                "U is that of the next session against these parameters: it includes how the "
+                "sessions differ, mounting and switch-on among it, on {dof} degrees of freedom, "
+                "and what "
+                "all sessions share, such as gravity.",
+                dof=f"{np.min(c.parameter_dof):.3g}",
+            ),
+        ),
+        tables=(table,),
+    )
+
+
+def _rows(c: Calibration, sds: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
+    """Return parameters with their U, and the sd over the sessions in the same unit."""
+    entries = [c[name] for name in sds]
+    rows = []
+    cells = parameter_cells(entries)
+    units = common_units((p.unit, most_of(p.value, p.U)) for p in entries)
+    for p, shown, sd in zip(entries, cells, sds.values(), strict=True):
+        factor = units[p.unit][0]
+        decimals = decimals_of(factor * p.u)
+        spread = plain_number(factor * sd, 2) if decimals is None else f"{factor * sd:.{decimals}f}"
+        rows.append((p.name, *shown, plain_number(p.k, 3), spread))
+    return tuple(rows)
 
 
 def parameters_section(c: Calibration, tr: Translator) -> Section:

@@ -21,8 +21,8 @@ from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
 from multipos.finding import serious
 from multipos.numerics.arrays import Array, Places
+from multipos.plots.fits import draw_path
 from multipos.plots.style import COLOURS
-from multipos.plots.temperature import draw_path
 from multipos.regression.junctions import Junction
 from multipos.regression.regression import (
     Regression,

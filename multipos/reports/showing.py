@@ -28,18 +28,17 @@ from multipos.fleets.fleet import Fleet
 from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.logs.averages import Averages, averages_sentence, averages_text
 from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
-from multipos.plots.check import check_panels
+from multipos.plots.fits import check_panels, draw_curve
 from multipos.plots.fleets import draw_histogram
 from multipos.plots.runs import draw_runs, draw_terms
 from multipos.plots.schemes import draw_scheme
 from multipos.plots.stability import draw_allan
 from multipos.plots.style import figure_of, new_figure, to_svg
-from multipos.plots.temperature import draw_curve
 from multipos.plots.tumble import draw_residual_harmonics, draw_signal
 from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions, regression_sentence
 from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
-from multipos.reports.quantities import parameter_cells
+from multipos.reports.findings import parameter_cells
 from multipos.reports.sheets import table_errors_text
 from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text

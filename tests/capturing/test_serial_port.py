@@ -9,8 +9,7 @@ import log_bench
 import numpy as np
 import pytest
 
-from multipos.capturing.keeping import Kept
-from multipos.capturing.running import make_plan, make_reading, run_session
+from multipos.capturing.running import Kept, make_plan, make_reading, run_session
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of
 from multipos.capturing.streams import open_source, read_port, split_port

@@ -24,7 +24,6 @@ from multipos.capturing.evaluation import (
     read_targets,
     spread_targets,
 )
-from multipos.capturing.keeping import Kept
 from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
 from multipos.capturing.poses import (
     Frame,
@@ -37,7 +36,7 @@ from multipos.capturing.poses import (
     refuse_rest,
     refuse_unit,
 )
-from multipos.capturing.running import make_plan, make_reading, run_session
+from multipos.capturing.running import Kept, make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
 from multipos.capturing.session import Session
 from multipos.capturing.state import state_of

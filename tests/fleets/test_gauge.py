@@ -16,7 +16,7 @@ from multipos.fleets.gauge import (
     interval_of,
     pool_restricted,
 )
-from multipos.reports.fleets import fleet_content
+from multipos.reports.several import fleet_content
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 NAMES = ("units", "stations", "stations x units", "repeats")

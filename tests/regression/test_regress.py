@@ -20,7 +20,7 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import parse_terms
 from multipos.regression.correlation import time_order
-from multipos.regression.hysteresis import compare_branches
+from multipos.regression.junctions import compare_branches
 from multipos.regression.observations import Data
 from multipos.regression.prediction import predict_uncertainty
 from multipos.regression.region import region_factor
@@ -291,7 +291,7 @@ def test_branches_are_compared_by_hand():
     F = 144/(16/14) on 1 and 14. In time the ±1 agree with 11 of 15 neighbours, and 16 rows are
     worth as many as `test_correlation` says of the same series.
     """
-    # eq. (1) of regression.hysteresis
+    # eq. (2) of regression.junctions
     wave = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
     rate = np.repeat([1.0, -1.0], 8)
     columns = {"t": np.arange(16.0), "t_rate": rate}

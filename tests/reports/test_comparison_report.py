@@ -9,8 +9,8 @@ import pytest
 import multipos as mp
 from multipos.cli import main
 from multipos.plots.style import new_figure
-from multipos.reports import comparisons
-from multipos.reports.comparisons import comparison_content
+from multipos.reports import several
+from multipos.reports.several import comparison_content
 from multipos.results import plain
 
 UP = mp.read_scheme("faces-edges-18").up
@@ -65,7 +65,7 @@ def test_the_figure_has_the_u_of_each_run(compared, monkeypatch):
         draw(axes)
         drawn.append(axes[0])
 
-    monkeypatch.setattr(comparisons, "draw_svg", keep)
+    monkeypatch.setattr(several, "draw_svg", keep)
     of_file = json.loads(json.dumps(plain(compared.to_dict())))
     before_u = [{k: v for k, v in entry.items() if k != "U"} for entry in of_file["parameters"]]
     for content, said, has in (

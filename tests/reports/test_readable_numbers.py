@@ -19,7 +19,7 @@ from multipos.plots.calibration import draw_size_residuals, residual_panels, siz
 from multipos.plots.style import name_axis, new_figure
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report, readable
-from multipos.reports.quantities import column, with_u
+from multipos.reports.findings import column, with_u
 
 ALL = mp.read_scheme("all-26").up
 

@@ -10,7 +10,7 @@ from findings_bench import texts
 import multipos as mp
 from multipos.cli import main
 from multipos.reports.certificate import build_content
-from multipos.reports.comparisons import comparison_content
+from multipos.reports.several import comparison_content
 from multipos.results import plain
 
 UP = mp.read_scheme("faces-edges-18").up

@@ -1,12 +1,19 @@
-"""What a report of repeated calibrations says, from the file that `compare -o FILE.json` wrote.
+"""What a report of several calibrations says: of one unit, or of a fleet.
 
-The verdict and what has moved stand first, then the parameters run by run, and how stable the
-biases are. Repeated regressions have a table of their terms.
+Of repeats, from the file that `compare -o FILE.json` wrote, the verdict and what has moved stand
+first, then the parameters run by run, and how stable the biases are. Repeated regressions have a
+table of their terms.
+
+The page of a fleet: yield, why units do not pass, capability, stations, what moved, outliers.
+
+It is made of what `fleet.json` holds and nothing else, so that a page of a million units is as
+small as one of a hundred.
 """
 
 import math
 import os
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,9 +45,23 @@ from multipos.files.records import (
 )
 from multipos.files.trees import read_json_value
 from multipos.finding import FINDINGS, errors_of, read_findings, serious
+from multipos.fleets.fleet_text import (
+    Rows,
+    cause_rows,
+    drift_rows,
+    gauge_rows,
+    gauge_title,
+    outlier_rows,
+    parameter_rows,
+    percent,
+    station_rows,
+)
+from multipos.fleets.stations import is_off
 from multipos.numerics.arrays import Array
+from multipos.plots.fleets import draw_chart, draw_histogram
 from multipos.plots.runs import draw_values
 from multipos.reports.certificate import Content, lab_fields, read_lab
+from multipos.reports.findings import sessions_section
 from multipos.reports.sections import (
     Figure,
     Language,
@@ -50,7 +71,6 @@ from multipos.reports.sections import (
     draw_svg,
     with_annex,
 )
-from multipos.reports.sensor_result import sessions_section
 from multipos.sensor.calibration_file import from_dict
 from multipos.verification.comparison import change_rows, comparison_sentence
 
@@ -332,3 +352,216 @@ def _origin(runs: Sequence[Mapping[str, Any]], tr: Translator) -> Section:
 
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
+
+
+_ROUNDING = 1e-9  # [deg]
+_DRAWN = 6  # parameters, those with limits first
+_SHOWN = 24  # units of a table; fleet.json has all
+_EXPLAINED = (
+    "Statistics cover units with a valid fit.",
+    (
+        "'sd' includes measurement noise; 'sd of units' does not. Cpk is taken with the spread "
+        "within stations, Ppk with that of all units, 'true' with the measurement removed; in "
+        "brackets 95 % intervals."
+    ),
+)
+
+
+def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Content:
+    """Return what the report of a fleet says.
+
+    Parameters
+    ----------
+    found : mapping
+        As `fleet.json` holds it.
+    language
+        As of `multipos.report`.
+    """
+    tr = Translator(language)
+    outliers, named = outlier_rows(found)
+    header, stations = station_rows(found)
+    alone = len(stations) == 1 and len(header) == len(("station", "units"))
+    sections = [
+        _section("Why units do not pass", cause_rows(found), tr),
+        None if alone else _section("Stations", (header, stations), tr, (_STATIONS,)),
+        _section("Parameters", parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)),
+        _risks(found, tr),
+        _fixtures(found, tr),
+        _gauge(found, tr),
+        _section("What moved", _moves(found), tr, (), _charts(found, tr)),
+        _section("Units that do not belong", ((_WHICH, *outliers[1:]), named), tr, (_OUTLIERS,)),
+        _tables_of(found, tr),
+    ]
+    return Content(
+        language=language,
+        title=tr("Report of a fleet"),
+        subtitle=tr("Computed {date}", date=str(found["created"])),
+        sentence=_answer(found, tr),
+        unfit=False,
+        findings=tuple(tr.message(each.text) for each in serious(read_findings(found))),
+        fields=(),
+        sections=with_annex((section for section in sections if section is not None), tr),
+    )
+
+
+def _answer(found: Mapping[str, Any], tr: Translator) -> str:
+    """Return the yield, and the units by verdict."""
+    counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
+    return tr(
+        "Yield {value} ({low} to {high} with 95 % confidence) of {units} units: {counts}.",
+        **{key: percent(found["yield"][key]) for key in ("value", "low", "high")},
+        units=str(found["units"]),
+        counts=tr.listed(counts),
+    )
+
+
+_STATIONS = (
+    "Level is the rotation that turns a station's listed references into its true ones, shift its "
+    "zero, both against the mean of all stations, which a fleet cannot determine. Their standard "
+    "uncertainty includes the variation of units, as units are allotted to stations at random."
+)
+_GAUGE = (
+    "Units whose positions came again at several stations: repeatability is what trials of one "
+    "unit at one station differ by, reproducibility what stations add, equally in all units or "
+    "not, in brackets the interval of both together. Share is that of both in "
+    "all that measured units differ by; 'of limits' is six times both over the width of the limits."
+)
+_WHICH = "name of the unit"  # a parameter has a unit of another kind
+_OUTLIERS = (
+    "Far from the others in all parameters together, as at most one in a hundred of those named "
+    "is by chance. The page of one: multipos report DIR --unit ID -o ID.html."
+)
+_RISKS = (
+    "With the uncertainty of the measurement, some units pass although their true value is "
+    "outside the limits (consumer's risk), and some fail although it is inside (producer's "
+    "risk); shares of all units."
+)
+_FIXTURES = (
+    "Rotation of every position of a fixture, from the common residuals of units; a rotation "
+    "common to all positions is not identifiable. From ten units on, stations/NAME.csv lists the "
+    "positions where they are, as a scheme, and NAME.toml how well that is known, as a budget."
+)
+
+
+def _section(
+    title: str,
+    grid: Rows,
+    tr: Translator,
+    paragraphs: tuple[str, ...] = (),
+    figures: tuple[Figure, ...] = (),
+) -> Section | None:
+    if not grid[1]:
+        return None
+    table = _table(tr(title), grid, tr)
+    return Section(tr(title), tuple(map(tr, paragraphs)), figures, (table,))
+
+
+def _table(caption: str, grid: Rows, tr: Translator) -> PageTable:
+    """Return the first rows of a table, each cell in the language of the page."""
+    header, rows = grid
+    if len(rows) > _SHOWN:
+        more = " (the first {shown} of {count}; fleet.json has all)"
+        caption += tr(more, shown=str(_SHOWN), count=str(len(rows)))
+    shown = tuple(tuple(map(tr.message, row)) for row in rows[:_SHOWN])
+    return PageTable(caption, tuple(_heading(cell, tr) for cell in header), shown)
+
+
+def _heading(text: str, tr: Translator) -> str:
+    word, _, rest = text.partition(" ")  # level x [°], shift ax
+    return f"{tr(word)} {rest}" if word in ("level", "shift") else tr.label(text)
+
+
+def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
+    counted = [each for each in found["parameters"] if each["histogram"] is not None]
+    limited = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
+    return tuple(
+        Figure(
+            each["name"],
+            tr(
+                "histogram of {count} units, with limits where there are any",
+                count=str(each["count"]),
+            ),
+            partial(_drawn, tr, draw_histogram, each),
+        )
+        for each in (limited or counted)[:_DRAWN]
+    )
+
+
+def _charts(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
+    moved = {each["name"] for each in found["drift"]}
+    said = "medians of consecutive units, one line a station, dotted the limits of its EWMA"
+    return tuple(
+        Figure(
+            tr("{name} by station", name=each["name"]),
+            tr(said),
+            partial(_drawn, tr, draw_chart, each),
+        )
+        for each in found["parameters"]
+        if each["name"] in moved and each["chart"]
+    )
+
+
+def _drawn(tr: Translator, draw: Any, what: Any) -> str:
+    return draw_svg(tr, 1, 2.2, lambda axes: draw(what, axes[0]))
+
+
+def _moves(found: Mapping[str, Any]) -> Rows:
+    header, rows = drift_rows(found)
+    return header, [(*row[:2], f"a {row[2]}", *row[3:]) for row in rows]
+
+
+def _risks(found: Mapping[str, Any], tr: Translator) -> Section | None:
+    rows = [
+        (each["name"], percent(each["risk"]["consumer"]), percent(each["risk"]["producer"]))
+        for each in found["parameters"]
+        if each["risk"] is not None
+    ]
+    header = ("parameter", "pass although outside", "fail although inside")
+    return _section("Wrong verdicts", (header, rows), tr, (_RISKS,))
+
+
+def _fixtures(found: Mapping[str, Any], tr: Translator) -> Section | None:
+    tables = []
+    for station in found["stations"]:
+        rows = [
+            (each["position"], *(_angle(each[axis]) for axis in "xyz"))
+            for each in station["positions_deg"]
+            if any(each[axis] is not None for axis in "xyz")
+        ]
+        if rows:
+            name = station["station"]
+            caption = tr("Station {name}", name=name) if name else tr("All units")
+            off = [
+                ", ".join(axis for axis in "xyz" if is_off(each[axis]))
+                for each in station["positions_deg"]
+                if any(each[axis] is not None for axis in "xyz")
+            ]
+            header: tuple[str, ...] = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
+            if any(off):
+                header = (*header, tr("off"))
+                rows = [(*row, said) for row, said in zip(rows, off, strict=True)]
+            tables.append(PageTable(caption, header, tuple(rows)))
+    if not tables:
+        return None
+    return Section(tr("Angles of the positions"), (tr(_FIXTURES),), (), tuple(tables))
+
+
+def _angle(figure: Mapping[str, float] | None) -> str:
+    # A turn about what is up does not show: what stands there is rounding.
+    if figure is None or not figure["u"] > _ROUNDING:
+        return "-"
+    return uncertain(figure["value"], figure["u"])
+
+
+def _gauge(found: Mapping[str, Any], tr: Translator) -> Section | None:
+    gauge = found.get("gauge")
+    if gauge is None:
+        return None
+    table = _table(tr.message(gauge_title(gauge)), gauge_rows(gauge), tr)
+    return Section(tr("Repeatability and reproducibility"), (tr(_GAUGE),), (), (table,))
+
+
+def _tables_of(found: Mapping[str, Any], tr: Translator) -> Section:
+    rows = tuple((each["file"], each["sha256"] or "-") for each in found["input"])
+    table = PageTable(tr("Tables"), (tr("table"), "SHA-256"), rows, left=2)
+    return Section(tr("Data"), tables=(table,))

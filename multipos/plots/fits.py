@@ -1,7 +1,4 @@
-"""Figures of a regression and of parameters over temperature.
-
-The figure of a fit: what is left of every output, and its parameters over temperature.
-"""
+"""Figures of a fit, of parameters over temperature, of a regression, and of an independent run."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,11 +8,14 @@ import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import UsageError
+from multipos.files.numbers import in_unit, pretty_unit
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
+from multipos.plots.calibration import residual_panels
 from multipos.plots.style import (
     COLOURS,
+    MARKERS,
     figure_of,
     name_axis,
     name_series,
@@ -24,24 +24,122 @@ from multipos.plots.style import (
 )
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
-from multipos.sensor.temperature import Curve
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.temperature import Curve, over_temperature
+from multipos.verification.verdicts import Check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-from typing import TYPE_CHECKING
 
-from multipos.plots.calibration import residual_panels
-from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.temperature import over_temperature
+_WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
+_LIMIT = 10.0  # times what is left after, from which a limit would hide it
+_APART = 5.0  # times what is left after, from which errors before have axes of their own
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+
+def draw_check(
+    found: Check, axes: "Axes", *, axis: str, when: Literal["both", "before", "after"] = "both"
+) -> None:
+    """Draw the errors of one axis before and after, U about the latter, and the limit.
+
+    Those of a regression are drawn against its segment variable. A limit so wide
+    that errors after and their U would shrink to a line is named beside them and not drawn.
+    """
+    column = found.axes.index(axis)
+    used = found.counted[:, column]
+    order = np.argsort(found.reference[used, column], kind="stable")
+    known = found.reference[used, column][order]
+    before, after, U = (
+        array[used, column][order] for array in (found.before, found.after, found.U)
+    )
+    axes.axhline(0.0, color="#999999", linewidth=0.5)
+    if when != "after":
+        axes.plot(
+            known,
+            before,
+            MARKERS[1],
+            color=COLOURS[1],
+            fillstyle="none",
+            label="before",
+            clip_on=False,
+        )
+    if when != "before":
+        axes.errorbar(
+            known,
+            after,
+            U,
+            fmt=MARKERS[0],
+            color=COLOURS[0],
+            elinewidth=0.8,
+            capsize=0.0,
+            label="after, with U",
+            clip_on=False,
+        )
+        _draw_limit(found, axes, drawn=when == "both" or _limit_fits(found))
+    if (
+        when == "both"
+        and found.limit is not None
+        and np.nanmax(np.abs(before)) > (_WIDE * found.limit)
+    ):  # else the limits would be one line
+        scale_by_powers(axes, "y", found.unit, linthresh=2.0 * found.limit)
+    axes.margins(0.06)
+    unit = f" [{pretty_unit(found.unit)}]" if found.unit else ""
+    axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
+    word = axis if found.against else "error"
+    if axes.get_yscale() == "linear":
+        name_axis(axes.yaxis, word, found.unit)
+    else:
+        axes.set_ylabel(word)
+    name_series(axes, 3)
+
+
+def _draw_limit(found: Check, axes: "Axes", *, drawn: bool) -> None:
+    if found.limit is None:
+        return
+    said = f"limit ±{in_unit(found.limit, found.unit)}"
+    if not drawn:
+        axes.plot([], [], color="#555555", linestyle="--", linewidth=0.8, label=f"{said}, outside")
+        return
+    for height, label in ((-found.limit, None), (found.limit, said)):
+        axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
+
+
+def errors_apart(found: Check) -> bool:
+    """Tell whether errors before would hide those after on one and the same scale."""
+    left = _left(found)
+    if _limit_fits(found):
+        left = max(left, found.limit or 0.0)
+    return float(np.nanmax(np.abs(found.before[found.counted]), initial=0.0)) > _APART * left
+
+
+def _left(found: Check) -> float:
+    """Return the largest error after compensation with its U."""
+    return float(np.nanmax((np.abs(found.after) + found.U)[found.counted], initial=0.0))
+
+
+def _limit_fits(found: Check) -> bool:
+    """Tell whether errors after can still be seen where the limit is drawn."""
+    return found.limit is not None and found.limit <= _LIMIT * _left(found)
+
+
+def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
+    """Return what draws each panel: before and after apart, where one would hide the other."""
+    drawn: tuple[Literal["both", "before", "after"], ...]
+    drawn = ("before", "after") if errors_apart(found) else ("both",)
+    return [
+        partial(draw_check, found, axis=axis, when=when) for axis in found.axes for when in drawn
+    ]
+
+
+def check_figure(found: Check) -> "Figure":
+    """Return the errors of every axis; before and after apart, where one would hide the other."""
+    return figure_of(check_panels(found))
+
 
 _When = Literal["both", "before", "after"]
 
-_APART = 5.0  # times what is left after, from which the response before would hide it
+_FAR = 5.0  # times what is left after, from which the response before would hide it
 
 
 def draw_correction(
@@ -219,7 +317,7 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
     found = _corrected(regression, _complete_rows(regression, table))
     before, after = (np.abs(y).max(initial=0.0) for y in (found.before, found.after))
-    words: tuple[_When, ...] = ("before", "after") if before > _APART * after else ("both",)
+    words: tuple[_When, ...] = ("before", "after") if before > _FAR * after else ("both",)
     return [partial(_draw_corrected, regression, found, when=word) for word in words]
 
 
