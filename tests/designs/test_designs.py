@@ -21,9 +21,15 @@ from multipos.designs.criteria import (
     range_directions,
     sensitivity,
 )
-from multipos.designs.exchange import choose
+from multipos.designs.exchange import _Bordered, _descend, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
-from multipos.designs.optimum import maxima, optimise_candidates, optimise_sphere
+from multipos.designs.optimum import (
+    _derivatives,
+    maxima,
+    optimise_candidates,
+    optimise_sphere,
+    solve_definite,
+)
 from multipos.positions.benches import read_bench
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
@@ -718,3 +724,74 @@ def test_maxima_of_a_function_of_directions():
     )
     assert np.abs(up @ axis).max() == pytest.approx(1.0, abs=1e-8)
     assert height.max() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_search_for_positions_ends_at_the_least_value():
+    def bowl(x):
+        A = np.array([[3.0, 1.0], [1.0, 2.0]])
+        off = x - [0.03, -0.02]
+        return float(off @ A @ off) + 7.0, 2.0 * A @ off
+
+    x, value = _descend(bowl, np.zeros(2), 50)
+    np.testing.assert_allclose(x, [0.03, -0.02], atol=1e-7)
+    assert value == pytest.approx(7.0, abs=1e-13)
+
+    def valley(x):  # H. H. Rosenbrock, Computer Journal 3, 1960
+        a, b = 1.0 - x[0], x[1] - x[0] ** 2
+        return a**2 + 100.0 * b**2, np.array([-2.0 * a - 400.0 * x[0] * b, 200.0 * b])
+
+    x, value = _descend(valley, np.array([-1.2, 1.0]), 400)
+    np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_slopes_and_curvature_of_a_criterion_by_differences(weighted):
+    rng = np.random.default_rng(5)
+    rows = (rng.normal(size=(6, 1, 2)), rng.normal(size=(6, 2, 3)))
+    weight = tuple(B @ B.T for B in (rng.normal(size=(2, 2)), rng.normal(size=(3, 3))))
+    criterion = Criterion("mine", weight if weighted else None)
+    w = rng.dirichlet(np.ones(6))
+    slope, curvature = _derivatives(rows, w, criterion)
+    d = rng.normal(size=6)
+    d -= d.mean()
+    h = 1e-4 * w.min()
+
+    def at(t):
+        return objective(inform(rows, w + t * d), criterion)
+
+    first, second = (at(h) - at(-h)) / (2 * h), (at(h) - 2.0 * at(0.0) + at(-h)) / h**2
+    assert slope @ d == pytest.approx(first, rel=1e-5)
+    assert d @ curvature @ d == pytest.approx(-second, rel=1e-2)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_bordered_matrices_are_what_they_stand_for(k):
+    rng = np.random.default_rng(k)
+    S, T = (
+        _Bordered(*(rng.normal(size=shape) for shape in ((5, k, k), (5, k, k), (k, k))))
+        for _ in range(2)
+    )
+    for each in (S, T):
+        each.own = each.own + each.own.transpose(0, 2, 1)
+        each.last = each.last + each.last.T
+    whole = [
+        np.array(
+            [
+                np.block([[each.own[j], cross], [cross.T, each.last]])
+                for j, cross in enumerate(each.cross)
+            ]
+        )
+        for each in (S, T)
+    ]
+    determinant = np.linalg.det(whole[0])
+    np.testing.assert_allclose(S.determinant(), determinant, rtol=1e-9)
+    traces = np.trace(np.linalg.solve(*whole), axis1=1, axis2=2)
+    np.testing.assert_allclose(S.trace_solved(T, determinant), traces, rtol=1e-9)
+    assert S.trace_solved(T, np.zeros(5)).max() == -np.inf
+
+
+def test_large_definite_equations_are_solved_by_halves():
+    rng = np.random.default_rng(2)
+    A = rng.normal(size=(300, 310))
+    A, B = A @ A.T, rng.normal(size=(300, 2))
+    np.testing.assert_allclose(solve_definite(A, B), np.linalg.solve(A, B), rtol=1e-6)

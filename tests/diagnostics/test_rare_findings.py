@@ -1,9 +1,12 @@
 """Findings that few data raise, each on data made for it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import multipos as mp
+from multipos.diagnostics.residuals import _ENOUGH, _GROSS, _SHOWN, _outlying
 from multipos.positions.scheme import read_scheme
 
 RNG = np.random.default_rng(1)
@@ -61,3 +64,21 @@ def test_a_parameter_far_from_linear_within_its_u():
     readings = mp.Readings(0.02 + 1.01 * up / (1.0 + 0.03 * up**2) + noise, up=up)
     found = mp.fit(readings, model="each = b + s*own/(1 + k*own^2)")
     assert "nonlinear within its uncertainty" in said(found)["model-bias"]
+
+
+@pytest.mark.parametrize(("more", "said"), [(1 - _SHOWN, ""), (2, " and 2 more")])
+def test_outliers_that_are_many_are_counted(more, said):
+    count = _SHOWN + more
+    labels = [f"P{k}" for k in range(20)]
+    c = SimpleNamespace(readings=SimpleNamespace(labels=labels))
+    rows, off = np.arange(count), np.full(count, 0.005)
+    left = SimpleNamespace(rows=rows, off=off, ratio=0.5 * _GROSS, dof=_ENOUGH, errors=None)
+    found = _outlying(c, left)
+    shown = ", ".join(f"P{k} (5 mg)" for k in range(min(count, _SHOWN)))
+    verb = "deviates" if count == 1 else "deviate"
+    assert f"{shown}{said} {verb} from the fit of the others" in found.text
+    assert (found.level, found.rows) == ("warning", tuple(labels[:count]))
+    left.ratio = 2.0 * _GROSS
+    assert _outlying(c, left).level == "error"
+    left.dof = _ENOUGH - 1
+    assert _outlying(c, left).level == "warning"

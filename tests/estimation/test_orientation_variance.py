@@ -12,7 +12,7 @@ from test_likelihood import KINDS, a_problem
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
-from multipos.estimation.orientation_variance import Block, _axes, _Evaluator
+from multipos.estimation.orientation_variance import Block, _axes, _axes_of_errors, _Evaluator
 from multipos.estimation.posteriors import _COVERAGE, _INNER, _search_half, dof_of_tails
 from multipos.estimation.problem import start_state
 from multipos.positions.orientations import OpenRolls
@@ -215,3 +215,16 @@ def test_half_the_shortest_symmetric_interval_of_a_mixture_of_normals():
 def test_degrees_of_freedom_by_how_much_wider_the_outer_interval_is(dof):
     outer, inner = (stats.t.isf((1.0 - p) / 2.0, dof) for p in (_COVERAGE, _INNER))
     assert dof_of_tails(np.array([outer / inner]))[0] == pytest.approx(dof, rel=0.02)
+
+
+@pytest.mark.parametrize("r", [2, 3, 4])
+def test_axes_of_orientation_errors_are_eigenvectors(r):
+    spread = np.random.default_rng(r).normal(size=(2, 5, r, 2))
+    spread[0, 0] = 0.0  # a position that is known exactly
+    axes, values = _axes_of_errors(spread)
+    square = spread @ np.swapaxes(spread, 2, 3)
+    turned = axes @ square @ np.swapaxes(axes, 2, 3)
+    np.testing.assert_allclose(turned, values[..., None] * np.eye(r), atol=1e-12)
+    np.testing.assert_allclose(
+        axes @ np.swapaxes(axes, 2, 3), np.tile(np.eye(r), (2, 5, 1, 1)), atol=1e-12
+    )

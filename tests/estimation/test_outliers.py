@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.special import betainc
 
 import multipos as mp
-from multipos.estimation.outliers import _is_beyond, _log_beta_tail, find_outlying_rows
+from multipos.estimation.outliers import _is_beyond, _left_of, _log_beta_tail, find_outlying_rows
 from multipos.estimation.robustness import huber_factors
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
@@ -170,3 +170,15 @@ def test_hubers_factor_by_hand():
     q, weight, slope = np.array([1.0, 4.0]), np.array([1.0, 0.5]), np.array([1.0, 0.0])
     found = huber_factors(q, np.ones(2), weight, slope, np.array(1.0))
     assert found == pytest.approx(18.0, rel=1e-12)
+
+
+def test_what_fits_to_some_rows_leave_of_all():
+    rng = np.random.default_rng(3)
+    basis, values = np.linalg.qr(rng.normal(size=(20, 3)))[0], rng.normal(size=(20, 2))
+    kept = rng.random((4, 20)) > 0.3
+    part = SimpleNamespace(basis=basis, values=values, least=0.25)
+    ((left, squares),) = _left_of((part,), kept)
+    for one, e, square in zip(kept, left, squares, strict=True):
+        b = np.linalg.lstsq(basis[one], values[one], rcond=None)[0]
+        np.testing.assert_allclose(e, values - basis @ b, atol=1e-7)
+        np.testing.assert_allclose(square, np.sum((values - basis @ b)[one] ** 2, axis=0) + 0.25)
