@@ -8,10 +8,13 @@ from scipy import stats
 
 import multipos as mp
 from multipos.diagnostics.examination import _score
+from multipos.diagnostics.model_error import columns_of
+from multipos.diagnostics.projections import lacking
 from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.finding import Finding, serious
 from multipos.fleets import solving, unit_findings
 from multipos.fleets.fixtures import Fixture
+from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 20
@@ -120,3 +123,46 @@ def test_outputs_together_are_judged_by_fisher():
     level = 1.0 - np.sqrt(1.0 - LEVEL)
     limits = [np.log(level), -0.5 * stats.chi2.isf(level, 6), -np.inf]
     np.testing.assert_allclose(unit_findings._limits(np.array([[1, 3, 0]]))[0], limits)
+
+
+def test_what_robust_units_may_lack_is_found_by_weighted_least_squares():
+    """F of every kind and output on n − p − q, with the weights of the unit; ln p together."""
+    rng = np.random.default_rng(12)
+    up, units = mp.read_scheme("fibonacci-24").up, 24
+    cal = mp.fit(mp.Readings(up + 1e-3 * rng.normal(size=up.shape), up=up))
+    kinds = lacking(cal)
+    X = np.column_stack([np.ones(24), up])
+    sizes = np.linspace(0.0, 1e-2, units)[:, None, None]
+    e = 1e-3 * rng.normal(size=(units, 24, 3)) + sizes * up**3
+    e -= X @ np.linalg.pinv(X) @ e
+    weight = rng.uniform(0.3, 1.0, (units, 3, 24))
+    shared = SimpleNamespace(
+        designs=[X] * 3,
+        by_output=[SimpleNamespace(Q=np.linalg.qr(X)[0])] * 3,
+        reference=up,
+        environment={},
+    )
+    found = SimpleNamespace(weight=weight, residuals=e.transpose(2, 0, 1))
+    expected = []
+    for unit in range(units):
+        logs, used = np.zeros((1, len(kinds))), np.zeros((1, len(kinds)), dtype=int)
+        for i in range(3):
+            root = np.sqrt(weight[unit, i])
+            y = e[unit, :, i]
+            plain = y - X @ np.linalg.lstsq(root[:, None] * X, root * y, rcond=None)[0]
+            for place, kind in enumerate(kinds):
+                Z = columns_of([kind], i, up, {})
+                q = Z.shape[1]
+                if not q:
+                    continue
+                both = np.column_stack([X, Z])
+                b = np.linalg.lstsq(root[:, None] * both, root * y, rcond=None)[0]
+                rss0, rss1 = (np.sum((root * r) ** 2) for r in (plain, y - both @ b))
+                nu = weight[unit, i].sum() - 4.0
+                F = (rss0 - rss1) * max(nu - q, 1.0) / (q * rss1)
+                logs[0, place] += f_log_tails(np.array([F]), float(q), float(20 - q))[0]
+                used[0, place] += 1
+        beyond = logs < unit_findings._limits(used) + unit_findings._NEAR
+        expected.append(bool(beyond.any()))
+    assert 5 < sum(expected) < 19
+    assert unit_findings.may_lack_terms(kinds, shared, found).tolist() == expected
