@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from cli_bench import run
 from findings_bench import texts
 
 import multipos as mp
+from multipos.compensation.reading_noise import ReadingUncertainty
 from multipos.errors import MultiposError, UsageError
 
 SD = 2e-3
@@ -227,3 +229,27 @@ def test_rows_of_samples_are_told_of_models_of_ones_own_too():
     columns = dict(zip(("ax", "ay", "az"), samples.T, strict=True))
     found = mp.apply(cal, columns, uncertainty=True)
     assert any("look like single samples" in text for text in texts(found))
+
+
+@pytest.mark.parametrize(
+    ("step", "sd", "rows", "more", "found"),
+    [
+        (0.02, 0.001, 40, (), True),
+        (0.02, 0.0072, 40, (), False),  # a step of 0.02/√2 is not twice that
+        (0.02, 0.0069, 40, (), True),
+        (0.069, 0.001, 40, (), True),  # below and beyond .05 g from sample to sample
+        (0.073, 0.001, 40, (), False),
+        (0.02, 0.001, 19, (), False),
+        (0.02, 0.001, 40, ("n",), False),
+    ],
+)
+def test_rows_that_look_like_single_samples(step, sd, rows, more, found):
+    column = step * (np.arange(rows) % 2)
+    table = SimpleNamespace(rows=rows, number=lambda name: column)
+    c = SimpleNamespace(outputs=("ax", "ay"), sensitivity=np.eye(3)[:2])
+    noise = SimpleNamespace(own=True, sd=np.full(2, sd))
+    of = SimpleNamespace(calibration=c, noise=noise)
+    said = ReadingUncertainty.find_samples(of, table, ("ax", "ay", *more))
+    assert bool(said) == found
+    if found:
+        assert f"noise {step / np.sqrt(2.0):.2g}," in said[0].text

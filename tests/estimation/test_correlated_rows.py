@@ -9,6 +9,7 @@ from scipy import optimize, stats
 
 import multipos as mp
 from multipos.estimation import correlated_rows
+from multipos.estimation.correlated_rows import half_of_mixture, spread_in_time
 
 FACES = mp.read_scheme("faces-6").up
 SD = 1e-3  # [g]
@@ -219,3 +220,40 @@ def test_a_mixture_of_t_is_held_by_its_half_interval(dof):
     half = correlated_rows.half_of_mixture(weight[None], sd[None, :, None] ** 2, dof)
     assert half.shape == (1, 1)
     assert half[0, 0] == pytest.approx(optimize.brentq(lacking, 0.1, 30.0), rel=0.004)
+
+
+def test_correlation_in_time_by_dense_matrices():
+    """Restricted likelihood, OLS covariance and equal rows of every ρ^|j − k|, written out."""
+    # eq. (5) of estimation.correlated_rows
+    rng = np.random.default_rng(7)
+    n, k, below = 16, 12, 6
+    X = np.column_stack([np.ones(n), rng.normal(size=n)])
+    errors = rng.normal(size=(2, n)).cumsum(axis=1) * [[1.0], [0.0]] + rng.normal(size=(2, n))
+    errors -= errors @ X @ np.linalg.inv(X.T @ X) @ X.T
+    low = np.sqrt(0.4 / n)
+    x = low + (1.0 - low) * (np.arange(k) + 0.5) / k
+    rho = np.concatenate([1.0 - x**2, -(np.arange(below) + 0.5) / below])
+    prior = np.concatenate([x / x.sum(), np.full(below, 1.0 / below)])
+    B = np.linalg.inv(X.T @ X) @ X.T
+    logs, variances = np.zeros((2, len(rho))), np.zeros((2, len(rho), 2))
+    rows = np.zeros(len(rho))
+    for g, r in enumerate(rho):
+        R = r ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        W = np.linalg.inv(R)
+        K = W - W @ X @ np.linalg.inv(X.T @ W @ X) @ X.T @ W
+        s2 = np.einsum("bi,ij,bj->b", errors, K, errors) / (n - 2)
+        dets = np.linalg.slogdet(R)[1] + np.linalg.slogdet(X.T @ W @ X)[1]
+        logs[:, g] = np.log(prior[g]) - 0.5 * (dets + (n - 2) * np.log(s2))
+        variances[:, g] = s2[:, None] * np.diag(B @ R @ B.T)
+        rows[g] = n**2 / R.sum()
+    weight = np.exp(logs - logs.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    plain = np.sqrt(np.sum(errors**2, axis=1)[:, None] / (n - 2) * np.diag(B @ B.T))
+    U = half_of_mixture(weight, variances, float(n - 2))
+    expected = np.maximum(U / (stats.t.isf(0.025, n - 2) * plain), 1.0)
+    (ratios,), worth = spread_in_time([X], [errors])
+    assert_allclose(ratios, expected, rtol=1e-6)
+    assert ratios[0].max() > 1.2
+    slow = weight[:, rho > 0.2].sum(axis=1) > 0.99
+    assert slow[0]
+    assert_allclose(worth, np.where(slow, np.minimum(weight @ rows, n), n), rtol=1e-6)

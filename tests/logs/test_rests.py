@@ -14,6 +14,8 @@ from multipos.logs import rest_means as of_rests
 from multipos.logs.rest_means import (
     _EDGE,
     RestSum,
+    _allan_line,
+    _allan_variance,
     _criterion,
     _edge,
     _lines,
@@ -524,3 +526,21 @@ def test_lines_ends_and_orders_of_batches_by_hand():
     # AICc: n ln σ² + 2 (k + 1) n/(n − k − 2)
     found = _criterion(np.array([np.e]), 1, np.array([10]))
     assert found == pytest.approx(10.0 + 40.0 / 7.0, rel=1e-12)
+
+
+def test_the_line_of_allan_variances_is_that_of_weighted_least_squares():
+    rng = np.random.default_rng(5)
+    phases = rng.normal(size=(2, 3, 41)).cumsum(axis=2)
+    lengths, end = np.array([[1, 2, 4], [1, 3, 6]]), np.array([40, 30])
+    weights = np.array([3.0, 2.0, 1.0])
+    slope, height, variance = _allan_line(phases, lengths, weights, end)
+    for rest in range(2):
+        x = np.log(lengths[rest] / end[rest])
+        curve = [
+            np.log(_allan_variance(phases[rest, :, : end[rest] + 1], m)) for m in lengths[rest]
+        ]
+        line = np.polyfit(x, curve, 1, w=np.sqrt(weights))
+        np.testing.assert_allclose([slope[rest], height[rest]], line, rtol=1e-9)
+        design = np.column_stack([x, np.ones(3)])
+        covariance = np.linalg.inv(design.T @ (weights[:, None] * design))
+        assert variance[rest] == pytest.approx(covariance[1, 1], rel=1e-9)
