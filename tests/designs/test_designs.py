@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
+from multipos.designs import exchange
 from multipos.designs.criteria import (
     Criterion,
     kernels,
@@ -795,3 +796,20 @@ def test_large_definite_equations_are_solved_by_halves():
     A = rng.normal(size=(300, 310))
     A, B = A @ A.T, rng.normal(size=(300, 2))
     np.testing.assert_allclose(solve_definite(A, B), np.linalg.solve(A, B), rtol=1e-6)
+
+
+def test_slopes_of_moving_positions_by_differences(monkeypatch):
+    """Positions that are included weigh in the mean too."""
+    seen = []
+    monkeypatch.setattr(exchange, "_descend", lambda f, x, steps: seen.append(f) or (x, f(x)[0]))
+    up = mp.read_scheme("fibonacci-12").up[:6]
+    mine = setting("linear")
+    exchange.polish(mine, up, Criterion("D"), mp.read_scheme("faces-6").up[:4])
+    exchange.polish_largest(mine, up, up[:3], mp.read_scheme("icosahedron-12").up)
+    x = 0.05 * np.random.default_rng(4).normal(size=12)
+    for fall in seen:
+        slope = fall(x)[1]
+        for j in (0, 7):
+            step = 1e-4 * np.eye(12)[j]
+            by_differences = (fall(x + step)[0] - fall(x - step)[0]) / 2e-4
+            assert slope[j] == pytest.approx(by_differences, rel=1e-3, abs=1e-6)
