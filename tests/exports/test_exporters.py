@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from log_bench import sensor, shared
 import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_body import needed_steps
-from multipos.exports.laws import in_metres, raw_zero, reduce_to
+from multipos.exports.laws import _require_no_turn, in_metres, raw_zero, reduce_to, rms_left
 from multipos.exports.target_c import SIGNATURE, signature
 from multipos.exports.targets import export, verify_export
 from multipos.numerics.rotations import rotation_matrix
+from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
 READINGS = 100_000
@@ -650,3 +652,26 @@ def test_the_metres_of_a_unit_of_the_readings(size, how, metres):
     else:
         assert in_metres(found, "px4") == pytest.approx(metres, rel=1e-12)
     assert raw_zero(found) == (3.0 if nominal else 0.0)
+
+
+def test_what_is_left_of_unknown_orientations_is_of_the_size():
+    up = mp.read_scheme("faces-6").up
+    c = SimpleNamespace(estimator=Estimator.UNKNOWN, sign=-1.0, reference=2.0 * up)
+    across = np.roll(up, 1, axis=1)
+    left = rms_left(c, -0.03 * up + 0.04 * across)  # of 2.03 and .04
+    assert left == pytest.approx(np.hypot(2.03, 0.04) - 2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(("degrees", "refused"), [(0.25, True), (0.15, False)])
+def test_a_turn_beyond_its_u_is_refused(degrees, refused):
+    mounting = {axis: {"u": u} for axis, u in (("x", 0.05), ("y", 0.1), ("z", 0.02))}
+    c = SimpleNamespace(intrinsic={"mounting_deg": mounting})
+    turn = rotation_matrix(np.radians([0.0, degrees, 0.0]))
+    _require_no_turn(c, turn, "px4", True)
+    if refused:
+        with pytest.raises(
+            mp.MultiposError, match=r"turned by 0\.25 degrees in its case \(U 0\.2\)"
+        ):
+            _require_no_turn(c, turn, "px4", False)
+    else:
+        _require_no_turn(c, turn, "px4", False)

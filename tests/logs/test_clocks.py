@@ -1,11 +1,13 @@
 """Clocks, interleaved sensors, registers and encodings: one simulated log written in many ways."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from log_bench import columns_of
 
 import multipos as mp
-from multipos.logs.clock import _turns_slowly
+from multipos.logs.clock import _turns_slowly, read_clock
 
 OUTPUTS = ("ax", "ay", "az")
 RATE = 100.0
@@ -235,3 +237,23 @@ def test_what_turns_in_small_steps_is_no_sample_a_second():
     assert not _turns_slowly(posed)
     assert not _turns_slowly(np.array([[1.0], [0.0]]) + noise)
     assert not _turns_slowly(turning[:, :5])
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "unit", "since"),
+    [
+        (1.7e15, 5e5, "us", True),  # two a second: by their steps they were ns
+        (1.7e12, 1500.0, "ms", True),
+        (1.7e9, 30.0, "s", True),
+        (1e9, 30.0, "ms", False),  # 2001: half a minute a row is of later logs
+        (1.7e9, 90.0, "ms", False),
+        (0.0, 0.5, "s", False),
+        (5.0, 10.0, "ms", False),
+        (5.0, 2e5, "ns", False),
+    ],
+)
+def test_the_unit_of_a_time_by_its_size_or_its_steps(first, step, unit, since):
+    log = SimpleNamespace(dates=(), units={})
+    found = read_clock(log, "t", first + step * np.arange(9.0), None)
+    expected = "its size, since 1970" if since else "its steps"
+    assert (found.unit, found.by) == (unit, expected)

@@ -11,6 +11,7 @@ from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.terms import parse_terms
 from multipos.regression import correlation
 from multipos.regression.correlation import (
+    _moving_power,
     bandwidth,
     cluster_covariance,
     effective_size,
@@ -238,3 +239,16 @@ def test_the_basis_of_a_design_spans_it_without_what_depends_on_other_columns():
     unit = X[:, :5] / np.linalg.norm(X[:, :5], axis=0)
     left = y - unit @ np.linalg.lstsq(unit, y, rcond=None)[0]
     assert_allclose(y - basis @ (basis.T @ y), left, atol=1e-13)
+
+
+@pytest.mark.parametrize("width", [1, 3, 7])
+def test_bartletts_sums_of_lagged_products_within_runs(width):
+    rng = np.random.default_rng(width)
+    g, starts = rng.normal(size=(12, 2)), [0, 6, 7]
+    run = np.repeat([0, 1, 2], [6, 1, 5])
+    expected = np.zeros((2, 2))
+    for j in range(12):
+        for k in range(12):
+            weight = max(1.0 - abs(j - k) / width, 0.0) * (run[j] == run[k])
+            expected += weight * np.outer(g[j], g[k])
+    np.testing.assert_allclose(_moving_power(g, np.array(starts), width), expected, atol=1e-12)
