@@ -49,6 +49,7 @@ FORCE = ("f_x", "f_y", "f_z")
 OF_FIELD = ("b_x", "b_y", "b_z")  # a magnetic field, as its direction or as `apply` adds it
 REFERENCE_U = ("reference_u_x", "reference_u_y", "reference_u_z")
 _APPLIED = re.compile(r"([uU]_)?([fb]_[xyz]|tilt_[xyz]_deg)|heading_deg|outside|parity|fault")
+_LIKELY = 0.02  # of standard gravity: what g is on Earth, and an acceleration beside it
 _LENGTHS = 0.01  # by which up vectors, rounded for print, are longer or shorter than one
 
 
@@ -158,6 +159,18 @@ def find_lengths(table: Table, names: Iterable[str]) -> tuple[Finding, ...]:
     text = f"up vectors have lengths of {lengths}; only their directions are used"
     action = f"Name the columns {', '.join(FORCE)} if they are forces in g."
     return (Finding("up-length", "warning", text, action),)
+
+
+def find_likely_m_s2(force: Array, units: Mapping[str, str]) -> tuple[Finding, ...]:
+    """Say where known forces (n, 3) without a unit all have the size of gravity in m/s²."""
+    size = np.hypot.reduce(force[known_rows(force)], axis=1)
+    if set(FORCE) & set(units) or not len(size):
+        return ()
+    if np.abs(size / STANDARD_GRAVITY - 1.0).max() > _LIKELY:
+        return ()
+    text = f"known forces have a size of {size.max():.3g} without a unit and are read as g"
+    action = "If they are in m/s², write f_x [m/s^2] in the header."
+    return (Finding("likely-unit", "warning", text, action),)
 
 
 # As a header may write a unit, without blanks and in small letters, and as it is called here.
@@ -464,13 +477,12 @@ def _own_case(names: Sequence[str]) -> dict[str, str]:
 def _forces(names: Sequence[str]) -> dict[str, str]:
     """Return what f_x, f_y, f_z are called here, where named acceleration stands beside them."""
     folded = {name.casefold() for name in names}
-    for mark in ("_", ""):
-        called = {name.replace("_", mark): name for name in FORCE}
-        if called.keys() <= folded:
-            beside = (component(name) for name in names if name.casefold() not in called)
-            if any(each.acceleration for each in beside):
-                return called
-    return {}
+    called = {text: name for name in FORCE for text in (name, name.replace("_", ""))}
+    called = {text: name for text, name in called.items() if text in folded}
+    if sorted(called.values()) != sorted(FORCE):
+        return {}
+    beside = (component(name) for name in names if name.casefold() not in called)
+    return called if any(each.acceleration for each in beside) else {}
 
 
 def _as_environment(name: str) -> str:

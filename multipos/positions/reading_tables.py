@@ -28,6 +28,7 @@ from multipos.positions.headers import (
     component,
     find_column,
     find_lengths,
+    find_likely_m_s2,
     in_celsius,
     in_standard_g,
     is_beside,
@@ -205,7 +206,9 @@ def _where_it_stood(
     rows = attitudes.rows_with_orientation(free)
     stated = states_forces(free, rows)
     force = read_forces(in_standard_g(free, units), rows) if stated else None
-    if force is None and all(name in free for name in FORCE):
+    if force is not None:
+        findings += find_likely_m_s2(force, units)
+    elif all(name in free for name in FORCE):
         why = "were added by apply" if left_by_apply(free) else "accompany an orientation"
         text = f"columns {quoted(FORCE)} {why} and are not used as positions"
         findings.append(Finding("unused-column", "note", text))

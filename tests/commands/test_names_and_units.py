@@ -80,7 +80,7 @@ def test_a_record_in_another_unit_than_the_calibration_is_refused(calibrations, 
     ("names", "size"),
     [
         (("F_X", "F_Y", "F_Z"), 1.0),
-        (("fx", "fy", "fz"), 1.0),
+        (("F_X", "fy", "f_z"), 1.0),
         (("f_x [m/s^2]", "f_y [m/s^2]", "f_z [m/s^2]"), G),
         (("fx (mg)", "fy (mg)", "fz (mg)"), 1e3),
     ],

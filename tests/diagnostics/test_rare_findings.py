@@ -40,6 +40,15 @@ def test_up_vectors_in_another_unit_are_directions(size):
     assert said(mp.fit(columns))["up-length"] == text
 
 
+@pytest.mark.parametrize("unit", ["", " [m/s^2]"])
+def test_known_forces_of_9_8_are_said(unit):
+    up = read_scheme("faces-corners-14").up
+    columns = {f"F{axis}{unit}": 9.8 * up[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"a{axis}": up[:, i] for i, axis in enumerate("xyz")}
+    text = "known forces have a size of 9.8 without a unit and are read as g"
+    assert said(mp.fit(columns)).get("likely-unit") == (None if unit else text)
+
+
 def test_an_orientation_error_beside_noise_of_a_whole_g():
     text = said(mp.schemes(["faces-6"], orientation_sd=0.1))["orientation-unweighed"]
     assert text.endswith("--orientation-sd 0.1 hardly counts")
