@@ -24,7 +24,7 @@ from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
 from multipos.positions import attitudes
-from multipos.positions.headers import FORCE
+from multipos.positions.headers import FORCE, TEMPERATURE
 from multipos.results import frozen
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
@@ -159,6 +159,8 @@ class Conditions:
             for name in rows.columns
             if _is_used(name, outputs, used) and name not in apart
         ]
+        if TEMPERATURE in rows.columns and TEMPERATURE not in used:
+            self._cells.append(self._over_temperature(rows))
 
     def groups(self) -> Iterator[Places]:
         """Yield units that share all conditions; one whose cells are at fault comes alone."""
@@ -207,6 +209,14 @@ class Conditions:
             return self._grouped.arranged(rows.conditions(name).codes)
         return self._grouped.arranged((numbers + 0.0).view(np.uint64))
 
+    def _over_temperature(self, rows: Rows) -> AnyArray:
+        """Return temperature where a unit was at several, as the tests of its residuals ask it."""
+        column = self._grouped.arranged(rows.numbers(TEMPERATURE))
+        starts = self._grouped.starts[:-1]
+        spread = np.maximum.reduceat(column, starts) - np.minimum.reduceat(column, starts)
+        several = np.repeat(spread > ONE_TEMPERATURE, self._grouped.counts)
+        return np.asarray(np.where(several, column, 0.0).view(np.uint64))
+
     def _alike(self, units: Places, n: int) -> Iterator[Places]:
         rng = np.random.default_rng(_SEED)
         starts = self._grouped.starts[units]
@@ -233,6 +243,7 @@ def _is_used(name: str, outputs: Sequence[str], used: Sequence[str]) -> bool:
 
 
 _LEAST = 2  # units, stations and trials
+ONE_TEMPERATURE = 1.0  # [K] of a unit, within which no term of temperature is asked of its batch
 
 
 class Trials(NamedTuple):

@@ -28,6 +28,7 @@ uncertain and unknown ones it is asked only of units that are fitted one by one.
 import math
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
@@ -35,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics.examination import are_open, are_poorly_known
-from multipos.diagnostics.projections import Kind, lacking
+from multipos.diagnostics.projections import Kind
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation.batches import Estimates
@@ -57,7 +58,13 @@ from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.fleets.unit_findings import UnitTests, find_in_units, may_lack_terms, unit_tests
+from multipos.fleets.unit_findings import (
+    UnitTests,
+    find_in_units,
+    lacking_in_batch,
+    may_lack_terms,
+    unit_tests,
+)
 from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.orientations import resolve
@@ -280,7 +287,7 @@ def find_pattern(
         tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
-    kinds = () if c.robust_weight is None else lacking(c)
+    kinds = () if c.robust_weight is None else lacking_in_batch(c)
     return Pattern(shared, fixture, c.gravity, _common(c), asked, tests, kinds, timed)
 
 
@@ -295,7 +302,8 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     if c.estimator is Estimator.LINEAR:
         if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
             return None
-        shared = share_design(c.model, c.reference, columns)
+        # Residuals are asked for temperature, where the model has no term of it, too.
+        shared = replace(share_design(c.model, c.reference, columns), environment=columns)
         return shared if shared.well_posed else None
     if c.estimator is Estimator.UNCERTAIN:
         return _share_uncertain(c, table, options)

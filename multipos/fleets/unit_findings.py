@@ -45,6 +45,7 @@ from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
+from multipos.fleets.grouping import ONE_TEMPERATURE
 from multipos.numerics.arrays import COMPONENTS, Array, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
@@ -119,7 +120,8 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     level = c.noise is None or is_level(c)
     if c.estimator is not Estimator.LINEAR or c.robust_weight is not None or not level:
         return None
-    kinds = lacking(c)
+    temperature = c.readings.environment.get(TEMPERATURE)
+    kinds = lacking_in_batch(c)
     try:
         projection = project(Setting(c, kinds, ())) if kinds else None
     except np.linalg.LinAlgError:
@@ -129,7 +131,6 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     columns = (c.readings.environment[name] for name in c.model.environment)
     keys = row_keys(np.column_stack([c.reference, *columns]))
     position = np.unique(np.array(keys), return_inverse=True)[1]
-    temperature = c.readings.environment.get(TEMPERATURE)
     return UnitTests(
         projection=projection,
         kinds=kinds,
@@ -140,6 +141,17 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
         stated=c.noise is not None,
         order=plan_of(c),
     )
+
+
+def lacking_in_batch(c: Calibration) -> tuple[Kind, ...]:
+    """Return the kinds that a model lacks; of temperature where the units of a batch share it."""
+    kinds = lacking(c)
+    temperature = c.readings.environment.get(TEMPERATURE)
+    if TEMPERATURE in c.model.environment or temperature is None:
+        return kinds
+    if np.ptp(temperature) > ONE_TEMPERATURE:
+        return kinds
+    return tuple(kind for kind in kinds if TEMPERATURE not in kind.name)
 
 
 def _nearest(reference: Array) -> float:

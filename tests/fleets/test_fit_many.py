@@ -127,6 +127,17 @@ def test_units_with_columns_of_the_model_of_their_own():
     assert worst_difference(found, table, model=model) < 1e-10
 
 
+@pytest.mark.parametrize("rows", [96, 24])  # of the last, units share their temperatures
+def test_a_term_of_temperature_that_the_model_lacks(rows):
+    table = line(4)
+    column = 25.0 + 10.0 * np.random.default_rng(2).standard_normal(rows)
+    table["temperature"] = np.resize(column, 96)
+    table["ax"] = table["ax"] + 0.01 * (table["temperature"] - 25.0)
+    found = mp.fit_many(table, unit_column="unit", station_column="station")
+    assert found["findings"].tolist() == ["missing-term"] * 4
+    assert worst_difference(found, table) < 1e-10
+
+
 def test_a_unit_that_fails_is_a_row_with_its_reason():
     table = line(5)
     table["ay"][24 + 3] = np.nan  # of U0001
