@@ -289,7 +289,7 @@ class Whitening:
     def __call__(self, columns: Array) -> Array:
         """Return columns (n, p) or (n,) with independent errors, row by row as they stand."""
         order = self.order.order
-        age = _ages(self.order.run)
+        age = ages(self.order.run)
         white = _filtered(columns[order], age, self.law.rho, self.law.theta)
         full = white
         for lag, a in enumerate(self.law.further.tolist(), start=1):
@@ -324,7 +324,7 @@ def find_noise(design: Array, response: Array, order: TimeOrder | None) -> Noise
     if order is None:
         return None
     rows = order.order[:_ROWS]
-    age = _ages(order.run)[:_ROWS]
+    age = ages(order.run)[:_ROWS]
     X, y = design[rows], response[rows]
     basis = _basis(X)
     left = y - basis @ (basis.T @ y)
@@ -438,7 +438,7 @@ def _autoregression(e: Array, age: NDArray[np.intp]) -> Array:
     return chosen
 
 
-def _ages(run: NDArray[np.intp]) -> NDArray[np.intp]:
+def ages(run: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return how many rows of its run stand before each row, in the order of time."""
     begins = np.concatenate(([True], np.diff(run) != 0))
     place = np.arange(len(run))

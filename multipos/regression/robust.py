@@ -41,6 +41,7 @@ from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.terms import CONSTANT, Term, linear_term
 from multipos.regression.correlation import (
     Whitening,
+    ages,
     cluster_covariance,
     effective_size,
     hac_covariance,
@@ -50,6 +51,8 @@ from multipos.regression.correlation import (
 )
 from multipos.regression.observations import Data
 from multipos.regression.segment import Between, Robust, Segment
+
+_ONE_ROW = 0.5  # of leverage: a row decides more than all others
 
 
 def runs_lost(data: Data) -> int:
@@ -221,6 +224,10 @@ def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
     for law in data.noise.plausible:
         white = Whitening(data.order, law)(both)
         fit = solve(white[:, :-1], white[:, -1])
+        later = data.order.order[ages(data.order.run) > len(law.further)]
+        if len(law.further) and fit.leverage.max() > _ONE_ROW and len(later) > both.shape[1]:
+            # An autoregression takes a period off, of which the start of a run is then left.
+            fit = solve(white[later, :-1], white[later, -1])
         dof = fit.dof - runs_lost(data)
         if dof > 0:
             found.append(General(fit.coefficients, fit.cofactor * (float(fit.rss) / dof), dof))

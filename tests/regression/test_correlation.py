@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import multipos as mp
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.terms import parse_terms
@@ -252,3 +253,12 @@ def test_bartletts_sums_of_lagged_products_within_runs(width):
             weight = max(1.0 - abs(j - k) / width, 0.0) * (run[j] == run[k])
             expected += weight * np.outer(g[j], g[k])
     np.testing.assert_allclose(_moving_power(g, np.array(starts), width), expected, atol=1e-12)
+
+
+def test_a_variable_of_the_period_of_its_noise_is_not_significant():
+    # sin and cos are orthogonal: the slope of one on the other is none, in any law of noise
+    turn = 2.0 * np.pi * np.arange(600) / 20.0
+    columns = {"x": np.sin(turn), "y": np.cos(turn)}
+    segment = mp.regress(columns, response="y", variables="x").to_dict()["segments"][0]
+    assert segment["F"] < 1e-9
+    assert segment["F_robust"] < 1.0
