@@ -76,7 +76,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import has_other_solutions, require_response, sensitivities
-from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt
+from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt, zeros_of_force
 from multipos.uncertainty.validity import applied, unseen_covariance
 
 _TOGETHER = 1 << 12  # rows, whose arrays stay in the processor's cache
@@ -176,7 +176,7 @@ def add_columns(
     tilts: dict[str, Array] = {}
     if tilt:
         rest = at_rest(calibration, raw, environment)
-        force, tilts = rest[:, axes], _tilts(calibration, rest, environment, noise)
+        force, tilts = rest[:, axes], _tilts(calibration, rest, environment, uncertainty, noise)
         beyond |= np.any([np.isnan(tilts[f"tilt_{COMPONENTS[i]}_deg"]) for i in axes], axis=0)
     else:
         force = calibration.compensate(raw, environment)
@@ -251,7 +251,11 @@ def _rows_of(table: Table, start: int) -> Table:
 
 
 def _tilts(
-    calibration: Calibration, rest: Array, environment: Mapping[str, Array], noise: Array | None
+    calibration: Calibration,
+    rest: Array,
+    environment: Mapping[str, Array],
+    uncertainty: ReadingUncertainty | None,
+    noise: Array | None,
 ) -> dict[str, Array]:
     """Return the tilt of each axis at rest, with its uncertainties where the noise is known."""
     axes = list(calibration.model.sensed_axes)
@@ -260,9 +264,12 @@ def _tilts(
     else:
         angle = tilt_at_rest(calibration, rest, environment).tilt
     tilts = _by_axis("tilt_{}_deg", axes, np.degrees(angle))
-    if noise is not None:  # what is a tilt at all does not depend on what is asked for
+    if uncertainty is not None and noise is not None:
+        # what is a tilt at all does not depend on what is asked for
+        estimated = noise if uncertainty.noise.own else np.zeros_like(noise)
+        zeros = zeros_of_force(calibration, rest, environment, None, estimated)
         unseen = unseen_covariance(calibration, rest[:, axes], environment)
-        sized = tilt_at_rest(calibration, rest, environment, noise, unseen)
+        sized = tilt_at_rest(calibration, rest, environment, noise, unseen, zeros)
         tilts |= _by_axis("u_tilt_{}_deg", axes, np.degrees(sized.u))
         tilts |= _by_axis("U_tilt_{}_deg", axes, np.degrees(sized.U))
     return tilts

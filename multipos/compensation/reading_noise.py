@@ -7,7 +7,9 @@ and the noise s of one reading, at the force f,
 
 The degrees of freedom are Welch's and Satterthwaite's over the lines of the budget. A noise that
 the calibration's own readings gave stands on the same residuals as C does, so that both are one
-line of it; a noise that is stated is known for certain. U = k u, k of Student's t.
+line of it; a noise that is stated is known for certain. U = k u, k of Student's t. Over temperature
+a reading has the zero of a soak of its own as well (`multipos.sensor.temperature`), a line of q
+degrees of freedom.
 
 s is, in this order: `u_<output>` of the table, what `reading_sd` states, or that of an averaged
 reading of the calibration, a mean over its positions. The last is too small for rows that are
@@ -35,6 +37,7 @@ from multipos.positions.readings import spread_reading_sd
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import sensitivities
+from multipos.sensor.temperature import zeros_of_soaks
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.propagation import (
     Evaluation,
@@ -225,6 +228,15 @@ class ReadingUncertainty:
         else:
             variance.append(own.sum(axis=1))
             dof.append(np.full(len(own), np.inf))
+        zeros = zeros_of_soaks(c, by_parameter, None, sd if self.noise.own else np.zeros_like(sd))
+        for i, q in enumerate(zeros.dof.tolist()):
+            if np.isfinite(q):
+                squared = inverse[:, :, i] ** 2
+                each = np.sum(zeros.columns[:, i] ** 2, axis=1)
+                variance.append((squared * each[:, None]).ravel())
+                dof.append(np.full(len(own), q))
+                for place in scatter[i : i + 1] if apart else scatter[:1]:
+                    variance[place] = variance[place] - (squared * zeros.contained[:, [i]]).ravel()
         unseen = unseen_covariance(c, force, environment)
         variance.append(np.einsum("nkk->nk", unseen).ravel())
         dof.append(np.full(len(own), np.inf))

@@ -145,11 +145,21 @@ ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
 
 
 class General(NamedTuple):
-    """The same terms fitted to rows made independent by one law of their noise."""
+    """The same terms fitted to rows made independent by one law of their noise.
+
+    An autoregression takes a period off, of which the start of a run is then left: where one row
+    decides more than all others, `later` is the fit without these rows.
+    """
 
     values: Array
     covariance: Array
     dof: int
+    later: "General | None" = None
+
+    def turned(self, L: Array) -> "General":
+        """Return the fit of coefficients that are L times these."""
+        later = None if self.later is None else self.later.turned(L)
+        return General(L @ self.values, L @ self.covariance @ L.T, self.dof, later)
 
 
 class RobustFit(NamedTuple):
@@ -168,10 +178,7 @@ class RobustFit(NamedTuple):
 
     def turned(self, L: Array) -> "RobustFit":
         """Return the fit of coefficients that are L times these."""
-        general = tuple(
-            one._replace(values=L @ one.values, covariance=L @ one.covariance @ L.T)
-            for one in self.general
-        )
+        general = tuple(one.turned(L) for one in self.general)
         return self._replace(covariance=L @ self.covariance @ L.T, general=general)
 
 
@@ -220,18 +227,26 @@ def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
     """Return the fit to rows made independent by each plausible law of their noise."""
     if data.order is None or data.noise is None:
         return ()
-    both, found = np.column_stack([X, data.response]), []
+    both, lost = np.column_stack([X, data.response]), runs_lost(data)
+    order, age = data.order.order, ages(data.order.run)
+    found = []
     for law in data.noise.plausible:
         white = Whitening(data.order, law)(both)
         fit = solve(white[:, :-1], white[:, -1])
-        later = data.order.order[ages(data.order.run) > len(law.further)]
-        if len(law.further) and fit.leverage.max() > _ONE_ROW and len(later) > both.shape[1]:
-            # An autoregression takes a period off, of which the start of a run is then left.
-            fit = solve(white[later, :-1], white[later, -1])
-        dof = fit.dof - runs_lost(data)
-        if dof > 0:
-            found.append(General(fit.coefficients, fit.cofactor * (float(fit.rss) / dof), dof))
+        later, rest = None, order[age > len(law.further)]
+        if len(law.further) and fit.leverage.max() > _ONE_ROW and len(rest) > both.shape[1]:
+            later = _general(solve(white[rest, :-1], white[rest, -1]), lost)
+        one = _general(fit, lost)
+        if one is not None:
+            found.append(one._replace(later=later))
     return tuple(found)
+
+
+def _general(fit: LinearFit, lost: int) -> General | None:
+    dof = fit.dof - lost
+    if dof <= 0:
+        return None
+    return General(fit.coefficients, fit.cofactor * (float(fit.rss) / dof), dof)
 
 
 def robust_test(
@@ -259,10 +274,11 @@ def robust_test(
         return None
     slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
     if fit.general:
-        tests = [_by_law(one, slopes) for one in fit.general]
+        plain = _tested(*classical)
+        tests = [_by_law(one, slopes, plain.p) for one in fit.general]
         found = max(tests, key=lambda test: -1.0 if np.isnan(test.p) else test.p)
         level = 1.0 - confidence
-        if not fit.shown and not _tested(*classical).p < level <= found.p:
+        if not fit.shown and not plain.p < level <= found.p:
             return None
     else:
         F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
@@ -284,8 +300,13 @@ class _Test(NamedTuple):
     p: float
 
 
-def _by_law(one: General, slopes: list[int]) -> _Test:
-    return _tested(*wald(one.values[slopes], one.covariance[np.ix_(slopes, slopes)]), one.dof)
+def _by_law(one: General, slopes: list[int], plain: float) -> _Test:
+    """Return the test by one law; rows at the start of a run make no more of it than F does."""
+    F, k = wald(one.values[slopes], one.covariance[np.ix_(slopes, slopes)])
+    found = _tested(F, k, one.dof)
+    if one.later is None or not found.p < plain:
+        return found
+    return _by_law(one.later, slopes, plain)
 
 
 def _tested(F: float, k: int, nu: float) -> _Test:

@@ -231,15 +231,16 @@ class Zeros(NamedTuple):
     contained: Array
 
 
-def zeros_of_soaks(c: Calibration, X: Array, run: Readings, estimated: Array) -> Zeros:
-    """Return what zeros of soaks do to a run.
+def zeros_of_soaks(c: Calibration, X: Array, run: Readings | None, estimated: Array) -> Zeros:
+    """Return what zeros of soaks do to a run, or to single readings.
 
     Parameters
     ----------
     c : Calibration
     X : (n, M, p) array
         Derivatives of the run's readings by the parameters.
-    run : Readings
+    run : Readings or None
+        None of single readings, whose budget holds what ``[stability]`` states.
     estimated : (n, M) array
         The part of the noise of the run's readings that was estimated with the calibration.
     """
@@ -247,17 +248,18 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings, estimated: Array) ->
     contained = np.zeros(X.shape[:2])
     if TEMPERATURE not in c.model.environment:
         return Zeros(parts[0], dof, contained)
-    numbers = soaks_of(run)
-    if numbers is None:  # fewer than a calibration is judged by
-        numbers = _soaks_in_order(run.environment[TEMPERATURE])
+    numbers = np.zeros(len(X), dtype=np.intp)
+    if run is not None:
+        found = soaks_of(run)  # None: fewer than a calibration is judged by
+        numbers = _soaks_in_order(run.environment[TEMPERATURE]) if found is None else found
     for i, output in enumerate(c.outputs):
         soaks = _soaks(c, i)
         if soaks is None or not soaks.sd > 0.0:
             continue
         spread, stated = _spread(soaks), _stated_zero(c, output)
         own = np.zeros((*X.shape[:2], int(np.max(numbers)) + 1))
-        own[np.arange(len(X)), i, numbers] = spread
         beyond = np.sqrt(max(spread**2 - stated**2, 0.0))
+        own[np.arange(len(X)), i, numbers] = beyond if run is None else spread
         parts += [beyond * (X @ soaks.moves), own]
         dof[i] = soaks.dof
         of_fit = estimated[:, i] ** 2

@@ -38,8 +38,10 @@ from numpy.typing import ArrayLike
 
 from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
+from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert_at_rest, sensitivities, unseen_leak
+from multipos.sensor.temperature import zeros_of_soaks
 
 _ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
 
@@ -89,6 +91,27 @@ class ZerosOfForce(NamedTuple):
     covariance: Array
     expanded: Array
     contained: Array
+
+
+def zeros_of_force(
+    calibration: Calibration,
+    rest: Array,
+    environment: Mapping[str, Array],
+    run: Readings | None,
+    estimated: Array,
+) -> ZerosOfForce:
+    """Return what zeros of soaks do to the force (n, 3) [g] of a run, None of single readings.
+
+    `estimated` is as of `zeros_of_soaks`.
+    """
+    c = calibration
+    held = np.where(np.isfinite(rest), rest, 0.0)
+    inverse, X = sensitivities(c.model, c.parameters, held, environment)
+    zeros = zeros_of_soaks(c, X, run, estimated)
+    variance = np.sum(zeros.columns**2, axis=2)
+    factors = coverage_by_tenths(c.confidence, zeros.dof) ** 2
+    each = (variance, factors * variance, zeros.contained)
+    return ZerosOfForce(*((inverse * v[:, None]) @ inverse.transpose(0, 2, 1) for v in each))
 
 
 def tilt_at_rest(

@@ -57,10 +57,8 @@ from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, sensitivities
-from multipos.sensor.temperature import zeros_of_soaks
+from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal
 from multipos.sensor.tilt import (
-    ZerosOfForce,
     at_rest,
     force_uncertainty,
     magnitude_of,
@@ -68,6 +66,7 @@ from multipos.sensor.tilt import (
     tilt_at_rest,
     triad_tilt,
     true_tilt,
+    zeros_of_force,
 )
 from multipos.uncertainty.validity import unseen_covariance
 from multipos.verification.agreement import judge_run
@@ -123,7 +122,7 @@ def force_errors(
     covariance, dof = force_uncertainty(calibration, rest, data.environment, noise.whole, unseen)
     square = np.einsum("ni,ni->n", known, known)[:, None]
     across = np.sqrt(np.maximum(square - reference**2, 0.0))
-    zeros = _zeros_of_force(calibration, data, rest, noise)
+    zeros = zeros_of_force(calibration, rest, data.environment, data, noise.estimated)
     own = np.sqrt(np.einsum("nkk->nk", covariance - zeros.contained))
     u = np.hypot(own, across * _orientation_error(data))
     if data.reference_u is not None:
@@ -134,20 +133,6 @@ def force_errors(
     U = np.hypot(_expanded(calibration, own, u, dof) * u, U_zeros)
     before = nominal_force(calibration.model, data.values, nominal) - reference
     return reference, before, rest[:, axes] - reference, np.hypot(u, of_zeros), U
-
-
-def _zeros_of_force(
-    calibration: Calibration, data: Readings, rest: Array, noise: RunNoise
-) -> ZerosOfForce:
-    """Return what zeros of soaks do to the force (n, 3) [g] of a run."""
-    c = calibration
-    held = np.where(np.isfinite(rest), rest, 0.0)
-    inverse, X = sensitivities(c.model, c.parameters, held, data.environment)
-    zeros = zeros_of_soaks(c, X, data, noise.estimated)
-    variance = np.sum(zeros.columns**2, axis=2)
-    factors = coverage_by_tenths(c.confidence, zeros.dof) ** 2
-    each = (variance, factors * variance, zeros.contained)
-    return ZerosOfForce(*((inverse * v[:, None]) @ inverse.transpose(0, 2, 1) for v in each))
 
 
 def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
@@ -186,7 +171,7 @@ def tilt_errors(
     reference = true_tilt(data.up)[:, axes]
     rest = at_rest(calibration, data.values, data.environment, data.up)
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
-    zeros = _zeros_of_force(calibration, data, rest, noise)
+    zeros = zeros_of_force(calibration, rest, data.environment, data, noise.estimated)
     found = tilt_at_rest(calibration, rest, data.environment, noise.whole, unseen, zeros)
     of_orientation = _orientation_error(data)
     force = nominal_force(calibration.model, data.values, nominal)
