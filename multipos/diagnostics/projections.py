@@ -39,7 +39,7 @@ what a fit with the term would give, without the fit.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -197,7 +197,7 @@ class Projection:
         Q of each output's design, or of the one of all.
     rows : (R, n) or (R, n M) array
     output : (R,) array
-        The column of whitened residuals that a row is for.
+        The column of whitened residuals that a row is for, rising.
     starts, place : arrays
         Where blocks begin, and their place among (kinds, outputs).
     q : (kinds, outputs) array
@@ -226,7 +226,10 @@ class Projection:
 
 @frozen
 class _Part:
-    """The design Q R of one output, or of all, and terms (R, n) by kind; and on the sphere."""
+    """The design Q R of one output, or of all, and terms (R, n) by kind; and on the sphere.
+
+    The terms are the first of the rows of the projection that are still to be filled in.
+    """
 
     basis: Array
     triangle: Array
@@ -247,16 +250,16 @@ def _projection(setting: Setting) -> Projection:
     c, kinds = setting.calibration, setting.kinds
     together = c.noise is not None and c.noise.ndim == 2
     whitener, weight = _whitener(c)
-    parts = iter([_joint_part(c, kinds, whitener)]) if together else _own_parts(c, kinds, whitener)
     count = 1 if together else len(c.outputs)
     q = np.zeros((len(kinds), count))
     size_of_all = sum(len(terms) for kind in kinds for terms in kind.terms)
     rows = np.empty((size_of_all, c.residuals.size if together else len(c.residuals)))
+    part_of = (_joint_part if together else _own_parts)(c, kinds, whitener)
     sizes: list[int] = []
     place: list[int] = []
     fitted, hidden = [], set()
     for column in range(count):
-        Q, seen, unseen = _see(next(parts), setting, rows[sum(sizes) :])
+        Q, seen, unseen = _see(part_of(column, rows[sum(sizes) :]), setting)
         fitted.append(Q)
         hidden |= unseen
         for k, number in seen.items():
@@ -278,10 +281,10 @@ def _projection(setting: Setting) -> Projection:
     )
 
 
-def _see(part: _Part, setting: Setting, rows: Array) -> tuple[Array, dict[int, int], set[str]]:
+def _see(part: _Part, setting: Setting) -> tuple[Array, dict[int, int], set[str]]:
     """Return Q of a part, how many rows are seen of kinds by number, and hidden kinds.
 
-    Fills in orthonormal rows (R, n) of what Q leaves of the kinds, in place of the terms.
+    Orthonormal rows of what Q leaves of the kinds take the place of the terms, from the first on.
     """
     Q = part.basis
     there = part.design_there @ np.linalg.inv(part.triangle)
@@ -292,24 +295,27 @@ def _see(part: _Part, setting: Setting, rows: Array) -> tuple[Array, dict[int, i
             Z = part.terms[mine].T
             Q = np.column_stack([Q, seen_rows(left_of(Q, Z), column_norms(Z)).T])
     scale = column_norms(part.terms.T)
+    along = _take_out(Q, part.terms)
     error = np.zeros((len(there), len(part.terms)))
     if not setting.added:
-        error = part.terms_there - there @ (part.terms @ Q).T
-    _take_out(Q, part.terms)
+        error = part.terms_there - there @ along.T
     seen: dict[int, int] = {}
     hidden = set()
     for k, (kind, mine) in enumerate(named):
-        V = part.terms[mine].T
-        if not V.shape[1] or kind.name in setting.added:
+        V = part.terms[mine]
+        if not len(V) or kind.name in setting.added:
             continue
+        gram = V @ V.T
         asked = not setting.added and kind.name in OF_FORCE
-        if asked and hides(V.T @ V, error[:, mine], part.terms_there[:, mine], size):
+        if asked and hides(gram, error[:, mine], part.terms_there[:, mine], size):
             hidden.add(kind.name)
-        found = seen_rows(V, scale[mine])
-        if len(found):
+        turns = _turns(gram, scale[mine])
+        if len(turns):
             first = sum(seen.values())
-            rows[first : first + len(found)] = found
-            seen[k] = len(found)
+            for start in range(0, V.shape[1], _ROWS):
+                block = slice(start, start + _ROWS)
+                part.terms[first : first + len(turns), block] = turns @ V[:, block]
+            seen[k] = len(turns)
     return Q, seen, hidden
 
 
@@ -337,10 +343,15 @@ def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
 
 def seen_rows(V: Array, scale: Array) -> Array:
     """Return orthonormal rows (r, n) of the part of V (n, q) beyond rounding of columns' norms."""
-    U = V / np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(U.T @ U)
+    return np.asarray(_turns(V.T @ V, scale) @ V.T)
+
+
+def _turns(gram: Array, scale: Array) -> Array:
+    """Return T (r, q), TV' orthonormal rows, by V'V and the norms of columns without the fit."""
+    size = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(gram / np.multiply.outer(size, size))
     identifiable = values > IDENTIFIABLE
-    return np.asarray((vectors[:, identifiable] / np.sqrt(values[identifiable])).T @ U.T)
+    return np.asarray((vectors[:, identifiable] / np.sqrt(values[identifiable])).T / size)
 
 
 def values_of(
@@ -354,9 +365,12 @@ def values_of(
 
 
 def terms_of(
-    kinds: Sequence[Kind], force: Array, environment: Mapping[str, Array]
+    kinds: Sequence[Kind],
+    force: Array,
+    environment: Mapping[str, Array],
+    room: Array | None = None,
 ) -> tuple[Array, Places, Places]:
-    """Return all terms as rows (R, n), and the output and kind of each (R,)."""
+    """Return all terms as rows (R, n), the first of a room, and the output and kind of each."""
     variables = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)} | dict(environment)
     places = [
         (k, output, term)
@@ -364,7 +378,7 @@ def terms_of(
         for output, terms in enumerate(kind.terms)
         for term in terms
     ]
-    result = np.empty((len(places), len(force)))
+    result = np.empty((len(places), len(force))) if room is None else room[: len(places)]
     for row, (_, _, term) in enumerate(places):
         result[row] = term.evaluate(variables)
     kind_of, output_of = np.array([place[:2] for place in places], dtype=np.intp).reshape(-1, 2).T
@@ -425,13 +439,18 @@ def left_of(Q: Array, Z: Array) -> Array:
     return V.T
 
 
-def _take_out(Q: Array, rows: Array) -> None:
-    """Take orthonormal columns Q (n, p) out of rows (R, n), in place."""
+def _take_out(Q: Array, rows: Array) -> Array:
+    """Take orthonormal columns Q (n, p) out of rows (R, n), in place; return rows @ Q."""
     blocks = [slice(first, first + _ROWS) for first in range(0, len(Q), _ROWS)]
-    for _ in range(2):  # twice is enough
-        along = sum(rows[:, block] @ Q[block] for block in blocks)
-        for block in blocks:
-            rows[:, block] -= along @ Q[block].T
+    along, rest = np.zeros((2, len(rows), Q.shape[1]))
+    for block in blocks:
+        along += rows[:, block] @ Q[block]
+    for block in blocks:  # twice is enough
+        rows[:, block] -= along @ Q[block].T
+        rest += rows[:, block] @ Q[block]
+    for block in blocks:
+        rows[:, block] -= rest @ Q[block].T
+    return along
 
 
 def _whitener(c: Calibration) -> tuple[Array, Array]:
@@ -448,19 +467,24 @@ def _whitener(c: Calibration) -> tuple[Array, Array]:
     return weight if c.robust_weight is None else np.sqrt(weight), weight
 
 
-def _own_parts(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> Iterator[_Part]:
-    """Yield the part of each output: of many positions all at once would be too large."""
+def _own_parts(
+    c: Calibration, kinds: tuple[Kind, ...], whitener: Array
+) -> Callable[[int, Array], _Part]:
+    """Return what gives the part of an output, its terms in a room."""
     directions, means = sphere(c)
     there = c.model.basis(directions, means)
     designs = _designs(c, whitener)
-    for i, (columns, (Q, R)) in enumerate(zip(c.model.columns, designs, strict=True)):
+
+    def part_of(i: int, room: Array) -> _Part:
         alone = [Kind(kind.name, (kind.terms[i],)) for kind in kinds]
-        weight = whitener[:, i : i + 1]
-        rows = terms_of(alone, c.reference, c.readings.environment)[0]
-        rows *= weight.T
+        rows = terms_of(alone, c.reference, c.readings.environment, room)[0]
+        rows *= whitener[:, i]
         rows_there = terms_of(alone, directions, means)[0]
-        yield _Part(Q, R, rows, there[:, columns], rows_there.T, _places_of(alone))
-        del rows  # before the next output takes its memory
+        return _Part(
+            *designs[i], rows, there[:, c.model.columns[i]], rows_there.T, _places_of(alone)
+        )
+
+    return part_of
 
 
 def _designs(c: Calibration, whitener: Array) -> list[tuple[Array, Array]]:
@@ -473,8 +497,10 @@ def _designs(c: Calibration, whitener: Array) -> list[tuple[Array, Array]]:
     return [found[key] for key in keys]
 
 
-def _joint_part(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> _Part:
-    """Return the part of outputs whose readings are correlated."""
+def _joint_part(
+    c: Calibration, kinds: tuple[Kind, ...], whitener: Array
+) -> Callable[[int, Array], _Part]:
+    """Return what gives the part of outputs whose readings are correlated, its terms in a room."""
     directions, means = sphere(c)
     found = []
     for force, columns in ((c.reference, c.readings.environment), (directions, means)):
@@ -484,7 +510,12 @@ def _joint_part(c: Calibration, kinds: tuple[Kind, ...], whitener: Array) -> _Pa
         found += [each.reshape(-1, each.shape[2]) for each in (whole, terms)]
     here, beside, there, beside_there = found
     Q, R = np.linalg.qr(whitener @ here)
-    return _Part(Q, R, (whitener @ beside).T.copy(), there, beside_there, _places_of(kinds))
+
+    def part_of(_: int, room: Array) -> _Part:
+        room[:] = (whitener @ beside).T
+        return _Part(Q, R, room, there, beside_there, _places_of(kinds))
+
+    return part_of
 
 
 def _places_of(kinds: Sequence[Kind]) -> tuple[slice, ...]:

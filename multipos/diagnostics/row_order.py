@@ -37,7 +37,7 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache, partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +66,7 @@ _SHORT = 64  # rows, up to which sums from each step on are one matrix
 _LONG = 64  # rows from step to step, beyond which their products are not held
 _ROUNDS = 5  # of weights, alternating with sizes
 _ROUNDING = 1e-12
+_NOTHING = 1e-30  # a correlation that adds nothing
 _FEW = 8  # units whose probabilities are worked out one by one
 _CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # ρ at which the likelihood is evaluated
 TIME, APPROACH, SLOW = "time", "approach", "time-correlated"
@@ -302,6 +303,7 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
             given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
             place[units], p[row, units], score[row, units] = _judge(plan, test, *given)
         step[row] = test.family.steps[place]
+    del along  # of many rows it is large
     _judge_slow(plan, e, whole, score[-1], p[-1])
     codes = (*(test.family.code for test in plan.tests), SLOW)
     wholly = np.array([*(test.family.wholly for test in plan.tests), False])
@@ -413,7 +415,8 @@ def _moved_alone(base: Array, slopes: Array) -> Array:
     """Return the columns (n, q) of one output of slopes (3,)."""
     if base.shape[1] == 1:
         return base[:, 0]
-    return np.asarray(sum(slope * base[:, axis] for axis, slope in enumerate(slopes.tolist())))
+    used = np.flatnonzero(slopes).tolist() or [0]  # most are zero
+    return np.asarray(reduce(np.add, (slopes[axis] * base[:, axis] for axis in used)))
 
 
 def fit_sizes(bases: Sequence[Array], Z: Array, e: Array) -> tuple[Array, Array]:
@@ -633,13 +636,15 @@ def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
     def correlated(X: Array) -> Array:
         """Return ΩX."""
         w = X if across is None else (across[:, :, None] * X[:, None]).reshape(n, -1)
-        z = recur(w, rho) + recur(w[::-1], rho)[::-1] - w
+        z = recur(w, rho)
+        z += recur(w[::-1], rho)[::-1]
+        z -= w
         if across is None:
             return z
         return np.asarray(np.einsum("nc,ncp->np", across, z.reshape(*across.shape, -1)))
 
     if across is None:  # of triples of rows 6 d (n − d) lie d apart
-        d = np.arange(1.0, n)
+        d = np.arange(1.0, min(n, math.log(_NOTHING) / math.log(rho)))
         square = rho ** (2.0 * d) * (n - d)
         powers = n, n + 2.0 * square.sum(), n + 6.0 * (square @ d)
     else:
@@ -717,7 +722,8 @@ def _families(c: Calibration, p: int) -> list[_Family]:
         phi = c.model.basis(c.reference, c.readings.environment)[order]
         families.append(_Family("replaced", phi, wholly, wholly=True))
     held = np.concatenate([f[:1], f[:-1]])
-    families.append(_Family("settling", (held - f)[:, :, None], start))
+    held -= f
+    families.append(_Family("settling", held[:, :, None], start))
     for code, base in _stated(c):
         families.append(_Family(code, base[order], start))
     return families

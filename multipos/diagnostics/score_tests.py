@@ -192,7 +192,7 @@ def explained_by(found: Projection, errors: Array) -> Array:
     explained = np.zeros((errors.shape[1], found.q.size))
     along = np.empty((errors.shape[1], len(found.rows)))
     for output, each in enumerate(errors):
-        mine = found.output == output
+        mine = slice(*np.searchsorted(found.output, [output, output + 1]))
         along[:, mine] = each @ found.rows[mine].T
     explained[:, found.place] = np.add.reduceat(along**2, found.starts, axis=1)
     return explained.reshape(-1, *found.q.shape)

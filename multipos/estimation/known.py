@@ -227,7 +227,7 @@ def _factored(model: Model, phi: Array, stack: Sequence[list[int]]) -> list[Desi
     return [
         Design(
             outputs=outputs,
-            design=np.ascontiguousarray(designs[i]),
+            design=designs[i],
             Q=found.Q[i],
             root=found.inverse[i],
             cofactor=found.cofactors[i],

@@ -233,7 +233,7 @@ def _is_explained(
     others : designs of all outputs, with the terms of a kind beside those of the model
     """
     out = int(np.sum(~kept))
-    dof = np.array([part.dof for part in view for _ in range(part.values.shape[1])])
+    dof = np.array([part.dof for part in view for _ in part.values])
     left = _squares(_left_of(view, kept[None]))[0] / (dof - out)
     for designs in others:
         parts = [view_of([X], values[:, [m]])[0] for m, X in enumerate(designs)]
@@ -302,22 +302,29 @@ class Part:
 
     Attributes
     ----------
-    basis : (n, p) array
-        Orthonormal columns of the design.
-    values : (n, m) array
-        What they leave of the readings.
+    both : (p + m, n) array
+        Orthonormal columns of the design as rows, and what they leave of the readings.
     least : (m,) array
         Squared residual of a reading that is rounding.
     """
 
-    basis: Array
-    values: Array
+    both: Array
     least: Array
+
+    @property
+    def basis(self) -> Array:
+        """Orthonormal columns of the design, as rows (p, n)."""
+        return self.both[: -len(self.least)]
+
+    @property
+    def values(self) -> Array:
+        """What they leave of the readings (m, n)."""
+        return self.both[-len(self.least) :]
 
     @property
     def dof(self) -> int:
         """Degrees of freedom of an output."""
-        return int(self.basis.shape[0] - self.basis.shape[1])
+        return int(self.both.shape[1] - len(self.basis))
 
 
 View = tuple[Part, ...]
@@ -342,14 +349,17 @@ def view_of(designs: Sequence[Array], values: Array, variance: Array | None = No
         left, sizes, _ = np.linalg.svd(R / column_scales(R), full_matrices=False)
         if sizes[-1] <= _SINGULAR * sizes[0]:
             Q = Q @ left[:, sizes > _SINGULAR * sizes[0]]
-        least = (_ROUNDING * np.abs(y).max(axis=0)) ** 2
-        parts.append(Part(Q, y - Q @ (Q.T @ y), least))
+        both = np.concatenate([Q.T, y.T])
+        rows = len(both) - len(members)
+        least = (_ROUNDING * np.abs(both[rows:]).max(axis=1)) ** 2
+        both[rows:] -= (y.T @ Q) @ both[:rows]
+        parts.append(Part(both, least))
     return tuple(parts)
 
 
 def find_outliers(views: Sequence[View]) -> Places:
     """Return the rows that are outliers in every view of the same readings, by eq. (1)."""
-    n = len(views[0][0].values)
+    n = views[0][0].both.shape[1]
     most = min(n // 4, min(part.dof for view in views for part in view) // 2)
     if most < 1:
         return np.zeros(0, dtype=np.intp)
@@ -358,13 +368,16 @@ def find_outliers(views: Sequence[View]) -> Places:
         counts.append(fewer)
     for view in views:
         left = _trimmed(view, most)
-        order = np.argsort(-_far(left)[0], kind="stable")
+        (far,) = _far(left)
+        first = np.sort(np.argpartition(far, n - most)[n - most :])  # fewer to be sorted
+        order = first[np.argsort(-far[first], kind="stable")]
         beyond = _whole_is_beyond(view, left, order, counts)
-        rank = np.empty_like(order)
-        rank[order] = np.arange(n)
-        sets = rank >= np.array(beyond, dtype=np.intp)[:, None]
+        sets = np.ones((len(beyond), n), dtype=np.bool_)
+        for kept, out in zip(sets, beyond, strict=True):
+            kept[order[:out]] = False
         for each in views:
-            sets = sets[_parts_are_beyond(each, sets, most)]
+            if len(sets):
+                sets = sets[_parts_are_beyond(each, sets, most)]
         if len(sets):
             return np.flatnonzero(~sets[0])
     return np.zeros(0, dtype=np.intp)
@@ -388,18 +401,19 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
 
     Of many rows the best set of a sample is where the search of all begins, and nearly ends.
     """
-    n = len(view[0].values)
+    n = view[0].both.shape[1]
     starts: Mask
     if n > _SAMPLE:
-        rows = np.sort(_drawn(n, 1, n)[0].argsort()[:_SAMPLE])
+        rows = np.sort(_drawn(n, 1, n)[0].argpartition(_SAMPLE)[:_SAMPLE])
         root = math.sqrt(n / _SAMPLE)
         sample = tuple(
-            Part(root * part.basis[rows], part.values[rows], part.least) for part in view
+            Part(np.concatenate([root * part.basis[:, rows], part.values[:, rows]]), part.least)
+            for part in view
         )
         starts = np.zeros((1, n), dtype=np.bool_)
         starts[:, rows] = _best(sample, most * _SAMPLE // n)[0]
     else:
-        p = max(part.basis.shape[1] for part in view)
+        p = max(len(part.basis) for part in view)
         good = (1.0 - most / n) ** (p + 1)
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
         starts = _drawn(n, number, n).argsort(axis=1) <= p
@@ -420,22 +434,23 @@ def _drawn(seed: int, rows: int, columns: int) -> NDArray[np.uint64]:
 
 
 def _left_of(view: View, kept: Mask) -> _Left:
-    """Return of every part residuals (B, n, m), and sums (B, m) of squares of the B sets kept."""
+    """Return of every part residuals (B, m, n), and sums (B, m) of squares of the B sets kept."""
     found = []
     for part in view:
-        (n, p), m = part.basis.shape, part.values.shape[1]
+        (p, n), m = part.basis.shape, len(part.values)
         blocks = [slice(first, first + _ROWS) for first in range(0, n, _ROWS)]
-        both = np.concatenate([part.basis, part.values], axis=1)
-        sums = np.zeros((len(kept), p * (p + m)))
-        for rows in blocks:
-            products = part.basis[rows, :, None] * both[rows, None, :]
-            sums += 1.0 * kept[:, rows] @ products.reshape(-1, p * (p + m))
-        sums = sums.reshape(-1, p, p + m)
+        weights = [1.0 * kept[:, rows].T for rows in blocks]
+        sums = np.zeros((p * (p + m), len(kept)))
+        for rows, weight in zip(blocks, weights, strict=True):
+            products = part.basis[:, None, rows] * part.both[None, :, rows]
+            sums += products.reshape(p * (p + m), -1) @ weight
+        sums = sums.T.reshape(-1, p, p + m)
         fitted = np.linalg.solve(sums[:, :, :p] + _RIDGE * np.eye(p), sums[:, :, p:])
-        e, squares = np.empty((len(kept), n, m)), np.zeros((len(kept), m))
-        for rows in blocks:
-            e[:, rows] = part.values[rows] - part.basis[rows] @ fitted
-            squares += (1.0 * kept[:, None, rows] @ e[:, rows] ** 2)[:, 0]
+        away = fitted.transpose(0, 2, 1)
+        e, squares = np.empty((len(kept), m, n)), np.zeros((len(kept), m))
+        for rows, weight in zip(blocks, weights, strict=True):
+            e[:, :, rows] = part.values[:, rows] - away @ part.basis[:, rows]
+            squares += (e[:, :, rows] ** 2 @ weight.T[:, :, None])[:, :, 0]
         found.append((e, squares + part.least))
     return found
 
@@ -446,8 +461,8 @@ def _objective(left: _Left) -> Array:
 
 def _far(left: _Left) -> Array:
     """Return how far off rows are, (B, n), in units of what the sets kept show."""
-    each = [np.einsum("bnm,bnm,bm->bn", e, e, 1.0 / squares) for e, squares in left]
-    return np.asarray(np.sum(each, axis=0))
+    each = [np.einsum("bmn,bmn,bm->bn", e, e, 1.0 / squares) for e, squares in left]
+    return each[0] if len(each) == 1 else np.asarray(np.sum(each, axis=0))
 
 
 def _squares(left: _Left) -> Array:
@@ -474,10 +489,11 @@ def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) 
     """
     cuts, squares = [0, *sorted(counts)], []
     for part, (e, _) in zip(view, left, strict=True):
-        p = part.basis.shape[1]
-        both = np.concatenate([part.basis, e[0]], axis=1)
-        pieces = [both[order[first:last]] for first, last in pairwise([*cuts, len(order)])]
-        sums = np.cumsum([each.T @ each for each in pieces[::-1]], axis=0)[::-1]
+        p = len(part.basis)
+        both = np.concatenate([part.basis, e[0]])
+        pieces = [both[:, order[first:last]] for first, last in pairwise(cuts)]
+        both[:, order] = 0.0
+        sums = np.cumsum([each @ each.T for each in (both, *pieces[::-1])], axis=0)[::-1]
         along = sums[:, :p, p:]
         fitted = np.linalg.solve(sums[:, :p, :p] + _RIDGE * np.eye(p), along)
         least = np.einsum("bmm->bm", sums[:, p:, p:]) - np.einsum("bpm,bpm->bm", along, fitted)
@@ -518,13 +534,13 @@ def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:
 
 def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
     """Tell whether x (M,) of eq. (1) is beyond chance."""
-    outputs = [part.values.shape[1] for part in view]
+    outputs = [len(part.values) for part in view]
     least = np.minimum.reduceat(x, np.cumsum([0, *outputs[:-1]])).tolist()
     logs = [
         _log_beta_tail(each, 0.5 * (part.dof - i), 0.5 * (i - j))
         for each, part in zip(least, view, strict=True)
     ]
-    chances = math.log(len(x)) + _log_choices(len(view[0].values) - j, i - j)
+    chances = math.log(len(x)) + _log_choices(view[0].values.shape[1] - j, i - j)
     return min(logs) + chances <= math.log(_LEVEL / most)
 
 

@@ -162,13 +162,15 @@ def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
         return _doubled(w, a, first)
     z = np.empty(w.shape)
     powers = (float(a) ** np.arange(1.0, rows + 1.0)).reshape(-1, *[1] * (w.ndim - 1))
+    powers = powers[: np.count_nonzero(np.abs(powers) > _NOTHING)]
     for begin in range(0, len(w), rows):
         block = slice(begin, begin + rows)
         runs = None if first is None else first[block]
         z[block] = _doubled(w[block], a, runs)
         if begin:
-            same = len(z[block]) if runs is None or not runs.any() else int(np.argmax(runs))
-            z[begin : begin + same] += powers[:same] * z[begin - 1]
+            same = len(w) - begin if runs is None or not runs.any() else int(np.argmax(runs))
+            carried = powers[:same]
+            z[begin : begin + len(carried)] += carried * z[begin - 1]
     return z
 
 

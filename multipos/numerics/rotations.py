@@ -62,8 +62,10 @@ def step_derivative(direction: Array, basis: Array, step: Array) -> Array:
 def cross_matrix(vector: Array) -> Array:
     """Return [v]x (n, 3, 3) of vectors (n, 3): [v]x w = v x w."""
     x, y, z = vector.T
-    zero = np.zeros_like(x)
-    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    crossed = np.zeros((3, 3, len(vector)))
+    crossed[0, 1], crossed[1, 2], crossed[2, 0] = -z, -x, -y
+    crossed[0, 2], crossed[1, 0], crossed[2, 1] = y, z, x
+    return crossed.transpose(2, 0, 1)
 
 
 def rotation_matrix(vector: Array) -> Array:

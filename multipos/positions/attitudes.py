@@ -131,6 +131,12 @@ def _form(table: Table) -> str | None:
 
 def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
     """Return attitudes of open heading from up vectors (n, 3) of any length but zero."""
+    unit = unit_vectors(up, where)
+    return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
+
+
+def unit_vectors(up: ArrayLike, where: str = "`up`") -> Array:
+    """Return up vectors (n, 3) of any length but zero as unit vectors."""
     vectors = np.array(up, dtype=np.float64, ndmin=2)
     if vectors.ndim != 2 or vectors.shape[1] != 3:
         raise MultiposError(
@@ -145,12 +151,11 @@ def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
             "it must point somewhere."
         )
     scaled = vectors / largest[:, None]
-    length = np.linalg.norm(scaled, axis=1)
+    length = np.sqrt(np.einsum("ni,ni->n", scaled, scaled))
     unit = scaled / length[:, None]
     # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
     already = np.abs(largest * length - 1.0) < 4.0 * np.finfo(float).eps
-    unit = np.where(already[:, None], vectors, unit) + 0.0
-    return Attitudes(unit, np.full((len(unit), 3, 3), np.nan))
+    return np.where(already[:, None], vectors, unit) + 0.0
 
 
 def from_rotation(rotation: ArrayLike) -> Attitudes:

@@ -305,7 +305,8 @@ def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> Places:
 
 def _references(readings: Readings, unknown: Mask, rolls: OpenRolls | None, size: float) -> Array:
     """Return the references (n, 3) [g]: known forces as they stand, the others of a size."""
-    reference = size * _directions(readings, unknown, rolls) + 0.0
+    up = _directions(readings, unknown, rolls)
+    reference = up if size == 1.0 else size * up + 0.0
     if readings.force is None:
         return reference
     # Of a force in a direction that is unknown the size is left.
@@ -320,14 +321,14 @@ def _directions(readings: Readings, unknown: Mask, rolls: OpenRolls | None) -> A
         return np.tile(_ANY, (len(readings), 1))
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
     if rolls is not None:
-        up = np.where(rolls.rows[:, None], across(rolls.vectors), up)
+        up = np.where(rolls.rows[:, None], across(rolls.vectors), up) + 0.0
     missing = np.isnan(up).any(axis=1) & ~unknown & ~readings.forced
     if missing.any():
         raise MultiposError(
             f"position '{readings.labels[int(np.argmax(missing))]}' has no orientation; give it, "
             "or leave its orientation_sd_deg empty for unknown."
         )
-    return np.where(unknown[:, None], _ANY, up)
+    return np.where(unknown[:, None], _ANY, up) if unknown.any() else up
 
 
 def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> Array:

@@ -427,7 +427,7 @@ def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
     left = 1.0 - leverage
     # A position that alone fixes a parameter (leverage 1) has no residual to test.
     tested = (dof >= 2.0) & (s2 > 0.0) & (left > 1e-9)
-    return np.asarray(np.where(tested, error**2, 0.0) / np.where(tested, s2 * left, 1.0))
+    return np.asarray(error**2 / np.where(tested, s2 * left, np.inf))
 
 
 def largest_square(nu: float, readings: int) -> float:

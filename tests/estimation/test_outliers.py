@@ -145,7 +145,7 @@ def test_four_rows_of_which_two_lie_beyond_by_hand():
     """ν = 16, i = 4, j = 2: I_x(6, 1) is x⁶, times M outputs and C(18, 2) = 153, and .75 %/m."""
     # eq. (1) of estimation.outliers
     for outputs in (1, 2):
-        view = [SimpleNamespace(dof=16.0, values=np.zeros((20, outputs)))]
+        view = [SimpleNamespace(dof=16.0, values=np.zeros((outputs, 20)))]
         limit = (0.0075 / 5 / 153 / outputs) ** (1 / 6)
         for x, beyond in ((0.999 * limit, True), (1.001 * limit, False)):
             assert _is_beyond(view, np.array([x, 0.99])[:outputs], 4, 2, 5) == beyond
