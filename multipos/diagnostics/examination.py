@@ -25,7 +25,7 @@ scale factor is an error: with the gain G of the estimator by √(Σ G² u²).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -41,8 +41,8 @@ from multipos.diagnostics.columns import (
 from multipos.diagnostics.gross_errors import explained
 from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
 from multipos.diagnostics.residuals import (
+    Residuals,
     effective_number,
-    explain_orientations,
     explain_unequal,
     lack_of_fit,
     orientation_error,
@@ -255,7 +255,9 @@ def open_headings(c: Calibration) -> Finding | None:
 RIVALS = frozenset({"missing-term", "placement", "outlier", "lack-of-fit", SLOW})
 
 
-def compete(c: Calibration, found: list[Finding]) -> list[Finding]:
+def compete(
+    c: Calibration, found: list[Finding], residuals: Callable[[], Residuals]
+) -> list[Finding]:
     """Return what was found, with the best of the causes that explain the same residuals.
 
     Causes of time and table (`multipos.diagnostics.row_order`) are held against the terms that the
@@ -274,21 +276,23 @@ def compete(c: Calibration, found: list[Finding]) -> list[Finding]:
     rivals = [finding for finding in found if finding.code in RIVALS]
     kept = [finding for finding in found if finding.code not in RIVALS]
     if rivals:
-        scores = [_score(c, finding, freedom) for finding in rivals]
+        scores = [_score(c, finding, freedom, residuals) for finding in rivals]
         strongest = rivals[int(np.argmax(scores))].code
         if best.code in {finding.code for finding in rivals} or max(scores) >= best.score:
             return [*kept, *(d for d in rivals if d.code == strongest)]
     return [*kept, _describe(c, best)]
 
 
-def _score(c: Calibration, finding: Finding, freedom: float) -> float:
+def _score(
+    c: Calibration, finding: Finding, freedom: float, residuals: Callable[[], Residuals]
+) -> float:
     """Return S of a finding of residuals, as `row_order` has it."""
     n, m = c.residuals.shape
     if finding.code == "missing-term":
         return score_of_term(c, c.diagnostics.model_tests)
     if finding.code == "placement":
-        of = residuals_of(c)
-        gain = float((explain_unequal(of).deviance - explain_orientations(of).deviance)[0])
+        of = residuals()
+        gain = float((explain_unequal(of).deviance - of.oriented.deviance)[0])
         return float(gain - (2.0 - m) * math.log(freedom))
     if finding.code == SLOW:
         return slow_score(c)
@@ -436,7 +440,7 @@ CAUTIONS: tuple[Question, ...] = (
     open_headings,
 )
 # Cautions about what the residuals show, and cannot show.
-OF_RESIDUALS: tuple[Question, ...] = (
+OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     poorly_determined,
     hidden_terms,
     drift_absorbed,
@@ -498,12 +502,14 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
         found += explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
-        questions = [partial(outlier, sought=sought) if q is outlier else q for q in OF_RESIDUALS]
+        residuals = cache(partial(residuals_of, calibration))
+        more = {outlier: {"sought": sought}, orientation_error: {"residuals": residuals}}
+        questions = [partial(ask, **more.get(ask, {})) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration)
         if any(each.code == "quantized" for each in found):  # roundings follow no law
             found += [each for each in of_rows if each.code not in RIVALS]
         else:
-            found += compete(calibration, of_rows)
+            found += compete(calibration, of_rows, residuals)
     before = calibration.diagnostics
     every = (*found, *before.findings)
     if calibration.readings.dof is not None:  # nobody stated this noise

@@ -45,7 +45,7 @@ Biometrics 51 (3).
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -133,6 +133,11 @@ class Residuals:
     def freedom(self) -> float:
         """Degrees of freedom of all outputs."""
         return float(self.error[0].size - len(self.parameters))
+
+    @cached_property
+    def oriented(self) -> "Explained":
+        """What orientation error explains of them."""
+        return explain_orientations(self)
 
     @cached_property
     def contrasts(self) -> int:
@@ -544,14 +549,14 @@ def rejected_noise(c: Calibration) -> Finding | None:
     )
 
 
-def orientation_error(c: Calibration) -> Finding | None:
+def orientation_error(c: Calibration, residuals: Callable[[], Residuals]) -> Finding | None:
     """Find readings that scatter across the force, as orientation errors make them."""
     if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
         return None
-    of = residuals_of(c)
+    of = residuals()
     if not across_the_force(of)[0]:
         return None
-    degrees = _orientation_error(explain_equal(of), explain_orientations(of))
+    degrees = _orientation_error(explain_equal(of), of.oriented)
     if degrees is None:
         return None
     return Finding(

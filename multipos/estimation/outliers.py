@@ -41,7 +41,7 @@ from multipos.numerics.factoring import Covariance, column_scales, factor
 from multipos.numerics.terms import Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values_of_units
 from multipos.sensor.model import Model
 
 _LINEAR = frozenset(("1", *COMPONENTS))
@@ -142,7 +142,9 @@ def _off_line(
     rows = find_outliers(views)
     kept = _without(rows, len(y))
     if len(rows) and len(model.outputs) > 1:
-        rows = _beyond_noisy_rows(designs, y, variance, kept)
+        if variance is not None and len(views) == 1:
+            views = [view_of(designs, y, variance), *views]
+        rows = _beyond_noisy_rows(views[::-1], kept)
         kept = _without(rows, len(y))
     if not len(rows):
         return None
@@ -236,9 +238,9 @@ def _is_explained(
     dof = np.array([part.dof for part in view for _ in part.values])
     left = _squares(_left_of(view, kept[None]))[0] / (dof - out)
     for designs in others:
-        parts = [view_of([X], values[:, [m]])[0] for m, X in enumerate(designs)]
-        if min(part.dof for part in parts) > 1 and all(
-            float(np.sum(part.values**2)) / part.dof < _NEARLY * least
+        parts = (view_of([X], values[:, [m]])[0] for m, X in enumerate(designs))
+        if all(
+            part.dof > 1 and float(np.sum(part.values**2)) / part.dof < _NEARLY * least
             for part, least in zip(parts, left.tolist(), strict=True)
         ):
             return True
@@ -271,29 +273,25 @@ def _outlying(
     return Outlying(rows, off, errors, math.sqrt(float(np.max(before / after)) * left / dof), left)
 
 
-def _beyond_noisy_rows(
-    designs: Sequence[Array], values: Array, variance: Array | None, kept: Mask
-) -> Places:
+def _beyond_noisy_rows(views: Sequence["View"], kept: Mask) -> Places:
     """Return the rows, of those not kept, that are beyond chance even if rows are unlike.
 
     They are so weighted as stated, or unweighted: what is stated of many may be wrong.
     """
     rows = np.flatnonzero(~kept)
-    n, m = values.shape
-    if n - max(X.shape[1] for X in designs) < ROWS_NAMED:
+    if min(part.dof for part in views[0]) < ROWS_NAMED:
         return rows
-    questioned = np.repeat(~kept[:, None], m, axis=1)
-    least = np.ones(len(rows))
-    for sd in (np.ones((n, m)), *(() if variance is None else (np.sqrt(variance),))):
-        weighed = [X / sd[:, [i]] for i, X in enumerate(designs)]
-        bases = [np.linalg.qr(X)[0] for X in weighed]
-        left = [y - Q @ (Q.T @ y) for Q, y in zip(bases, (values / sd).T, strict=True)]
-        leverage = np.column_stack([np.sum(Q**2, axis=1) for Q in bases])
-        p = p_values(np.column_stack(left), leverage, weighed, questioned)
-        if p is None:
+    least, size = np.ones(len(rows)), 1
+    for view in views:
+        left = np.concatenate([part.values for part in view]).T
+        bases = [part.basis.T for part in view for _ in part.values]
+        leverage = np.column_stack([np.einsum("np,np->n", Q, Q) for Q in bases])
+        questioned = np.repeat(~kept[:, None], left.shape[1], axis=1)
+        (p,) = p_values_of_units(left[None], leverage, bases, questioned[None])
+        if np.isnan(p[rows]).any():
             return rows
-        least = np.minimum(least, p.reshape(len(rows), m).min(axis=1))
-    return rows[least < OUTLIER_LEVEL / values.size]
+        least, size = np.minimum(least, p[rows].min(axis=1)), left.size
+    return rows[least < OUTLIER_LEVEL / size]
 
 
 @frozen
@@ -369,7 +367,7 @@ def find_outliers(views: Sequence[View]) -> Places:
     for view in views:
         left = _trimmed(view, most)
         (far,) = _far(left)
-        first = np.sort(np.argpartition(far, n - most)[n - most :])  # fewer to be sorted
+        first = np.sort(np.argpartition(far, n - most - 1)[n - most - 1 :])  # fewer to be sorted
         order = first[np.argsort(-far[first], kind="stable")]
         beyond = _whole_is_beyond(view, left, order, counts)
         sets = np.ones((len(beyond), n), dtype=np.bool_)
@@ -485,22 +483,30 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
 def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) -> list[int]:
     """Return how many of the first rows in an order are beyond chance, eq. (1) at j = 0.
 
-    By the sums of products between one count and the next, of what a fit leaves of all rows.
+    By the sums of products between one count and the next, of what a fit leaves of all rows. Where
+    the last of the rows and the next one in order do not stand apart, not all of them do.
     """
     cuts, squares = [0, *sorted(counts)], []
+    at = np.array(cuts[1:])
+    inner, outer = np.zeros((2, len(at)))
     for part, (e, _) in zip(view, left, strict=True):
         p = len(part.basis)
         both = np.concatenate([part.basis, e[0]])
         pieces = [both[:, order[first:last]] for first, last in pairwise(cuts)]
-        both[:, order] = 0.0
+        both[:, order[: cuts[-1]]] = 0.0
         sums = np.cumsum([each @ each.T for each in (both, *pieces[::-1])], axis=0)[::-1]
         along = sums[:, :p, p:]
         fitted = np.linalg.solve(sums[:, :p, :p] + _RIDGE * np.eye(p), along)
         least = np.einsum("bmm->bm", sums[:, p:, p:]) - np.einsum("bpm,bpm->bm", along, fitted)
         squares.append(np.maximum(least, 0.0) + part.least)
+        for far, rows in ((outer, order[at - 1]), (inner, order[at])):
+            off = e[0][:, rows] - np.einsum("kpm,pk->mk", fitted[1:], part.basis[:, rows])
+            far += np.sum(off**2 / squares[-1][1:].T, axis=0)
     every = np.concatenate(squares, axis=1)
-    ratio = dict(zip(cuts, every / every[0], strict=True))
-    return [out for out in counts if _is_beyond(view, ratio[out], out, 0, counts[0])]
+    apart = np.flatnonzero((at == 1) | (outer > _GAP**2 * inner))[::-1]
+    outs = at[apart].tolist()
+    beyond = _are_beyond(view, every[1 + apart] / every[0], outs, [0] * len(outs), counts[0])
+    return [out for out, is_beyond in zip(outs, beyond, strict=True) if is_beyond]
 
 
 def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:
@@ -524,24 +530,26 @@ def _parts_are_beyond(view: View, sets: Mask, most: int) -> Mask:
         inner = rank < (sets.shape[1] - back)[:, None]
         left = _left_of(view, inner)
         x = smallest[alive] / _squares(left)
-        pairs = zip(x, outs[alive].tolist(), back.tolist(), strict=True)
-        passed = np.array([_is_beyond(view, each, i, j, most) for each, i, j in pairs])
+        passed = _are_beyond(view, x, outs[alive].tolist(), back.tolist(), most)
         beyond[alive[~passed]] = False
         going = passed & (back > 0)
         alive, inner, back, far = alive[going], inner[going], back[going], _far(left)[going]
     return np.asarray(beyond)
 
 
-def _is_beyond(view: View, x: Array, i: int, j: int, most: int) -> bool:
-    """Tell whether x (M,) of eq. (1) is beyond chance."""
-    outputs = [len(part.values) for part in view]
-    least = np.minimum.reduceat(x, np.cumsum([0, *outputs[:-1]])).tolist()
-    logs = [
-        _log_beta_tail(each, 0.5 * (part.dof - i), 0.5 * (i - j))
-        for each, part in zip(least, view, strict=True)
-    ]
-    chances = math.log(len(x)) + _log_choices(view[0].values.shape[1] - j, i - j)
-    return min(logs) + chances <= math.log(_LEVEL / most)
+def _are_beyond(
+    view: View, x: Array, outs: Sequence[int], backs: Sequence[int], most: int
+) -> NDArray[np.bool_]:
+    """Tell which x (K, M) of eq. (1), of i rows and j < i, are beyond chance."""
+    outputs, dofs = [len(part.values) for part in view], [part.dof for part in view]
+    n, limit = view[0].values.shape[1], math.log(_LEVEL / most) - math.log(x.shape[1])
+    least = np.minimum.reduceat(x, np.cumsum([0, *outputs[:-1]]), axis=1).tolist()
+    beyond = np.empty(len(least), dtype=np.bool_)
+    for k, (each, i, j) in enumerate(zip(least, outs, backs, strict=True)):
+        pairs = zip(each, dofs, strict=True)
+        log = min(_log_beta_tail(ratio, 0.5 * (dof - i), 0.5 * (i - j)) for ratio, dof in pairs)
+        beyond[k] = log < 0.0 and log + _log_choices(n - j, i - j) <= limit
+    return beyond
 
 
 def _log_choices(n: int, k: int) -> float:

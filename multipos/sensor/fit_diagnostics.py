@@ -103,7 +103,9 @@ def p_values(
     array or None
         None where the other readings do not determine the fit.
     """
-    bases = [np.linalg.qr(design)[0] for design in designs]
+    each_once = {id(design): design for design in designs}
+    Q = {key: np.linalg.qr(design)[0] for key, design in each_once.items()}
+    bases = [Q[id(design)] for design in designs]
     (found,) = p_values_of_units(errors[None], leverage, bases, questioned[None])
     return None if np.isnan(found[questioned]).any() else found[questioned]
 
@@ -401,7 +403,8 @@ def find_outliers(
             beyond.append((column, int(suspects[place])))
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
     if beyond and error.shape[1] > 1 and judged:
-        weighed = [design[:, own] for own in columns]
+        each_once = {own.tobytes(): design[:, own] for own in columns}
+        weighed = [each_once[own.tobytes()] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)

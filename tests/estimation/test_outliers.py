@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.special import betainc
 
 import multipos as mp
-from multipos.estimation.outliers import _is_beyond, _left_of, _log_beta_tail, find_outlying_rows
+from multipos.estimation.outliers import _are_beyond, _left_of, _log_beta_tail, find_outlying_rows
 from multipos.estimation.robustness import huber_factors
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
@@ -148,7 +148,7 @@ def test_four_rows_of_which_two_lie_beyond_by_hand():
         view = [SimpleNamespace(dof=16.0, values=np.zeros((outputs, 20)))]
         limit = (0.0075 / 5 / 153 / outputs) ** (1 / 6)
         for x, beyond in ((0.999 * limit, True), (1.001 * limit, False)):
-            assert _is_beyond(view, np.array([x, 0.99])[:outputs], 4, 2, 5) == beyond
+            assert _are_beyond(view, np.array([[x, 0.99]])[:, :outputs], [4], [2], 5) == [beyond]
 
 
 def test_an_ellipsoid_is_linear_in_its_form():
@@ -176,9 +176,10 @@ def test_what_fits_to_some_rows_leave_of_all():
     rng = np.random.default_rng(3)
     basis, values = np.linalg.qr(rng.normal(size=(20, 3)))[0], rng.normal(size=(20, 2))
     kept = rng.random((4, 20)) > 0.3
-    part = SimpleNamespace(basis=basis, values=values, least=0.25)
+    both = np.concatenate([basis.T, values.T])
+    part = SimpleNamespace(both=both, basis=basis.T, values=values.T, least=0.25)
     ((left, squares),) = _left_of((part,), kept)
     for one, e, square in zip(kept, left, squares, strict=True):
         b = np.linalg.lstsq(basis[one], values[one], rcond=None)[0]
-        np.testing.assert_allclose(e, values - basis @ b, atol=1e-7)
+        np.testing.assert_allclose(e.T, values - basis @ b, atol=1e-7)
         np.testing.assert_allclose(square, np.sum((values - basis @ b)[one] ** 2, axis=0) + 0.25)
