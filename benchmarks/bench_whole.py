@@ -59,13 +59,12 @@ with tempfile.TemporaryDirectory() as folder:
     main(["report", f"{folder}/cal.json", "-o", f"{folder}/report.html"])
     print(time.process_time() - begun)
 """
-RECORD = """
-import time
-import numpy as np
-import multipos as mp
-record = {"ax": np.random.default_rng(0).standard_normal(1_000_000)}
+COMMAND = """
+import sys, time
+from multipos.cli import main  # which sets the threads where nobody did
 begun = time.process_time()
-mp.stability(record, rate=100.0)
+status = main(["stability", sys.argv[1], "--rate", "100", "-o", sys.argv[2]])
+assert status == 0
 print(time.process_time() - begun)
 """
 
@@ -205,11 +204,11 @@ def many_outputs() -> Ratio:
     return Ratio("fit, uncertain orientations, 48 outputs", "12 outputs", pairs, 4**1.3)
 
 
-def printed(program: str, **environment: str) -> list[float]:
+def printed(program: str, *arguments: str, **environment: str) -> list[float]:
     """Return the numbers of the last line that a program prints, in a process of its own."""
     kept = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     found = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program],
+        [sys.executable, "-W", "ignore", "-c", program, *arguments],
         env={**kept, **environment},
         stdout=subprocess.PIPE,
         check=True,
@@ -280,5 +279,11 @@ def compiled_in(folder: Path, number: str, text: str) -> str:
 
 
 def threads() -> Ratio:
-    pairs = [printed(RECORD)[0] / printed(RECORD, OMP_NUM_THREADS="1")[0] for _ in range(3)]
-    return Ratio("stability, 10⁶ rows, threads by default", "one thread", pairs, 1.1)
+    """Return the time of a command with threads as it sets them, over that with one."""
+    with tempfile.TemporaryDirectory() as folder:
+        record, found = Path(folder) / "record.csv", f"{folder}/found.json"
+        values = np.random.default_rng(0).standard_normal(1_000_000)
+        np.savetxt(record, values, fmt="%.6g", header="ax", comments="")
+        program = COMMAND, str(record), found
+        pairs = [printed(*program)[0] / printed(*program, OMP_NUM_THREADS="1")[0] for _ in range(5)]
+    return Ratio("multipos stability, 10⁶ rows, threads by default", "one thread", pairs, 1.1)

@@ -503,7 +503,10 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
         residuals = cache(partial(residuals_of, calibration))
-        more = {outlier: {"sought": sought}, orientation_error: {"residuals": residuals}}
+        more: dict[object, dict[str, Any]] = {
+            outlier: {"sought": sought},
+            orientation_error: {"residuals": residuals},
+        }
         questions = [partial(ask, **more.get(ask, {})) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration)
         if any(each.code == "quantized" for each in found):  # roundings follow no law
