@@ -27,8 +27,7 @@ from typing import IO, Any
 
 from multipos.capturing.evaluation import SessionPlan, Targets, average_poses, read_targets
 from multipos.capturing.live_rests import RowOptions
-from multipos.capturing.session import Session
-from multipos.capturing.state import line_of, state_of
+from multipos.capturing.session import Session, line_of, state_of
 from multipos.capturing.streams import RowSource, open_source
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names

@@ -1,6 +1,6 @@
 """The text screen: the state of a session on a terminal, for who has no browser at hand.
 
-It shows what `multipos.capturing.state` says and nothing of its own. A line on the keyboard is a
+It shows what `multipos.capturing.session` says and nothing of its own. A line on the keyboard is a
 command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes, ``l``
 changes the language, which at first is that of the terminal.
 """
@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from multipos.capturing.session import Session
-from multipos.capturing.state import state_of
+from multipos.capturing.session import Session, state_of
 from multipos.files.numbers import number, table
 from multipos.reports.sections import Language, Translator
 

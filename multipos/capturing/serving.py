@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import unquote
 
-from multipos.capturing.session import Session
-from multipos.capturing.state import live_of, state_of
+from multipos.capturing.session import Session, live_of, state_of
 from multipos.errors import MultiposError, UsageError
 
 Server = TypeVar("Server", bound=ThreadingHTTPServer)

@@ -19,8 +19,7 @@ from multipos.capturing.running import (
     rescued,
     run_session,
 )
-from multipos.capturing.session import Session
-from multipos.capturing.state import line_of
+from multipos.capturing.session import Session, line_of
 from multipos.capturing.streams import open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports

@@ -15,7 +15,7 @@ from multipos.verification.comparison import (
     comparison_sentence,
     runs_text,
 )
-from multipos.verification.regression_comparison import RegressionComparison
+from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))

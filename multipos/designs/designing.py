@@ -40,9 +40,8 @@ from multipos.files.tables import Source, format_csv
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.terms import ModelText
-from multipos.positions.benches import bench_settings, read_bench
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
-from multipos.positions.scheme import Scheme, read_scheme
+from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_scheme
 from multipos.results import Drawn, Keyed, Tabular, frozen
 from multipos.sensor.model import Model
 
@@ -73,7 +72,7 @@ class Design(Keyed, Drawn, Tabular):
         What the positions tell.
     settings : tuple of mappings
         How the bench that was given is set at each position, in its own words; empty where it has
-        none (`multipos.positions.benches`).
+        none (`multipos.positions.scheme`).
     findings : tuple of Finding
     """
 
@@ -221,7 +220,7 @@ def design(
         'u:OUTPUT:TERM' (one parameter), 'tilt:±30' (variance of tilt over that range of degrees),
         or 'force:±0.5' (of force over that range of g).
     candidates : bench, scheme, path or columns, optional
-        What can be reached (`multipos.positions.benches`); any direction where not given.
+        What can be reached (`multipos.positions.scheme`); any direction where not given.
     include : scheme, path or columns, optional
         Positions already measured, which stay: the others are the next best ones.
     region : as `candidates`, optional

@@ -23,9 +23,8 @@ from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.finding import Findings, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
-from multipos.positions.benches import read_bench
 from multipos.positions.readings import diagonal
-from multipos.positions.scheme import Scheme
+from multipos.positions.scheme import Scheme, read_bench
 from multipos.results import Keyed, data_frame, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -116,7 +115,7 @@ def worth(
     ----------
     calibration : Calibration
     candidates : bench, scheme, path or columns
-        Positions that could be measured next (`multipos.positions.benches`).
+        Positions that could be measured next (`multipos.positions.scheme`).
     parameter : str, optional
         'OUTPUT:TERM', the one that counts; all of them together (mean of ln u) where not given.
     target : float, optional

@@ -1,4 +1,4 @@
-"""Autopilots: accelerometers and magnetometers of PX4 and ArduPilot.
+"""Autopilots: accelerometers and magnetometers of PX4 and ArduPilot, accelerometers of INAV.
 
 PX4 [1]_: ``CAL_ACC0_XOFF`` … and ``CAL_ACC0_XSCALE`` …, in the form of QGroundControl. It takes
 corrected = (raw − OFF − thermal offset) SCALE axis by axis, raw in m/s², so that OFF = o at the
@@ -25,6 +25,14 @@ PX4 looks a calibration up by the ID of the sensor's device: what stands under a
 is not used. ArduPilot takes an accelerometer for calibrated where the saved ``INS_ACC_ID`` is that
 of its device [7]_.
 
+INAV [8]_ and Betaflight [9]_: lines for the command line of the flight controller. INAV finds
+g = (raw − acczero) accgain/(4096 · 1G) axis by axis, raw in counts of the sensor, whole numbers all
+of them, with 1G the counts that its driver takes for a g; so that acczero = o and
+accgain = 4096 · 1G · T_ii, T_ii in g per count. 1G is that of the known drivers which is nearest
+to the calibrated scale factor, and is said; where a nominal conversion is stated, its scale, and
+raw counts from its bias. Rounding leaves up to half a count and 1/8192 g. Betaflight has an offset
+alone: ``acc_calibration`` is o, in the axes of the board.
+
 References
 ----------
 .. [1] PX4-Autopilot, ``sensor_calibration/Accelerometer.hpp``, ``Correct``, and
@@ -37,6 +45,8 @@ References
 .. [6] ArduPilot, ``AP_Compass_Backend.cpp``, ``correct_field``; limits: ``CompassCalibrator.cpp``,
    ``fit_acceptable``, and ``COMPASS_OFFS_MAX``.
 .. [7] ArduPilot, ``AP_InertialSensor::accel_calibrated_ok_all``.
+.. [8] iNavFlight/inav, ``sensors/acceleration.c``, ``applyAccelerationZero``.
+.. [9] betaflight, ``sensors/acceleration.c``, ``applyAccelerationTrims``.
 """
 
 import re
@@ -45,7 +55,8 @@ from functools import partial
 
 import numpy as np
 
-from multipos.exports.laws import DIAGONAL, LINEAR, Correction, Drift
+from multipos.errors import MultiposError
+from multipos.exports.laws import DIAGONAL, LINEAR, Correction, Drift, scale_per_g
 from multipos.exports.parameters import (
     Written,
     origin,
@@ -58,6 +69,7 @@ from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
+from multipos.units import STANDARD_GRAVITY
 
 _Values = list[tuple[str, float | int]]  # of parameters, by name
 
@@ -350,4 +362,88 @@ ARDUPILOT_MAGNETOMETER = _target(
     read=_reader(_ARDUPILOT_MAG_GIVEN, _ardupilot_mag_names, -1.0),
     suffix=".parm",
     tesla=_MILLIGAUSS,
+)
+
+
+# --- INAV
+
+_INAV_UNITY = 4096  # accgain of a sensor that needs none
+_GAINS = range(1, 8193)
+_ZEROS = range(-(2**15), 2**15)
+# Counts of a g in the drivers: powers of two, and 1365 of a sensor of 24 g.
+_ONE_G = (256, 512, 1024, 1365, 2048, 4096, 8192, 16384)
+_FEWEST = 100.0  # counts of a g; less is no unit of counts
+_INAV_NAMES = tuple(f"acc{kind}_{axis}" for kind in ("zero", "gain") for axis in "xyz")
+_INAV_NOMINAL = re.compile(r"^# 1G = (?P<counts>\d+) counts", re.MULTILINE)
+
+
+def _counts_of_g(calibration: Calibration) -> int:
+    """Return what the driver of the flight controller takes for a g."""
+    scale = scale_per_g(calibration)
+    if calibration.model.unit not in ("reading", "count", "counts", "LSB") or scale < _FEWEST:
+        raise MultiposError(
+            f"inav holds raw values in counts of the sensor, but the readings are in "
+            f"'{calibration.model.unit}' with a scale factor of {scale:.4g} per g; log counts, "
+            "with acczero 0 and accgain 4096, or state --unit count in fit."
+        )
+    if calibration.nominal is not None:
+        return round(abs(calibration.nominal.scale))
+    return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
+
+
+def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> Written:
+    counts = _counts_of_g(calibration)
+    slopes = np.diag(law.matrix) / STANDARD_GRAVITY
+    zeros, gains = np.rint(law.offset), np.rint(_INAV_UNITY * counts * slopes)
+    values = [*zeros.tolist(), *gains.tolist()]
+    for name, value in zip(_INAV_NAMES, values, strict=True):
+        allowed = _ZEROS if "zero" in name else _GAINS
+        if not allowed.start <= value < allowed.stop:
+            raise MultiposError(
+                f"{name} would be {value:.6g}, but inav takes {allowed.start} to "
+                f"{allowed.stop - 1}; an axis that is reversed or far from its nominal scale has "
+                "no place there."
+            )
+    whole = [int(value) for value in values]
+    lines = [
+        *(f"# {line}" for line in origin(calibration)),
+        f"# 1G = {counts} counts, corrected = (raw - acczero) accgain / (4096 1G) in g",
+        *(f"set {name} = {value}" for name, value in zip(_INAV_NAMES, whole, strict=True)),
+        "save",
+        f"# Betaflight, offsets alone: set acc_calibration = {','.join(map(str, whole[:3]))},1",
+    ]
+    if calibration.nominal is not None:
+        return "\n".join(lines) + "\n", []
+    text = (
+        f"1 g of the flight controller is taken as {counts} counts; forces are wrong by the ratio "
+        "if its driver uses another number"
+    )
+    return "\n".join(lines) + "\n", [Finding("assumed-counts", "note", text)]
+
+
+def _read_inav(path: str, text: str) -> Correction:
+    nominal = _INAV_NOMINAL.search(text)
+    if nominal is None:
+        raise MultiposError(f"{path}: the line '# 1G = … counts' is missing; export again.")
+    given = re.sub(r"^\s*set\s+(\w+)\s*=", r"\1 ", text, flags=re.MULTILINE)
+    numbers = read_named(path, given, _INAV_NAMES)
+    gain = numbers[3:] / (_INAV_UNITY * int(nominal["counts"]))
+    return Correction(np.diag(gain * STANDARD_GRAVITY), numbers[:3])
+
+
+def _rounding_of_inav(calibration: Calibration) -> float:
+    """Return the force [g] that half a step of zero and gain is, with room for its own rounding."""
+    largest = float(np.abs(calibration.reference).max())
+    return 0.51 / _counts_of_g(calibration) + 0.51 * largest / _INAV_UNITY * 1.5
+
+
+INAV = parameter_target(
+    "inav",
+    DIAGONAL,
+    raw="counts",
+    write=_write_inav,
+    recognises=lambda text: re.search(r"^\s*set acczero_x", text, re.MULTILINE) is not None,
+    read=_read_inav,
+    suffix=".txt",
+    same=_rounding_of_inav,
 )

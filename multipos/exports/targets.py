@@ -17,12 +17,12 @@ from multipos.exports.target import Exported, GivenFile, Target, Verification, W
 from multipos.exports.target_autopilots import (
     ARDUPILOT,
     ARDUPILOT_MAGNETOMETER,
+    INAV,
     PX4,
     PX4_MAGNETOMETER,
 )
 from multipos.exports.target_c import C
 from multipos.exports.target_correction import Replay, correction_of, replay, write_correction
-from multipos.exports.target_inav import INAV
 from multipos.exports.target_matrices import IMUCAL, KALIBR, ROS, ROS_MAGNETOMETER, write_noise
 from multipos.files.spelling import Names
 from multipos.files.tables import Source

@@ -10,7 +10,7 @@ from multipos.numerics.terms import CONSTANT
 from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure, write_title
 from multipos.verification.comparison import Comparison, since_1970
 from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
-from multipos.verification.regression_comparison import RegressionComparison
+from multipos.verification.regressions import RegressionComparison
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

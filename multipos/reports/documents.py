@@ -46,7 +46,7 @@ from multipos.results import plain
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.verification.comparison import Comparison
-from multipos.verification.regression_comparison import RegressionComparison
+from multipos.verification.regressions import RegressionComparison
 from multipos.verification.verdicts import Check
 
 _FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point

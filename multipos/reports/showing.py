@@ -53,7 +53,7 @@ from multipos.verification.comparison import (
     comparison_sentence,
     comparison_text,
 )
-from multipos.verification.regression_comparison import RegressionComparison
+from multipos.verification.regressions import RegressionComparison
 from multipos.verification.single_axis import Tumble
 from multipos.verification.tumbling import Tumbles
 from multipos.verification.verdicts import Check

@@ -7,7 +7,7 @@ The errors, of force or of tilt, are those of `multipos.verification.checks`, ve
 Where a run is so far off that it may have been taken wrongly, it is fitted by itself, and what is
 wrong of it, such as rows interchanged or in another unit, is a finding of the check.
 
-A regression is checked by `multipos.verification.regression_checks`.
+A regression is checked by `multipos.verification.regressions`.
 
 The errors of a run at known positions, and their uncertainty.
 
@@ -70,7 +70,7 @@ from multipos.sensor.tilt import (
 )
 from multipos.uncertainty.validity import unseen_covariance
 from multipos.verification.agreement import judge_run
-from multipos.verification.regression_checks import check_regression, check_regressions
+from multipos.verification.regressions import check_regression, check_regressions
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.

@@ -55,7 +55,7 @@ from multipos.sensor.calibration_file import load
 from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.recalibration import Change, LimitsSource, find_changes
-from multipos.verification.regression_comparison import RegressionComparison, compare_regressions
+from multipos.verification.regressions import RegressionComparison, compare_regressions
 from multipos.verification.repeat_findings import find_repeats
 
 ABSOLUTE, ORDERED, GIVEN = "absolute", "ordered", "as given"

@@ -10,8 +10,7 @@ import pytest
 import multipos as mp
 from multipos.capturing.running import make_plan, make_reading
 from multipos.capturing.screen import picture_of
-from multipos.capturing.session import Session
-from multipos.capturing.state import chinese, state_of
+from multipos.capturing.session import Session, chinese, state_of
 from multipos.capturing.streams import open_source
 
 PACKAGE = Path(mp.__file__).parent

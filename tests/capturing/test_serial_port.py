@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from multipos.capturing.running import Kept, make_plan, make_reading, run_session
-from multipos.capturing.session import Session
-from multipos.capturing.state import state_of
+from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import open_source, read_port, split_port
 from multipos.cli import main
 

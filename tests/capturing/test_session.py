@@ -38,8 +38,7 @@ from multipos.capturing.poses import (
 )
 from multipos.capturing.running import Kept, make_plan, make_reading, run_session
 from multipos.capturing.screen import obey, picture_of
-from multipos.capturing.session import Session
-from multipos.capturing.state import state_of
+from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
 from multipos.logs.opening import open_log

@@ -31,8 +31,7 @@ from multipos.designs.optimum import (
     optimise_sphere,
     solve_definite,
 )
-from multipos.positions.benches import read_bench
-from multipos.positions.scheme import read_scheme
+from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
 
 AXES = ("x", "y", "z")
