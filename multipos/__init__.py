@@ -69,7 +69,7 @@ _PUBLIC = {
     "simulate_budget": "uncertainty.monte_carlo",
     "simulate_log": "sensor.simulation",
     "stability": "bias_stability.analysis",
-    "state_bench": "uncertainty.stated_bench",
+    "state_bench": "uncertainty.turntable",
     "state_budget": "uncertainty.propagation",
     "table_errors": "uncertainty.turntable",
     "tumble": "verification.tumbling",
@@ -128,7 +128,7 @@ if TYPE_CHECKING:
     from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
     from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
     from multipos.uncertainty.propagation import state_budget as state_budget
-    from multipos.uncertainty.stated_bench import state_bench as state_bench
+    from multipos.uncertainty.turntable import state_bench as state_bench
     from multipos.uncertainty.turntable import table_errors as table_errors
     from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
     from multipos.units import normal_gravity as normal_gravity

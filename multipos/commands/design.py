@@ -1,12 +1,18 @@
 """``multipos design``."""
 
 import argparse
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_order, add_orientation, numbers, progress_bar
+from multipos.commands.options import (
+    add_model,
+    add_order,
+    add_setting,
+    numbers,
+    progress_bar,
+    setting_of,
+)
 from multipos.designs.designing import (
     Design,
     design,
@@ -38,14 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--candidates", metavar="S", help="bench or scheme that can be reached (default any)")
     add("--include", metavar="S", help="scheme of positions already measured, which stay")
     add("--region", metavar="S", help="directions that criterion I averages over (default all)")
-    add_orientation(parser)
-    add(
-        "--reading-sd",
-        type=float,
-        default=1.0,
-        metavar="SD",
-        help="standard uncertainty of a reading (default 1); in g with --orientation-sd",
-    )
+    add_setting(parser)
     add(
         "--move-time",
         type=numbers,
@@ -64,26 +63,22 @@ def run(arguments: argparse.Namespace) -> Answer:
     if arguments.seed < 0:
         raise UsageError(f"--seed must be 0 or more, got {arguments.seed}.")
     axes = arguments.axes or ("x", "y", "z")
-    setting = {
-        "inputs": arguments.inputs,
-        "unknown_orientation": arguments.unknown_orientation,
-        "orientation_sd": arguments.orientation_sd,
-        "reading_sd": arguments.reading_sd,
-    }
-    search: Callable[..., Design] = design
-    make = partial(
-        search,
-        arguments.model,
-        criterion=arguments.criterion,
-        axes=axes,
-        candidates=arguments.candidates,
-        include=arguments.include,
-        region=arguments.region,
-        move_time=move_time,
-        seed=arguments.seed,
-        order=arguments.order,
-        **setting,
-    )
+    setting = setting_of(arguments)
+
+    def make(positions: int) -> Design:
+        return design(
+            positions=positions,
+            criterion=arguments.criterion,
+            axes=axes,
+            candidates=arguments.candidates,
+            include=arguments.include,
+            region=arguments.region,
+            move_time=move_time,
+            seed=arguments.seed,
+            order=arguments.order,
+            **setting,
+        )
+
     with progress_bar("searching positions"):
         found = make(arguments.positions)
     return Answer(
@@ -92,9 +87,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         json=lambda: to_json(found),
         forms={
             "table": lambda: design_csv(found),
-            "figure": lambda: _figure(
-                smaller_designs(make, found), model=arguments.model, sensed=axes, **setting
-            ),
+            "figure": lambda: _figure(smaller_designs(make, found), sensed=axes, **setting),
         },
         findings=lambda: found.findings,
     )

@@ -117,8 +117,8 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_orientation(parser: argparse.ArgumentParser) -> None:
-    """Add ``--unknown-orientation`` and ``--orientation-sd``, of which one can be given."""
+def add_setting(parser: argparse.ArgumentParser) -> None:
+    """Add how well readings and orientations are known, of these one option or the other."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--unknown-orientation", action="store_true", help="orientations are unknown, |f| = g"
@@ -129,6 +129,19 @@ def add_orientation(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="standard deviation of the orientation per axis [degrees]",
     )
+    parser.add_argument(
+        "--reading-sd",
+        type=float,
+        default=1.0,
+        metavar="SD",
+        help="standard uncertainty of a reading (default 1); in g with --orientation-sd",
+    )
+
+
+def setting_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what `add_model` and `add_setting` added, as schemes and their figures take it."""
+    names = ("model", "inputs", "unknown_orientation", "orientation_sd", "reading_sd")
+    return {name: getattr(arguments, name) for name in names}
 
 
 def add_order(parser: argparse.ArgumentParser, default: str | None, what: str) -> None:

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_order, add_orientation
+from multipos.commands.options import add_model, add_order, add_setting, setting_of
 from multipos.designs.assessment import Schemes, schemes, schemes_sentence, schemes_text
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
@@ -28,26 +28,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_model(parser)
     add_order(parser, None, "order of the positions (default spread for names)")
-    add_orientation(parser)
-    parser.add_argument(
-        "--reading-sd",
-        type=float,
-        default=1.0,
-        metavar="SD",
-        help="standard uncertainty of a reading (default 1); in g with --orientation-sd",
-    )
+    add_setting(parser)
 
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     axes = arguments.axes or ("x", "y", "z")
-    setting = {
-        "model": arguments.model,
-        "inputs": arguments.inputs,
-        "unknown_orientation": arguments.unknown_orientation,
-        "orientation_sd": arguments.orientation_sd,
-        "reading_sd": arguments.reading_sd,
-    }
+    setting = setting_of(arguments)
     found = schemes(*arguments.schemes, axes=axes, order=arguments.order, **setting)
     return Answer(
         sentence=lambda: schemes_sentence(found),

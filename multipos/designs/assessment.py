@@ -282,16 +282,18 @@ def schemes(
     >>> round(found.schemes[1].d_efficiency, 3)
     0.944
     """
-    setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
-    setting = setting.stated
-    assessor = Assessor(setting, reading_sd)
+    setting = read_setting(
+        model, axes, inputs, unknown_orientation, orientation_sd, reading_sd
+    ).stated
+    assessor = Assessor(setting)
     given: tuple[Source | Scheme, ...] = spread(sources)
     found = [assessor.describe(lay_scheme(s, order)) for s in given or named_schemes()]
     if not given:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e.d_efficiency or 0.0, 9), e.positions))
-    findings = nothing_to_weigh(orientation_sd, reading_sd)
-    return Schemes(setting.model.text, orientation(setting), tuple(found), findings)
+    return Schemes(
+        setting.model.text, orientation(setting), tuple(found), nothing_to_weigh(setting)
+    )
 
 
 def read_setting(
@@ -340,9 +342,8 @@ def orientation(setting: Setting) -> str:
 class Assessor:
     """Describes schemes for one setting; the optima they are held to are found once."""
 
-    def __init__(self, setting: Setting, reading_sd: float = 1.0) -> None:
+    def __init__(self, setting: Setting) -> None:
         self.setting = setting
-        self.reading_sd = reading_sd
         self._optima: dict[str, ContinuousOptimum] = {}
 
     def optimum(self, name: str) -> ContinuousOptimum:
@@ -390,7 +391,7 @@ class Assessor:
             return assessed
         information = inform(self.setting.rows(scheme.reference))
         inverse = np.concatenate([np.diag(np.linalg.inv(M)) for M in information])
-        u = self.reading_sd * np.sqrt(inverse / n)
+        u = self.setting.reading_sd * np.sqrt(inverse / n)
         found = find_aliases(self.setting, scheme.reference)
         names = [f"{output}:{term}" for output, term in model.keys]
         return replace(

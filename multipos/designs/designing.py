@@ -261,7 +261,7 @@ def design(
     given = np.empty((0, 3)) if include is None else read_scheme(include).up
     _check_count(setting, positions, len(given))
     bench = None if candidates is None else read_bench(candidates)
-    assessor = Assessor(setting.stated, reading_sd)
+    assessor = Assessor(setting.stated)
     _check_candidates(assessor, bench, given)
     sphere = optimise_sphere(setting, wanted)
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
@@ -294,7 +294,7 @@ def design(
         travel_deg=turned,
         time_s=_time_s(move_time, len(up), turned),
         scheme=described,
-        findings=nothing_to_weigh(orientation_sd, reading_sd),
+        findings=nothing_to_weigh(setting),
         settings=_settings(up, len(given), candidates, include),
     )
 

@@ -61,6 +61,8 @@ class Setting:
         What a position makes of u: f = size u.
     draws : tuple of (p,) arrays
         Parameters that represent a prior over them: the criterion is then the mean over these.
+    reading_sd : float [g]
+        Standard uncertainty of a reading, which scales the predicted u.
     """
 
     model: Model
@@ -69,6 +71,7 @@ class Setting:
     parameters: Array | None = None
     size: float = 1.0
     draws: tuple[Array, ...] = ()
+    reading_sd: float = 1.0
 
     @cached_property
     def blocks(self) -> tuple[slice, ...]:
@@ -203,12 +206,12 @@ def make_setting(
             "--unknown-orientation needs three outputs, on x, y and z: with fewer, |f| does "
             f"not show; got axes {','.join(model.axes)}."
         )
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = {"reading_sd": reading_sd}
     if isinstance(model, ExpressionModel):
         _require_force_alone(model)
         if unknown_orientation:
             model = hold_free_rotations(model, nominal_parameters(model))
-        own = _at_own_parameters(model)
+        own |= _at_own_parameters(model)
     elif unknown_orientation:
         model = model.with_gauge("lower")
     if unknown_orientation:
@@ -252,13 +255,13 @@ def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
     return {"parameters": nominal, "draws": tuple(draws)}
 
 
-def nothing_to_weigh(orientation_sd: float | None, reading_sd: float) -> Findings:
+def nothing_to_weigh(setting: Setting) -> Findings:
     """Return a warning where an orientation sd stands beside a reading sd of a whole g."""
-    if not orientation_sd or reading_sd != 1.0:
+    if setting.orientation_sd in (0.0, math.inf) or setting.reading_sd != 1.0:
         return ()
     text = (
         f"the standard uncertainty of a reading is taken as 1 g, so --orientation-sd "
-        f"{orientation_sd:g} hardly counts"
+        f"{math.degrees(setting.orientation_sd):g} hardly counts"
     )
     return (Finding("orientation-unweighed", "warning", text, "State --reading-sd in g."),)
 

@@ -221,14 +221,14 @@ def across_the_force(of: Residuals) -> Mask:
     n, m = of.error.shape[1:]
     dof = np.array([n - len(own) for own in of.columns])
     with np.errstate(divide="ignore", invalid="ignore"):
-        sd = np.sqrt(np.einsum("bnm,bnm->bm", of.error, of.error) / dof)[:, None]
-        e, normal = of.error / sd, of.normals * sd
-        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
-        along = np.sum(np.einsum("bnm,bnm->bn", normal, e) ** 2, axis=1)
-        total = np.einsum("bnm,bnm->b", e, e)
-        suspect = (sd > 0.0).all(axis=(1, 2)) & (along * m <= total)  # else it lies along the force
+        # residuals over their standard deviations, whose squares sum to the degrees of freedom
+        variance = np.einsum("bnm,bnm->bm", of.error, of.error) / dof
+        square = np.einsum("bnm,bm->bn", of.normals**2, variance)
+        along = np.sum(np.einsum("bnm,bnm->bn", of.normals, of.error) ** 2 / square, axis=1)
+        total = of.freedom
+        suspect = (variance > 0.0).all(axis=1) & (along * m <= total)  # else it is along the force
         if not suspect.any() or of.contrasts < TELLING:
-            return np.zeros(len(e), dtype=np.bool_)
+            return np.zeros(len(along), dtype=np.bool_)
         nu, left = of.freedom - of.contrasts, float(of.contrasts)
         ratio = (total - along) / nu / (along / left)
     return np.asarray(suspect & (ratio > f_quantile(1.0 - _SUSPECT, nu, left)))

@@ -335,10 +335,11 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
             seen = part.seen(e[None, :, output])
             explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
-    gain = -nu * np.log1p(-explained).sum(axis=1)
-    place = np.argmax(gain - test.limits[:, None], axis=0)
-    units = np.arange(count)
-    return place, gain[place, units], explained[place, :, units].T
+    # the largest Λ less its limit, by its exponential: one logarithm a unit
+    left = np.prod(1.0 - explained, axis=1) * np.exp(test.limits / nu)[:, None]
+    place = np.argmin(left, axis=0)
+    there = explained[place, :, np.arange(count)].T
+    return place, -nu * np.log1p(-there).sum(axis=0), there
 
 
 def _from_each(A: Array, B: Array, steps: Rows) -> Array:

@@ -32,8 +32,8 @@ class Estimates(NamedTuple):
     rms : (B,) array [g]
     residuals : M arrays (B, n), in reading units
         Of known orientations those of the plain fit, whatever the weights.
-    inverse : (B, K, M) array
-        Of the sensitivities to the K components that the sensor has.
+    sensitivity, inverse : (B, M, K), (B, K, M) arrays
+        To the K components that the sensor has.
     sound : (B,) array of bool
     chi2 : (B,) array or None
         Of the residuals under the stated noise alone, where there is one.
@@ -48,6 +48,7 @@ class Estimates(NamedTuple):
     dof: Array
     rms: Array
     residuals: tuple[Array, ...]
+    sensitivity: Array
     inverse: Array
     sound: NDArray[np.bool_]
     chi2: Array | None = None
@@ -62,8 +63,8 @@ def rms_of(
     parameters: Array,
     values: Array,
     residuals: Array,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return what is left after compensation (B,) [g], inverses (B, K, M), and where they exist.
+) -> tuple[Array, "Inverted"]:
+    """Return what is left after compensation (B,) [g], and the inverses.
 
     Parameters
     ----------
@@ -75,11 +76,11 @@ def rms_of(
     """
     theta = model_coefficients(model, parameters)
     if model.is_linear:
-        inverse, inverted = _invert(model, environment, theta)
-        return _rms(inverse, residuals), inverse, inverted
+        inverted = _invert(model, environment, theta)
+        return _rms(inverted.inverse, residuals), inverted
     left = compensated(model, environment, reference, theta, values, residuals)
     rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / len(reference))
-    return rms, left.inverse, left.sound
+    return rms, left.inverted
 
 
 def join_estimates(parts: Sequence[Estimates]) -> Estimates:
@@ -97,6 +98,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
         joined("rms"),
         tuple(np.concatenate(each) for each in residuals),
+        joined("sensitivity"),
         joined("inverse"),
         joined("sound"),
         None if parts[0].chi2 is None else joined("chi2"),
@@ -115,16 +117,25 @@ def model_coefficients(model: Model, parameters: Array) -> Array:
     return theta
 
 
-def _invert(
-    model: Model, environment: Mapping[str, Array], theta: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the inverse (B, K, M) of the sensitivities, and of which units there is one."""
+class Inverted(NamedTuple):
+    """Sensitivities (B, M, K) to the components that the sensor has, and their inverses (B, K, M).
+
+    Where there is no inverse, or compensation by it came to no end, a unit is not `sound` (B,).
+    """
+
+    sensitivity: Array
+    inverse: Array
+    sound: NDArray[np.bool_]
+
+
+def _invert(model: Model, environment: Mapping[str, Array], theta: Array) -> Inverted:
     sensed = list(model.sensed_axes)
     matrix = _linear_part(model, environment, theta)[:, :, sensed]
     inverted = _can_be_inverted(matrix)
     matrix[~inverted] = np.eye(*matrix.shape[1:])
     square = len(sensed) == matrix.shape[1]
-    return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix)), inverted
+    inverse = np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix))
+    return Inverted(matrix, inverse, inverted)
 
 
 def _rms(inverse: Array, residuals: Outputs) -> Array:
@@ -159,21 +170,10 @@ def _can_be_inverted(matrix: Array) -> NDArray[np.bool_]:
 
 
 class Compensated(NamedTuple):
-    """What is left of readings after compensation.
-
-    Attributes
-    ----------
-    force : (B, n, K) array [g]
-        Compensated less reference, of the K components that the sensor has.
-    inverse : (B, K, M) array
-        Of the sensitivities.
-    sound : (B,) array of bool
-        Where there is an inverse, and the compensation came to its end.
-    """
+    """What is left of readings after compensation (B, n, K) [g], and the inverses used."""
 
     force: Array
-    inverse: Array
-    sound: NDArray[np.bool_]
+    inverted: Inverted
 
 
 def compensated(
@@ -196,21 +196,22 @@ def compensated(
     values, residuals : M arrays (B, n)
     """
     count, n = values[0].shape
-    inverse, sound = _invert(model, environment, theta)
+    inverted = _invert(model, environment, theta)
+    inverse = inverted.inverse.transpose(0, 2, 1)
     sensed = list(model.sensed_axes)
     misfit = np.stack(list(residuals), axis=2)
     if model.is_linear:
-        return Compensated(misfit @ inverse.transpose(0, 2, 1), inverse, sound)
+        return Compensated(misfit @ inverse, inverted)
     left = np.zeros((count, n, len(sensed)))
     if len(sensed) != len(values):  # then the steps below would end at another force
-        return Compensated(left * np.nan, inverse, np.zeros(count, dtype=np.bool_))
+        return Compensated(left * np.nan, inverted._replace(sound=np.zeros(count, dtype=np.bool_)))
     raw = np.stack(list(values), axis=2)
     force = np.array(np.broadcast_to(reference, (count, n, 3)))
     start = force[:, :, sensed]
     size = np.full(count, np.inf)
     columns = {name: np.tile(column, count) for name, column in environment.items()}
     for _ in range(_STEPS):
-        step = misfit @ inverse.transpose(0, 2, 1)
+        step = misfit @ inverse
         left += step
         size = np.abs(step).max(axis=(1, 2))
         if not (size > _XTOL).any():
@@ -218,4 +219,5 @@ def compensated(
         force[:, :, sensed] = start + left
         basis = model.basis(force.reshape(-1, 3), columns).reshape(count, n, -1)
         misfit = raw - basis @ theta.transpose(0, 2, 1)
-    return Compensated(left, inverse, sound & (size <= 10.0 * _XTOL))
+    sound = inverted.sound & (size <= 10.0 * _XTOL)
+    return Compensated(left, inverted._replace(sound=sound))

@@ -53,13 +53,13 @@ from multipos.estimation.problem import (
     start_state,
 )
 from multipos.estimation.unknown_orientations import UnknownSearch, is_along_force
-from multipos.numerics.arrays import Array, Mask, Places
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.losses import loss_weight
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.orientations import place
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.found import Estimator, VarianceComponents
+from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import signed_size
 from multipos.sensor.inverse import parameter_jacobian
 
@@ -107,7 +107,7 @@ class _OneRow:
     def __init__(self, problem: Problem, state: State, point: Point | None) -> None:
         sphere = UnknownSearch.of_problem(problem)
         place = sphere.begin(state) if point is None else sphere.place(state, point)
-        self.point = sphere.point(place) if point is None else point
+        self.point = place.point(problem.model) if point is None else point
         with np.errstate(all="ignore"):  # as the search: dh/df may have no inverse somewhere
             surface = sphere.linearise(place)
         self.information, self.gradient = surface.information[0], surface.gradient[0]
@@ -248,12 +248,6 @@ def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -
         return 1.0
     nu = float(problem.degrees.sum()) - problem.unknowns
     return optimum.point.objective / nu
-
-
-def estimated_variances(calibration: Calibration) -> Mask:
-    """Return whether reading noise and orientation sd were estimated by restricted likelihood."""
-    found = calibration.variance_components or VarianceComponents()
-    return np.array([found.reading_sd is not None, found.orientation_sd_deg is not None])
 
 
 def estimator_gain(calibration: Calibration) -> Array:

@@ -511,17 +511,18 @@ def _estimates(
         sound &= stated_noise.sound
         if stated_noise.dof is not None and found.excess is not None:
             dof = combined_dof(dof, stated_noise.u**2, stated_noise.dof, found.excess.variance)
-    rms, inverse, inverted = rms_of(
+    rms, inverted = rms_of(
         model, shared.environment, shared.reference, found.parameters, values, found.residuals
     )
-    sound &= inverted & (np.abs(found.parameters).max(axis=1) <= LARGEST)
+    sound &= inverted.sound & (np.abs(found.parameters).max(axis=1) <= LARGEST)
     return Estimates(
         parameters=found.parameters,
         u=found.u,
         dof=model.per_parameter(dof),
         rms=rms,
         residuals=tuple(found.plain),
-        inverse=inverse,
+        sensitivity=inverted.sensitivity,
+        inverse=inverted.inverse,
         sound=sound,
         chi2=found.chi2,
         variance=_level_of(found.variances),

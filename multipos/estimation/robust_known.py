@@ -476,10 +476,10 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
         [np.broadcast_to(each.dof[:, None], each.parameters.shape) for each in found], axis=1
     )
     residuals = np.stack([each.units.residuals for each in found])
-    rms, inverse, inverted = rms_of(
+    rms, inverted = rms_of(
         shared.model, shared.environment, shared.reference, parameters, np.stack(values), residuals
     )
-    sound = inverted & (np.abs(parameters).max(axis=1) <= LARGEST)
+    sound = inverted.sound & (np.abs(parameters).max(axis=1) <= LARGEST)
     sound &= np.all([each.units.converged & each.units.kept.all(axis=1) for each in found], axis=0)
     # of the most degrees of freedom tails are shortest: of no other unit a row is beyond chance
     level = OUTLIER_LEVEL / (len(values) * values[0].shape[1])
@@ -488,7 +488,7 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
         sound &= each.units.q.max(axis=1) <= limit * each.factor
     plain = tuple(each.plain for each in found)
     weight = np.stack([each.weight for each in found], axis=1)
-    return Estimates(parameters, u, dof, rms, plain, inverse, sound, weight=weight)
+    return Estimates(parameters, u, dof, rms, plain, *inverted[:2], sound, weight=weight)
 
 
 def _standard_uncertainty(found: RobustFits) -> Array:

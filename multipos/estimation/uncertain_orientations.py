@@ -18,10 +18,9 @@ readings are too noisy.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.estimation.batches import Estimates, compensated, join_estimates, model_coefficients
 from multipos.estimation.known import ROUNDING, share_design
@@ -40,7 +39,7 @@ from multipos.estimation.orientation_variance import (
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
-from multipos.estimation.unknown_orientations import combined
+from multipos.estimation.unknown_orientations import Place, combined
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules, descend
@@ -85,44 +84,6 @@ class Positions(NamedTuple):
             return self
         centre, basis, size = (np.tile(each.T, count).T for each in self[:3])
         return Positions(centre, basis, size, self.environment)
-
-
-class Place(NamedTuple):
-    """Units (B) at a point of their search; positions run fastest in memory."""
-
-    theta: Array  # (B, p)
-    coefficients: Array  # of the terms of each output, (B, M, T)
-    step: Array  # t, (2, B, n) [rad]
-    force: Array  # (3, B, n) [g]
-    phi: Array  # terms of the model, (T, B, n)
-    residuals: Array  # (M, B, n)
-    q: Array  # what each position adds to F, (B, n)
-    objective: Array  # F, (B,)
-
-    def of(self, units: NDArray[Any]) -> "Place":
-        """Return some of the units."""
-        theta, coefficients, step, force, phi, residuals, q, objective = self
-        return Place(
-            theta[units],
-            coefficients[units],
-            step[:, units],
-            force[:, units],
-            phi[:, units],
-            residuals[:, units],
-            q[units],
-            objective[units],
-        )
-
-    def put(self, units: Places, other: "Place") -> None:
-        """Put other units in places of these."""
-        self.theta[units] = other.theta
-        self.coefficients[units] = other.coefficients
-        self.step[:, units] = other.step
-        self.force[:, units] = other.force
-        self.phi[:, units] = other.phi
-        self.residuals[:, units] = other.residuals
-        self.q[units] = other.q
-        self.objective[units] = other.objective
 
 
 class _Equations(NamedTuple):
@@ -188,13 +149,7 @@ class UncertainSearch:
     def end(self, place: Place, state: State) -> tuple[State, Point]:
         """Return state and point of a place, from the state of the beginning."""
         found = replace(state, theta=place.theta[0], step=place.step[:, 0].T)
-        phi = place.phi[:, 0]
-        blocks = tuple(
-            (places, phi.take(columns, axis=0).T) for columns, places in self.model.contributions
-        )
-        objective = float(place.objective[0])
-        force, residuals = place.force[:, 0].T, place.residuals[:, 0].T
-        return found, Point(force, blocks, residuals, place.q[0], objective)
+        return found, place.point(self.model)
 
     def of(self, units: Places) -> Self:
         """Return the search of some of the units."""
@@ -219,7 +174,7 @@ class UncertainSearch:
         residuals = self.values - combined(coefficients, phi)
         misfits = self._misfits(residuals, step)
         force = force.reshape(3, count, n)
-        return Place(theta, coefficients, step, force, phi, residuals, *misfits)
+        return Place(theta, coefficients, *misfits, step, force, phi, residuals)
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of it."""
@@ -511,13 +466,13 @@ def _estimate(
         residuals,
     )
     rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / n)
-    valid &= left.sound & (np.abs(theta).max(axis=1) <= LARGEST)
+    valid &= left.inverted.sound & (np.abs(theta).max(axis=1) <= LARGEST)
     valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     some = np.flatnonzero(valid)
     if len(some):
         valid[some] = _are_clear(shared, units.of(some), U[some])
     dof = np.broadcast_to(tail[:, None], theta.shape)
-    return Estimates(theta, U, dof, rms, residuals, left.inverse, valid, chi2), excess
+    return Estimates(theta, U, dof, rms, residuals, *left.inverted[:2], valid, chi2), excess
 
 
 def _any_noise(values: Array) -> Array:

@@ -86,34 +86,31 @@ class Place(NamedTuple):
 
     theta: Array  # (B, p)
     coefficients: Array  # of the terms of each output, (B, M, T)
+    q: Array  # what each position adds to F, (B, n)
+    objective: Array  # F, (B,)
+    step: Array  # t from the listed directions (2, B, n) [rad]; of unknown ones (0, B, n)
     force: Array  # (3, B, n) [g]
     phi: Array  # terms of the model, (T, B, n)
-    residuals: Array  # (3, B, n)
-    q: Array  # r'Σ⁻¹r, (B, n)
-    objective: Array  # (B,)
+    residuals: Array  # (M, B, n)
 
     def of(self, units: NDArray[Any]) -> "Place":
         """Return some of the units."""
-        theta, coefficients, force, phi, residuals, q, objective = self
-        return Place(
-            theta[units],
-            coefficients[units],
-            force[:, units],
-            phi[:, units],
-            residuals[:, units],
-            q[units],
-            objective[units],
-        )
+        across = [each[:, units] for each in self[4:]]
+        return Place(*(each[units] for each in self[:4]), *across)
 
     def put(self, units: Places, other: "Place") -> None:
         """Put other units in places of these."""
-        self.theta[units] = other.theta
-        self.coefficients[units] = other.coefficients
-        self.force[:, units] = other.force
-        self.phi[:, units] = other.phi
-        self.residuals[:, units] = other.residuals
-        self.q[units] = other.q
-        self.objective[units] = other.objective
+        for mine, theirs in zip(self[:4], other[:4], strict=True):
+            mine[units] = theirs
+        for mine, theirs in zip(self[4:], other[4:], strict=True):
+            mine[:, units] = theirs
+
+    def point(self, model: Model) -> Point:
+        """Return the place of one unit as other searches have it."""
+        phi = self.phi[:, 0]
+        blocks = tuple((rows, phi.take(columns, axis=0).T) for columns, rows in model.contributions)
+        force, residuals = self.force[:, 0].T, self.residuals[:, 0].T
+        return Point(force, blocks, residuals, self.q[0], float(self.objective[0]))
 
 
 class Surface(NamedTuple):
@@ -197,12 +194,10 @@ class UnknownSearch:
 
     def place(self, state: State, point: Point) -> Place:
         """Return the place of a state at which the model is known."""
-        phi = self._phi(point.force.T[:, None])
-        residuals = point.residuals.T[:, None]
-        objective = np.array([point.objective])
-        theta, q, force = state.theta[None], point.q[None], point.force.T[:, None]
-        coefficients = model_coefficients(self.shared.model, theta)
-        return Place(theta, coefficients, force, phi, residuals, q, objective)
+        theta, force, residuals = state.theta[None], point.force.T[:, None], point.residuals.T
+        coefficients, phi = model_coefficients(self.shared.model, theta), self._phi(force)
+        misfits = point.q[None], np.array([point.objective])
+        return Place(theta, coefficients, *misfits, force[:0], force, phi, residuals[:, None])
 
     def end(self, place: Place, state: State) -> tuple[State, Point]:
         """Return state and point of a place, from the state of the beginning."""
@@ -214,17 +209,7 @@ class UnknownSearch:
             basis=tangent_basis(centre),
             step=np.zeros_like(state.step),
         )
-        return found, self.point(place)
-
-    def point(self, place: Place) -> Point:
-        """Return the place of one unit as other searches have it."""
-        phi = place.phi[:, 0]
-        blocks = tuple(
-            (places, phi.take(columns, axis=0).T)
-            for columns, places in self.shared.model.contributions
-        )
-        objective = float(place.objective[0])
-        return Point(place.force[:, 0].T, blocks, place.residuals[:, 0].T, place.q[0], objective)
+        return found, place.point(self.shared.model)
 
     def of(self, units: Places) -> Self:
         """Return the search of some of the units."""
@@ -237,7 +222,8 @@ class UnknownSearch:
     def _at(self, theta: Array, coefficients: Array, force: Array) -> Place:
         phi = self._phi(force)
         residuals = self.values - combined(coefficients, phi)
-        return Place(theta, coefficients, force, phi, residuals, *self._misfits(residuals))
+        misfits = self._misfits(residuals)
+        return Place(theta, coefficients, *misfits, force[:0], force, phi, residuals)
 
     def under_noise(self, place: Place) -> Place:
         """Return a place with the misfits that this noise makes of its residuals."""
@@ -450,9 +436,8 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
     dof = np.broadcast_to(found.dof[:, None], found.u.shape)
     residuals = tuple(place.residuals)
-    return Estimates(
-        place.theta, found.u, dof, rms, residuals, left.inverse, valid & left.sound, chi2
-    )
+    valid &= left.inverted.sound
+    return Estimates(place.theta, found.u, dof, rms, residuals, *left.inverted[:2], valid, chi2)
 
 
 def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:

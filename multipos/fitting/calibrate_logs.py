@@ -35,7 +35,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
-from multipos.sensor.gravity import FieldKind
+from multipos.sensor.gravity import FieldKind, StatedBench
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
@@ -140,6 +140,9 @@ def calibrate(
     >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
     unknown-orientation 26 True
     """
+    bench = StatedBench(
+        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
+    )
     found = rests_or_rows(
         *logs,
         exclude=exclude,
@@ -179,19 +182,11 @@ def calibrate(
         exclude=exclude,
         drift=drift,
         reading_sd=reading_sd,
-        gravity=gravity,
-        gravity_u=gravity_u,
-        latitude=latitude,
-        height=height,
-        field=field,
-        field_size=field_size,
-        field_size_u=field_size_u,
         level_sd=level_sd,
         budget=budget,
         unit=unit,
-        range=range,
         nominal=nominal,
-        confidence=confidence,
+        **vars(bench),
     )
 
 

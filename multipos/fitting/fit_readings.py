@@ -39,7 +39,7 @@ from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
 from multipos.fitting.completion import complete
-from multipos.fitting.options import Options, check_options, choose_estimator, criterion_in_words
+from multipos.fitting.options import Options, choose_estimator, criterion_in_words
 from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
@@ -47,7 +47,13 @@ from multipos.numerics.terms import ModelText, Term, formula_columns, largest_va
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.order import Order
-from multipos.positions.orientations import StatedOrientations, as_used, place, resolve
+from multipos.positions.orientations import (
+    StatedOrientations,
+    as_used,
+    orient,
+    place,
+    without_orientation,
+)
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
 from multipos.positions.scheme import Scheme
@@ -58,9 +64,8 @@ from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.gravity import (
     Field,
     FieldKind,
+    StatedBench,
     check_field_kind,
-    resolve_field,
-    resolve_gravity,
     signed_size,
 )
 from multipos.sensor.inverse import read_nominal
@@ -330,7 +335,10 @@ def fit(
     >>> print(f"{bias.value:.5f} {bias.unit}, U = {bias.U:.4f}, dof {bias.dof:g}")
     -0.00053 V, U = 0.0018, dof 2
     """
-    options = check_options(
+    bench = StatedBench(
+        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
+    )
+    options = Options(
         convention=convention,
         gauge=gauge,
         robust=robust,
@@ -346,16 +354,14 @@ def fit(
     if stated is not None and (grid := stated.quantities.get("resolution")) is not None:
         options = replace(options, resolution=grid.u)
     before = None if nominal is None else read_nominal(nominal)
-    local = _gravity_of(stated, resolve_gravity(gravity, gravity_u, latitude, height))
+    local = _gravity_of(stated, bench.local_gravity())
     check_field_kind(field)
     written = model if callable(model) else read_model(model)
     used = _columns_named(written)
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used, field=field)
-    sensed = resolve_field(
-        field, field_size, field_size_u, local, outputs=data.outputs, unit=data.unit
-    )
+    sensed, free = bench.field_of(data.outputs, data.unit, local), unknown_orientation
     if sensed.magnetic:
-        data, options = _magnetic(data, sensed, options, field, scheme)
+        data, free = _magnetic(data, sensed, options, field, scheme)
     if range is not None:
         require_range(data, range)
     if reading_sd is not None:
@@ -366,16 +372,9 @@ def fit(
     if axes is None:
         data = note_names(data, built)
     _check_environment(data, built)
-    data, stated_up = resolve(
-        data,
-        scheme,
-        signed_size(sensed, convention),
-        order=order,
-        unknown=options.unknown_orientation,
-        orientation_sd=options.orientation_sd,
-        estimate=options.estimate_orientation_sd,
-        level_sd=options.level_sd,
-    )
+    size = signed_size(sensed, convention)
+    data = without_orientation(data, scheme) if free else orient(data, scheme, order)
+    stated_up = place(data, size, **options.spread)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
     sought: Names = "none" if closed_form else exclude
@@ -383,18 +382,12 @@ def fit(
     whole, everywhere = data, stated_up.reference
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
-        stated_up = place(
-            data,
-            signed_size(sensed, convention),
-            orientation_sd=options.orientation_sd,
-            estimate=options.estimate_orientation_sd,
-            level_sd=options.level_sd,
-        )
+        stated_up = place(data, size, **options.spread)
     refuse_drowned(data)
     try:
         calibration = calibrate_at(built, data, stated_up, options)
     except MultiposError as error:
-        if not options.unknown_orientation:
+        if not free:
             raise
         raise explain_failure(error, data) from None
     except np.linalg.LinAlgError:
@@ -422,8 +415,8 @@ def _magnetic(
     options: Options,
     stated: str | None,
     scheme: "Source | Scheme | None",
-) -> tuple[Readings, Options]:
-    """Return readings of a magnetometer with what is said of them, and the options.
+) -> tuple[Readings, bool]:
+    """Return readings of a magnetometer with what is said of them; whether orientations are free.
 
     Raises
     ------
@@ -440,13 +433,14 @@ def _magnetic(
         by = "unit" if readings.unit in MAGNETIC_UNITS else "names"
         text = f"outputs {', '.join(readings.outputs)} sense a magnetic field, by their {by}"
         findings.append(Finding("magnetic", "note", text, "State another with --field."))
+    free = options.unknown_orientation
     stated_otherwise = options.orientation_sd is not None or options.closed_form
     if readings.up is None and scheme is None and not stated_otherwise:
+        free = True
         if not options.unknown_orientation:
             text = "no columns b_x, b_y, b_z give the field's direction: orientations are unknown"
             findings.append(Finding("unknown-orientation", "note", text))
-        options = replace(options, unknown_orientation=True)
-    return replace(readings, findings=tuple(findings)), options
+    return replace(readings, findings=tuple(findings)), free
 
 
 def find_apart(

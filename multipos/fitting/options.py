@@ -1,7 +1,7 @@
 """How to fit: what the options say, checked once."""
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.losses import LOSSES, Loss
@@ -29,18 +29,20 @@ _CONTRADICT = {
 
 @frozen(eq=True)
 class Options:
-    """What was asked for.
+    """What was asked for, as `multipos.fit` takes it.
 
     Attributes
     ----------
-    convention, gauge, robust, confidence : as in `multipos.fit`
-    closed_form, unknown_orientation, pool, stepwise : bool
-    orientation_sd : float [rad] or None
-        Instead of the readings' own.
-    estimate_orientation_sd : bool
-    level_sd : float [rad]
+    convention, gauge, robust, confidence, closed_form, unknown_orientation, pool, stepwise
+    orientation_sd, level_sd
+        As in `multipos.fit`, angles in degrees.
     resolution : float
         Standard uncertainty by the resolution that a budget states, in reading units.
+
+    Raises
+    ------
+    UsageError
+        One is no such option, or two contradict each other.
     """
 
     convention: Convention = "specific-force"
@@ -51,78 +53,45 @@ class Options:
     unknown_orientation: bool = False
     pool: bool = False
     stepwise: bool = False
-    orientation_sd: float | None = None
-    estimate_orientation_sd: bool = False
+    orientation_sd: float | Literal["auto"] | None = None
     level_sd: float = 0.0
     resolution: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse what is no such option, and two that contradict each other."""
+        check_convention(self.convention)
+        if self.gauge not in GAUGES:
+            raise UsageError(f"unknown gauge '{self.gauge}'; give lower or symmetric.")
+        if self.robust is not None and self.robust not in LOSSES:
+            raise UsageError(f"unknown loss '{self.robust}'; --robust takes {', '.join(LOSSES)}.")
+        check_confidence(self.confidence)
+        if not 0.0 <= self.level_sd < 90.0:
+            raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {self.level_sd}.")
+        if self.orientation_sd == "auto" and self.robust is not None:
+            raise UsageError(
+                "--orientation-sd auto and --robust cannot be estimated from the same residuals."
+            )
+        given = {
+            "--closed-form": self.closed_form,
+            "--unknown-orientation": self.unknown_orientation,
+            "--orientation-sd": self.orientation_sd is not None,
+            "--level-sd": self.level_sd > 0.0,
+            "--robust": self.robust is not None,
+            "--stepwise": self.stepwise,
+            "--pool": self.pool,
+        }
+        _check_together([name for name, present in given.items() if present])
+        _check_spread(self.orientation_sd)
 
-def check_options(
-    *,
-    convention: Convention,
-    gauge: Gauge,
-    robust: Loss | None,
-    confidence: float,
-    closed_form: bool,
-    unknown_orientation: bool,
-    pool: bool,
-    stepwise: bool,
-    orientation_sd: float | Literal["auto"] | None,
-    level_sd: float,
-) -> Options:
-    """Return the options of a fit, the angles in radians.
-
-    Parameters
-    ----------
-    orientation_sd, level_sd : float [degrees]
-    others
-        As in `multipos.fit`.
-
-    Raises
-    ------
-    UsageError
-        One is no such option, or two contradict each other.
-    """
-    check_convention(convention)
-    _check_each(gauge, robust, confidence, level_sd)
-    estimate = orientation_sd == "auto"
-    if estimate and robust is not None:
-        raise UsageError(
-            "--orientation-sd auto and --robust cannot be estimated from the same residuals."
-        )
-    given = {
-        "--closed-form": closed_form,
-        "--unknown-orientation": unknown_orientation,
-        "--orientation-sd": orientation_sd is not None,
-        "--level-sd": level_sd > 0.0,
-        "--robust": robust is not None,
-        "--stepwise": stepwise,
-        "--pool": pool,
-    }
-    _check_together([name for name, present in given.items() if present])
-    return Options(
-        convention=convention,
-        gauge=gauge,
-        robust=robust,
-        confidence=confidence,
-        closed_form=closed_form,
-        unknown_orientation=unknown_orientation,
-        pool=pool,
-        stepwise=stepwise,
-        orientation_sd=None if estimate else _radians(orientation_sd),
-        estimate_orientation_sd=estimate,
-        level_sd=math.radians(level_sd),
-    )
-
-
-def _check_each(gauge: str, robust: str | None, confidence: float, level_sd: float) -> None:
-    if gauge not in GAUGES:
-        raise UsageError(f"unknown gauge '{gauge}'; give lower or symmetric.")
-    if robust is not None and robust not in LOSSES:
-        raise UsageError(f"unknown loss '{robust}'; --robust takes {', '.join(LOSSES)}.")
-    check_confidence(confidence)
-    if not 0.0 <= level_sd < 90.0:
-        raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {level_sd}.")
+    @property
+    def spread(self) -> dict[str, Any]:
+        """How far orientations may be from those listed [rad], as `place` takes it."""
+        sd = self.orientation_sd
+        return {
+            "orientation_sd": None if sd is None or isinstance(sd, str) else math.radians(sd),
+            "estimate": sd == "auto",
+            "level_sd": math.radians(self.level_sd),
+        }
 
 
 def _check_together(given: list[str]) -> None:
@@ -133,16 +102,13 @@ def _check_together(given: list[str]) -> None:
                 raise UsageError(f"{first} and {other} contradict each other; give one.")
 
 
-def _radians(orientation_sd: float | str | None) -> float | None:
-    if orientation_sd is None:
-        return None
-    if isinstance(orientation_sd, str):
-        raise UsageError(f"--orientation-sd takes degrees or 'auto', got '{orientation_sd}'.")
-    if not 0.0 <= orientation_sd < 180.0:
-        raise UsageError(
-            f"--orientation-sd must lie between 0 and 180 degrees, got {orientation_sd}."
-        )
-    return math.radians(orientation_sd)
+def _check_spread(sd: float | str | None) -> None:
+    if sd is None or sd == "auto":
+        return
+    if isinstance(sd, str):
+        raise UsageError(f"--orientation-sd takes degrees or 'auto', got '{sd}'.")
+    if not 0.0 <= sd < 180.0:
+        raise UsageError(f"--orientation-sd must lie between 0 and 180 degrees, got {sd}.")
 
 
 def choose_estimator(options: Options, stated_up: StatedOrientations) -> Estimator:

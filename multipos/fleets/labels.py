@@ -49,16 +49,14 @@ def labels_of(table: Table, name: str, *, checked: bool = True) -> Labels:
         # a label that stays for many rows is looked at once
         heads = np.flatnonzero(np.concatenate(([True], column[1:] != column[:-1])))
         short = _coded(table, name, column[heads].tolist(), checked)
-        return Labels(np.repeat(short.codes, np.diff([*heads, len(column)])), short.names)
+        return Labels(np.repeat(short.codes, np.diff(heads, append=len(column))), short.names)
     cells = column if isinstance(column, Sequence) else column.tolist()
     return _coded(table, name, cells, checked)
 
 
 def _coded(table: Table, name: str, cells: Sequence[Any], checked: bool) -> Labels:
-    places: dict[Any, int] = {}
-    codes = np.fromiter(
-        (places.setdefault(cell, len(places)) for cell in cells), dtype=np.int32, count=len(cells)
-    )
+    places = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
+    codes = np.fromiter(map(places.__getitem__, cells), dtype=np.int32, count=len(cells))
     different = Table(table.source, {name: list(places)}, len(places))
     return joined_labels(
         [Labels(codes, different.text(name) if checked else different.unchecked(name))]

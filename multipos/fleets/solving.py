@@ -25,7 +25,6 @@ What is a caution alone is found by `multipos.fleets.unit_findings` at known ori
 uncertain and unknown ones it is asked only of units that are fitted one by one.
 """
 
-import math
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -57,6 +56,7 @@ from multipos.estimation.unknown_orientations import SharedSphere, estimate_unkn
 from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import Options
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import (
     UnitTests,
@@ -67,14 +67,13 @@ from multipos.fleets.unit_findings import (
 )
 from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
-from multipos.positions.orientations import resolve
+from multipos.positions.orientations import orient, place
 from multipos.positions.reading_tables import read_readings
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Field
-from multipos.sensor.inverse import inverses
 from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
@@ -102,7 +101,7 @@ def find_suspects(
     uncertain_orientation : bool
         Orientations are uncertain.
     """
-    matrix = inverses(found.inverse)
+    matrix = found.sensitivity
     length = np.asarray(np.linalg.norm(matrix, axis=2))
     usual = median(length, axis=0).tolist()
     suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
@@ -318,21 +317,19 @@ def _share_uncertain(
 ) -> SharedOrientations | None:
     """Return what units at uncertain orientations share, before anything was found of them."""
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
-    sd = options.get("orientation_sd")
-    estimated = isinstance(sd, str)
-    _, stated_up = resolve(
-        readings,
-        options.get("scheme"),
-        c.sign * float(np.linalg.norm(c.reference[0])),
-        orientation_sd=None if sd is None or isinstance(sd, str) else math.radians(sd),
-        estimate=estimated,
-    )
+    spread = Options(orientation_sd=options.get("orientation_sd")).spread
+    size = c.sign * float(np.linalg.norm(c.reference[0]))
+    stated_up = place(orient(readings, options.get("scheme")), size, **spread)
     apart = stated_up.groups or stated_up.rolls is not None
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
     return share_orientations(
-        c.model, stated_up.reference, stated_up.orientation_sd, columns, estimated=estimated
+        c.model,
+        stated_up.reference,
+        stated_up.orientation_sd,
+        columns,
+        estimated=spread["estimate"],
     )
 
 
@@ -384,8 +381,8 @@ def _findings(
         named[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     codes = [code for code, each in named.items() if each.any()]
     number = np.zeros(count, dtype=np.intp)
-    for place, code in enumerate(codes):
-        number += named[code].astype(np.intp) << place
+    for bit, code in enumerate(codes):
+        number += named[code].astype(np.intp) << bit
     words = {
         mask: _in_order(
             (*pattern.findings.split(";"), *(c for i, c in enumerate(codes) if mask >> i & 1))

@@ -95,10 +95,9 @@ class Rows:
         return self.of_tables(parts)
 
     def of_tables(self, tables: Sequence[Table]) -> "Rows":
-        """Return some of the rows, in tables of their own, without whose they are."""
-        loaded = tuple(_loaded(table, 0, table.rows) for table in tables)
+        """Return some of the rows, in loaded tables of their own, without whose they are."""
         starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
-        return Rows(loaded, tuple(starts), _NOBODY, _NOBODY, self.counted)
+        return Rows(tuple(tables), tuple(starts), _NOBODY, _NOBODY, self.counted)
 
     def without_labels(self) -> "Rows":
         """Return the rows without whose they are, which takes memory and is known by units."""

@@ -60,11 +60,9 @@ from multipos.sensor.fit_diagnostics import (
     studentised_squares,
 )
 from multipos.sensor.found import Estimator
-from multipos.sensor.inverse import inverses
 from multipos.sensor.temperature import find_soaks
 
 Mask = NDArray[np.bool_]
-_AT_ONCE = 96_000  # readings of an output, so that what tests need stays in cache
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
@@ -176,31 +174,11 @@ def find_in_units(
         Readings of each output.
     found : Estimates
     """
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
-    parts = [
-        _find(tests, shared, [y[first : first + step] for y in values], found, first)
-        for first in range(0, count, step)
-    ]
-    joined = {
-        code: np.concatenate(
-            [part.found.get(code, np.zeros(len(part.singly), dtype=np.bool_)) for part in parts]
-        )
-        for code in dict.fromkeys(code for part in parts for code in part.found)
-    }
-    return UnitFindings(joined, np.concatenate([part.singly for part in parts]))
-
-
-def _find(
-    tests: UnitTests, shared: SharedDesign, values: list[Array], found: Estimates, first: int
-) -> UnitFindings:
-    """Return what the residuals of some units show, from a first one on."""
-    units = slice(first, first + len(values[0]))
-    residuals = np.stack([each[units] for each in found.residuals])
-    variance = None if found.variance is None else found.variance[units].T[:, :, None]
+    residuals, sensitivity = np.stack(found.residuals), found.sensitivity
+    variance = None if found.variance is None else found.variance.T[:, :, None]
     error = residuals if variance is None else residuals / np.sqrt(variance)
-    sensitivity = inverses(found.inverse[units])
-    outlying, singly = _outliers(tests, shared, sensitivity, residuals, error)
+    r2 = studentised_squares(error, tests.leverage[:, None], shared.dof[:, None, None])
+    outlying, singly = _outliers(tests, shared, sensitivity, residuals, error, r2)
     lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
     significant, of_terms = _missing_terms(tests, values, error)
     missing = _admissible(tests, shared, sensitivity, residuals, significant)
@@ -215,9 +193,7 @@ def _find(
     misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
     if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
         asked = np.asarray(~significant.any(axis=1))
-        misplaced, of_positions = _off_positions(
-            shared, found.parameters[units], residuals, asked, scored
-        )
+        misplaced, of_positions = _off_positions(shared, found.parameters, residuals, asked, scored)
     codes = {
         "missing-term": missing,
         "outlier": outlying,
@@ -226,8 +202,8 @@ def _find(
     }
     if tests.soaks:
         singly |= missing | scored
-    if shown is not None and scored.any():
-        of_row, several = _one_row(tests, error)
+    if tests.order is not None and shown is not None and scored.any():
+        of_row, several = _one_row(tests.order, r2 / shared.dof[:, None, None])
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
     codes["placement"] = codes["placement"] & ~codes["outlier"]
@@ -259,17 +235,16 @@ def _compete(shown: Shown, codes: dict[str, Mask], rivals: Array) -> Mask:
     return np.asarray(close)
 
 
-def _one_row(tests: UnitTests, error: Array) -> tuple[Array, Mask]:
-    """Return S (B,) of the row that is most off, and where a second one is nearly as far off."""
-    m, _, n = error.shape
-    order = tests.order
-    assert order is not None
-    square = np.einsum("mbn,mbn->mb", error, error)[:, :, None]
-    share = error**2 / (square * np.maximum(1.0 - tests.leverage[:, None], _LEAST))
-    gain = -order.nu * np.log1p(-np.minimum(share, 1.0 - FINEST)).sum(axis=0)
-    two = np.sort(gain, axis=1)[:, -2:]
-    score = two[:, 1] - m * math.log(order.freedom) - 2.0 * math.log(n)
-    return score, two[:, 0] > _COMPARABLE * two[:, 1]
+def _one_row(order: Plan, share: Array) -> tuple[Array, Mask]:
+    """Return S (B,) of the row that is most off, and where a second one is nearly as far off.
+
+    By the share (M, B, n) of the squares of residuals that a row explains.
+    """
+    m, _, n = share.shape
+    left = np.partition(np.prod(1.0 - np.minimum(share, 1.0 - FINEST), axis=0), 1, axis=1)
+    gain = -order.nu * np.log(left[:, :2])
+    score = gain[:, 0] - m * math.log(order.freedom) - 2.0 * math.log(n)
+    return score, gain[:, 1] > _COMPARABLE * gain[:, 0]
 
 
 def _admissible(
@@ -294,7 +269,7 @@ def _admissible(
     return found
 
 
-def _missing_terms(tests: UnitTests, values: list[Array], error: Array) -> tuple[Mask, Array]:
+def _missing_terms(tests: UnitTests, values: Sequence[Array], error: Array) -> tuple[Mask, Array]:
     """Return of which units a kind of term is significant (B, K), and S (B,) of the best.
 
     By whitened residuals (M, B, n).
@@ -394,10 +369,10 @@ def _outliers(
     sensitivity: Array,
     residuals: Array,
     error: Array,
+    r2: Array,
 ) -> tuple[Mask, Mask]:
     """Return of which units a reading is an outlier, and which are to be fitted singly."""
     m, count, n = error.shape
-    r2 = studentised_squares(error, tests.leverage[:, None], shared.dof[:, None, None])
     outlying, singly = np.zeros((2, count), dtype=np.bool_)
     limit = np.array([_limit(float(nu), m * n) for nu in shared.dof.tolist()])
     beyond = r2 > limit[:, None, None]
@@ -461,7 +436,7 @@ def _off_positions(
 
 
 def _lack_of_fit(
-    tests: UnitTests, shared: SharedDesign, values: list[Array], residuals: Array
+    tests: UnitTests, shared: SharedDesign, values: Sequence[Array], residuals: Array
 ) -> tuple[Mask, Array]:
     """Return of which units repeats agree better than the model meets them, and S of that (B,)."""
     found = np.zeros(residuals.shape[1], dtype=np.bool_)

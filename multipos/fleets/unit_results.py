@@ -131,15 +131,12 @@ class UnitsFound:
             shape = (len(self.rms), len(solved.names))
             self.parameters, self.u, self.dof = (np.full(shape, np.nan) for _ in range(3))
         same = solved.names == self.names
-        for row, unit in enumerate(solved.units.tolist()):
-            reason = solved.reasons[row]
-            if not reason and not same:
-                reason = "its columns give other parameters than those of the other units."
-            self.reasons[unit] = reason
-            self.findings[unit] = "" if reason else solved.findings[row]
-            self.why_unfit[unit] = "" if reason else solved.unfit[row]
-        good = np.array([not self.reasons[unit] for unit in solved.units.tolist()], dtype=np.bool_)
+        other = "" if same else "its columns give other parameters than those of the other units."
+        self.reasons[solved.units] = [reason or other for reason in solved.reasons]
+        good = self.reasons[solved.units] == ""
         units = solved.units[good]
+        self.findings[units] = np.array(solved.findings, dtype=np.object_)[good]
+        self.why_unfit[units] = np.array(solved.unfit, dtype=np.object_)[good]
         if len(units):
             self.parameters[units] = solved.parameters[good]
             self.u[units] = solved.u[good]

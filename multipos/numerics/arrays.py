@@ -95,13 +95,16 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     ordered = np.sort(values, axis=0)
     gaps = np.diff(ordered, axis=0)
     span = ordered[-1] - ordered[0]
-    gaps = np.where(gaps > 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0), gaps, 0.0)
-    least = np.where(gaps > 0.0, gaps, np.inf).min(axis=0)
+    equal = 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0)
+    least = np.where(gaps > equal, gaps, np.inf).min(axis=0)
     asked = (least <= _FINE * span) & (least > 2.0 * scatter)
     steps, columns = np.zeros(values.shape[1]), np.flatnonzero(asked)
     # most of what is on no grid shows it in its largest gap
-    parts = np.arange(1.0, _DIVISORS + 1.0)[:, None] * (gaps.max(axis=0) / least)[columns]
+    largest = gaps[:, columns].max(axis=0, initial=0.0) / least[columns]
+    parts = np.arange(1.0, _DIVISORS + 1.0)[:, None] * largest
     columns = columns[(np.abs(parts - np.rint(parts)) < 2.0 * _ON_GRID).any(axis=0)]
+    if len(columns):
+        gaps[gaps <= equal] = 0.0
     for column in columns.tolist():
         tried = least[column] / np.arange(1.0, _DIVISORS + 1.0)
         tried = tried[tried > 2.0 * scatter[column]]

@@ -291,6 +291,32 @@ def t_tail(t: float, dof: float) -> float:
     return _t_tails(abs(float(t)), float(dof))[0]
 
 
+def t_tails(square: Array, dof: Array) -> Array:
+    """Return `t_tail` of many, each by t², with as many degrees of freedom or as broadcast."""
+    square, dof = np.broadcast_arrays(square, dof)
+    if dof.max(initial=0.0) > 2.0 * LARGEST:
+        pairs = zip(np.sqrt(square).ravel().tolist(), dof.ravel().tolist(), strict=True)
+        return np.array([t_tail(*each) for each in pairs]).reshape(dof.shape)
+    x, half = dof / (dof + square), dof / 2.0
+    near = x > (half + 1.0) / (half + 2.5)  # I_x(ν/2, 1/2), or one less I_(1−x)(1/2, ν/2)
+    a, b, x = np.where(near, 0.5, half), np.where(near, half, 0.5), np.where(near, 1.0 - x, x)
+    different, place = np.unique(half, return_inverse=True)
+    norm = [math.lgamma(h + 0.5) - math.lgamma(h) - math.lgamma(0.5) for h in different.tolist()]
+    front = np.array(norm)[place.reshape(half.shape)]
+    value, c, d = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
+    for n in range(1, _STEPS):  # Lentz's algorithm, as in `_fraction`
+        m = n // 2
+        term = m * (b - m) if n % 2 == 0 else -(a + m) * (a + b + m)
+        term = term * x / ((a + n - 1.0) * (a + n))
+        d, c = 1.0 / (1.0 + term * d), 1.0 + term / c
+        value *= c * d
+        if (np.abs(c * d - 1.0) < _ROUNDING).all():
+            break
+    with np.errstate(divide="ignore"):
+        lower = np.exp(front + a * np.log(x) + b * np.log1p(-x)) / (a * value)
+    return np.asarray(np.where(near, 1.0 - lower, lower))
+
+
 def _t_tails(t: float, dof: float) -> tuple[float, float]:
     """Return the probabilities beyond ±t and between."""
     root = math.hypot(t, math.sqrt(dof))

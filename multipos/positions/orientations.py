@@ -211,41 +211,6 @@ def listed_rows(orientation_sd: Array, group: Places, rolls: OpenRolls | None) -
     return listed if rolls is None else listed & ~rolls.rows
 
 
-def resolve(
-    readings: Readings,
-    scheme: "Source | Scheme | None",
-    size: float,
-    *,
-    order: Order = "paper",
-    unknown: bool = False,
-    orientation_sd: float | None = None,
-    estimate: bool = False,
-    level_sd: float = 0.0,
-) -> tuple[Readings, StatedOrientations]:
-    """Return readings with the orientations that are used, and what is known of them.
-
-    Parameters
-    ----------
-    readings : Readings
-    scheme : Scheme, name, path, mapping of columns, or data frame, optional
-        Otherwise the readings' own columns say where the sensor stood.
-    size : float [g]
-        Magnitude of the reference, negative under the gravity convention.
-    order : str
-        In which the positions of a scheme were laid out, for readings without labels.
-    unknown : bool
-        Use no orientation at all.
-    orientation_sd, estimate, level_sd
-        As in `place`.
-    """
-    oriented = (
-        _without_orientation(readings, scheme) if unknown else orient(readings, scheme, order)
-    )
-    return oriented, place(
-        oriented, size, orientation_sd=orientation_sd, estimate=estimate, level_sd=level_sd
-    )
-
-
 def place(
     readings: Readings,
     size: float,
@@ -422,7 +387,7 @@ def as_used(readings: Readings, orientation_sd: Array) -> Readings:
     return readings if same else replace(readings, orientation_sd=orientation_sd)
 
 
-def _without_orientation(readings: Readings, scheme: object) -> Readings:
+def without_orientation(readings: Readings, scheme: object) -> Readings:
     """Return readings of which no orientation is used, saying what is ignored."""
     findings = readings.findings
     _require_one_size(readings)

@@ -67,10 +67,10 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.quantiles import (
     chi2_quantile,
     chi2_tail,
-    f_log_tails,
     f_quantile,
     f_tail,
     t_tail,
+    t_tails,
 )
 from multipos.results import Result, frozen, plain
 from multipos.sensor.model import Model
@@ -79,7 +79,6 @@ _ALIKE = 0.7  # chance, before anything is seen, that rows are alike
 _DS = np.append(np.geomspace(1.0, 60.0, 8), 1e6)  # the last as good as alike
 _PRIOR = np.append(np.full(8, (1.0 - _ALIKE) / 8.0), _ALIKE)
 _STEPS = 20  # towards the best v: within 1e-8 of it where rows are of 4:2:1, 2e-3 at 10:1
-_MANY = 50  # readings that are questioned, from which tails are kept
 _DIGITS = 9  # of degrees of freedom, so that there are few of them
 _SINGULAR = 1e-12  # eigenvalue of G, below which the other readings lack a parameter
 _NOTHING = 1e-9  # of a reading whose row alone fixes a parameter
@@ -146,20 +145,8 @@ def p_values_of_units(
     own = _DS + left[unit, k, None]
     t2 = r2[unit, k, m][:, None] * own / (_DS * v[b] + q[unit, k, None])
     dof = np.round(1.0 / (1.0 / own + 1.0 / nu[unit, m][:, None]), _DIGITS)
-    result[unit, k, m] = np.einsum("kd,kd->k", chances[b], _tails(t2, dof))
+    result[unit, k, m] = np.einsum("kd,kd->k", chances[b], t_tails(t2, dof))
     return result
-
-
-def _tails(t2: Array, dof: Array) -> Array:
-    """Return the chances of a larger t², (K, D); between nodes where they are many."""
-    if len(t2) < _MANY:
-        pairs = zip(np.sqrt(t2).ravel().tolist(), dof.ravel().tolist(), strict=True)
-        return np.array([t_tail(*each) for each in pairs]).reshape(t2.shape)
-    found = np.empty(t2.shape)
-    for each in np.unique(dof).tolist():
-        here = dof == each
-        found[here] = np.exp(f_log_tails(t2[here], 1.0, each))
-    return found
 
 
 def _without(

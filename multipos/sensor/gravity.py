@@ -25,6 +25,7 @@ JCGM 100:2008, clause 5.1 and G.4.1.
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -197,89 +198,93 @@ GRAVITY = Field()
 MAGNETIC = Field("magnetic", size_unit="uT")
 
 
-def resolve_gravity(
-    gravity: float | None, gravity_u: float | None, latitude: float | None, height: float | None
-) -> Field | None:
-    """Return the local gravity [m/s²] that the options state, or None.
+@frozen(eq=True)
+class StatedBench:
+    """What is stated of a bench: the field, limits of its readings, and the probability of U.
 
-    Raises
-    ------
-    UsageError
-        Options that contradict each other, or a number that is no gravity on Earth.
+    Attributes are the options of `multipos.fit`: `gravity`, `gravity_u` [m/s²], `latitude`
+    [degrees] and `height` [m]; `field`, `field_size` and `field_size_u` of a magnetometer; `range`;
+    `confidence`.
     """
-    if gravity is not None and latitude is not None:
-        raise UsageError("--gravity and --latitude both state the gravity; give one.")
-    if height is not None and latitude is None:
-        raise UsageError("--height needs --latitude.")
-    if gravity_u is not None and gravity is None:
-        raise UsageError("--gravity-u needs --gravity.")
-    if latitude is not None:
-        return _of_place(latitude, height or 0.0)
-    return None if gravity is None else _measured(gravity, gravity_u)
 
+    gravity: float | None = None
+    gravity_u: float | None = None
+    latitude: float | None = None
+    height: float | None = None
+    field: FieldKind | None = None
+    field_size: float | str | None = None
+    field_size_u: float | str | None = None
+    range: Sequence[float] | None = None
+    confidence: float = 0.95
 
-def _of_place(latitude: float, height: float) -> Field:
-    try:
-        return Field(size=normal_gravity(latitude, height))
-    except ValueError as error:
-        raise UsageError(str(error)) from None
+    def local_gravity(self) -> Field | None:
+        """Return the local gravity [m/s²] that is stated, or None.
 
-
-def _measured(gravity: float, gravity_u: float | None) -> Field:
-    if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST:
-        raise UsageError(
-            f"--gravity-u must be 0 or more, and no more than {LARGEST:g}, got {gravity_u}."
-        )
-    if not 1.0 <= gravity <= 100.0:
-        raise UsageError(f"--gravity must be in m/s², such as 9.81, got {gravity}.")
-    return Field(size=gravity, u=gravity_u or 0.0)
-
-
-def resolve_field(
-    kind: str | None,
-    size: float | str | None,
-    size_u: float | str | None,
-    gravity: Field | None,
-    *,
-    outputs: tuple[str, ...],
-    unit: str,
-) -> Field:
-    """Return the field that options state, or that names and unit of the outputs show.
-
-    Parameters
-    ----------
-    kind : str or None
-        'gravity' or 'magnetic', as stated.
-    size, size_u : number or text such as '48.6uT', or None
-        Of a magnetic field; without a unit in that of the readings.
-    gravity : Field or None
-        The local gravity, where options state one.
-    outputs : tuple of str
-    unit : str
-        Of the readings.
-
-    Raises
-    ------
-    UsageError
-        An unknown kind, a unit of the other kind, or a size that is none.
-    """
-    check_field_kind(kind)
-    found = field_of_outputs(outputs, unit, None if gravity is None else "gravity", kind)
-    if found == "gravity":
-        if size is not None or size_u is not None:
+        Raises
+        ------
+        UsageError
+            Options that contradict each other, or a number that is no gravity on Earth.
+        """
+        gravity, u = self.gravity, self.gravity_u
+        if gravity is not None and self.latitude is not None:
+            raise UsageError("--gravity and --latitude both state the gravity; give one.")
+        if self.height is not None and self.latitude is None:
+            raise UsageError("--height needs --latitude.")
+        if u is not None and gravity is None:
+            raise UsageError("--gravity-u needs --gravity.")
+        if self.latitude is not None:
+            try:
+                return Field(size=normal_gravity(self.latitude, self.height or 0.0))
+            except ValueError as error:
+                raise UsageError(str(error)) from None
+        if gravity is None:
+            return None
+        if u is not None and not 0.0 <= u <= LARGEST:
             raise UsageError(
-                "--field-size is of a magnetic field; give --field magnetic, or the local gravity "
-                "with --gravity."
+                f"--gravity-u must be 0 or more, and no more than {LARGEST:g}, got {u}."
             )
-        return gravity or GRAVITY
-    if gravity is not None:
-        raise UsageError(
-            "--gravity and --latitude are of accelerometers; a magnetic field has --field-size."
-        )
-    if size is None:
-        if size_u is not None:
-            raise UsageError("--field-size-u needs --field-size.")
-        return MAGNETIC
+        if not 1.0 <= gravity <= 100.0:
+            raise UsageError(f"--gravity must be in m/s², such as 9.81, got {gravity}.")
+        return Field(size=gravity, u=u or 0.0)
+
+    def field_of(self, outputs: tuple[str, ...], unit: str, gravity: Field | None) -> Field:
+        """Return the field that is stated, or that names and unit of the outputs show.
+
+        Parameters
+        ----------
+        outputs : tuple of str
+        unit : str
+            Of the readings, and of a size of the field that is a number.
+        gravity : Field or None
+            The local gravity, where one is stated.
+
+        Raises
+        ------
+        UsageError
+            An unknown kind, a unit of the other kind, or a size that is none.
+        """
+        size, size_u = self.field_size, self.field_size_u
+        check_field_kind(self.field)
+        known = None if gravity is None else "gravity"
+        if field_of_outputs(outputs, unit, known, self.field) == "gravity":
+            if size is not None or size_u is not None:
+                raise UsageError(
+                    "--field-size is of a magnetic field; give --field magnetic, or the local "
+                    "gravity with --gravity."
+                )
+            return gravity or GRAVITY
+        if gravity is not None:
+            raise UsageError(
+                "--gravity and --latitude are of accelerometers; a magnetic field has --field-size."
+            )
+        if size is None:
+            if size_u is not None:
+                raise UsageError("--field-size-u needs --field-size.")
+            return MAGNETIC
+        return _magnetic_field(size, size_u, unit)
+
+
+def _magnetic_field(size: float | str, size_u: float | str | None, unit: str) -> Field:
     value, own = _quantity(size, "--field-size", unit)
     if not 0.0 < value <= LARGEST:
         raise UsageError(f"--field-size must be above 0, such as 48.6uT, got {size}.")

@@ -38,8 +38,6 @@ it does not turn. What stays are the misalignments, for which the e_0 of each mo
 
 Level and wobble of the shaft, eq. (3) there, are of each mounting.
 
-The sensor and the table of one or several calibrations of the same positions, as columns.
-
 How a turntable that is not where it says moves the readings of a roll.
 
 The table says t and stands at t + e(t), on each roll with its own
@@ -58,12 +56,27 @@ The shaft a itself may stand off the horizon by l, and nod as it turns,
 
 Eqs. (10) and (11) of docs/theory/tumble.md.
 
+All of these are one design matrix beside that of the sensor. An error of size x moves the force at
+position k by w_k d_k x, a wave w of its angle times the turn d = df/dt of the case or the direction
+d = ±g a of the shaft, and its column is
+
+    G_k = w_k M d_k.                                                                        (6)
+
+Table, shaft and head differ in waves and rows alone. Where the errors are stated, each with a
+standard deviation u_q, with a zero that drifts by u_z from roll to roll (columns of one) and an
+angle off by u_t at each position by itself (w one at that position), readings have the covariance
+
+    V = s² I + sum_q u_q² G_q G_q',                                                         (7)
+
+eq. (13) of docs/theory/tumble.md, s the noise of a reading.
+
 What rolls tell of the turntable, and of the sensor beside it: results of `turntable`.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,38 +104,92 @@ QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin
 SHAFT = ("level", "wobble_cos", "wobble_sin")
 
 
-def turn_of(calibration: Calibration, roll: Roll) -> Array:
-    """Return df/dt (n, 3) [g] of a roll."""
+# Rows (k,) of the readings, change of force d (k, 3) and waves w (k, q) of some errors.
+Part = tuple[Places, Array, Array]
+
+
+def _columns(n: int, linear: Array, parts: Iterable[Part]) -> Array:
+    """Return eq. (6) of every error (n M, q), of a sensor with slopes M (M, 3)."""
+    blocks = [np.zeros((n, len(linear), 0))]
+    for rows, force, waves in parts:
+        block = np.zeros((n, len(linear), waves.shape[1]))
+        block[rows] = (force @ linear.T)[:, :, None] * waves[:, None, :]
+        blocks.append(block)
+    return np.concatenate(blocks, axis=2).reshape(n * len(linear), -1)
+
+
+def _waves(angle: Array) -> Array:
+    """Return (k, 5): one, and cosine and sine of the angle and its double."""
+    t = angle
+    return np.column_stack([np.ones(len(t)), np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
+
+
+def _turn(calibration: Calibration, roll: Roll) -> Array:
+    """Return df/dt (k, 3) [g] of a roll."""
     first, second = (COMPONENTS.index(name) for name in roll.plane)
     result = np.zeros((len(roll.rows), 3))
     result[:, first], result[:, second] = -np.sin(roll.angle), np.cos(roll.angle)
     return calibration.sign * magnitude_of(calibration) * result
 
 
+def _along(calibration: Calibration, roll: Roll) -> Array:
+    """Return the direction of the shaft of a roll, of the size of gravity (k, 3) [g]."""
+    result = np.zeros((len(roll.rows), 3))
+    result[:, COMPONENTS.index(roll.axis)] = calibration.sign * magnitude_of(calibration)
+    return result
+
+
+def _of_table(c: Calibration, rolls: Iterable[Roll]) -> list[Part]:
+    return [(roll.rows, _turn(c, roll), _waves(roll.angle)) for roll in rolls]
+
+
+def _of_shaft(c: Calibration, rolls: Iterable[Roll]) -> list[Part]:
+    return [(roll.rows, _along(c, roll), _waves(roll.angle)[:, :3]) for roll in rolls]
+
+
+def _of_head(c: Calibration, mounted: Sequence["Mounting"]) -> list[Part]:
+    """Return the circle of a head, and zero, level and wobble of each mounting."""
+    rows = np.concatenate([one.roll.rows for one in mounted])
+    turned = np.concatenate([one.sense * _turn(c, one.roll) for one in mounted])
+    parts = [(rows, turned, _waves(np.concatenate([one.head for one in mounted]))[:, 1:])]
+    for one in mounted:
+        waves = _waves(one.head)[:, :3]
+        parts.append((one.roll.rows, _turn(c, one.roll), waves[:, :1]))
+        parts.append((one.roll.rows, _along(c, one.roll), waves))
+    return parts
+
+
 def table_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
     """Return eq. (4) per radian of each quantity of each roll (n M, 5 rolls)."""
-    n, m = len(calibration.readings), len(linear)
-    result = np.zeros((n, m, len(QUANTITIES) * len(rolls)))
-    for place, roll in enumerate(rolls):
-        t = roll.angle
-        waves = (np.ones(len(t)), np.cos(t), np.sin(t), np.cos(2.0 * t), np.sin(2.0 * t))
-        moved = turn_of(calibration, roll) @ linear.T
-        for number_, wave in enumerate(waves):
-            result[roll.rows, :, len(QUANTITIES) * place + number_] = wave[:, None] * moved
-    return result.reshape(n * m, -1)
+    return _columns(len(calibration.readings), linear, _of_table(calibration, rolls))
 
 
-def shaft_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
-    """Return what eq. (5) does to the readings per radian of each quantity (n M, 3 rolls)."""
-    n, m = len(calibration.readings), len(linear)
-    result = np.zeros((n, m, len(SHAFT) * len(rolls)))
-    size = calibration.sign * magnitude_of(calibration)
-    for place, roll in enumerate(rolls):
-        along = size * linear[:, COMPONENTS.index(roll.axis)]
-        waves = (np.ones(len(roll.angle)), np.cos(roll.angle), np.sin(roll.angle))
-        for number_, wave in enumerate(waves):
-            result[roll.rows, :, len(SHAFT) * place + number_] = np.outer(wave, along)
-    return result.reshape(n * m, -1)
+class Effects(NamedTuple):
+    """What errors do to the readings, a column each.
+
+    What can be identified is a matter of structure: small cross terms must not seem to tell it.
+
+    Attributes
+    ----------
+    names : tuple of (plane, quantity), or (plane, output) of a shift of its zero
+    texts : tuple of str
+    actual, nominal : (n M, q) arrays
+        With the slopes of the sensor, and with those of one that is exactly along its axes.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    texts: tuple[str, ...]
+    actual: Array
+    nominal: Array
+
+    def with_(self, other: "Effects") -> "Effects":
+        """Return the columns of both."""
+        return Effects(
+            self.names + other.names,
+            self.texts + other.texts,
+            np.column_stack([self.actual, other.actual]),
+            np.column_stack([self.nominal, other.nominal]),
+        )
 
 
 _FOUND = 1e-3  # chance of a table's errors where there are none
@@ -225,8 +292,6 @@ class Bench:
     def __init__(self, parts: tuple[Calibration, ...]) -> None:
         self.parts, self.first = parts, parts[0]
         self.models = tuple(part.model for part in parts)
-        self.rolls = find_rolls(self.first.readings)
-        self.names = tuple(name for model in self.models for name in model.names)
         self.keys = tuple((out, str(term)) for model in self.models for out, term in model.keys)
         self.outputs = tuple(output for model in self.models for output in model.outputs)
         self.values = np.concatenate([_response(part) for part in parts], axis=1)
@@ -237,17 +302,31 @@ class Bench:
             part.model.linear_part(part.parameters, part.mean_environment)[:, 1:] for part in parts
         ]
         axes = [axis for model in self.models for axis in model.axes]
-        own = np.array([[float(axis == name) for name in COMPONENTS] for axis in axes])
-        self.linear, self.own = np.concatenate(slopes), own
-        self.sensor = self.design(self.models)
-        self.shifts = _shifts(self.outputs, len(self.first.readings), self.rolls)
-        # What can be identified is a matter of structure: small cross terms must not seem to tell
-        # it.
-        self.effect, self.nominal = (
-            table_effects(self.first, self.rolls, m) for m in (self.linear, own)
-        )
-        self.shaft, self.shaft_nominal = (
-            shaft_effects(self.first, self.rolls, m) for m in (self.linear, own)
+        self.own = np.array([[float(axis == name) for name in COMPONENTS] for axis in axes])
+        self.linear, self.sensor = np.concatenate(slopes), self.design(self.models)
+
+    def effects(self, names: Iterable[tuple[str, str]], parts: list[Part]) -> Effects:
+        """Return the columns of errors by their plane and quantity."""
+        named, n = tuple(names), len(self.first.readings)
+        texts = tuple(f"{quantity} in {plane}" for plane, quantity in named)
+        columns = (_columns(n, slopes, parts) for slopes in (self.linear, self.own))
+        return Effects(named, texts, *columns)
+
+    def stages(self) -> tuple[tuple[Effects, Effects], ...]:
+        """Return what is estimated one after another: shifts of zeros, and errors of the table."""
+        c, mounted = self.first, find_head(self.first.readings)
+        none = self.effects((), [])
+        if mounted:
+            names = [("head", quantity) for quantity in QUANTITIES[1:]]
+            names += [(one.name, each) for one in mounted for each in (QUANTITIES[0], *SHAFT)]
+            return ((none, self.effects(names, _of_head(c, mounted))),)
+        rolls = find_rolls(c.readings)
+        angle = [(roll.plane, quantity) for roll in rolls for quantity in QUANTITIES]
+        shaft = [(roll.plane, quantity) for roll in rolls for quantity in SHAFT]
+        shifts = _shifts(self.outputs, len(c.readings), rolls[1:])
+        return (
+            (shifts, self.effects(angle, _of_table(c, rolls))),
+            (none, self.effects(shaft, _of_shaft(c, rolls))),
         )
 
     def design(self, models: Sequence[Model]) -> Array:
@@ -280,17 +359,15 @@ def _response(calibration: Calibration) -> Array:
     return np.asarray(c.residuals + _slopes(c.model, c) @ c.parameters)
 
 
-def _shifts(
-    outputs: Sequence[str], n: int, rolls: tuple[Roll, ...]
-) -> dict[tuple[str, str], Array]:
-    """Return the columns (n M,) of a zero shift of each output on each roll after the first."""
-    columns = {}
-    for roll in rolls[1:]:
-        for place, name in enumerate(outputs):
-            member = np.zeros((n, len(outputs)))
-            member[roll.rows, place] = 1.0
-            columns[roll.plane, name] = member.ravel()
-    return columns
+def _shifts(outputs: Sequence[str], n: int, rolls: Iterable[Roll]) -> Effects:
+    """Return the columns of a zero shift of each output on each roll."""
+    names = tuple((roll.plane, output) for roll in rolls for output in outputs)
+    columns = np.zeros((n, len(outputs), len(names)))
+    for column, (roll, place) in enumerate(product(rolls, range(len(outputs)))):
+        columns[roll.rows, place, column] = 1.0
+    flat = columns.reshape(n * len(outputs), -1)
+    texts = tuple(f"zero shift of {output} in {plane}" for plane, output in names)
+    return Effects(names, texts, flat, flat)
 
 
 def _precision(calibration: Calibration) -> Array:
@@ -300,7 +377,7 @@ def _precision(calibration: Calibration) -> Array:
     return 1.0 / sd if usable else np.ones(len(sd))
 
 
-def separable(design: Array, effects: Array) -> list[int]:
+def _separable(design: Array, effects: Array) -> list[int]:
     """Return the columns of `effects` that the design does not explain, the earlier first."""
     kept: list[int] = []
     for column in range(effects.shape[1]):
@@ -312,11 +389,13 @@ def separable(design: Array, effects: Array) -> list[int]:
     return kept
 
 
-Sizes = dict[int, tuple[float, float, float]]  # value, u and U of columns by their place
+Sizes = dict[str, tuple[float, float, float]]  # value, u and U
 
 
-def solve_beside(bench: Bench, design: Array, identifiable: Mask) -> tuple[BesideTable, Sizes]:
-    """Return the sensor beside errors of the table, and every column of the design with its U.
+def _solve_beside(
+    bench: Bench, design: Array, identifiable: Mask
+) -> tuple[BesideTable, list[tuple[float, float, float]]]:
+    """Return the sensor beside errors of the table, and value, u and U of these.
 
     Parameters
     ----------
@@ -338,12 +417,13 @@ def solve_beside(bench: Bench, design: Array, identifiable: Mask) -> tuple[Besid
         _ROUNDING * float(np.abs(values).max())
     ) ** 2  # of residuals that are rounding alone
     chance = f_tail(gain / variance, more, dof) if variance > least_variance else 1.0
-    u = np.sqrt(np.diag(covariance))
-    k = coverage_factor(bench.first.confidence, dof)
-    sizes = {i: (float(found.coefficients[i]), float(u[i]), k * float(u[i])) for i in range(len(u))}
+    u = np.sqrt(np.diag(covariance))[p:]
+    U = coverage_factor(bench.first.confidence, dof) * u
+    sizes = zip(found.coefficients[p:].tolist(), u.tolist(), U.tolist(), strict=True)
     flags = tuple(map(bool, identifiable.tolist()))
     coefficients = found.coefficients[:p]
-    return BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance), sizes
+    beside = BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance)
+    return beside, list(sizes)
 
 
 HEAD = "head_deg"
@@ -446,64 +526,6 @@ def _mountings(roll: Roll, head: Array) -> list[tuple[float, Places]]:
     return [one for one in found if len(one[1])]
 
 
-def head_errors(bench: Bench, mounted: tuple[Mounting, ...]) -> TableErrors:
-    """Return the sensor beside the head, what the head is off by, and the zero of each mounting."""
-    names, columns = _columns(bench, mounted, bench.linear)
-    nominal = _columns(bench, mounted, bench.own)[1]
-    free = separable(bench.sensor, nominal)
-    free = [free[i] for i in separable(bench.sensor, columns[:, free])]
-    design = np.column_stack([bench.sensor, columns[:, free]])
-    null = separability(np.column_stack([bench.sensor, nominal]), least_norm=ZERO_NORM).null
-    identifiable = (null == 0.0).all(axis=1)
-    p = len(bench.keys)
-    values: Sizes = {}
-    beside = None
-    if free and len(design) > design.shape[1]:
-        beside, sizes = solve_beside(bench, design, identifiable[:p])
-        places = enumerate(free, start=p)
-        values = {column: sizes[place] for place, column in places if identifiable[p + column]}
-    every = [*bench.names, *(f"{quantity} in {plane}" for plane, quantity in names)]
-    errors = []
-    for column, (plane, quantity) in enumerate(names):
-        value, u_deg, U = (
-            np.degrees(values[column]).tolist() if column in values else (None, None, None)
-        )
-        together = null[:, null[p + column] != 0.0]
-        others = [
-            every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != p + column
-        ]
-        errors.append(TableError(plane, quantity, value, u_deg, U, tuple(others)))
-    felt = np.abs(nominal).max(axis=0, initial=0.0) > ZERO_NORM
-    angle = tuple(error for error in errors if error.quantity in QUANTITIES)
-    shaft = tuple(e for e, seen in zip(errors, felt, strict=True) if seen and e.quantity in SHAFT)
-    return TableErrors(angle, (), 0.0 if beside is None else beside.dof, shaft, beside)
-
-
-def _columns(
-    bench: Bench, mounted: tuple[Mounting, ...], linear: Array
-) -> tuple[list[tuple[str, str]], Array]:
-    """Return plane and quantity of each column, and what it does to the readings per radian.
-
-    The circle is the four columns before those of each mounting: its zero, level and wobble.
-    """
-    n, m = len(bench.first.readings), len(linear)
-    circle = np.zeros((n, m, 4))
-    own = np.zeros((n, m, 4 * len(mounted)))
-    size = bench.first.sign * magnitude_of(bench.first)
-    names = [("head", quantity) for quantity in QUANTITIES[1:]]
-    for place, one in enumerate(mounted):
-        rows, h = one.roll.rows, one.head
-        moved = turn_of(bench.first, one.roll) @ linear.T
-        waves = np.column_stack([np.cos(h), np.sin(h), np.cos(2.0 * h), np.sin(2.0 * h)])
-        circle[rows] = one.sense * moved[:, :, None] * waves[:, None, :]
-        along = size * linear[:, COMPONENTS.index(one.roll.axis)]
-        own[rows, :, 4 * place] = moved
-        nods = np.column_stack([np.ones(len(h)), waves[:, :2]])
-        own[rows, :, 4 * place + 1 : 4 * place + 4] = along[None, :, None] * nods[:, None, :]
-        names += [(one.name, quantity) for quantity in (QUANTITIES[0], *SHAFT)]
-    return names, np.concatenate([circle, own], axis=2).reshape(n * m, -1)
-
-
 _SPREAD = 8  # angles of a roll, from which on harmonics of the circle differ
 _UNSEEN = 0.01  # of the square of an effect, which residuals keep of what they do not show
 _HUNDREDTH = math.radians(0.01)
@@ -554,63 +576,64 @@ def table_errors(calibration: Calibration, *beside: Calibration) -> TableErrors:
     """
     for each in (calibration, *beside):
         require(each, Calibration)
-    mounted = find_head(calibration.readings)
     try:
-        bench = Bench((calibration, *beside))
-        return head_errors(bench, mounted) if mounted else _estimate(bench)
+        return _estimate(Bench((calibration, *beside)))
     except RankError:  # beside a finished fit this says nothing, rather than end it
         return TableErrors((), (), 0.0)
 
 
 def _estimate(bench: Bench) -> TableErrors:
-    shifts, kept, design = _separated(bench.sensor, bench.shifts, bench.nominal, bench.effect)
-    if not (kept or shifts) or len(design) <= design.shape[1]:
-        return TableErrors(_described(bench, {}), (), 0.0, _shaft_described(bench, {}))
-    c, weight = bench.first, bench.weight
-    found = solve(design * weight[:, None], bench.values.ravel() * weight)
-    dof = float(found.dof)
-    u = np.sqrt(np.diag(found.cofactor) * float(found.rss) / dof)
-    k = coverage_factor(c.confidence, dof)
-    first = len(bench.keys)
-    zero_shifts = []
-    for place, (plane, output) in enumerate(shifts, start=first):
-        value, sd = float(found.coefficients[place]), float(u[place])
-        p = t_tail(value / sd, dof) if sd > 0.0 else 1.0
-        zero_shifts.append(ZeroShift(plane, output, value, sd, k * sd, c.model.unit, p))
-    values = {
-        column: (float(found.coefficients[place]), float(u[place]), k * float(u[place]))
-        for place, column in enumerate(kept, start=first + len(shifts))
-    }
-    beside, shaft = _beside(bench, design)
-    errors = _described(bench, values)
-    return TableErrors(errors, tuple(zero_shifts), dof, _shaft_described(bench, shaft), beside)
+    design, columns, p = bench.sensor, bench.effects((), []), len(bench.keys)
+    sizes: Sizes = {}
+    estimated: list[str] = []
+    errors: list[TableError] = []
+    beside, dof, solvable, stages = None, 0.0, True, bench.stages()
+    for shifts, effects in stages:
+        here = shifts.with_(effects)
+        free = _separable(design, here.nominal)
+        # nor may small terms hide it
+        kept = [free[i] for i in _separable(design, here.actual[:, free])]
+        design = np.column_stack([design, here.actual[:, kept]])
+        estimated += [here.texts[i] for i in kept]
+        columns = columns.with_(here)
+        null, same = _confounded(bench, bench.models, columns)
+        solvable = solvable and bool(estimated) and len(design) > design.shape[1]
+        beside = None
+        if solvable:
+            beside, fitted = _solve_beside(bench, design, (null[:p] == 0.0).all(axis=1))
+            sizes = dict(zip(estimated, fitted, strict=True)) | sizes  # angles without the shaft
+            dof = dof or beside.dof
+        identifiable = {text: size for text, size in sizes.items() if not same[text]}
+        if len(stages) > 1 and not errors:  # terms that the model leaves out do the same, too
+            same = _confounded(bench, [_fullest(model) for model in bench.models], columns)[1]
+        errors += _described(effects, identifiable, same)
+    angle = tuple(error for error in errors if error.quantity in QUANTITIES)
+    shaft = tuple(error for error in errors if error.quantity in SHAFT)
+    return TableErrors(angle, _zero_shifts(bench, stages[0][0], sizes, dof), dof, shaft, beside)
 
 
-def _beside(bench: Bench, design: Array) -> tuple[BesideTable | None, Sizes]:
-    """Return the sensor beside every error, and the errors of the shaft that can be identified."""
-    free = separable(design, bench.shaft_nominal)
-    free = [free[i] for i in separable(design, bench.shaft[:, free])]
-    whole = np.column_stack([design, bench.shaft[:, free]])
-    if len(whole) <= whole.shape[1]:
-        return None, {}
-    everything = np.column_stack(
-        [bench.sensor, *bench.shifts.values(), bench.nominal, bench.shaft_nominal]
-    )
-    null = separability(everything, least_norm=ZERO_NORM).null
-    kept, sizes = solve_beside(bench, whole, (null[: len(bench.keys)] == 0.0).all(axis=1))
-    return kept, {column: sizes[i] for i, column in enumerate(free, start=design.shape[1])}
+def _described(
+    effects: Effects, sizes: Sizes, same: Mapping[str, tuple[str, ...]]
+) -> list[TableError]:
+    """Return every quantity with its size where it has one, of the shaft those that are felt."""
+    felt = np.abs(effects.nominal).max(axis=0, initial=0.0) > ZERO_NORM
+    errors = []
+    for name, text, seen in zip(effects.names, effects.texts, felt.tolist(), strict=True):
+        plane, quantity = name
+        if seen or quantity in QUANTITIES:
+            value, u, U = np.degrees(sizes[text]).tolist() if text in sizes else (None, None, None)
+            errors.append(TableError(plane, quantity, value, u, U, same[text]))
+    return errors
 
 
-def _separated(
-    sensor: Array, shifts: Mapping[tuple[str, str], Array], nominal: Array, effect: Array
-) -> tuple[dict[tuple[str, str], Array], list[int], Array]:
-    """Return the zero shifts and identifiable columns of `effect`, and the design of all."""
-    free = separable(sensor, np.column_stack([*shifts.values(), nominal]))
-    kept_shifts = {key: shifts[key] for i, key in enumerate(shifts) if i in free}
-    design = np.column_stack([sensor, *kept_shifts.values()])
-    kept = [i - len(shifts) for i in free if i >= len(shifts)]
-    kept = [kept[i] for i in separable(design, effect[:, kept])]  # nor may small terms hide it
-    return kept_shifts, kept, np.column_stack([design, effect[:, kept]])
+def _zero_shifts(bench: Bench, shifts: Effects, sizes: Sizes, dof: float) -> tuple[ZeroShift, ...]:
+    unit, found = bench.first.model.unit, []
+    for (plane, output), text in zip(shifts.names, shifts.texts, strict=True):
+        if text in sizes:
+            value, u, U = sizes[text]
+            p = t_tail(value / u, dof) if u > 0.0 else 1.0
+            found.append(ZeroShift(plane, output, value, u, U, unit, p))
+    return tuple(found)
 
 
 def changes_unseen(calibration: Calibration) -> Array:
@@ -695,48 +718,6 @@ def _largest_loss(c: Calibration) -> float:
     return largest
 
 
-def _described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
-    """Return every quantity with its value where the model and the positions can tell it."""
-    names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
-    hidden = _confounded(bench, bench.models, bench.nominal, names)
-    fullest = [_fullest(model) for model in bench.models]
-    same = _confounded(bench, fullest, bench.nominal, names)
-    identifiable = {column: value for column, value in values.items() if not hidden[names[column]]}
-    return _named(bench, QUANTITIES, identifiable, same, names)
-
-
-def _shaft_described(bench: Bench, values: Sizes) -> tuple[TableError, ...]:
-    """Return the quantities of the shaft that the outputs feel, as `_described` does."""
-    table = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in QUANTITIES]
-    names = [f"{quantity} in {roll.plane}" for roll in bench.rolls for quantity in SHAFT]
-    both = np.column_stack([bench.nominal, bench.shaft_nominal])
-    same = _confounded(bench, bench.models, both, [*table, *names])
-    identifiable = {column: value for column, value in values.items() if not same[names[column]]}
-    found = _named(bench, SHAFT, identifiable, same, names)
-    felt = np.abs(bench.shaft_nominal).max(axis=0, initial=0.0) > ZERO_NORM
-    return tuple(error for error, seen in zip(found, felt.tolist(), strict=True) if seen)
-
-
-def _named(
-    bench: Bench,
-    quantities: Sequence[str],
-    identifiable: Sizes,
-    same: Mapping[str, tuple[str, ...]],
-    names: Sequence[str],
-) -> tuple[TableError, ...]:
-    errors = []
-    for column, name in enumerate(names):
-        place, number_ = divmod(column, len(quantities))
-        value, u, U = (
-            np.degrees(identifiable[column]).tolist()
-            if column in identifiable
-            else (None, None, None)
-        )
-        plane = bench.rolls[place].plane
-        errors.append(TableError(plane, quantities[number_], value, u, U, same[name]))
-    return tuple(errors)
-
-
 def _fullest(model: Model) -> Model:
     """Return the model of all terms up to second order and the own third."""
     formula = "1 + x + y + z + x*y + x*z + y*z + own^2 + own^3"
@@ -744,23 +725,80 @@ def _fullest(model: Model) -> Model:
 
 
 def _confounded(
-    bench: Bench, models: Sequence[Model], nominal: Array, names: list[str]
-) -> dict[str, tuple[str, ...]]:
-    """Return for each quantity what together does the same as it to the readings, by name."""
-    base = [bench.design(models), *bench.shifts.values()]
-    terms = [name for model in models for name in model.names]
-    every = [
-        *terms,
-        *(f"zero shift of {output} in {plane}" for plane, output in bench.shifts),
-        *names,
-    ]
-    null = separability(np.column_stack([*base, nominal]), least_norm=ZERO_NORM).null
-    result: dict[str, tuple[str, ...]] = {}
-    for row, name in enumerate(every):
-        if name not in names:
-            continue
+    bench: Bench, models: Sequence[Model], columns: Effects
+) -> tuple[Array, dict[str, tuple[str, ...]]]:
+    """Return the null space of sensor and errors, and what together does the same as each error."""
+    names = [name for model in models for name in model.names]
+    every = [*names, *columns.texts]
+    whole = np.column_stack([bench.design(models), columns.nominal])
+    null = separability(whole, least_norm=ZERO_NORM).null
+    same: dict[str, tuple[str, ...]] = {}
+    for row, name in enumerate(every[len(names) :], start=len(names)):
         together = null[:, null[row] != 0.0]
         others = [every[j] for j in np.flatnonzero(together.any(axis=1)).tolist() if j != row]
         # One that no output feels at all has no company, but cannot be identified either.
-        result[name] = tuple(others) or (("nothing that the outputs feel",) * bool(together.size))
-    return result
+        same[name] = tuple(others) or (("nothing that the outputs feel",) * bool(together.size))
+    return null, same
+
+
+def state_bench(
+    calibration: Calibration,
+    *,
+    reading_sd: float,
+    zero_drift: float = 0.0,
+    angle_sd_deg: float = 0.0,
+    offset_sd_deg: float = 0.0,
+    first_sd_deg: float = 0.0,
+    second_sd_deg: float = 0.0,
+    level_sd_deg: float = 0.0,
+    wobble_sd_deg: float = 0.0,
+) -> Readings:
+    """Return a calibration's readings with the covariance that a stated bench gives them.
+
+    Fitted again, they give the best estimate on that bench and an uncertainty with all of it in.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        A first fit, for the scale factors that turn angles into readings.
+    reading_sd : float
+        Standard uncertainty of an averaged reading, in reading units.
+    zero_drift : float
+        Standard deviation of each output's zero from roll to roll, in reading units.
+    angle_sd_deg : float
+        Error of the table at each position by itself.
+    offset_sd_deg, first_sd_deg, second_sd_deg : float
+        Of e_0, and of each coefficient of the first and second harmonic, on every roll.
+    level_sd_deg, wobble_sd_deg : float
+        Of the shaft from the horizon, and of each coefficient of its nodding, on every roll.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> angle = np.arange(0.0, 360.0, 30.0)
+    >>> i, p = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    >>> volt = 0.012 + 2.5 * i + 0.001 * p + 2e-5 * np.cos(40.0 * angle)
+    >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
+    >>> first = mp.fit(readings, axes="x", inputs="x,y")
+    >>> known = mp.state_bench(first, reading_sd=5e-5, angle_sd_deg=0.01)
+    >>> known.covariance.shape, bool(known.covariance[0, 0] < known.covariance[3, 3])
+    ((12, 12), True)
+    """
+    require(calibration, Calibration)
+    model, readings, c = calibration.model, calibration.readings, calibration
+    rolls, (n, m) = find_rolls(readings), readings.values.shape
+    linear = model.linear_part(c.parameters, c.mean_environment)[:, 1:]
+    alone = [(roll.rows, _turn(c, roll), np.eye(len(roll.rows))) for roll in rolls]
+    table = [offset_sd_deg, *[first_sd_deg] * 2, *[second_sd_deg] * 2]
+    shaft = [level_sd_deg, *[wobble_sd_deg] * 2]
+    covariance = np.eye(n * m) * reading_sd**2
+    for parts, sd_deg in (
+        (alone, [angle_sd_deg] * sum(len(roll.rows) for roll in rolls)),
+        (_of_table(c, rolls), table * len(rolls)),
+        (_of_shaft(c, rolls), shaft * len(rolls)),
+    ):
+        moved = _columns(n, linear, parts) * np.radians(sd_deg)
+        covariance += moved @ moved.T
+    shifted = _shifts(model.outputs, n, rolls).actual * zero_drift
+    return replace(readings, u=None, covariance=covariance + shifted @ shifted.T)

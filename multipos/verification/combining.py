@@ -96,14 +96,14 @@ def combine_sessions(found: Sequence[Calibration], files: Sequence[str]) -> Cali
         gauge="symmetric" if first.model.gauge == "symmetric" else "lower",
         confidence=first.confidence,
         unknown_orientation=first.estimator is Estimator.UNKNOWN,
-        level_sd=math.radians(level or 0.0),
+        level_sd=level or 0.0,
     )
 
     exact = replace(first.model, field=replace(first.field, u=0.0))
 
     def solved(readings: Readings) -> Calibration:
         size = signed_size(first.gravity, first.convention)
-        stated_up = place(readings, size, level_sd=options.level_sd)
+        stated_up = place(readings, size, **options.spread)
         # rows of one session are alike by what S holds
         return calibrate_at(exact, readings, stated_up, options, ordered=False)
 

@@ -44,6 +44,7 @@ from multipos.positions.harmonics import (
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, frozen
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.gravity import StatedBench
 from multipos.sensor.model import Model
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.turntable import TableErrors, find_head, table_errors
@@ -219,10 +220,11 @@ class Tumble(Result, Drawn, Tabular):
 def tumble_output(
     data: Readings,
     facing: str,
+    bench: StatedBench,
     *,
     model: ModelText | None,
     convention: Convention,
-    **conditions: Any,
+    reading_sd: float | None,
 ) -> Tumble:
     """Return the tumble of oriented readings of one output along an axis.
 
@@ -231,7 +233,8 @@ def tumble_output(
     data : Readings
     facing : str
         Its input axis i, with a minus where it faces the other way; p and o follow in cyclic order.
-    model, convention, conditions
+    bench : StatedBench
+    model, convention, reading_sd
         As in `multipos.tumble`.
     """
     axis = facing.removeprefix("-")
@@ -245,7 +248,8 @@ def tumble_output(
         model=model or Formula(formula_of(names, axis)),
         axes=(facing,),
         convention=convention,
-        **conditions,
+        reading_sd=reading_sd,
+        **vars(bench),
     )
     coefficients = fitted_coefficients(calibration, axis)
     signal = calibration.readings.values[:, 0]

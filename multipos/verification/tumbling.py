@@ -29,7 +29,7 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, frozen, stacked
-from multipos.sensor.gravity import FieldKind
+from multipos.sensor.gravity import FieldKind, StatedBench
 from multipos.sensor.model import default_axes, stated_facing
 from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
 from multipos.verification.coefficients import (
@@ -192,26 +192,13 @@ def tumble(
             "a tumble is of accelerometers in gravity; `multipos fit` takes the rolls."
         )
     own = _axes(data, axes)
-    conditions: dict[str, Any] = {
-        "gravity": gravity,
-        "gravity_u": gravity_u,
-        "latitude": latitude,
-        "height": height,
-        "field": field,
-        "field_size": field_size,
-        "field_size_u": field_size_u,
-        "range": range,
-        "confidence": confidence,
-    }
+    bench = StatedBench(
+        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
+    )
     sds = _each(reading_sd, len(own))
     found = {
         name: tumble_output(
-            _alone(data, name),
-            facing,
-            model=model,
-            convention=convention,
-            reading_sd=sd,
-            **conditions,
+            _alone(data, name), facing, bench, model=model, convention=convention, reading_sd=sd
         )
         for name, facing, sd in zip(data.outputs, stated_facing(axes) or own, sds, strict=True)
     }

@@ -2,12 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from multipos.numerics.quantiles import LARGEST, beta_tails, gamma_tails, solve
+from multipos.numerics.quantiles import LARGEST, beta_tails, gamma_tails, solve, t_tail, t_tails
 
 SHAPE = st.floats(0.25, LARGEST)
 
@@ -61,3 +62,14 @@ def test_beta_is_scipys(a, b, x):
 def test_solve_from_anywhere(start):
     assert solve(lambda x: x**3, 8.0, start) == pytest.approx(2.0, rel=1e-14)
     assert solve(lambda x: math.exp(-x), 1e-5, start) == pytest.approx(-math.log(1e-5), rel=1e-13)
+
+
+def test_tails_of_t_at_once_by_hand():
+    """Cauchy's law for one degree of freedom, 1 − t/sqrt(2 + t²) for two."""
+    t = np.array([0.0, 0.1, 1.0, 4.0, 300.0])
+    found = t_tails(t**2, np.array([[1.0], [2.0]]))
+    np.testing.assert_allclose(found[0], 1.0 - 2.0 / np.pi * np.arctan(t), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(found[1], 1.0 - t / np.sqrt(2.0 + t**2), rtol=1e-10, atol=1e-15)
+    nu = np.array([3.7, 120.0, 900.0])
+    one = [[t_tail(each, dof) for each in t.tolist()] for dof in nu.tolist()]
+    np.testing.assert_allclose(t_tails(t**2, nu[:, None]), one, rtol=1e-11)

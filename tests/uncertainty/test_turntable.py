@@ -14,7 +14,7 @@ from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.sheets import installation_sheets, table_error_sheets
-from multipos.uncertainty.turntable import QUANTITIES, _unused, changes_unseen, shaft_effects
+from multipos.uncertainty.turntable import QUANTITIES, _unused, changes_unseen
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
@@ -172,7 +172,7 @@ def test_a_stated_table_is_in_u_of_what_one_roll_cannot_show():
 
 
 def test_stated_bench_puts_the_drift_into_u():
-    # eq. (1) of uncertainty.stated_bench
+    # eq. (7) of uncertainty.turntable
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
     known = mp.state_bench(cal, reading_sd=1e-5, zero_drift=3e-4)
     again = mp.fit(known, unit="V")
@@ -250,19 +250,16 @@ def test_without_rolls_there_is_nothing_to_say():
 
 def test_a_shaft_off_the_horizon_moves_the_output_along_it_by_hand():
     """About y: M's second column times g, l + w cos t + v sin t."""
-    # eq. (5) of uncertainty.turntable
+    # eqs. (5), (6) of uncertainty.turntable
     cal = mp.fit(rolls(T, sd=1e-6), scheme="dual-axis-48", unit="V")
-    found = find_rolls(cal.readings)
-    linear = np.array([[1.0, 0.02, 0.0], [0.0, 0.03, 1.1]])
-    effects = shaft_effects(cal, found, linear).reshape(48, 2, len(found), 3)
-    for place, roll in enumerate(found):
-        along = linear[:, "xyz".index(roll.axis)]
-        t = roll.angle[:, None]
-        waves = (np.ones_like(t), np.cos(t), np.sin(t))
-        for wave, effect in zip(waves, np.moveaxis(effects[:, :, place], 2, 0), strict=True):
-            assert_allclose(effect[roll.rows], cal.sign * wave * along, rtol=1e-12, atol=1e-15)
-            others = np.setdiff1d(np.arange(48), roll.rows)
-            assert not effect[others].any()
+    along, sd = cal.model.linear_part(cal.parameters, {})[:, 2], 1e-3
+    waves = {"level_sd_deg": np.ones((24, 24)), "wobble_sd_deg": np.cos(T - T[:, None])}
+    for option, together in waves.items():
+        known = mp.state_bench(cal, reading_sd=1e-9, **{option: math.degrees(sd)})
+        covariance = known.covariance.reshape(48, 2, 48, 2)[:24]
+        expected = sd**2 * together[:, None, :, None] * along[:, None, None] * along
+        assert_allclose(covariance[:, :, :24], expected, rtol=0, atol=1e-14)
+        assert not covariance[:, :, 24:].any()
 
 
 def test_a_head_that_turns_otherwise_is_named_by_its_first_reading():
