@@ -509,6 +509,8 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
         }
         questions = [partial(ask, **more.get(ask, {})) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration)
+        if not any(each.code == "placement" for each in of_rows):
+            residuals.cache_clear()  # of many rows they are large
         if any(each.code == "quantized" for each in found):  # roundings follow no law
             found += [each for each in of_rows if each.code not in RIVALS]
         else:
