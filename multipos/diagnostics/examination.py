@@ -50,6 +50,7 @@ from multipos.diagnostics.residuals import (
     outlying_rows,
     rejected_noise,
     residuals_of,
+    understated_orientations,
     unequal_noise,
 )
 from multipos.diagnostics.row_order import (
@@ -451,6 +452,7 @@ OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     lack_of_fit,
     rejected_noise,
     orientation_error,
+    understated_orientations,
     unequal_noise,
     effective_number,
 )

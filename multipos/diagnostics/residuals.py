@@ -76,6 +76,7 @@ _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up
 _SETTLED = 0.01  # of the deviance
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
+_GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _ROWS = 20_000  # whose products are made at once
 
 
@@ -393,22 +394,28 @@ def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
     noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
     if not found or not np.any(noise):
         return None
+    if understated_orientations(c) is not None:
+        return None
     more = f"; and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-    begun = {
-        text[len("position ") : end]
-        for text in found
-        if text.startswith("position ")
-        for end, mark in enumerate(text)
-        if mark in ": "
-    }
-    named = [label for label in c.readings.labels if label in begun]
     return Finding(
         "outlier",
         "warning",
         f"{'; '.join(found[:_NAMED])}{more}",
         "Measure again, omit it, or fit with --robust huber.",
-        rows=tuple(dict.fromkeys(named)),
+        rows=_named_in(found, c.readings.labels),
     )
+
+
+def _named_in(texts: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels of positions that texts begin with."""
+    begun = {
+        text[len("position ") : end]
+        for text in texts
+        if text.startswith("position ")
+        for end, mark in enumerate(text)
+        if mark in ": "
+    }
+    return tuple(dict.fromkeys(label for label in labels if label in begun))
 
 
 def outlying_rows(c: Calibration) -> Outlying | None:
@@ -570,6 +577,76 @@ def orientation_error(c: Calibration, residuals: Callable[[], Residuals]) -> Fin
     )
 
 
+def understated_orientations(c: Calibration) -> Finding | None:
+    """Find positions off by more than stated, where some were set aside or do not fit.
+
+    Asked of the others: a gross error of one position is no cause of theirs.
+    """
+    said = {row for each in c.diagnostics.findings if each.code == "set-aside" for row in each.rows}
+    said.update(_named_in(c.diagnostics.outliers, c.readings.labels))
+    sd, up = c.readings.orientation_sd, c.readings.up
+    known = any(each.code == "placement" for each in c.diagnostics.findings)
+    if c.estimator is not Estimator.UNCERTAIN or known or not said or sd is None or up is None:
+        return None
+    kept = np.array([label not in said for label in c.readings.labels])
+    if not _is_triad(c) or not (np.isfinite(sd[kept]) & (sd[kept] > 0.0)).all():
+        return None
+    of = _at_listed(c, kept, up, sd)
+    if of is None or of.contrasts < 1:
+        return None
+    moved, size = explain_orientations(of), math.sqrt(float(np.mean(sd[kept] ** 2)))
+    found = math.sqrt(float(moved.variances[0, 1]))
+    deviance = min(
+        _deviance_at(of, tau2, size**2) for tau2 in of.scale[0] * np.geomspace(1e-8, 1.0, 33)
+    )
+    if found <= size or deviance - moved.deviance[0] < chi2_quantile(1.0 - 2.0 * LEVEL, 1.0):
+        return None
+    whole = _at_listed(c, np.ones_like(kept), up, sd)
+    assert whole is not None
+    every = math.sqrt(float(explain_orientations(whole).variances[0, 1]))
+    if every < _GROSSLY * found:  # else one of them is a gross error besides
+        found = every
+    degrees, stated = math.degrees(found), math.degrees(size)
+    robust = ", without --robust" if c.robust_weight is not None else ""
+    return Finding(
+        "placement",
+        "warning",
+        (
+            f"residuals suggest orientation errors of {degrees:.2g} degrees (1 sigma), more than "
+            f"the stated {stated:.2g}; positions that do not fit follow from it"
+        ),
+        f"Fit with --orientation-sd auto{robust}.",
+    )
+
+
+def _at_listed(c: Calibration, kept: NDArray[np.bool_], up: Array, sd: Array) -> Residuals | None:
+    """Return residuals of rows at their listed positions, by least squares; None without any.
+
+    The slopes are larger where an orientation sd is.
+    """
+    listed = c.sign * np.linalg.norm(c.reference, axis=1, keepdims=True) * up
+    force, values = listed[kept], c.readings.values[kept]
+    columns = {name: column[kept] for name, column in c.readings.environment.items()}
+    basis, error = c.model.basis(force, columns), np.empty_like(values)
+    for i, own in enumerate(c.model.columns):
+        if len(basis) <= len(own):
+            return None
+        Q = np.linalg.qr(basis[:, own])[0]
+        error[:, i] = values[:, i] - Q @ (Q.T @ values[:, i])
+    slopes = c.model.force_jacobian(c.parameters, force, columns)
+    relative = sd[kept] / np.sqrt(np.mean(sd[kept] ** 2))
+    stated = np.zeros_like(values)
+    if c.readings.noise is not None:
+        stated = diagonal(c.readings.noise).reshape(c.residuals.shape)[kept]
+    scaled = slopes * relative[:, None, None]
+    return Residuals(error[None], basis, c.model.columns, scaled[None], force, stated[None])
+
+
+def _deviance_at(of: Residuals, tau2: float, s2: float) -> float:
+    theta = np.array([[tau2, s2]])
+    return float(_evaluate(of, [np.eye(3)[None, None], of.across], theta).deviance[0])
+
+
 def unequal_noise(c: Calibration) -> Finding | None:
     """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
     if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
@@ -698,10 +775,13 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
 
 def _separable(c: Calibration) -> bool:
     """Tell whether orientation error shows beside excess variance: a triad, all rows counted."""
+    return c.estimator.exact and c.robust_weight is None and _is_triad(c)
+
+
+def _is_triad(c: Calibration) -> bool:
+    """Tell whether three outputs along three axes, in gravity alone, sense a rotation."""
     return (
-        c.estimator.exact
-        and c.robust_weight is None
-        and sorted(c.model.axes) == list(COMPONENTS)
+        sorted(c.model.axes) == list(COMPONENTS)
         and not isinstance(c.model, ExpressionModel)
         and not c.readings.forced.any()
         and int(np.linalg.matrix_rank(_linear_part(c))) == len(COMPONENTS)

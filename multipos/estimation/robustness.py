@@ -63,7 +63,7 @@ FINEST = 1e-15  # of the largest reading, which rounding leaves where misfits va
 
 _NO_NOISE = (
     "the orientation errors may explain the residuals of too many positions to estimate the noise "
-    "robustly; state --reading-sd, a smaller --orientation-sd, or add positions."
+    "robustly; fit without --robust, state --reading-sd, or add positions."
 )
 
 

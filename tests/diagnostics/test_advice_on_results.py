@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_advice import CASES, UP, ZERO, Data, K, error, option, sense
+from test_advice import CASES, NOISE, UP, ZERO, Data, K, error, option, sense
 
 import multipos as mp
 
@@ -41,6 +41,12 @@ def ups(up):
     return dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
 
 
+def moved(rng, sd, up=UP):
+    """Return directions turned about each axis by a normal angle of so many radians."""
+    up = up + np.cross(sd * rng.standard_normal(up.shape), up)
+    return up / np.linalg.norm(up, axis=1, keepdims=True)
+
+
 def off(cal, sensor=lambda f: ZERO + f @ K.T):
     """Return the rms error [g] of compensated force over fresh directions."""
     return error(cal, Data(np.empty(0), sensor=sensor), np.random.default_rng(9))
@@ -48,6 +54,13 @@ def off(cal, sensor=lambda f: ZERO + f @ K.T):
 
 def plain(values, up=UP, **options):
     return mp.fit(mp.Readings(values, up=up, unit="g"), **options)
+
+
+@follows("placement", "Fit with --orientation-sd auto, without --robust")
+def positions_off_by_twice_what_is_stated(rng):
+    values = sense(rng, moved(rng, np.radians(0.2)))
+    yield plain(values, orientation_sd=0.1, robust="huber", reading_sd=NOISE)
+    yield plain(values, orientation_sd="auto", reading_sd=NOISE)
 
 
 # --- columns, units and signs

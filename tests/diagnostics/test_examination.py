@@ -8,6 +8,7 @@ import pytest
 from findings_bench import texts
 
 import multipos as mp
+from multipos.finding import serious
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report
 from multipos.reports.summary import text_report
@@ -98,3 +99,29 @@ def test_kelvin_is_told_from_celsius(shift, codes):
     )
     cal = mp.fit(readings, model="1 + x + y + z + temperature")
     assert [d.code for d in cal.diagnostics.findings if d.code == "temperature-kelvin"] == codes
+
+
+@pytest.mark.parametrize("robust", [None, "huber"])
+def test_positions_that_do_not_fit_are_the_orientation_sd_stated_too_small(robust):
+    """24 positions off by .2°, .1 mg: stated at half, that is named; one bad position is not."""
+    up = mp.read_scheme("fibonacci-24").up
+    sizes, alone, kinds = [], 0, set()
+    for seed in (1, 3):
+        rng = np.random.default_rng([10, seed])
+        stood = up + np.cross(np.radians(0.2) * rng.standard_normal((24, 3)), up)
+        stood /= np.linalg.norm(stood, axis=1)[:, None]
+        values = [0.02, -0.01, 0.03] + 1.01 * stood + 1e-4 * rng.standard_normal((24, 3))
+        options = {"reading_sd": 1e-4} if robust else {}
+        half = mp.fit(mp.Readings(values, up=up), orientation_sd=0.1, robust=robust, **options)
+        for each in half.findings:
+            if each.code == "placement":
+                sizes.append(float(each.text.split("errors of ")[1].split()[0]))
+                kinds.add(each.action.endswith("without --robust."))
+        assert "outlier" not in {each.code for each in half.findings}
+        values[7] += 0.03
+        gross = mp.fit(mp.Readings(values, up=up), orientation_sd=0.2, robust=robust, **options)
+        alone += {"outlier", "set-aside"} >= {each.code for each in serious(gross.findings)} > set()
+    assert len(sizes) == (2 if robust else 1)  # the other fit takes them all for noise
+    assert sizes == pytest.approx([0.2] * len(sizes), rel=0.15)  # one of 48 angles is known to 10 %
+    assert kinds == {robust is not None}
+    assert alone == 2
