@@ -619,7 +619,7 @@ def understated_orientations(c: Calibration) -> Finding | None:
     )
 
 
-def _at_listed(c: Calibration, kept: NDArray[np.bool_], up: Array, sd: Array) -> Residuals | None:
+def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | None:
     """Return residuals of rows at their listed positions, by least squares; None without any.
 
     The slopes are larger where an orientation sd is.

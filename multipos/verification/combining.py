@@ -23,7 +23,9 @@ follows from their differences alone. Values
 are correlated as by the mean covariance of sessions and S = Σ (p_r − p̄)(p_r − p̄)'/(R − 1).
 
 Of a stated noise c_rj has no more excess than the χ²/ν of all sessions leaves: what few residuals
-of one leave open would take away from b. Where readings are correlated, or only some sessions state their uncertainty, all are fitted again
+of one leave open would be taken from b.
+
+Where readings are correlated, or only some sessions state their uncertainty, all are fitted again
 with equal weights, and c_rj is that of these fits.
 
 What all sessions share (gravity, the level of the table) does not show in how they differ and is
