@@ -10,7 +10,7 @@ import multipos as mp
 from multipos.cli import command_parser
 from multipos.logs import readers
 from multipos.logs.opening import open_log
-from multipos.logs.readers import READERS
+from multipos.logs.readers import READERS, _undo
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "logs.md"
 
@@ -46,3 +46,21 @@ def test_a_text_among_the_numbers_of_an_array_is_named(tmp_path):
     savemat(tmp_path / "log.mat", {"ax": cells[:, None], **numbers})
     with pytest.raises(mp.MultiposError, match=r"'1\.0005e-' is not a number"):
         list(open_log(tmp_path / "log.mat").read(("ax", "ay", "az"), ()))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "x", "said"),
+    [
+        ({"INS_ACCOFFS_X": 0.5, "INS_ACCSCAL_X": 2.0}, 5.5, "are undone"),
+        ({"INS_ACCOFFS_X": 0.5}, 10.5, "are undone"),
+        ({"INS_ACCSCAL_X": 2.0, "AHRS_ORIENTATION": 4.0}, 10.0, "are not undone"),
+        ({"INS_ACCSCAL_X": 0.0}, 10.0, "are not undone"),
+        ({}, 10.0, "the first of the log"),
+    ],
+)
+def test_what_an_autopilot_corrected_is_undone(parameters, x, said):
+    """ArduPilot flies on (raw − offset) scale."""
+    found = {f"Acc{axis}": np.array([10.0]) for axis in "XYZ"}
+    (text,) = _undo(found, parameters)
+    assert text.endswith(said)
+    assert [found[f"Acc{axis}"][0] for axis in "XYZ"] == [x, 10.0, 10.0]
