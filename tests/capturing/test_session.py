@@ -27,6 +27,7 @@ from multipos.capturing.evaluation import (
 from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
 from multipos.capturing.poses import (
     Frame,
+    _centre,
     _score,
     _State,
     find_frame,
@@ -752,3 +753,20 @@ def test_a_target_is_met_from_six_degrees_of_freedom_on():
         cal = mp.fit(mp.Readings(values, outputs=("ax",), up=up[:count], unit="g"))
         assert _small(cal, "bias_ax", 1.0) == met
         assert not _small(cal, "bias_ax", 1e-9)
+
+
+def test_a_frame_by_the_size_of_gravity_in_a_known_unit():
+    """Within 15 % of 1, 9.80665 or 1000; the centre of a sphere needs four readings all around."""
+    for size, known in ((9.0, True), (8.2, False), (1.14, True), (1.2, False), (870.0, True)):
+        means = size * np.eye(3)[:2]
+        frame = find_frame(means, (0, 1, 2), "specific-force", None)
+        assert (frame is not None) == known
+        if known:
+            assert_allclose(frame.up(means), np.eye(3)[:2])
+            assert_allclose(frame.force_size(means), 1.0)
+    down = find_frame(9.8 * np.eye(3)[:2], (2, 0, 1), "gravity", None)
+    assert_allclose(down.up(9.8 * np.eye(3)), -np.eye(3)[[1, 2, 0]].T)
+    up = mp.read_scheme("faces-6").up
+    assert_allclose(_centre([3.0, -1.0, 2.0] + 5.0 * up), [3.0, -1.0, 2.0], atol=1e-12)
+    assert _centre([3.0, -1.0, 2.0] + 5.0 * up[:3]) is None
+    assert _centre([3.0, -1.0, 2.0] + 5.0 * up[:4]) is None

@@ -26,11 +26,13 @@ from multipos.designs.exchange import _Bordered, _descend, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
     _derivatives,
+    _pivots,
     maxima,
     optimise_candidates,
     optimise_sphere,
     solve_definite,
 )
+from multipos.designs.prospects import _ahead, _mean_fall
 from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
 
@@ -812,3 +814,15 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
             step = 1e-4 * np.eye(12)[j]
             by_differences = (fall(x + step)[0] - fall(x - step)[0]) / 2e-4
             assert slope[j] == pytest.approx(by_differences, rel=1e-3, abs=1e-6)
+
+
+def test_positions_to_a_target_by_hand():
+    """Information of 4 and pieces of 0, 5, 12, 12: u is 1/2, and falls by the first of the best."""
+    pieces, present = np.array([0.0, 5.0, 12.0, 12.0]).reshape(4, 1, 1), np.full((1, 1), 4.0)
+    for target, path in ((0.5, []), (0.25, [2]), (0.2, [2, 2]), (0.189, [2, 2])):
+        assert _ahead(present, pieces, 1.0, 0.0, 0, target) == path
+    # twice the variance, and .01 that stays: sqrt(2/28 + .01) = .285
+    assert _ahead(present, pieces, 2.0, 0.01, 0, 0.286) == [2, 2]
+    assert _ahead(present, pieces, 2.0, 0.01, 0, 0.1) is None
+    assert _mean_fall(np.array([[0.5, 0.125]]), np.ones(2)) == pytest.approx(0.75)
+    assert _pivots(np.array([[1.0, 0.0], [0.0, 3.0], [2.0, 0.0]])) == [1, 2]

@@ -19,7 +19,16 @@ from multipos.fleets.line import (
     find_step,
     normal_scores,
 )
-from multipos.fleets.stations import station_effects
+from multipos.fleets.stations import (
+    _CLEAR,
+    _LEVEL,
+    _OF_UNITS,
+    _OFF,
+    find_off,
+    is_off,
+    near_median,
+    station_effects,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 APART = {"unit_column": "unit", "station_column": "station"}
@@ -303,3 +312,43 @@ def test_a_unit_that_was_measured_worse_is_nearer():
         away = first["parameters"][0]
         assert away["name"] == "a"
         assert away["deviation"] == pytest.approx(theta[7, 0] / np.sqrt(S[0, 0]))
+
+
+def test_values_far_from_the_median_of_their_station_by_hand():
+    """Half of −2 … 2 and one far is within 1.5 of .5: six times 1.4826 of that are 13.3."""
+    values = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 13.5, 7.0, 7.0, 7.0, 8.0, 9.0])
+    stations, usable = np.repeat([0, 1], [6, 5]), np.ones(11, dtype=bool)
+    usable[10] = False
+    assert near_median(values, usable, stations).tolist() == [True] * 10 + [False]
+    values[5] = 14.5
+    assert near_median(values, usable, stations).tolist() == [True] * 5 + [False] + [True] * 4 + [
+        False
+    ]
+
+
+def test_what_is_off_at_a_station_by_its_limits():
+    def found(level, shift, angle, kinds):
+        station = {
+            "station": "S1",
+            "units": 100,
+            "level_deg": {"x": {"value": -level, "u": 0.01}},
+            "shift": {"ax": {"value": -shift, "u": 1e-3}},
+            "positions_deg": [{"position": "7", "y": {"value": -angle, "u": 0.001}}],
+        }
+        return find_off(station, {("level_deg", "x"), ("shift", "ax")} if kinds else set(), " g")
+
+    level, shift = _LEVEL, _OF_UNITS * 10.0 * 1e-3
+    assert not found(0.99 * level, 0.99 * shift, 0.0, True)
+    assert not found(level, shift, 0.0, False)
+    (of_level,) = found(1.01 * level, 0.99 * shift, 0.0, True)
+    assert of_level.text.startswith("level of station S1 is off by ")
+    (of_shift,) = found(0.99 * level, 1.01 * shift, 0.0, True)
+    assert of_shift.text.startswith("zero of ax at station S1 is off by -")
+    (of_position,) = found(1.01 * level, 0.0, 5.0 + level, True)
+    assert of_position.text.startswith("position 7 of station S1 is off by ")
+    assert of_position.text.endswith(", and 1 more")
+    assert is_off({"value": -1.01 * max(_OFF, _CLEAR * 0.1), "u": 0.1})
+    assert not is_off({"value": -0.99 * max(_OFF, _CLEAR * 0.1), "u": 0.1})
+    assert not is_off({"value": 0.99 * _OFF, "u": 0.0})
+    assert is_off({"value": 1.01 * _OFF, "u": 0.0})
+    assert not is_off(None)
