@@ -268,12 +268,17 @@ def refuse_unit(still: Still, frame: Frame | None, means: Array) -> str | None:
     return None
 
 
+def apart_deg(directions: Array, up: Array) -> Array:
+    """Return the angles (n,) [degrees] between unit vectors (n, 3) and another (3,)."""
+    chord = np.linalg.norm(directions - up, axis=1)
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))))
+
+
 def refuse_repeat(up: Array, taken: Array, labels: list[str]) -> str | None:
     """Return what is said where a direction (3,) is within 5° of one that was taken (n, 3)."""
     if not len(taken):
         return None
-    chord = np.linalg.norm(taken - up, axis=1)
-    angle = np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
+    angle = apart_deg(taken, up)
     i = int(np.argmin(angle))
     if angle[i] > REPEAT_DEG:
         return None

@@ -29,6 +29,7 @@ from multipos.capturing.poses import (
     Frame,
     NextPose,
     Pose,
+    apart_deg,
     find_frame,
     refuse_repeat,
     refuse_rest,
@@ -351,7 +352,7 @@ class Session:
         if up is None:
             return asked, None
         labels = scheme.names
-        off = np.degrees(2.0 * np.arcsin(np.minimum(np.linalg.norm(scheme.up - up, axis=1) / 2, 1)))
+        off = apart_deg(scheme.up, up)
         if off[labels.index(asked)] <= _OFF_DEG:
             return asked, None
         done = {pose.position for pose in self.accepted}

@@ -19,12 +19,13 @@ import multipos as mp
 from multipos.capturing import live_rests, poses
 from multipos.capturing.evaluation import (
     NOTHING,
+    SessionPlan,
     _next_of_scheme,
     _small,
     read_targets,
     spread_targets,
 )
-from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
+from multipos.capturing.live_rests import LiveRests, LiveRows, _rises, _Store
 from multipos.capturing.poses import (
     Frame,
     _centre,
@@ -770,3 +771,56 @@ def test_a_frame_by_the_size_of_gravity_in_a_known_unit():
     assert_allclose(_centre([3.0, -1.0, 2.0] + 5.0 * up), [3.0, -1.0, 2.0], atol=1e-12)
     assert _centre([3.0, -1.0, 2.0] + 5.0 * up[:3]) is None
     assert _centre([3.0, -1.0, 2.0] + 5.0 * up[:4]) is None
+
+
+def test_where_a_rest_is_in_a_scheme():
+    """Within ten degrees of the position that is asked for, or of another that is left."""
+    scheme = mp.Scheme("mine", np.eye(3), np.full((3, 3, 3), np.nan), ("a", "b", "c"))
+
+    def placed(degrees, *, asked="a", done=()):
+        angle = np.radians(degrees)  # from a towards b
+        session = SimpleNamespace(
+            plan=SimpleNamespace(scheme=scheme),
+            next=SimpleNamespace(label=asked) if asked else None,
+            direction=lambda mean: np.array([np.cos(angle), np.sin(angle), 0.0]),
+            accepted=[SimpleNamespace(position=label) for label in done],
+        )
+        return Session._place(session, SimpleNamespace(found=SimpleNamespace(mean=None)))
+
+    assert placed(9.9) == ("a", None)
+    assert placed(80.1) == ("b", None)
+    assert placed(20.0) == (
+        "",
+        "20 degrees from position a, and at none of the scheme: the nearest, a, is 20 degrees away",
+    )
+    assert placed(89.0, done=("b",)) == ("", "repeats position b of the scheme; a is next")
+    assert placed(0.0, asked="") == ("", "every position of the scheme has been taken")
+
+
+def test_what_an_earlier_session_fixed_and_what_was_asked_for():
+    kept = Kept(earlier={"threshold": 3e-3, "rate_by_arrival": 50.0})
+    found = kept.as_before(make_reading(None, None, None, None, None, None))
+    assert (found.threshold, found.timing.rate) == (3e-3, 50.0)
+    found = kept.as_before(make_reading(None, None, None, 80.0, None, 1e-2))
+    assert (found.threshold, found.timing.rate) == (1e-2, 80.0)
+    found = Kept().as_before(make_reading(None, "t", None, None, None, 1e-2))
+    assert (found.threshold, found.timing) == (1e-2, Timing("t"))
+    plan = SessionPlan({"convention": "gravity"}, {}, None, None, None)
+    assert plan.convention == "gravity"
+    assert SessionPlan({}, {}, None, None, None).convention == "specific-force"
+
+
+@pytest.mark.parametrize(
+    ("time", "rises"),
+    [
+        ([0.0, 1.0, 1.0, 2.0], True),
+        ([1.0, np.nan, 2.0], True),
+        ([1.0, 1.0], False),
+        ([0.0, 2.0, 1.0, 3.0], False),
+        ([3.0, 1.0], False),
+        ([1.0], False),
+        ([], False),
+    ],
+)
+def test_a_column_that_rises_may_be_a_time(time, rises):
+    assert _rises(np.array(time)) == rises
