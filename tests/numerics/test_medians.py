@@ -37,7 +37,7 @@ def test_a_median_of_numbers_near_the_largest_there_is():
 def test_steps_of_a_converter_are_those_that_all_differences_hold():
     """Of quarters; of no grid; of quarters that scatter by as much; of halves of the same."""
     rng = np.random.default_rng(4)
-    quarters = 0.25 * rng.integers(0, 40, 60)
+    quarters = 0.25 * rng.integers(-20, 20, 60)
     halves = 0.5 * np.array([0.0, 40.0] * 30)  # too few to show a step of their own
     values = np.column_stack([quarters, rng.normal(size=60), quarters, halves])
     found = coarse_steps(values, np.array([0.1, 1e-9, 0.13, 0.1]))
