@@ -331,5 +331,6 @@ def test_one_size_of_all_outputs_makes_the_product_of_their_squares_least():
 def test_where_a_cause_may_begin():
     assert _some(3, 6).tolist() == [3, 4, 5]
     assert _some(5, 3).tolist() == []
+    assert _some(_MOST, _MOST + 2).tolist() == [_MOST, _MOST + 1]
     many = _some(7, 7 + 10 * _MOST)
     assert (len(many), many[0], many[-1]) == (_MOST, 7, 6 + 10 * _MOST)
