@@ -158,7 +158,7 @@ def find_frame(
         return frame
     sign = -1.0 if convention == "gravity" else 1.0
     order = tuple(int(i) for i in np.argsort(axes))
-    seen = frame or Frame(np.zeros(3), float(median(_sizes(means, np.zeros(3)))), order, sign)
+    seen = frame or Frame(np.zeros(3), float(median(np.linalg.norm(means, axis=1))), order, sign)
     wanted = np.array([asked[i] for i in pairs])
     turn = find_turn(wanted, seen.up(means[pairs]))
     return frame if turn is None else replace(seen, turn=turn)
@@ -207,9 +207,9 @@ def _find_frame(
         return None
     centre = _centre(means)
     if centre is not None:
-        return Frame(centre, float(median(_sizes(means, centre))), order, sign)
+        return Frame(centre, float(median(np.linalg.norm(means - centre, axis=1))), order, sign)
     zero = np.zeros(3)
-    size = float(median(_sizes(means, zero)))
+    size = float(median(np.linalg.norm(means, axis=1)))
     if any(abs(size / one - 1.0) < _NEAR for one in _ONE_G):
         return Frame(zero, size, order, sign)
     return None
@@ -230,10 +230,6 @@ def _centre(means: Array) -> Array | None:
         return None
     found = np.linalg.lstsq(rows, (means**2).sum(axis=1) / scale, rcond=None)[0]
     return np.asarray(found[:3])
-
-
-def _sizes(means: Array, centre: Array) -> Array:
-    return np.asarray(np.linalg.norm(means - centre, axis=1))
 
 
 def refuse_rest(still: Still, outputs: tuple[str, ...], threshold: float | None) -> str | None:

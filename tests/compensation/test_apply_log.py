@@ -4,6 +4,7 @@ import gzip
 import json
 import math
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from log_bench import sensor, write_csv
 import multipos as mp
 from multipos.cli import main
 from multipos.compensation.applying import apply_log
+from multipos.compensation.correction import range_column
 from multipos.errors import MultiposError
 from multipos.files.trees import json_table, to_json
 from multipos.files.whole import write_text
@@ -273,3 +275,30 @@ def test_a_temperature_beyond_is_held_at_the_limit_by_hand():
     for outside, force in (("flag", 0.5), ("clamp", 0.52)):
         found = mp.apply(cal, table, outside=outside)
         assert found["f_x"][0] == pytest.approx(force, abs=1e-9)
+
+
+def test_many_rows_are_those_of_their_parts(monkeypatch):
+    cal = mp.demo().calibration
+    log = {name: np.linspace(-0.5, 0.5, 7) for name in cal.outputs}
+    whole = mp.apply(cal, log, tilt=True)
+    monkeypatch.setattr("multipos.compensation.applying._TOGETHER", 2)
+    parts = mp.apply(cal, log, tilt=True)
+    assert list(parts) == list(whole)
+    for name in whole:
+        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-9)
+
+
+def test_errors_are_shown_against_the_variable_of_the_segments_or_rows():
+    class Rows(dict):
+        rows = 3
+
+        def number(self, name):
+            return self[name]
+
+    of = SimpleNamespace(range_variable="t", needed=("u", "v"))
+    u, v = np.array([4.0, 5.0, 6.0]), np.array([7.0, 8.0, 9.0])
+    assert range_column(of, Rows(), {"u": u, "t": v})[0] == "t"
+    assert range_column(of, Rows(v=v), {"u": u})[1] is u
+    assert range_column(of, Rows(v=v), {})[1] is v
+    name, rows = range_column(of, Rows(), {})
+    assert (name, rows.tolist()) == ("row", [1.0, 2.0, 3.0])
