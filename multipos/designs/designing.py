@@ -41,7 +41,7 @@ from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.terms import ModelText
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
-from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_scheme
+from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme
 from multipos.results import Drawn, Keyed, Tabular, frozen
 from multipos.sensor.model import Model
 
@@ -258,6 +258,7 @@ def design(
     wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))
     if region is not None and criterion != "I":
         raise UsageError(f"--region is what criterion I averages over; got criterion {criterion}.")
+    include, candidates = read_once(include), read_once(candidates)
     given = np.empty((0, 3)) if include is None else read_scheme(include).up
     _check_count(setting, positions, len(given))
     bench = None if candidates is None else read_bench(candidates)

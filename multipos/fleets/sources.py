@@ -21,7 +21,15 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.csv_columns import Cells, FileBytes, joined_cells
-from multipos.files.handed import content_of, find_copies, is_json, is_packed, take_in, unpack
+from multipos.files.handed import (
+    ARROW,
+    content_of,
+    find_copies,
+    is_json,
+    is_packed,
+    take_in,
+    unpack,
+)
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
@@ -494,7 +502,8 @@ def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) 
     if is_parquet(head):
         table = read_parquet(path, apart, kept)
     else:
-        table = read_table(path) if is_json(head[: 1 << 10]) else open_table(path, head=head)
+        whole = head.startswith(ARROW) or is_json(head[: 1 << 10])
+        table = read_table(path) if whole else open_table(path, head=head)
     if path is not source:  # what people compare is the file that they have
         sha256 = FileBytes(source, "table").sha256()
         table = replace(table, sha256=sha256, content=table.sha256)

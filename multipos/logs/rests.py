@@ -731,8 +731,9 @@ def read_sections(source: Source) -> Sections:
     given = take_in(source, "sections", ("position", "start", "end"))
     if not isinstance(given, Mapping):
         given = rereadable(given)
-    if isinstance(given, os.PathLike) and _is_json(given):
-        where, found = str(given), _from_json(given)
+    of_json = _from_json(given) if isinstance(given, os.PathLike) and _is_json(given) else None
+    if of_json is not None:
+        where, found = str(given), of_json
     elif isinstance(given, Mapping) and "position" not in given:
         where, found = "sections", given
     else:
@@ -764,18 +765,25 @@ def _from_table(table: Table) -> tuple[str, Mapping[str, Any]]:
 
 def _is_json(path: os.PathLike[str]) -> bool:
     """Tell by the ending, or by the brace it begins with: a pipe has no ending."""
+    if str(path).lower().endswith((".jsonl", ".ndjson")):  # a table, of lines
+        return False
     if str(path).lower().endswith(".json"):
         return True
     return read_bytes(path, "sections").lstrip().startswith(b"{")
 
 
-def _from_json(path: os.PathLike[str]) -> Mapping[str, Any]:
+def _from_json(path: os.PathLike[str]) -> Mapping[str, Any] | None:
+    """Return sections by label; None where the file holds a table, of records or columns."""
     found = read_json_value(path, "sections")
-    if not isinstance(found, dict):
-        raise MultiposError(
-            f'{path}: sections are {{"label": {{"start": row, "end": row}}}}, got another form.'
-        )
-    return found
+    if isinstance(found, dict) and not isinstance(found.get("position"), list):
+        return found
+    if isinstance(found, dict) or (
+        isinstance(found, list) and found and isinstance(found[0], dict)
+    ):
+        return None
+    raise MultiposError(
+        f'{path}: sections are {{"label": {{"start": row, "end": row}}}}, got another form.'
+    )
 
 
 def _section(where: str, label: str, each: Any) -> Rest:

@@ -191,6 +191,13 @@ _FINE = re.compile(r"near-faces-.*|tilt-.*|sphere|fibonacci-.*")
 _SAME_BENCH_SETTINGS = 1e-6  # [rad], to which a position of a bench is found again
 
 
+def read_once(source: "Source | Scheme | None") -> "Source | Scheme | None":
+    """Return what can be read again: of an open file or a stream the table that it holds."""
+    if source is None or isinstance(source, str | os.PathLike | Scheme):
+        return source
+    return read_table(source, what="bench")
+
+
 def bench_settings(source: "Source | Scheme", up: Array) -> tuple[dict[str, Any], ...]:
     """Return how a bench is set at each of some up vectors (n, 3); empty where it does not say.
 

@@ -91,7 +91,7 @@ def simulate(
     require(calibration, Calibration)
     rng = np.random.default_rng(seed)
     published = read_scheme(scheme)
-    laid = lay_scheme(scheme, order)
+    laid = lay_scheme(scheme if isinstance(scheme, str) else published, order)
     rows = [published.names.index(label) for label in laid.names]
     tilt = rng.normal(size=laid.up.shape)[rows]
     force, environment = _session(calibration, laid, orientation_sd, temperature, tilt)

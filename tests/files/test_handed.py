@@ -172,3 +172,17 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
             mp.fit(tmp_path / "r.csv.zst")
     with pytest.raises(mp.MultiposError, match=r"a Stream, which pyarrow reads"):
         mp.fit(Stream())
+
+
+def test_an_open_file_is_read_once_by_those_who_ask_it_twice(tmp_path):
+    up = mp.read_scheme("faces-6").up
+    rows = [f"{i},{x},{y},{z}" for i, (x, y, z) in enumerate(up.tolist())]
+    text = "\n".join(["position,up_x,up_y,up_z", *rows, ""])
+    cal = mp.demo().calibration
+    assert list(mp.simulate(cal, io.StringIO(text), seed=1)["position"]) == list("012345")
+    found = mp.design(model="linear", positions=8, include=io.StringIO(text))
+    np.testing.assert_allclose(found.positions[:6], up, atol=1e-12)
+    sections = tmp_path / "sections.json"
+    sections.write_text('[{"position": "a", "start": 0, "end": 99}]', encoding="utf-8")
+    still = {"ax": 1.0 + 1e-3 * np.sin(np.arange(100.0) ** 2)}
+    assert len(mp.average(still, sections=sections).rests) == 1
