@@ -39,7 +39,7 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.capturing.running import Kept, make_plan, make_reading, run_session
-from multipos.capturing.screen import obey, picture_of
+from multipos.capturing.screen import _language_of_terminal, obey, picture_of
 from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
@@ -824,3 +824,20 @@ def test_what_an_earlier_session_fixed_and_what_was_asked_for():
 )
 def test_a_column_that_rises_may_be_a_time(time, rises):
     assert _rises(np.array(time)) == rises
+
+
+@pytest.mark.parametrize(
+    ("named", "language"),
+    [
+        ({}, "en"),
+        ({"LANG": "zh_CN.UTF-8"}, "zh"),
+        ({"LC_ALL": "", "LC_MESSAGES": "zh_TW", "LANG": "de_DE"}, "zh"),
+        ({"LC_ALL": "en_US", "LANG": "zh_CN"}, "en"),
+    ],
+)
+def test_the_language_of_a_terminal_is_that_of_the_first_name_given(named, language, monkeypatch):
+    for name in ("LC_ALL", "LC_MESSAGES", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in named.items():
+        monkeypatch.setenv(name, value)
+    assert _language_of_terminal() == language
