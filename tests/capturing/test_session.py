@@ -39,7 +39,7 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.capturing.running import Kept, make_plan, make_reading, run_session
-from multipos.capturing.screen import _language_of_terminal, obey, picture_of
+from multipos.capturing.screen import _draw, _language_of_terminal, obey, picture_of
 from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
@@ -841,3 +841,12 @@ def test_the_language_of_a_terminal_is_that_of_the_first_name_given(named, langu
     for name, value in named.items():
         monkeypatch.setenv(name, value)
     assert _language_of_terminal() == language
+
+
+def test_lines_are_drawn_over_those_before_and_end_before_the_edge(capsys, monkeypatch):
+    size = SimpleNamespace(columns=20)
+    monkeypatch.setattr("multipos.capturing.screen.shutil.get_terminal_size", lambda: size)
+    assert _draw(["x" * 30, "y"], 0) == 2
+    assert capsys.readouterr().err == "x" * 19 + "\ny\n"
+    assert _draw(["z"], 2) == 1
+    assert capsys.readouterr().err == "\x1b[2F\x1b[Jz\n"
