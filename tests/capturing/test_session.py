@@ -44,7 +44,7 @@ from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
 from multipos.logs.opening import open_log
-from multipos.logs.rests import Rest
+from multipos.logs.rests import BLOCKS, Rest
 from multipos.logs.samples import Timing, rows_in_log
 from multipos.positions.attitudes import pose_words
 
@@ -850,3 +850,21 @@ def test_lines_are_drawn_over_those_before_and_end_before_the_edge(capsys, monke
     assert capsys.readouterr().err == "x" * 19 + "\ny\n"
     assert _draw(["z"], 2) == 1
     assert capsys.readouterr().err == "\x1b[2F\x1b[Jz\n"
+
+
+def test_how_long_to_hold_still_yet():
+    """Windows 5 to 7 of ten rows each, the last of which reaches on over its other blocks."""
+    rests = SimpleNamespace(
+        _finder=None,
+        _provisional=SimpleNamespace(still_since=50),
+        _newest=1e-3,
+        _seen=8,
+        grid=SimpleNamespace(shortest=200, block=10),
+    )
+    assert LiveRests.motion(rests) == (1e-3, True, 200 - 10 * (3 + BLOCKS - 1))
+    rests._seen = 80
+    assert LiveRests.motion(rests) == (1e-3, True, 0)
+    rests._provisional = None
+    assert LiveRests.motion(rests) == (1e-3, False, 200)
+    rests._finder = SimpleNamespace(still_since=None)
+    assert LiveRests.motion(rests) == (1e-3, False, 200)
