@@ -1,5 +1,6 @@
 """Every unit of a fleet at known positions has the findings of `fit`."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import multipos as mp
 from multipos.diagnostics.examination import _score
 from multipos.diagnostics.model_error import columns_of
 from multipos.diagnostics.projections import lacking
+from multipos.diagnostics.residuals import residuals_of
 from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.finding import Finding, serious
 from multipos.fleets import solving, unit_findings
@@ -104,10 +106,11 @@ def test_rivals_of_a_drift_have_the_scores_of_fit(monkeypatch):
         rows = slice(48 * unit, 48 * (unit + 1))
         c = mp.fit({name: column[rows] for name, column in table.items() if name != "unit"})
         worst = c.readings.labels[int(np.argmax((c.residuals**2).sum(axis=1)))]
+        residuals = partial(residuals_of, c)
         singly = [
             score_of_term(c, c.diagnostics.model_tests),
-            _score(c, Finding("outlier", "warning", "", rows=(worst,)), 144.0 - 12.0),
-            _score(c, Finding("lack-of-fit", "warning", ""), 144.0 - 12.0),
+            _score(c, Finding("outlier", "warning", "", rows=(worst,)), 144.0 - 12.0, residuals),
+            _score(c, Finding("lack-of-fit", "warning", ""), 144.0 - 12.0, residuals),
         ]
         np.testing.assert_allclose(seen[0][:3, unit], singly, rtol=1e-9)
 
