@@ -259,9 +259,7 @@ def tumble_output(
     )
     sd = float(reading_noise(calibration)[0])
     table = table_errors(calibration)
-    beside: dict[str, TumbleCoefficient] = {}
-    if table.beside is not None:
-        beside = coefficients_beside(calibration, axis, table.beside)
+    beside = {} if table.beside is None else coefficients_beside(calibration, axis, table.beside)
     stated = calibration.readings.covariance is not None
     held = those_that_hold(coefficients, beside, table.beside, stated=stated)
     findings = (
