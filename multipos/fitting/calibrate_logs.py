@@ -287,6 +287,9 @@ def fit_rests(
     try:
         return fit(readings, **options)
     except RankError as error:
+        faults = [f"{each.text}. {each.action}" for each in found.findings if each.level == "error"]
+        if faults:
+            raise MultiposError(" ".join(faults)) from None
         if model is None and assumed and _both_sides(readings.values):
             stated = {} if budget is None else read_budget(budget).tables
             text = (

@@ -375,6 +375,8 @@ def test_size_gap_and_saturation():
     cut = values.copy()
     cut[:, 0] = np.minimum(cut[:, 0], 35.0)
     assert found_in(cut)["saturated"].level == "error"
+    with pytest.raises(MultiposError, match=r"'mx', 'my', 'mz' is saturated in rows"):
+        mp.calibrate(dict(zip(NAMES, np.clip(values, -15.0, 15.0).T, strict=True)), unit="uT")
 
 
 def test_a_healthy_wave_has_no_finding_of_its_own():
