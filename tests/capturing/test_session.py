@@ -31,6 +31,7 @@ from multipos.capturing.poses import (
     _centre,
     _score,
     _State,
+    _state,
     find_frame,
     find_turn,
     gain_of,
@@ -868,3 +869,24 @@ def test_how_long_to_hold_still_yet():
     assert LiveRests.motion(rests) == (1e-3, False, 200)
     rests._finder = SimpleNamespace(still_since=None)
     assert LiveRests.motion(rests) == (1e-3, False, 200)
+
+
+def test_what_is_known_before_a_fit_of_the_same_terms(monkeypatch):
+    """A prior of .3 g on each parameter, until a fit of these parameters is there."""
+    monkeypatch.setattr(poses, "_known_state", lambda calibration, taken: "known")
+    up = mp.read_scheme("fibonacci-24").up
+    cal = mp.fit(mp.Readings(up + 1e-3 * np.random.default_rng(2).normal(size=up.shape), up=up))
+    other = mp.fit(cal.readings, model="own-quadratic")
+    none = np.empty((0, 3))
+    assert _state(cal.model, cal, none, unknown_orientation=False) == "known"
+    for before in (None, other):
+        state = _state(cal.model, before, none, unknown_orientation=False)
+        assert_allclose(state.present, np.eye(12) / 0.09, rtol=1e-12)
+        assert (state.scale.tolist(), state.fixed.tolist(), state.dof) == (
+            [1] * 12,
+            [0] * 12,
+            np.inf,
+        )
+    assert_allclose(
+        _state(cal.model, None, none, unknown_orientation=True).present, np.eye(9) / 0.09
+    )

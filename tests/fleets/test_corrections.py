@@ -1,11 +1,14 @@
 """The correction of a station's nest, against simulated lines whose nests are known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from fleet_bench import line
 
 import multipos as mp
 from multipos.cli import main
+from multipos.fleets.folder import _corrections
 from multipos.fleets.stations import _beyond
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
@@ -203,3 +206,16 @@ def test_a_unit_far_from_its_model_tells_nothing_of_the_nest():
     with_it, alone = correction_of(table), correction_of(without)
     np.testing.assert_allclose(corrected_up(with_it), corrected_up(alone), rtol=0, atol=1e-12)
     assert with_it["budget"]["orientation"]["dof"] == 28.0
+
+
+def test_files_of_corrections_say_of_which_station_and_how_many_units():
+    budget = {"orientation": {"u_deg": 0.01, "dof": 9.0}}
+    found = {"scheme": {"position": ["1"], "up_x": [1.0]}, "budget": budget}
+    names = ("line 2", "", "none")
+    stations = [{"station": name, "correction": found} for name in names]
+    stations[2]["correction"] = None
+    files = dict(_corrections({"stations": stations}, Path("out")))
+    assert len(files) == 4
+    heads = [text.splitlines()[0] for path, text in files.items() if path.suffix == ".csv"]
+    said = ": up at every position, from 10 units, but for a turn of all"
+    assert heads == [f"# line 2{said}", f"# one station{said}"]
