@@ -45,7 +45,7 @@ def individual_limits(values: Array) -> Limits:
 
 def ewma(values: Array, target: float, weight: float = WEIGHT) -> Array:
     """Return the exponentially weighted moving average (n,) of values, from a target on."""
-    length = min(len(values), int(np.ceil(np.log(_NOTHING) / np.log1p(-weight))) + 1)
+    length = min(len(values), int(np.ceil(np.log(_NOTHING) / np.log1p(-weight))))
     kernel = weight * (1.0 - weight) ** np.arange(length)
     return np.asarray(target + np.convolve(values - target, kernel)[: len(values)])
 
