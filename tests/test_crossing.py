@@ -13,7 +13,7 @@ from fuzzing import bases, crossing
 
 from multipos import cli
 
-STRIDES = few_and_many(1777, 397)  # prime to the lengths of the lists
+STRIDES = few_and_many(5009, 397)  # prime to the lengths of the lists
 LINES = [line for line in crossing.COMMANDS if not any(word in line for word in crossing.SLOW)]
 
 

@@ -53,6 +53,8 @@ RUN = [
     for page in PAGES
     if page.name != "names.md"  # what it shows is run where it is from
 ]
+# Logs, designs and comparisons of seconds; what their commands print is tested with the commands.
+LONG = {"static-records", "temperature", "report-uncertainty", "choose-a-scheme", "six-positions"}
 # What users import, as docs/reference/api.md says: all else moves without a word.
 PUBLIC_MODULES = {"multipos", "multipos.plots"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.REPORT_UDIFF
@@ -246,7 +248,17 @@ def environment() -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("page", RUN, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(
+            page,
+            id=str(page.relative_to(ROOT)),
+            marks=[pytest.mark.slow] if page.stem in LONG else [],
+        )
+        for page in RUN
+    ],
+)
 def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problems = run_page(page, tmp_path)

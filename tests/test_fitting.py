@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from amounts import few_and_many
+from amounts import few_and_many, rest_slow
 from findings_bench import texts
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
@@ -416,7 +416,7 @@ def test_what_cannot_be_separated_is_named_with_a_way_out(model, scheme, words):
 
 @pytest.mark.parametrize(
     ("scheme", "model"),
-    [("faces-6", "own-quadratic"), ("faces-6", "linear"), ("faces-corners-14", "ieee")],
+    rest_slow([("faces-6", "linear"), ("faces-6", "own-quadratic"), ("faces-corners-14", "ieee")]),
 )
 def test_t_intervals_cover(scheme, model):
     rng = np.random.default_rng(16)

@@ -229,7 +229,7 @@ def test_the_command_writes_every_form(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     calibration().save("cal.json")
     names = []
-    for i, log in enumerate(switched_on()):
+    for i, log in enumerate(switched_on((4e-4, -3e-4))):
         names.append(f"run{i + 1}.csv")
         mp.write_table(names[-1], log)
     given = [*names, "--calibration", "cal.json"]
@@ -253,7 +253,7 @@ def test_the_command_writes_every_form(tmp_path, monkeypatch, capsys):
     assert "run1.csv" in shown
     assert main(["stability", *given, "-o", "s.svg"]) == 0
     figure = (tmp_path / "s.svg").read_text()
-    for words in ("Allan deviation [µg]", "f_z [µg]", "run 4", "time since switching on [s]"):
+    for words in ("Allan deviation [µg]", "f_z [µg]", "run 2", "time since switching on [s]"):
         assert words in figure
 
 

@@ -340,6 +340,7 @@ def test_what_was_taken_back_stays_so_when_it_goes_on(log, tmp_path, capsys):
     assert len(mp.read_readings(out).values) == 25
 
 
+@pytest.mark.slow
 def test_it_goes_on_after_a_row_half_written_and_without_a_header(log, tmp_path, capsys):
     """A device says the names of its columns when it starts, and goes on without us."""
     rows = log.read_text().splitlines(keepends=True)

@@ -98,7 +98,6 @@ def test_hdf5(form, log, expected, tmp_path, capsys):
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.sample_rate == pytest.approx(100.0)
-    assert calibrates(path, tmp_path)
 
 
 def test_matlab_7_3(log, expected, tmp_path, capsys):
@@ -114,7 +113,6 @@ def test_matlab_7_3(log, expected, tmp_path, capsys):
     found = mp.average(path)
     assert found.outputs == ("acc_x", "acc_y", "acc_z")
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
-    assert calibrates(path, tmp_path)
 
 
 @pytest.mark.parametrize("preamble", [0, 3])
@@ -191,7 +189,7 @@ def test_px4(log, expected, tmp_path, capsys):
     assert found.outputs == ("accel_x", "accel_y", "accel_z")
     assert found.readings.environment["temperature"][0] == 24.5
     assert texts(found)[0] == "taken from sensor_accel, instance 0 of 2"
-    assert calibrates(path, tmp_path)
+    assert found.unit == "m/s^2"
     alone = write_ulog(tmp_path / "combined.ulg", topics[2:])
     found = mp.average(alone)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
@@ -220,7 +218,7 @@ def test_ardupilot(log, expected, tmp_path, capsys):
     assert found.outputs == ("AccX", "AccY", "AccZ")
     assert found.sample_rate == pytest.approx(100.0)
     assert "which were applied to it, are undone" in texts(found)[0]
-    assert calibrates(path, tmp_path)
+    assert found.unit == "m/s^2"
     turned = write("turned.bin", force(log), AHRS_ORIENTATION=4.0)
     assert texts(mp.average(turned))[0].endswith("were applied to it and are not undone")
     plain = write("plain.bin", force(log), **dict(zip(names, [0.0] * 3 + [1.0] * 3, strict=True)))
@@ -240,12 +238,11 @@ def test_ros(form, log, expected, tmp_path, capsys):
     assert found.outputs == tuple(f"linear_acceleration.{axis}" for axis in "xyz")
     assert found.rests[0].time[0] == pytest.approx(5.0)
     assert texts(found)[0] == "taken from topic /imu, of 2"
-    assert calibrates(path, tmp_path)
+    assert found.unit == "m/s^2"
     if form != "bag":  # what `ros2 bag record` makes is a folder
         np.testing.assert_array_equal(
             mp.average(path.parent).readings.values, found.readings.values
         )
-        assert calibrates(path.parent, tmp_path)
 
 
 # --- phones, as they are downloaded
@@ -256,7 +253,7 @@ def test_phyphox(log, expected, tmp_path, capsys):
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == tuple(f"Acceleration {axis}" for axis in "xyz")
-    assert calibrates(path, tmp_path)
+    assert found.unit == "m/s^2"
 
 
 def test_sensor_logger(log, expected, tmp_path, capsys):
@@ -275,7 +272,6 @@ def test_sensor_logger(log, expected, tmp_path, capsys):
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == ("x", "y", "z")
     assert found.sample_rate == pytest.approx(100.0, rel=1e-3)
-    assert calibrates(path, tmp_path)
     with pytest.raises(mp.MultiposError, match=r"Accelerometer\.csv has gravity taken away"):
         mp.average(archive(tmp_path / "without.zip", files))
     with pytest.raises(mp.MultiposError, match="none of a\\.csv, b\\.csv looks like"):
@@ -314,7 +310,6 @@ def test_xsens(log, expected, tmp_path, capsys):
     np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
     assert found.outputs == ("Acc_X", "Acc_Y", "Acc_Z")
     assert found.sample_rate == pytest.approx(100.0)
-    assert calibrates(path, tmp_path)
 
 
 @pytest.mark.parametrize("header", ["", "Accelerometer X,Accelerometer Y,Accelerometer Z\n"])
