@@ -35,7 +35,7 @@ _PUBLIC = {
     "Regressions": "regression.regression",
     "Scheme": "positions.scheme",
     "Stability": "bias_stability.stability_result",
-    "Tumble": "verification.single_axis",
+    "Tumble": "verification.tumbling",
     "Tumbles": "verification.tumbling",
     "UsageError": "errors",
     "apply": "compensation.applying",
@@ -134,7 +134,7 @@ if TYPE_CHECKING:
     from multipos.units import normal_gravity as normal_gravity
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare
-    from multipos.verification.single_axis import Tumble as Tumble
+    from multipos.verification.tumbling import Tumble as Tumble
     from multipos.verification.tumbling import Tumbles as Tumbles
     from multipos.verification.tumbling import tumble as tumble
     from multipos.verification.verdicts import Check as Check

@@ -1,6 +1,6 @@
 """A target: a consumer of calibrations, how a file for it is written and how it is read back.
 
-Each target is one file of this room, which holds its `Target`, and one line in the list of
+Each target is a `Target` in a file of this room, with its like, and one line in the list of
 `multipos.exports.targets`. Consumers that take a matrix and an offset are made by
 `multipos.exports.parameters.parameter_target`.
 """

@@ -9,8 +9,7 @@ from multipos.diagnostics.criticism import fourier_residuals
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
 from multipos.positions.harmonics import Harmonic, Roll, beyond_chance, find_rolls, series
 from multipos.sensor.calibration import Calibration
-from multipos.verification.single_axis import Tumble
-from multipos.verification.tumbling import Tumbles
+from multipos.verification.tumbling import Tumble, Tumbles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

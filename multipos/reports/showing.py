@@ -54,8 +54,7 @@ from multipos.verification.comparison import (
     comparison_text,
 )
 from multipos.verification.regressions import RegressionComparison
-from multipos.verification.single_axis import Tumble
-from multipos.verification.tumbling import Tumbles
+from multipos.verification.tumbling import Tumble, Tumbles
 from multipos.verification.verdicts import Check
 
 _LINES = 60  # of a summary that a notebook shows

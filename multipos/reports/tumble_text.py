@@ -9,8 +9,7 @@ from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets
 from multipos.uncertainty.turntable import TableErrors
 from multipos.verification.coefficients import COEFFICIENTS, TumbleCoefficient
-from multipos.verification.single_axis import Tumble
-from multipos.verification.tumbling import Tumbles
+from multipos.verification.tumbling import Tumble, Tumbles
 
 _Sections = list[tuple[str, str]]
 _MILLION = 1e6

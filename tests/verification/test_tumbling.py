@@ -15,7 +15,7 @@ from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
 from multipos.verification.coefficients import fitted_coefficients
-from multipos.verification.single_axis import passes
+from multipos.verification.tumbling import passes
 
 
 @pytest.mark.parametrize("steps", [8, 12, 24])
@@ -45,7 +45,7 @@ def test_several_outputs_are_what_each_is_alone():
 
 
 def test_misalignment_is_a_matrix():
-    # eq. (1) of verification.tumbling
+    # eq. (2) of verification.tumbling
     scheme = "roll-z-12+roll-y-12+roll-x-12"
     found = mp.tumble(triad(read_scheme(scheme).up, sd=1e-9), scheme=scheme)
     o, p = TRUTH["delta_o"], -TRUTH["delta_p"]
@@ -110,7 +110,7 @@ def test_uncertainty_of_hysteresis_is_the_spread_over_angles():
     ],
 )
 def test_passes_by_hand(degrees, way):
-    # eq. (1) of verification.single_axis
+    # eq. (1) of verification.tumbling
     assert passes(np.radians(np.array(degrees, dtype=float))).tolist() == way
 
 
