@@ -582,11 +582,13 @@ def understated_orientations(c: Calibration) -> Finding | None:
 
     Asked of the others: a gross error of one position is no cause of theirs.
     """
+    if c.estimator is not Estimator.UNCERTAIN:
+        return None
     said = {row for each in c.diagnostics.findings if each.code == "set-aside" for row in each.rows}
     said.update(_named_in(c.diagnostics.outliers, c.readings.labels))
     sd, up = c.readings.orientation_sd, c.readings.up
     known = any(each.code == "placement" for each in c.diagnostics.findings)
-    if c.estimator is not Estimator.UNCERTAIN or known or not said or sd is None or up is None:
+    if known or not said or sd is None or up is None:
         return None
     kept = np.array([label not in said for label in c.readings.labels])
     if not _is_triad(c) or not (np.isfinite(sd[kept]) & (sd[kept] > 0.0)).all():
