@@ -1031,7 +1031,13 @@ def golden():
     return json.loads(GOLDEN.read_text("utf-8"))
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = {"designs", "designs_searched", "records", "regressions", "tumbles"}  # seconds
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=[pytest.mark.slow] if each in LONG else []) for each in CASES],
+)
 def test_numbers_stay(name, golden):
     _, tolerance, needs = CASES[name]
     if needs and not (SHARED / needs).exists():

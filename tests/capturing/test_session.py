@@ -253,6 +253,7 @@ def test_saturated_moving_and_other_units_are_refused(folder):
     assert "gravity 9.9" in reasons[10]  # 9.8, and what the clipping takes off
 
 
+@pytest.mark.slow
 def test_undo_and_redo_leave_no_trace(log):
     session = started(log, positions=18)
     before = state_of(session)

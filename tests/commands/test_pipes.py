@@ -96,7 +96,13 @@ INPUTS = [
 ]
 
 
-@pytest.mark.parametrize("command", INPUTS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(each, marks=[pytest.mark.slow] if each.startswith("stability") else [])
+        for each in INPUTS
+    ],
+)
 def test_a_pipe_gives_what_the_file_gives(command, here, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     expected = run(capsys, *command.replace("#", "").split())

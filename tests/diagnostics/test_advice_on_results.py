@@ -602,6 +602,14 @@ def a_file_of_another_calibration(rng):
     yield mp.verify_export("imu.params", one)
 
 
+@follows("likely-unit", "If they are in m/s²")
+def known_forces_of_9_8(rng):
+    forces, values = 9.80665 * UP.T, named(sense(rng))
+    yield mp.fit(values | dict(zip(("f_x", "f_y", "f_z"), forces, strict=True)), unit="g")
+    names = [f"f_{axis} [m/s^2]" for axis in "xyz"]
+    yield mp.fit(values | dict(zip(names, forces, strict=True)), unit="g")
+
+
 @follows("beyond-target", "Check the unit and the convention")
 def counts_called_g(rng):
     values = [0.9, -0.02, 0.007] + UP @ K.T + 2e-4 * rng.standard_normal(UP.shape)

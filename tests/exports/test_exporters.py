@@ -171,8 +171,13 @@ def saturating(own, x, y, z, temperature, bias, scale, limit=0.01, slope=0.0):
     return linear / (1.0 + limit * linear**2) ** 0.5 + 1e-4 * abs(own)
 
 
-@pytest.mark.parametrize("compiler", SANITIZERS)
-@pytest.mark.parametrize("single", [False, True], ids=["double", "float"])
+@pytest.mark.parametrize(
+    ("single", "compiler"),
+    rest_slow(
+        [(False, "gcc"), (True, "clang"), (False, "clang"), (True, "gcc")],
+        quick=2,
+    ),
+)
 def test_a_model_written_as_an_expression(single, compiler, tmp_path):
     rng = np.random.default_rng(0)
     up = mp.read_scheme("fibonacci-80").up

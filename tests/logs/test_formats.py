@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amounts import rest_slow
 from findings_bench import texts
 from log_bench import columns_of
 from log_files import (
@@ -60,7 +61,7 @@ def calibrates(path, tmp_path):
 # --- tables
 
 
-@pytest.mark.parametrize("form", ["parquet", "feather", "arrow"])
+@pytest.mark.parametrize("form", rest_slow(["parquet", "feather", "arrow"]))
 def test_arrow(form, log, expected, tmp_path, capsys):
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import feather, parquet

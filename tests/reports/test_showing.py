@@ -47,7 +47,14 @@ def seen(found):
     return " ".join(page.words)
 
 
-@pytest.mark.parametrize("name", RESULTS)
+# Their kinds are among the quick ones, or they take seconds to make.
+LONG = {"Calibration, robust", "Calibration with uncertain orientations", "Tumbles", "Curves"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=[pytest.mark.slow] if each in LONG else []) for each in RESULTS],
+)
 def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
     found = result_of(name)
     for one in found if isinstance(found, tuple) else [found]:
