@@ -259,7 +259,7 @@ def _cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:
     if not cut:
         return []
     listed = ", ".join(f"{first} to {last}" for _, first, last in cut)
-    text = f"{quoted([output for output, _, _ in cut])} is saturated in rows {listed}"
+    text = f"readings of {quoted([output for output, _, _ in cut])} are saturated in rows {listed}"
     action = "Record again in a wider range, or farther from iron."
     names = tuple(output for output, _, _ in cut)
     return [Finding("saturated", "error", text, action, outputs=names)]

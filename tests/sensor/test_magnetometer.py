@@ -375,7 +375,7 @@ def test_size_gap_and_saturation():
     cut = values.copy()
     cut[:, 0] = np.minimum(cut[:, 0], 35.0)
     assert found_in(cut)["saturated"].level == "error"
-    with pytest.raises(MultiposError, match=r"'mx', 'my', 'mz' is saturated in rows"):
+    with pytest.raises(MultiposError, match=r"readings of 'mx', 'my', 'mz' are saturated in rows"):
         mp.calibrate(dict(zip(NAMES, np.clip(values, -15.0, 15.0).T, strict=True)), unit="uT")
 
 
