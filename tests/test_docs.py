@@ -32,6 +32,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from amounts import slow_where
 from docs_programs import load
 
 import multipos
@@ -250,14 +251,8 @@ def environment() -> dict[str, str]:
 
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(
-            page,
-            id=str(page.relative_to(ROOT)),
-            marks=[pytest.mark.slow] if page.stem in LONG else [],
-        )
-        for page in RUN
-    ],
+    slow_where(lambda page: page.stem in LONG, RUN),
+    ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_page_prints_what_it_says(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

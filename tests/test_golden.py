@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amounts import slow_where
 
 import multipos as mp
 
@@ -1034,10 +1035,7 @@ def golden():
 LONG = {"designs", "designs_searched", "records", "regressions", "tumbles"}  # seconds
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(each, marks=[pytest.mark.slow] if each in LONG else []) for each in CASES],
-)
+@pytest.mark.parametrize("name", slow_where(LONG.__contains__, CASES))
 def test_numbers_stay(name, golden):
     _, tolerance, needs = CASES[name]
     if needs and not (SHARED / needs).exists():

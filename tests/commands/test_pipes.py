@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amounts import slow_where
 from cli_bench import MULTIPOS, SIX, run
 from numpy.testing import assert_array_equal
 
@@ -97,11 +98,7 @@ INPUTS = [
 
 
 @pytest.mark.parametrize(
-    "command",
-    [
-        pytest.param(each, marks=[pytest.mark.slow] if each.startswith("stability") else [])
-        for each in INPUTS
-    ],
+    "command", slow_where(lambda command: command.startswith("stability"), INPUTS)
 )
 def test_a_pipe_gives_what_the_file_gives(command, here, capsys, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")

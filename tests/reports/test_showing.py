@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from amounts import slow_where
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from test_results import RESULTS, calibrated, checked, result_of, sensor, tumbled, tumbled_all
@@ -51,10 +52,7 @@ def seen(found):
 LONG = {"Calibration, robust", "Calibration with uncertain orientations", "Tumbles", "Curves"}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(each, marks=[pytest.mark.slow] if each in LONG else []) for each in RESULTS],
-)
+@pytest.mark.parametrize("name", slow_where(LONG.__contains__, RESULTS))
 def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
     found = result_of(name)
     for one in found if isinstance(found, tuple) else [found]:
