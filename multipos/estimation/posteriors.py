@@ -41,6 +41,7 @@ NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
+_NEAR = 1e-6  # a step of Newton's method that leaves its square
 _ROOT = np.sqrt(2.0)
 
 
@@ -111,7 +112,7 @@ class Posterior:
         """Degrees of freedom (B,) of the Student's t whose tails are those of the parameters."""
         return dof_of_tails(median(self.tails, axis=1))
 
-    @property
+    @cached_property
     def tails(self) -> Array:
         """How much wider (B, p) U is than an inner interval."""
         moves = np.zeros((len(self.size), self.moves.shape[2]))
@@ -216,7 +217,7 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
         high = np.where(inside < share, high, guess)
         density = np.einsum("bg,bgp->bp", weights, (_normal(above) + _normal(below)) / sds)
         following = guess + (share - inside) / np.maximum(density, 1e-300)
-        near = np.abs(following - guess) <= 1e-10 * guess
+        near = np.abs(following - guess) <= _NEAR * guess
         bad = ~near & ~((following > low) & (following < high))
         following = np.where(bad, 0.5 * (low + high), following)
         if near.all():

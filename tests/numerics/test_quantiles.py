@@ -16,6 +16,7 @@ from multipos.numerics.quantiles import (
     coverage_factor,
     coverage_factors,
     digamma,
+    erf,
     f_log_tails,
     f_quantile,
     f_tail,
@@ -259,3 +260,9 @@ def test_a_search_begins_on_either_side_of_what_rises_or_falls():
     for start in (1e-3, 2.0, 1e3):
         assert solve(lambda x: x**3, 8.0, start) == pytest.approx(2.0, rel=1e-14)
         assert solve(lambda x: 1.0 / x, 0.5, start) == pytest.approx(2.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("count", [100, 10_001])
+def test_the_error_function_of_many_numbers_is_that_of_each(count):
+    z = np.append(np.linspace(-7.0, 7.0, count), [np.inf, -np.inf, np.nan, 1e-300])
+    np.testing.assert_allclose(erf(z), special.erf(z), rtol=1e-15, atol=0.0)
