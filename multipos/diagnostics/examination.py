@@ -465,7 +465,10 @@ _EXPLAINED = {
     "no-signal": ("convention",),
     "outlier": _BY_ROWS,
     "disturbance": ("missing-term", "scale-bias"),
-    "moving-iron": ("replaced", "drift", "time-correlated"),
+    "moving-iron": (
+        *("replaced", "drift", "time-correlated", "disturbance", "outlier", "lack-of-fit"),
+        *("unequal-noise", "scale-bias", "missing-term", "no-redundancy"),
+    ),
     "flipped-row": _BY_ROWS,
     "missing-term": ("denied-noise",),
 }
@@ -486,7 +489,9 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
     found = _examined(calibration.relative, sought=sought).diagnostics
     own = tuple(ask(calibration) for ask in OF_FIELD)
     said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)
-    findings = without_explained((*(each for each in own if each is not None), *said))
+    known = {each.code for each in found.findings}  # with the rows that were set aside
+    new = [each for each in own if each is not None and each.code not in known]
+    findings = without_explained((*new, *said))
     return replace(calibration, diagnostics=replace(found, findings=findings))
 
 

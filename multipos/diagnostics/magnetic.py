@@ -8,8 +8,9 @@ standard deviation s, is judged for what no calibration of one sensor in one fie
 *A disturbance* acts in part of the sphere: the mean of r over the k readings nearest to one of
 them, k a twentieth of all, over s/√k, is beyond what the largest of n such means has by chance.
 
-*Moving iron* changes the hard iron from a row on: r falls by F on 3 and n − 12 degrees of freedom
-where the columns u H(t − t_0) are added, t_0 one of nine.
+*Moving iron* changes the hard iron from a row on, or from one row to another: r falls by F on 3 and
+n − 12 degrees of freedom where the columns u are added in these rows, whose ends are one of 45
+pairs of tenths. The rows named are those around the best pair by which r falls most.
 
 Both take rows as worth fewer where their noise is correlated (`effective_rows`).
 
@@ -20,9 +21,10 @@ import numpy as np
 
 from multipos.files.numbers import in_unit, p_in_words
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.rotations import directions
+from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -35,7 +37,8 @@ _FEWEST, _FEWEST_IN_TIME = 24, 40  # readings
 _CHANCE = 0.002  # of a healthy set, for each finding
 _SHARE = 20  # of the readings, that are neighbours
 _LEAST = 0.002  # relative: what nobody need look for
-_STEPS = np.arange(1, 10) / 10.0
+_TENTHS = np.arange(11) / 10.0
+_RUNS = np.triu_indices(10, 1)  # between edges: what begins at the first is a complement
 _DIRECTIONS = "all-26"
 _SHOWN = 8  # rows that a sentence names
 
@@ -81,7 +84,7 @@ def missing_directions(seen: Array) -> tuple[Array, float]:
     return every[far][order], float(np.degrees(np.arccos(np.clip(near.min(), -1.0, 1.0))))
 
 
-def _left(c: Calibration) -> tuple[Array, Array, Array, float] | None:
+def _left(c: Calibration, readings: Readings) -> tuple[Array, Array, Array, float] | None:
     """Return directions (n, 3), columns of a calibration, what they leave, and n over rows' worth.
 
     None where orientations are known, or readings are few.
@@ -91,20 +94,20 @@ def _left(c: Calibration) -> tuple[Array, Array, Array, float] | None:
     if c.robust_weight is not None or not np.isfinite(c.rms):
         return None
     r = c.relative
-    b = r.compensate(r.readings.values, r.readings.environment)
+    b = r.compensate(readings.values, readings.environment)
     u = directions(b)
     second = [u[:, i] * u[:, j] for i in range(3) for j in range(i, 3)]
     design = np.column_stack([u, *second])
     misfit = np.linalg.norm(b, axis=1) - 1.0
     left = misfit - design @ np.linalg.lstsq(design, misfit, rcond=None)[0]
     worth = c.effective_rows
-    fewer = 1.0 if not worth else max(1.0, len(b) / max(min(worth.values()), 1.0))
+    fewer = 1.0 if not worth else max(1.0, len(c.readings) / max(min(worth.values()), 1.0))
     return u, design, left, fewer
 
 
 def disturbance(c: Calibration) -> Finding | None:
     """Find part of the sphere whose field has another size."""
-    found = _left(c)
+    found = _left(c, c.readings)
     if found is None:
         return None
     u, _, left, fewer = found
@@ -136,34 +139,86 @@ def disturbance(c: Calibration) -> Finding | None:
     return Finding("disturbance", "warning", text, action, rows=named)
 
 
-def moving_iron(c: Calibration) -> Finding | None:
-    """Find hard iron that is another one from a row on."""
-    found = _left(c)
+def moving_iron(c: Calibration, readings: Readings | None = None) -> Finding | None:
+    """Find hard iron that is another one from a row on, or in a run of rows.
+
+    Parameters
+    ----------
+    c : Calibration
+    readings : Readings, optional
+        Those that it was made of, with the rows that were set aside; by default without them.
+    """
+    readings = c.readings if readings is None else readings
+    found = _left(c, readings)
     if found is None or len(found[0]) < _FEWEST_IN_TIME:
         return None
     u, design, left, fewer = found
     n, dof = len(u), len(u) / found[3] - 12.0
     if dof < 1.0:
         return None
-    before, best = float(left @ left), (0.0, 0, np.zeros(3))
-    for row in (_STEPS * n).astype(int).tolist():
-        step = u * (np.arange(n) >= row)[:, None]
-        step = step - design @ np.linalg.lstsq(design, step, rcond=None)[0]
-        moved = np.linalg.lstsq(step, left, rcond=None)[0]
-        gained = before - float(np.sum((left - step @ moved) ** 2))
-        best = max(best, (gained, row, moved), key=lambda each: each[0])
-    gained, row, moved = best
-    f = gained / 3.0 / fewer / ((before - gained) / (n - 12.0)) if before > gained else 0.0
-    p = min(1.0, len(_STEPS) * f_tail(f, 3.0, dof)) if f > 0.0 else 1.0
-    size = float(np.linalg.norm(moved))
+    sums = _sums(u, design, left)
+    start, end, gained = _likeliest(sums)
+    after = float(left @ left) - gained
+    f = gained / 3.0 / fewer / (after / (n - 12.0)) if after > 0.0 else 0.0
+    p = min(1.0, len(_RUNS[0]) * f_tail(f, 3.0, dof)) if f > 0.0 else 1.0
+    start, end, size = _refined(sums, start, end)
     if p > _CHANCE or size < _LEAST:
         return None
     scale = c.field.size if c.field.size is not None else None
     said = f"{100.0 * size:.2g} % of the field" if scale is None else c.field.shown(scale * size)
-    label = c.readings.labels[row]
-    text = f"hard iron changes by {said} about row {label} ({p_in_words(p)})"
+    rows = readings.labels[start:end] if end < n else (readings.labels[start],)
+    where = f"from row {rows[0]} to row {rows[-1]}" if end < n else f"from row {rows[0]} on"
+    text = f"hard iron changes by {said} {where} ({p_in_words(p)})"
     action = "Fix what moved near the sensor (cable, battery, screw), and record again."
-    return Finding("moving-iron", "warning", text, action, rows=(label,), p=p)
+    return Finding("moving-iron", "warning", text, action, rows=rows, p=p)
+
+
+def _sums(u: Array, design: Array, left: Array) -> Array:
+    """Return sums (n + 1, 3, 13) over the first rows, for steps of hard iron in runs of rows.
+
+    With Q an orthonormal basis of the design, they are of the products of u with what is left, u,
+    and Q.
+    """
+    q = np.linalg.qr(design)[0]
+    products = u[:, :, None] * np.column_stack([left, u, q])[:, None, :]
+    return np.concatenate([np.zeros((1, *products.shape[1:])), products.cumsum(axis=0)])
+
+
+def _moved(sums: Array, start: Places, end: Places) -> tuple[Array, Array]:
+    """Return steps (k, 3) in k runs of rows, and what the sum of squares falls by (k,).
+
+    The columns u of a run, less what the design takes, have the products
+    A = Σ u u' − (Σ u q')(Σ u q')' among each other and g = Σ u r with what is left: the step is
+    A⁻¹ g, and r'r falls by g'A⁻¹ g.
+    """
+    inside = sums[end] - sums[start]
+    g, within, across = inside[..., 0], inside[..., 1:4], inside[..., 4:]
+    A = within - across @ across.swapaxes(1, 2)
+    step = np.einsum("kij,kj->ki", np.linalg.pinv(A, rcond=1e-9, hermitian=True), g)
+    return step, np.einsum("ki,ki->k", step, g)
+
+
+def _likeliest(sums: Array) -> tuple[int, int, float]:
+    """Return the run between tenths of the rows by which r'r falls most, and by how much."""
+    edges = (_TENTHS * (len(sums) - 1)).astype(np.intp)[1:]
+    start, end = edges[_RUNS[0]], edges[_RUNS[1]]
+    gained = _moved(sums, start, end)[1]
+    best = int(np.argmax(gained))
+    return int(start[best]), int(end[best]), float(gained[best])
+
+
+def _refined(sums: Array, start: int, end: int) -> tuple[int, int, float]:
+    """Return a run whose ends are moved by up to a tenth to where r'r is least, and its step."""
+    n = len(sums) - 1
+    reach = n // 10
+    for _ in range(2):
+        rows = np.arange(max(start - reach, 1), min(start + reach + 1, end - 2))
+        start = int(rows[np.argmax(_moved(sums, rows, np.full_like(rows, end))[1])])
+        if end < n:
+            rows = np.arange(max(end - reach, start + 3), min(end + reach, n - 1))
+            end = int(rows[np.argmax(_moved(sums, np.full_like(rows, start), rows)[1])])
+    step = _moved(sums, np.array([start]), np.array([end]))[0]
+    return start, end, float(np.linalg.norm(step))
 
 
 OF_FIELD = (field_size, sphere_gap, disturbance, moving_iron)

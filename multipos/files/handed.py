@@ -357,8 +357,9 @@ def read_json_columns(path: str | os.PathLike[str], what: str) -> dict[str, Any]
 
 def _lines(path: str | os.PathLike[str], what: str) -> list[Any] | None:
     """Return the values of JSON that has one on every line; None where a line is none."""
-    lines = read_bytes(path, what).decode("utf-8-sig").splitlines()
+    raw = read_bytes(path, what)
     try:
+        lines = raw.decode("utf-8-sig").splitlines()
         found = [json.loads(line) for line in lines if line.strip()]
     except (ValueError, RecursionError):
         return None
@@ -373,9 +374,11 @@ def _column(cells: Iterable[Any]) -> Any:
         for kind in (np.int64, np.float64):  # times in nanoseconds have more digits than a float
             try:
                 return texts.astype(kind)
-            except ValueError:
+            except (ValueError, OverflowError):
                 continue
         return texts
     if all(isinstance(cell, int | float | None) for cell in cells):
-        return np.array([np.nan if cell is None else cell for cell in cells])
+        numbers = np.array([np.nan if cell is None else cell for cell in cells])
+        # Whole numbers beyond 64 bits would stay objects.
+        return numbers.astype(np.str_).astype(np.float64) if numbers.dtype == object else numbers
     return np.array(["" if cell is None else str(cell) for cell in cells], dtype=np.str_)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.diagnostics.examination import examine
+from multipos.diagnostics.magnetic import moving_iron
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.closed_form import solve_closed_form
@@ -347,6 +348,7 @@ def fit(
         unknown_orientation=unknown_orientation,
         pool=pool,
         stepwise=stepwise,
+        drift=drift,
         orientation_sd=orientation_sd,
         level_sd=level_sd,
     )
@@ -519,7 +521,9 @@ def with_excluded(
     found = calibration.diagnostics
     labels = tuple(each.label for each in excluded)
     note = Finding("excluded", "note", calibration.set_aside, rows=labels)
-    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, note)))
+    moved = moving_iron(calibration, readings) if calibration.field.magnetic else None
+    more = (note,) if moved is None else (note, moved)
+    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, *more)))
 
 
 _WITHIN = 1e6  # degrees of freedom of a rounding

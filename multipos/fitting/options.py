@@ -21,6 +21,7 @@ _CONTRADICT = {
         "--level-sd",
         "--robust",
         "--stepwise",
+        "--drift",
     ),
     # Where orientations are unknown, outputs have one noise anyway.
     "--unknown-orientation": ("--orientation-sd", "--level-sd", "--pool"),
@@ -33,7 +34,7 @@ class Options:
 
     Attributes
     ----------
-    convention, gauge, robust, confidence, closed_form, unknown_orientation, pool, stepwise
+    convention, gauge, robust, confidence, closed_form, unknown_orientation, pool, stepwise, drift
     orientation_sd, level_sd
         As in `multipos.fit`, angles in degrees.
     resolution : float
@@ -53,6 +54,7 @@ class Options:
     unknown_orientation: bool = False
     pool: bool = False
     stepwise: bool = False
+    drift: bool = False
     orientation_sd: float | Literal["auto"] | None = None
     level_sd: float = 0.0
     resolution: float = 0.0
@@ -78,6 +80,7 @@ class Options:
             "--level-sd": self.level_sd > 0.0,
             "--robust": self.robust is not None,
             "--stepwise": self.stepwise,
+            "--drift": self.drift,
             "--pool": self.pool,
         }
         _check_together([name for name, present in given.items() if present])

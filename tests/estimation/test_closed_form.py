@@ -146,6 +146,7 @@ def test_other_positions_are_not_six_positions():
     ("options", "error", "message"),
     [
         ({"scheme": "faces-6", "model": "ieee"}, UsageError, "got 'ieee'; leave out --closed-form"),
+        ({"scheme": "faces-6", "drift": True}, UsageError, "--closed-form and --drift contradict"),
         ({"scheme": "fibonacci-6"}, MultiposError, "needs six readings, each axis once up and"),
     ],
 )

@@ -152,6 +152,7 @@ def test_arrays_are_named_by_outputs():
     [
         ("cal.json", b'{"schema": "x", "a": [1]}', "the JSON is no table; give records"),
         ("cut.json", b'{"ax": [1, 2', "not valid JSON"),
+        ("bytes.json", b'[{"ax": "\xe4"}]', "not UTF-8 text"),
         ("cut.csv.xz", lzma.compress(TEXT.encode())[:-40], "cannot unpack: .* cut off"),
         ("cut.parquet", b"PAR1" + bytes(40), "cannot be read"),
     ],
@@ -162,6 +163,14 @@ def test_what_is_no_table_is_said(name, content, message, tmp_path):
     path: Path = written(name, content)(tmp_path)
     with pytest.raises(mp.MultiposError, match=message):
         mp.fit(path)
+
+
+@pytest.mark.parametrize("cell", [10**30, "100000000000000000000000000000"])
+def test_whole_numbers_beyond_64_bits_are_numbers(cell, tmp_path):
+    (tmp_path / "r.json").write_text(json.dumps([{"a": cell}, {"a": None}]))
+    column = handed.read_json_columns(tmp_path / "r.json", "data")["a"]
+    assert column[0] in (1e30, cell)
+    assert column.dtype.kind in "fU"
 
 
 def test_a_missing_library_is_named(tmp_path, monkeypatch):

@@ -12,10 +12,10 @@ from pathlib import Path
 
 from multipos import cli
 
-from . import bases, running
+from . import bases, running, visits
 from .findings import Findings, Identity, shown
 from .judging import judge
-from .kinds import KINDS, case
+from .kinds import KINDS, Case, case
 from .running import Limits
 
 PROGRESS = 30.0  # [s] between two lines that tell how far it is
@@ -28,6 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Threads of the linear algebra library would count several times, and would not be forked.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    sys.path.append(str(Path(__file__).parents[1]))  # where the writers of logs are
     folder = Path(tempfile.mkdtemp(prefix="multipos-fuzzing-"))
     try:
         start_from = folder / "bases"
@@ -92,11 +93,16 @@ def _run_all(
         if identity is None:
             return
         made = case(identity.kind, identity.seed, identity.number, valid)
-        started = running.start(made, folder / str(index), cli.main, limits)
+        started = running.start(made, folder / str(index), _main_of(made), limits)
         under_way[started.process] = (identity, made, started)
         if time.monotonic() - told > PROGRESS:
             told = time.monotonic()
             print(f"{index} cases, {len(findings.counts)} findings", file=sys.stderr)
+
+
+def _main_of(made: Case) -> running.Main:
+    """Return what a case calls: the command line, or the page."""
+    return visits.main if made.argv[:1] == (visits.VISIT,) else cli.main
 
 
 def _take_one(under_way: dict, findings: Findings, limits: Limits) -> None:
@@ -113,7 +119,7 @@ def _take_one(under_way: dict, findings: Findings, limits: Limits) -> None:
 def _run_one(identity: Identity, valid: dict[str, bytes], folder: Path) -> int:
     """Run one case and show all of it."""
     made, limits = case(identity.kind, identity.seed, identity.number, valid), Limits()
-    run = running.run(made, folder / "only", cli.main, limits)
+    run = running.run(made, folder / "only", _main_of(made), limits)
     signatures = judge(made, run, limits)
     print(shown(made))
     for name, text in (("stdout", run.stdout), ("stderr", run.stderr), ("fault", run.fault)):

@@ -177,21 +177,28 @@ export causal-reg.json --to c --name drift --correct y -o causal.c
 fit r26.csv --unit g --model own.toml -o own.json
 export own.json --to c -o own.c
 stability log.csv --calibration grav.json --json -o noise.json
+fit mag.csv --unit uT --field-size 48.6uT --field-size-u 0.2uT -o mag.json
+calibrate compass.csv --field magnetic --unit uT -o waved.json
+fit incl.csv --inputs x,y --unit V -o incl.json
+export mag.json --to px4 --device-id 396825 -o mag.params
+export mag.json --to ardupilot -o mag.parm
+export mag.json --to ros -o mag.yaml
+export incl.json --to c --tilt -o incl.c
 """  # noqa: E501
 
 READINGS = listed(
     """
     six.csv r26.csv tumble.csv turned.csv rolled.csv posed.csv averaged.csv grouped.csv
-    redundant.csv warm.csv semicolon.csv
+    redundant.csv warm.csv semicolon.csv mag.csv incl.csv
     """
 )
 SCHEMES = ("scheme.csv", "rolls.csv", "roll-pitch.csv", "quaternions.csv")
-LOGS = ("log.csv", "bare.log")
+LOGS = ("log.csv", "bare.log", "compass.csv")
 CALIBRATIONS = listed(
     """
     lin.json closed.json grav.json level.json ieee.json stepwise.json unknown.json uncertain.json
     auto.json robust.json budget.json one.json two.json averaged.json shared.json grouped.json
-    redundant.json warm.json expression.json own.json
+    redundant.json warm.json expression.json own.json mag.json waved.json incl.json
     """
 )
 REGRESSIONS = listed(
@@ -201,7 +208,12 @@ CHECKS = ("force-check.json", "tilt-check.json")
 BUDGETS = ("bench.toml", "head.toml")
 LABORATORIES = ("laboratory.toml",)
 SECTIONS = ("sections.csv", "sections.json")
-EXPORTS = listed("imu.c warm.c expression.c own.c causal.c lin.params lin.parm lin.yaml")
+EXPORTS = listed(
+    """
+    imu.c warm.c expression.c own.c causal.c incl.c lin.params lin.parm lin.yaml mag.params
+    mag.parm mag.yaml
+    """
+)
 MODELS = ("own.toml", "outputs.toml")
 FLEETS = ("fleet.csv",)
 LIMITS = ("limits.csv", "limits.toml")
@@ -311,7 +323,36 @@ def _derived() -> dict[str, str]:
         "data.csv": _csv(data),
         "fleet.csv": _csv(fleet),
         "bare.log": bare,
+        "mag.csv": _csv(_magnetic(rng, 40, 0.2)),
+        "compass.csv": _csv(_magnetic(rng, 400, 0.02)),
+        "incl.csv": _csv(_inclined(rng)),
     }
+
+
+def _magnetic(rng: random.Random, count: int, noise: float) -> list[dict]:
+    """A magnetometer [µT] turned through all directions, with the accelerometer beside it [g]."""
+    rows = []
+    for i in range(count):
+        z, turn = 1 - 2 * (i + 0.5) / count, i * math.pi * (3 - math.sqrt(5))
+        across = math.sqrt(1 - z * z)
+        field = [48.6 * each for each in (across * math.cos(turn), across * math.sin(turn), z)]
+        mx, my, mz = (rng.gauss(each, noise) for each in field)
+        magnetic = {"mx": 3 + mx, "my": -8 + 0.97 * my + 0.04 * mx, "mz": 12 + 1.05 * mz}
+        force = {name: each / 48.6 for name, each in zip(("ax", "ay", "az"), field, strict=True)}
+        rows.append({"time": i / 50, **(magnetic | force if count > 100 else magnetic)})
+    return rows
+
+
+def _inclined(rng: random.Random) -> list[dict]:
+    """Two rolls of an inclinometer of two axes [V]."""
+    rows = []
+    for axis, angle in ((axis, angle) for axis in "yx" for angle in range(0, 360, 30)):
+        cosine = math.cos(math.radians(angle))
+        x, y = (cosine, 0.0) if axis == "y" else (0.0, cosine)
+        read = {"Ux": 2.5 + x + 0.02 * y, "Uy": 2.5 - 0.018 * x + y}
+        volts = {name: rng.gauss(each, 1e-4) for name, each in read.items()}
+        rows.append({"roll_axis": axis, "angle_deg": angle, **volts})
+    return rows
 
 
 def _with_outputs(scheme: str, readings: str) -> str:

@@ -13,6 +13,7 @@ from multipos.regression import regression_file
 from multipos.sensor import calibration_file
 from multipos.verification import verdicts
 
+from . import visits
 from .kinds import Case
 from .running import PACKAGE, Limits, Run
 
@@ -30,6 +31,7 @@ _READERS = {
     regression_file.SCHEMA: regression_file.load_regression,
     verdicts.SCHEMA: verdicts.load_check,
 }
+_FOLDERS = {"demo": "multipos-demo", visits.VISIT: visits.FOLDER}  # that they write by themselves
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")
 
 
@@ -185,7 +187,7 @@ def _folder(case: Case, run: Run) -> Iterator[str]:
 
 def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
     """Of the names that changed, those that the output accounts for."""
-    output = case.output or ("multipos-demo" if case.argv[0] == "demo" else "")
+    output = case.output or _FOLDERS.get(case.argv[0], "")
     if not output:
         return set()
     allowed = set()
@@ -200,7 +202,7 @@ def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
         name
         for name in changed
         for path in allowed
-        if case.argv[0] in ("demo", "fleet")
+        if case.argv[0] in ("fleet", "page", *_FOLDERS)
         and (path in (".", "..") or name.startswith(f"{path}/"))
     }
     # A fleet makes the folders above its own.

@@ -19,8 +19,10 @@ from . import (
     options,
     raw,
     recipes,
+    recordings,
     tables,
     toml_files,
+    visits,
 )
 from .hostile import listed
 
@@ -167,6 +169,36 @@ def _arrays(rng: random.Random, valid: Files) -> Case:
     return _case(_with_options(rng, words), valid, {name: arrays.draw(rng, name[3:])})
 
 
+RECORDING_COMMANDS = {
+    "average {} --json": 6,
+    "average {} --scheme faces-6 -o o.csv": 4,
+    "calibrate {} -o o.json": 4,
+    "calibrate {} --scheme faces-6 -o o.json": 4,
+    "apply lin.json {}": 1,
+    "fit {}": 2,
+    "regress {} --response ax --variables time": 1,
+    "capture replay:{}:0 --headless": 0.5,
+    "stability {} --json": 0.5,
+}  # and how often each is drawn
+
+
+def _recordings(rng: random.Random, valid: Files) -> Case:
+    name = rng.choice(recordings.NAMES)
+    command = rng.choices(list(RECORDING_COMMANDS), RECORDING_COMMANDS.values())[0]
+    words = command.format(name).split()
+    return _case(_with_options(rng, words), valid, {name: recordings.draw(rng, name)})
+
+
+def _visits(rng: random.Random, valid: Files) -> Case:
+    """The page, with a file that is damaged or, now and then, as it was."""
+    name, words = visits.draw(rng)
+    files = {each: valid[each] for each in visits.files_of(name)}
+    spoilt = rng.choice((name, name, name, *files, ""))
+    if spoilt:
+        files[spoilt] = _mutate_any(rng, spoilt, valid[spoilt])
+    return Case(words, files)
+
+
 def _options(rng: random.Random, valid: Files) -> Case:
     """Valid files, and options that nobody gives together."""
     words = list(recipes.draw(rng).words)
@@ -302,6 +334,7 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "schemes": _scheme_names,
     "logs": _damaged(bases.LOGS, tables.mutate),
     "arrays": _arrays,
+    "recordings": _recordings,
     "sections": _damaged(bases.SECTIONS, _sections),
     "data": _damaged(bases.DATA, tables.mutate),
     "calibrations": _damaged(bases.CALIBRATIONS, json_files.mutate),
@@ -315,6 +348,7 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "limits": _damaged(bases.LIMITS, _limits),
     "records": _damaged(bases.RECORDS, json_files.mutate),
     "captures": _captures,
+    "visits": _visits,
     "options": _options,
     "crossing": _crossed,
     "formulas": _formulas,

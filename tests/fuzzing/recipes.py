@@ -196,6 +196,40 @@ TEXT = """
 .5 capture replay:log.csv:0 --headless --scheme faces-6 -o o.csv
 .3 capture replay:log.csv:0 --headless --positions 6 --target bias=0.01 --to c -o o.csv
 .3 capture replay:bare.log:0 --headless --columns time,ax,ay,az --threshold 0.01
+10 fit mag.csv --unit uT
+ 8 fit mag.csv --unit uT --field-size 48.6uT --field-size-u 0.2uT -o o.json
+ 3 fit mag.csv --field magnetic --robust huber --json
+ 2 fit mag.csv --model own-cubic
+ 3 calibrate mag.csv --unit uT -o o.json
+ 4 calibrate compass.csv --field magnetic --unit uT -o o.json
+ 4 apply mag.json mag.csv --uncertainty -o o.csv
+ 4 apply mag.json compass.csv --with lin.json --json
+ 3 apply waved.json compass.csv --with lin.json --outside clamp
+ 3 compare mag.json mag.json
+ 2 compare mag.json mag.json --combine -o o.json
+ 2 compare lin.json averaged.json --combine -o o.json
+ 2 report mag.json -o o.md
+ 1 report waved.json -o o.txt --language zh
+ 2 export mag.json --to c -o o.c
+ 1 export mag.json --to c --fixed -o o.c
+ 1 export lin.json --to c --fixed -o o.c
+ 2 export waved.json --to px4 --device-id 396825 -o o.params
+ 2 verify-export mag.params mag.json
+ 2 verify-export mag.parm mag.json --json
+ 2 verify-export mag.yaml mag.json
+.3 verify-export incl.c incl.json
+ 2 worth mag.json
+ 2 simulate mag.json --scheme all-26 --reading-sd 0.1 --seed 1 -o o.csv
+10 fit incl.csv --inputs x,y --unit V --range 0,5
+ 4 fit incl.csv --unit V --model own-cubic --json
+ 4 apply incl.json incl.csv --tilt --uncertainty -o o.csv
+ 4 check incl.json incl.csv --tilt --limit-deg 0.05 --nominal 2.5,1
+ 3 report incl.json -o o.md
+ 2 export incl.json --to c --tilt -o o.c
+.5 design --model linear --positions 12 --unknown-orientation --candidates all-26
+.3 page -o o
+ 1 completion bash
+ 1 completion fish -o o.txt
 """
 
 

@@ -366,6 +366,20 @@ def test_moving_iron_is_found_with_the_row():
     assert 0.03 < float(re.search(r"by ([\d.]+) % of the field", found.text)[1]) / 100 < 0.06
 
 
+def test_iron_beside_the_sensor_for_a_while_is_one_cause_with_its_rows():
+    """8 µT for a seventh of a log, which makes everything else look wrong."""
+    values = healthy(1400, 27)
+    values[600:800] += [8.0, 0.0, 0.0]
+    every = found_in(values, field_size="48.6uT")
+    assert set(every) == {"moving-iron"}
+    found = every["moving-iron"]
+    rows = [int(label) for label in found.rows]
+    assert 580 <= rows[0] <= 640
+    assert 760 <= rows[-1] <= 820
+    assert f"from row {rows[0]} to row {rows[-1]}" in found.text
+    assert 7.0 < float(re.search(r"by ([\d.]+) µT", found.text)[1]) < 9.0
+
+
 def test_size_gap_and_saturation():
     assert "field-size" in found_in(3.0 * healthy(1000, 23))
     values = healthy(3000, 24)
