@@ -351,6 +351,7 @@ def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
     y : (B, n) array
     """
     shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
+    columns, power = design.T, np.ldexp(1.0, -shift)[:, None]
     b = np.ldexp(y @ inverse.T, shift)
     grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
     coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
@@ -358,14 +359,14 @@ def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
     r, step = np.empty(y.shape), np.zeros(b.shape)
     blocks = [slice(first, first + _ROWS) for first in range(0, y.shape[1], _ROWS)]
     for rows in blocks:
-        scaled = np.ldexp(design[rows], -shift)
-        high = np.ldexp(np.rint(np.ldexp(scaled, _SPLIT)), -_SPLIT)
-        left = y[:, rows] - coarse @ high.T
-        left -= both @ np.hstack((scaled - high, scaled)).T
+        scaled = columns[:, rows] * power
+        high = np.rint(scaled * 2.0**_SPLIT) * 2.0**-_SPLIT
+        left = y[:, rows] - coarse @ high
+        left -= both @ np.concatenate((scaled - high, scaled))
         step += left @ inverse[:, rows].T
         r[:, rows] = left
     for rows in blocks:
-        r[:, rows] -= step @ design[rows].T
+        r[:, rows] -= step @ columns[:, rows]
     return np.ldexp(b, -shift) + step, r
 
 

@@ -143,19 +143,19 @@ def unit_vectors(up: ArrayLike, where: str = "`up`") -> Array:
             f"{where} must have shape (n, 3), got {vectors.shape}; give one row per position."
         )
     # Scaled by the largest component first, so that neither 1e-200 nor 1e200 loses the length.
-    largest = np.abs(vectors).max(axis=1)
+    columns = np.ascontiguousarray(vectors.T)
+    largest = np.abs(columns).max(axis=0)
     bad = ~(np.isfinite(largest) & (largest > 0.0))
     if bad.any():
         raise MultiposError(
             f"{where}: the up vector of row {int(np.argmax(bad)) + 1} is zero or not finite; "
             "it must point somewhere."
         )
-    scaled = vectors / largest[:, None]
-    length = np.sqrt(np.einsum("ni,ni->n", scaled, scaled))
-    unit = scaled / length[:, None]
+    columns = columns / largest
+    length = np.sqrt(np.einsum("in,in->n", columns, columns))
     # What is a unit vector to rounding stays as it is, so that reading it back changes nothing.
     already = np.abs(largest * length - 1.0) < 4.0 * np.finfo(float).eps
-    return np.where(already[:, None], vectors, unit) + 0.0
+    return np.where(already[:, None], vectors, (columns / length).T) + 0.0
 
 
 def from_rotation(rotation: ArrayLike) -> Attitudes:
