@@ -417,9 +417,9 @@ def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
     left = 1.0 - leverage
     # A position that alone fixes a parameter (leverage 1) has no residual to test.
     tested = (dof >= 2.0) & (s2 > 0.0) & (left > 1e-9)
-    left *= s2
-    left[~tested] = np.inf
-    return np.asarray(error**2 / left)
+    variance = s2 * left
+    variance[~tested] = np.inf
+    return np.asarray(error**2 / variance)
 
 
 def largest_square(nu: float, readings: int) -> float:
