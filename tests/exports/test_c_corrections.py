@@ -12,17 +12,22 @@ from test_exporters import SANITIZERS, WARNINGS, made
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.c_correction import _Writer, declarations
+from multipos.exports.c_correction import _Writer, declarations, rounding
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
     _MAIN,
     Drive,
+    _allowed,
+    _certain,
     _meet_edges,
+    _range,
     _swing,
     expected_rows,
     fitted_rows,
+    generated_rows,
 )
-from multipos.regression.observations import causal_rate
+from multipos.numerics.terms import parse_terms
+from multipos.regression.observations import causal_rate, filter_time
 
 ROWS = 100_000
 
@@ -402,3 +407,78 @@ def test_a_swing_goes_slowly_and_then_as_fast_as_it_may():
     assert steps[:99].max() == pytest.approx(5.0 * 2.0 * np.pi * 3.0 / 400, rel=0.01)
     assert steps[100:199].max() == pytest.approx(1.0, rel=0.01)
     assert steps[200:299].max() < 0.25
+
+
+def term(text):
+    (found,) = parse_terms(text)
+    return found
+
+
+def of_two_terms():
+    segment = SimpleNamespace(
+        used=("t", "t_rate"),
+        limits={"t": (-2.0, 7.0), "t_rate": (-3.0, 1.5)},
+        range=(-5.0, 7.0),
+        values=np.array([-3.0, 0.5]),
+        terms=(term("t"), term("t_rate^2")),
+    )
+    small = SimpleNamespace(**{**vars(segment), "values": np.array([1.0, 0.25])})
+    return SimpleNamespace(rates=("t_rate",), segment_variable="t", segments=(small, segment))
+
+
+def test_rounding_of_a_segment_by_hand():
+    """Two terms: (2 + 1 + 4)·3·7 and, of a rate, (2 + 2 + 4 + 2·(2·25 + 4))·.5·9."""
+    regression = of_two_terms()
+    by_hand = 7 * 21 + (8 + 2 * 54) * 4.5
+    assert rounding(regression, single=False, steps=25.0) == pytest.approx(2.0**-53 * by_hand)
+    assert rounding(regression, single=True, steps=25.0) == pytest.approx(2.0**-24 * by_hand)
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_how_far_c_may_be_from_python_by_hand(single):
+    """Steps of .25 and .5 s, their median, and a window of 8: what comes in, goes out, and g."""
+    regression = of_two_terms()
+    c = SimpleNamespace(
+        regressions=(regression,), rates=(("t", 8.0), ("v", 3.0)), corrected=True, calibration=1
+    )
+    time = np.array([0.0, 0.25, 0.75, 1.25, 90.0, 90.5, 91.5])
+    rows = SimpleNamespace(time=time, begins=np.array([1, 0, 0, 0, 1, 0, 0], dtype=bool))
+    (allowed,) = _allowed(c, rows, np.array([[3.0], [-7.0], [5.0]]), single)
+    steps = filter_time(8.0) / 0.5
+    by_hand = rounding(regression, single=single, steps=steps)
+    by_hand += 7.0 * 2.0**-23 + 5e-7 if single else 7.0 * (2.0**-52 + 1e-12) + 1e-9
+    assert allowed == pytest.approx(by_hand, rel=1e-12, abs=0.0)
+
+
+def test_rows_near_a_value_at_which_something_changes_are_not_certain():
+    """A branch at 0, an edge at 20, limits at -30 and 50; near is a hundredth of 60."""
+    segments = [SimpleNamespace(limits={"t": (-30.0, 50.0)})]
+    regression = SimpleNamespace(
+        rates=("t",), branch_column="t", segment_variable="t", edges=(20.0,), segments=segments
+    )
+    values = np.array([0.5, 0.7, -0.5, 20.5, 19.3, -30.5, -29.3, 50.5, 49.3, -60.0])
+    found = _certain(SimpleNamespace(forces=()), regression, {"t": values, "other": values}, 0.01)
+    assert found.tolist() == [False, True, False, False, True, False, True, False, True, True]
+
+
+def test_rows_that_are_made_up_by_hand():
+    """A twentieth of the shorter window a step, a gap of a hundred steps, a clock set again."""
+    segment = SimpleNamespace(limits={"t": (10.0, 50.0), "v": (2.0, 3.0), "t_rate": (-3.0, 2.0)})
+    regression = SimpleNamespace(
+        segments=(segment,), segment_variable=None, edges=(), time="time", range=None
+    )
+    c = SimpleNamespace(
+        rates=(("t", 8.0), ("u", 6.0)), regressions=(regression,), inputs=("t", "v"),
+        calibration=None,
+    )  # fmt: skip
+    rows = generated_rows(c, 600)
+    np.testing.assert_allclose(rows.time[[0, 1, 199, 200, 299, 300, 301]] / 0.3, [
+        0, 1, 199, 300, 399, 0, 1])  # fmt: skip
+    assert rows.run.tolist() == [0] * 300 + [1] * 300
+    t, v = rows.values.T
+    assert (t.min(), t.max()) == (pytest.approx(8.0, abs=0.1), pytest.approx(52.0, abs=0.1))
+    # of the largest rate and 5 %, in rows of .3 s; and slowly before
+    assert np.abs(np.diff(t[:300])).max() == pytest.approx(1.05 * 3.0 * 0.3, rel=0.01)
+    assert 1.95 <= v.min() < 1.96
+    assert 3.04 < v.max() <= 3.05
+    assert _range(SimpleNamespace(regressions=(), calibration=None), "t") == (-1.0, 1.0)

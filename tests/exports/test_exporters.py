@@ -4,6 +4,8 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
+from fractions import Fraction
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,11 +16,24 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.c_body import needed_steps
-from multipos.exports.laws import _require_no_turn, in_metres, raw_zero, reduce_to, rms_left
-from multipos.exports.target_c import SIGNATURE, signature
+from multipos.exports.c_body import _solved, _Writer, needed_steps
+from multipos.exports.c_fixed import _per_unit
+from multipos.exports.laws import (
+    Correction,
+    Drift,
+    _require_no_turn,
+    in_metres,
+    law_residuals,
+    raw_in,
+    raw_zero,
+    reduce_to,
+    rms_left,
+)
+from multipos.exports.target_autopilots import _counts_of_g, _rounding_of_inav
+from multipos.exports.target_c import SIGNATURE, _vectors, signature
 from multipos.exports.targets import export, verify_export
 from multipos.numerics.rotations import rotation_matrix
+from multipos.numerics.terms import parse_terms
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
@@ -680,3 +695,94 @@ def test_a_turn_beyond_its_u_is_refused(degrees, refused):
             _require_no_turn(c, turn, "px4", False)
     else:
         _require_no_turn(c, turn, "px4", False)
+
+
+def test_vectors_are_the_readings_and_the_middles_of_neighbours():
+    """Twelve of 34 rows, evenly, and between each and the one before it."""
+    up = mp.read_scheme("fibonacci-34").up
+    t = np.linspace(-3.0, 41.0, 34) ** 2
+    cal = mp.fit(
+        mp.Readings(1.1 * up + 0.01 + 1e-4 * t[:, None], up=up, environment={"temperature": t}),
+        model="1 + x + y + z + temperature",
+    )
+    raw, env, force = _vectors(cal, single=False)
+    rows = [0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33]
+    values = cal.readings.values[rows]
+    np.testing.assert_allclose(raw[:12], values)
+    np.testing.assert_allclose(raw[13], (values[1] + values[0]) / 2.0)
+    np.testing.assert_allclose(raw[12], (values[0] + values[11]) / 2.0)
+    np.testing.assert_allclose(env[14], (t[6] + t[3]) / 2.0)
+    np.testing.assert_allclose(1.1 * force + 0.01 + 1e-4 * env, raw, atol=1e-12)
+
+
+def test_what_a_law_leaves_by_hand():
+    """f = V T (raw − o − c (t − 20) …)/9.80665, less the force: minus a reference of gravity."""
+    rng = np.random.default_rng(3)
+    raw, reference, t = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.uniform(5, 40, 5)
+    matrix, offset, slopes = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=(3, 3))
+    turn = rotation_matrix(np.array([0.3, -0.2, 0.5]))
+    readings = SimpleNamespace(values=raw, environment={"temperature": t})
+    c = SimpleNamespace(
+        model=SimpleNamespace(axes=("y", "z", "x")), readings=readings, sign=-1.0,
+        reference=reference,
+    )  # fmt: skip
+    found = law_residuals(c, Correction(matrix, offset, Drift(slopes, 20.0, 10.0, 35.0), turn))
+    for row, f in enumerate(found):
+        x = np.clip(t[row], 10.0, 35.0) - 20.0
+        left = raw[row, [2, 0, 1]] - offset - x * slopes[0] - x**2 * slopes[1] - x**3 * slopes[2]
+        np.testing.assert_allclose(f, turn @ matrix @ left / 9.80665 + reference[row], rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("scale", "how", "counts"),
+    [(1450.0, {}, 1365), (5700.0, {}, 4096), (5900.0, {}, 8192), (101.0, {}, 256),
+     (99.0, {}, None), (2000.0, {"nominal": (3.0, -2047.6)}, 2048)],
+)  # fmt: skip
+def test_the_counts_of_a_g_of_a_flight_controller(scale, how, counts):
+    """The nearest in ratio: 5793 lies between 4096 and 8192. Half a step of zero and of gain."""
+    up = mp.read_scheme("faces-6").up
+    found = mp.fit(mp.Readings(scale * up, up=up, unit="count"), **how)
+    found = replace(found, reference=1.3 * found.reference)  # of a centrifuge
+    if counts is None:
+        with pytest.raises(mp.MultiposError, match="scale factor of 99 per g"):
+            _counts_of_g(found)
+        return
+    assert _counts_of_g(found) == counts
+    by_hand = 0.51 / counts + 0.51 * 1.3 / 4096 * 1.5
+    assert _rounding_of_inav(found) == pytest.approx(by_hand)
+
+
+def test_the_tesla_of_a_unit_of_the_readings():
+    """Counts of .15 µT each, for a consumer in milligauss, 1e-7 T: 1.5 of its units."""
+    nominal = SimpleNamespace(scale=1.0 / 0.15)
+    c = SimpleNamespace(model=SimpleNamespace(unit="count"), nominal=nominal)
+    assert raw_in(c, "px4", 1e-7, 7.0) == pytest.approx(1.5)
+    c.model.unit = "uT"
+    assert raw_in(c, "px4", 1e-7, 7.0) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("size", "whole"), [(48.7, 100_000), (0.487, 10_000_000), (9.99e5, 10), (3e7, 1)]
+)
+def test_whole_numbers_of_a_field_have_seven_digits(size, whole):
+    field = SimpleNamespace(magnetic=True, magnitude=size)
+    assert _per_unit(SimpleNamespace(field=field)) == whole
+
+
+def test_exact_equations_are_solved_by_elimination():
+    A = [[0, 2, -1], [3, -6, 5], [7, 4, 9]]
+    B = [[1, 4], [-2, 3], [5, -8]]
+    exact = [[[Fraction(value) for value in row] for row in matrix] for matrix in (A, B)]
+    found = np.array(_solved(*exact), dtype=float)
+    np.testing.assert_allclose(found, np.linalg.solve(A, B), rtol=1e-12)
+
+
+def test_a_product_of_columns_about_the_middle():
+    """3 t² p about t = 20, p = 5: every part with its powers of what is left, by evaluation."""
+    writer = SimpleNamespace(_middle={"p": 5.0, "t": 20.0}, _single=False)
+    (found,) = parse_terms("t^2*p")
+    parts = _Writer._about_middle(writer, 3.0, found)
+    left = {"t0": 1.7, "t1": -2.3}
+    total = sum(weight * eval(product or "1", {}, left) for weight, product in parts)
+    assert total == pytest.approx(3.0 * (20.0 - 2.3) ** 2 * (5.0 + 1.7), rel=1e-12)
+    assert len(parts) == 6

@@ -2,8 +2,9 @@
 
 Which tests reach a line is measured once by room. The parent has imported the large libraries but
 nothing of the project, so that a fork reads the changed file and little else. A test that fails
-without a change is left out, and a change that takes three minutes of the processor, or stands
-still for a quarter of an hour, hangs and is caught: a loaded machine is no reason to be.
+without a change is left out. A change hangs, and is caught, that takes three minutes of the
+processor, or by the clock ten times what the tests took of the processor without it: a loaded
+machine is no reason to be.
 """
 
 import contextlib
@@ -25,7 +26,7 @@ from tests.mutation.changes import Change
 
 _LONGEST = 180  # seconds of the processor of one change
 _FIRST = 12  # tests, that are tried before others are collected
-_STILL = 900.0  # seconds by the clock
+_STILL = 10.0  # by the clock, in what the tests took of the processor; half a minute for the start
 _ENOUGH = 40.0  # seconds of tests for one change, as they took without it
 # Where tests of a room's files stand beside its own.
 _BESIDE = {
@@ -84,6 +85,10 @@ class Reached:
         left = _ENOUGH
         return [name for name in chosen if (left := left - self.seconds[name]) > 0]
 
+    def longest(self, names: Sequence[str]) -> float:
+        """Return after how many seconds by the clock tests hang."""
+        return 30.0 + _STILL * sum(self.seconds[name] for name in names)
+
 
 def _each_function_first(names: Sequence[str]) -> list[str]:
     """Return tests in order, but one case of each function before the others."""
@@ -115,7 +120,10 @@ def is_noticed(root: Path, change: Change, reached: Reached) -> bool:
     change.apply(root)
     try:
         parts = [part for part in (names[:_FIRST], names[_FIRST:]) if part]
-        return any(_forked(root, partial(_limited, ["-x", *part]), _STILL) != 0 for part in parts)
+        return any(
+            _forked(root, partial(_limited, ["-x", *part]), reached.longest(part)) != 0
+            for part in parts
+        )
     finally:
         file.write_bytes(kept)
 

@@ -1,0 +1,226 @@
+"""Numbers of designs by hand or by a second route, at points without symmetry."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import multipos as mp
+from multipos.designs import information
+from multipos.designs.assessment import Assessor, _dof, find_aliases, positions_table
+from multipos.designs.criteria import Criterion, make_criterion, objective
+from multipos.designs.designing import Design, _check_count, _efficiency, _time_s
+from multipos.designs.exchange import _roughly, _tidy
+from multipos.designs.information import Setting, tangents
+from multipos.designs.optimum import _length, _spread
+from multipos.designs.prospects import information_of, measured
+from multipos.positions.scheme import read_scheme
+from multipos.sensor.model import build_model
+
+AXES = ("x", "y", "z")
+OUTPUTS = ("ax", "ay", "az")
+LINEAR = build_model("linear", OUTPUTS, AXES)
+# a bias and three sensitivities of each output
+SENSOR = np.array([0.03, 1.1, 0.06, -0.04, -0.02, 0.05, 0.9, 0.07, 0.01, -0.03, 0.08, 1.2])
+
+
+def away_from_zero(shape, seed=1):
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+@pytest.mark.parametrize("name", ["tilt:±25", "force:±0.4"])
+def test_weights_of_a_range_by_differences_of_what_is_compensated(name):
+    """Mean square of what each parameter does to tilt of x and y, or to their force."""
+    (B,) = make_criterion(name, Setting(LINEAR, orientation_sd=0.1, parameters=SENSOR)).weight
+    size = math.sin(math.radians(25.0)) if name.startswith("tilt") else 0.4
+    angles = np.radians(np.linspace(-25.0, 25.0, 13))
+    line = np.sin(angles) if name.startswith("tilt") else np.linspace(-size, size, 13)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    up = np.column_stack([x, y, np.sqrt(1.0 - x**2 - y**2)])
+    y = LINEAR.predict(SENSOR, up, {})
+
+    def found(parameters):
+        rows = parameters.reshape(3, 4)
+        force = np.linalg.solve(rows[:, 1:], (y - rows[:, 0]).T).T
+        if name.startswith("force"):
+            return force[:, :2]
+        return np.arcsin(force[:, :2] / np.linalg.norm(force, axis=1, keepdims=True))
+
+    steps = 1e-6 * np.eye(12)
+    slopes = np.array([(found(SENSOR + s) - found(SENSOR - s)) / 2e-6 for s in steps])
+    wanted = np.einsum("ink,jnk->ij", slopes, slopes) / len(up)
+    wanted += 1e-4 * np.trace(wanted) / 12 * np.eye(12)
+    assert_allclose(B, wanted, atol=2e-7)
+
+
+def test_one_parameter_weighs_ten_thousand_times_the_others():
+    blocks = make_criterion("u:ay:z", Setting(LINEAR)).weight
+    wanted = np.full(12, 1e-4)
+    wanted[7] = 1.0
+    assert_allclose(np.concatenate([np.diag(B) for B in blocks]), wanted)
+
+
+@pytest.mark.parametrize("size", [1.0, -1.7])
+@pytest.mark.parametrize("turned", [0.0, 0.4])
+def test_aliases_by_least_squares(size, turned):
+    """What z² of ay does to bias, scale and cross terms of ay, or to all where outputs share."""
+    up = away_from_zero((9, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    mine = Setting(LINEAR, orientation_sd=turned, size=size)
+    (alias,) = (a for a in find_aliases(mine, up) if (a["output"], a["term"]) == ("ay", "z^2"))
+    f = size * up
+    X = np.zeros((9, 3, 12))
+    for i in range(3):
+        X[:, i, 4 * i : 4 * i + 4] = np.column_stack([np.ones(9), f])
+    c = np.zeros((9, 3))
+    c[:, 1] = f[:, 2] ** 2
+    V = np.eye(3) + (turned * size) ** 2 * (np.eye(3) - np.einsum("ni,nj->nij", up, up))
+    W = np.linalg.inv(np.linalg.cholesky(V))
+    rows, column = (W @ X).reshape(27, 12), np.einsum("nij,nj->ni", W, c).ravel()
+    a = np.linalg.lstsq(rows, column, rcond=None)[0]
+    left = np.linalg.norm(column - rows @ a) / np.linalg.norm(column)
+    assert alias["seen"] == pytest.approx(left, rel=1e-9)
+    into = dict(zip(LINEAR.names, a.tolist(), strict=True))
+    assert alias["into"] == pytest.approx({n: v for n, v in into.items() if abs(v) > 1e-9})
+
+
+def test_priors_are_represented_by_points_of_their_mean_and_covariance(monkeypatch):
+    """Two priors, one of them of two outputs' copies: 2·2 points at ± √2 sd."""
+    names, sd = ("k", "b", "k", "c"), (0.3, None, 0.3, 0.05)
+    quantities = [SimpleNamespace(name=n, sd=s) for n, s in zip(names, sd, strict=True)]
+    nominal = np.array([1.0, 2.0, 3.0, 4.0])
+    monkeypatch.setattr(information, "nominal_parameters", lambda model: nominal)
+    model = SimpleNamespace(quantities=quantities, within=lambda parameters: parameters)
+    draws = np.array(information._at_own_parameters(model)["draws"])
+    assert len(draws) == 4
+    assert_allclose(draws.mean(axis=0), nominal)
+    off = draws - nominal
+    wanted = np.zeros((4, 4))
+    wanted[np.ix_([0, 2], [0, 2])] = 0.09
+    wanted[3, 3] = 0.0025
+    assert_allclose(off.T @ off / 4, wanted, atol=1e-15)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_criteria_of_many_matrices_rank_as_those_of_each(weighted):
+    rng = np.random.default_rng(5)
+    blocks = [np.einsum("nij,nkj->nik", A, A) for A in (rng.normal(size=(7, p, 9)) for p in (2, 3))]
+    blocks[1][4] = np.outer([1.0, 2.0, -3.0], [1.0, 2.0, -3.0])  # singular
+    weight = tuple(B @ B.T for B in (rng.normal(size=(2, 2)), rng.normal(size=(3, 3))))
+    criterion = Criterion("mine", weight if weighted else None)
+    found = _roughly(blocks, criterion)
+    one = np.array([objective(tuple(M[i] for M in blocks), criterion) for i in range(7)])
+    assert found[4] == one[4] == -np.inf
+    # ln det against its fifth part; a trace against minus its logarithm
+    assert_allclose(found, -np.exp(-one) if weighted else 5.0 * one, rtol=1e-9)
+
+
+def test_candidates_that_determine_every_parameter_are_picked_of_rows_of_two():
+    rows = np.zeros((30, 2, 2))
+    rows[17, 1, 0] = rows[23, 0, 1] = 1.0  # nothing else tells anything
+    assert _spread((rows,)).tolist() == [17, 23]
+
+
+def test_a_step_ends_before_an_entry_vanishes():
+    x = np.array([0.4, 0.3, 0.2])
+    assert _length(x, np.array([0.5, -0.6, -0.1])) == pytest.approx(0.95 * 0.5)
+    assert _length(x, np.array([0.5, -0.2, -0.1])) == 1.0
+    assert _length(x, np.array([0.5, 0.2, 0.0])) == 1.0
+
+
+def test_tangents_and_tidy_directions():
+    up = away_from_zero((5, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    frame = np.concatenate([tangents(up), up[:, :, None]], axis=2)
+    assert_allclose(frame.transpose(0, 2, 1) @ frame, np.tile(np.eye(3), (5, 1, 1)), atol=1e-14)
+    kept, gone = _tidy(np.array([[2e-6, 0.6, -0.8], [5e-7, 0.6, -0.8]]))
+    assert_allclose((kept[0], gone[0]), (2e-6, 0.0), rtol=1e-9)
+
+
+def test_efficiency_time_and_degrees_of_freedom_by_hand():
+    sphere, best = SimpleNamespace(value=-2.5), SimpleNamespace(value=-2.8)
+    assert _efficiency("D", -3.0, sphere, best) == pytest.approx((math.exp(-0.5), math.exp(-0.2)))
+    assert _efficiency("A", -2.4, sphere, best) == (1.0, 1.0)
+    assert _efficiency("G", -0.3, sphere, best) == (pytest.approx(math.exp(-0.3)), None)
+    assert _efficiency("G", 0.3, sphere, best) == (1.0, None)
+    assert _time_s((20.0, 0.3), 7, 910.0) == pytest.approx(20.0 * 7 + 0.3 * 910.0)
+    assert _time_s(None, 7, 910.0) is None
+    model = SimpleNamespace(outputs=("ax", "ay"), terms=("12", "123"), keys="12345")
+    assert _dof(SimpleNamespace(model=model, orientation_sd=0.3), 11) == {"ax": 9, "ay": 8}
+    assert _dof(SimpleNamespace(model=model, orientation_sd=math.inf), 11) == {"all": 6}
+
+
+def test_how_many_positions_are_enough_and_how_many_are_searched_for():
+    known = Setting(LINEAR)
+    for positions, included in ((4, 0), (4, 3), (200, 0), (206, 6)):
+        _check_count(known, positions, included)
+    for positions, included in ((3, 0), (5, 5), (201, 0), (207, 6)):
+        with pytest.raises(mp.UsageError):
+            _check_count(known, positions, included)
+
+
+def test_positions_are_labelled_by_their_bench_or_their_place():
+    settings = ({}, {"position": "A"}, {"tilt_deg": 4.0}, {"position": "A"}, {"position": "A"})
+    found = SimpleNamespace(positions=np.zeros((5, 3)), settings=settings)
+    assert Design.labels.fget(found) == ("1", "A", "3", "A (2)", "A (3)")
+    found.settings = ()
+    assert Design.labels.fget(found) == ("1", "2", "3", "4", "5")
+
+
+@pytest.mark.parametrize(
+    ("count", "rows", "across", "pages", "digits"),
+    [(24, 24, 1, 1, 6), (25, 13, 2, 1, 4), (50, 17, 3, 1, 4), (73, 24, 3, 2, 4)],
+)
+def test_many_positions_stand_beside_each_other(count, rows, across, pages, digits):
+    text = positions_table([(f"p{i}", (0.1234567, 0.0, -1.0)) for i in range(count)])
+    tables = [page.splitlines() for page in text.split("\n\n")]
+    assert len(tables) == pages
+    assert len(tables[0]) == rows + 1
+    assert tables[0][0].count("up x") == across
+    cells = tables[0][1].split()
+    assert cells[:2] == ["p0", f"{0.1234567:.{digits}f}"]
+    if across > 1:
+        assert cells[4] == f"p{rows}"
+
+
+def test_rank_of_a_scheme_that_leaves_parameters_open():
+    """A roll about z does not tell z of any output: nine of twelve."""
+    found = Assessor(Setting(LINEAR)).describe(read_scheme("roll-z-7"))
+    assert (found.rank, found.parameters, len(found.unidentifiable)) == (9, 12, 3)
+    assert not found.identifiable
+    assert found.dof == {"ax": 3, "ay": 3, "az": 3}
+
+
+def test_drift_that_a_model_absorbs_of_one_output():
+    """The most that a line of one axis takes of row numbers: the square of a correlation."""
+    up = np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [0.0, 0.0, 1.0]])
+    model = build_model("1 + own", ("ax", "az"), ("x", "z"))
+    row = np.arange(4.0)
+    wanted = max(np.corrcoef(row, up[:, i])[0, 1] ** 2 for i in (0, 2))
+    assert Setting(model).drift_absorbed(up) == pytest.approx(wanted, rel=1e-9)
+
+
+def test_what_all_parameters_gain_is_a_geometric_mean():
+    up = read_scheme("all-26").up
+    values = 1.1 * up + 0.02 + 1e-3 * away_from_zero((26, 3))
+    found = mp.worth(mp.fit(mp.Readings(values, up=up, unit="g")))
+    best = found.candidates[0]
+    ratios = [best.u[key] / found.u[key] for key in found.u]
+    assert best.fall == pytest.approx(1.0 - math.prod(ratios) ** (1.0 / 12.0), rel=1e-9)
+
+
+def test_the_drift_of_a_session_is_as_well_known_as_it_is():
+    """One position more says nothing of it: on its diagonal stands 1/u² beside the readings'."""
+    up = np.tile(read_scheme("all-26").up, (2, 1))
+    values = 1.1 * up + 0.02 + 1e-3 * away_from_zero((52, 3))
+    values += 1e-3 * np.arange(52.0)[:, None]
+    cal = mp.fit(mp.Readings(values, up=up, unit="g"), drift=True)
+    setting, present, _ = measured(cal)
+    drifts = [i for i, key in enumerate(cal.model.keys) if str(key[1]) == "drift"]
+    assert len(drifts) == 3
+    without = information_of(setting, up).sum(axis=0)
+    known = np.zeros(len(cal.u))
+    known[drifts] = 1.0 / cal.u[drifts] ** 2
+    assert_allclose(present - without, np.diag(known), rtol=1e-9, atol=1e-3)
