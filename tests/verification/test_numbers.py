@@ -1,0 +1,409 @@
+"""Numbers of checks and comparisons by hand or by a second route, at points without symmetry."""
+
+import math
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from known_noise import with_known_noise
+from numpy.testing import assert_allclose
+from scipy.stats import norm, t
+
+import multipos as mp
+from multipos.sensor.found import RestToRest, VarianceComponents
+from multipos.sensor.inverse import Nominal
+from multipos.sensor.model import build_model
+from multipos.verification import combining, regressions, repeat_findings, verdicts
+from multipos.verification.agreement import _orientation_error, _taken
+from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt_errors
+from multipos.verification.coefficients import ratios_to_k1
+from multipos.verification.comparison import _clock, change_rows
+from multipos.verification.consistency import _quadratic, _scatter, is_apart
+from multipos.verification.recalibration import _in_unit
+from multipos.verification.regressions import _family_factor, compare_regressions
+from multipos.verification.repeat_findings import _apart, _unsure
+from multipos.verification.verdicts import Check
+
+RNG = np.random.default_rng(12)
+
+
+def definite(n, seed):
+    A = np.random.default_rng(seed).normal(size=(n, n + 2))
+    return A @ A.T
+
+
+# --- repeats
+
+
+def test_the_sum_of_squares_of_repeats_is_that_of_least_squares():
+    values = RNG.normal(size=(3, 2)) * [1.0, 1e-5]
+    scale = np.outer([1.0, 1e-5], [1.0, 1e-5])
+    covariances = np.array([definite(2, seed) * scale for seed in range(3)])
+    roots = [np.linalg.inv(np.linalg.cholesky(C)) for C in covariances]
+    rows, right = (
+        np.vstack(roots),
+        np.concatenate([W @ x for W, x in zip(roots, values, strict=True)]),
+    )
+    left = right - rows @ np.linalg.solve(rows.T @ rows, rows.T @ right)
+    assert _quadratic(values, covariances) == pytest.approx(left @ left, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("weighed", "dof", "across", "apart"),
+    [
+        (False, (17.0, 18.0), 1e-10, True),
+        (False, (17.0, 18.0), 1e-8, False),
+        (False, (35.0, 35.0), 0.0, False),
+        (False, (math.inf, 18.0), 0.0, True),
+        (True, (9.0, 8.0), 0.0, True),
+        (True, (9.0, 9.0), 0.0, False),
+        (True, (math.inf, math.inf), 0.0, True),
+    ],
+)
+def test_outputs_are_apart_that_have_their_own_scatter(weighed, dof, across, apart):
+    """Twenty readings less three and two terms; variances of 4 and 9, correlated by so much."""
+    model = SimpleNamespace(terms=(("1", "x", "y"), ("1", "y")))
+    c = SimpleNamespace(readings=range(20), model=model, weighed=weighed, dof=np.array(dof))
+    C = np.array([[4.0, 3.9, 6.0 * across], [3.9, 4.0, 0.0], [6.0 * across, 0.0, 9.0]])
+    assert is_apart(c, C, np.array([0, 0, 1])) is apart
+    if not across:
+        single = SimpleNamespace(**{**vars(c), "dof": np.array(dof[:1])})
+        single.model = SimpleNamespace(terms=model.terms[:1])
+        assert is_apart(single, C[:2, :2], np.array([0, 0])) is (dof[0] != 35.0)
+
+
+def test_the_scatter_of_an_output_by_hand():
+    left, V = RNG.normal(size=(4, 2)), definite(8, 5)
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=left), noise=None, weighed=False, residuals=left,
+        dof=np.array([3.0, 2.5]), sd_of_readings=np.abs(left),
+    )  # fmt: skip
+    own = left[:, 1]
+    assert _scatter(c, [1]) == pytest.approx(np.sum(own**2) / 2.5)
+    c.noise = np.diag(V)
+    assert _scatter(c, [1]) == pytest.approx(np.sum(own**2 / np.diag(V)[1::2]) / 2.5)
+    c.noise = V
+    assert _scatter(c, [1]) == pytest.approx(own @ np.linalg.inv(V[1::2, 1::2]) @ own / 2.5)
+    assert _scatter(c, [0, 1]) == pytest.approx(left.ravel() @ np.linalg.inv(V) @ left.ravel() / 3)
+    c.weighed = True
+    assert _scatter(c, [1]) == pytest.approx(np.mean(own**2))
+    c.weighed, c.dof = False, np.array([3.0, 0.0])
+    assert math.isnan(_scatter(c, [1]))
+
+
+# --- sessions combined
+
+
+@dataclass
+class Fit:
+    variance_components: VarianceComponents | None
+
+
+def session_of(sd, dof, n=7):
+    model = SimpleNamespace(per_parameter=lambda of_outputs, _: of_outputs[[0, 0, 1]])
+    readings = mp.Readings(np.zeros((n, 2)), up=np.tile([0.0, 0.0, 1.0], (n, 1)))
+    return SimpleNamespace(
+        names="abc", residual_sd=np.array(sd), dof=np.array(dof), model=model, readings=readings
+    )  # fmt: skip
+
+
+def test_noise_of_few_readings_is_drawn_to_that_of_all():
+    """Pooled by degrees of freedom, which weigh as eight of all sessions beside a session's own."""
+    found = [session_of([0.3, 0.5], [2.0, 5.0]), session_of([0.7, 0.2], [3.0, 4.0])]
+    pooled = np.array([2 * 0.09 + 3 * 0.49, 5 * 0.25 + 4 * 0.04]) / [5.0, 9.0]
+    assert_allclose(combining._within(found, lambda c: c.residual_sd) ** 2, pooled)
+    factors = combining._shrunk(found)
+    wanted = (2 * 0.09 + 8 * pooled[0]) / 10 / 0.09, (5 * 0.25 + 8 * pooled[1]) / 13 / 0.25
+    assert_allclose(factors[0], [wanted[0], wanted[0], wanted[1]])
+
+
+def test_stated_noise_of_sessions_is_enlarged_by_what_all_leave(monkeypatch):
+    """χ²/ν of both is 26/12; of one (20 + 8·26/12)/(5 + 8), of the other no less than 1."""
+    gain = np.array([[0.5, -0.3], [0.2, 0.7]])
+    monkeypatch.setattr(combining, "estimator_gain", lambda c: gain)
+    monkeypatch.setattr(combining, "_covariance_within", lambda c: c.covariance)
+    stated = gain**2 @ [0.04, 0.09]
+
+    def one(chi2, dof, factor):
+        claim = SimpleNamespace(chi2=chi2, dof=dof)
+        readings = SimpleNamespace(noise=np.array([0.04, 0.09]))
+        return SimpleNamespace(
+            diagnostics=SimpleNamespace(claim=claim), readings=readings,
+            covariance=np.diag(stated * factor),
+        )  # fmt: skip
+
+    found = [one(20.0, 5.0, 1.7), one(6.0, 7.0, 1.3)]
+    level = (20.0 + 8 * 26 / 12) / 13, max((6.0 + 8 * 26 / 12) / 15, 1.0)
+    assert_allclose(combining._by_stated(found), [level[0] / 1.7, level[1] / 1.3])
+    quiet = [one(2.0, 5.0, 1.7), one(6.0, 7.0, 1.3)]
+    assert_allclose(combining._by_stated(quiet), [1.0 / 1.7, 1.0 / 1.3])
+
+
+def test_the_scatter_from_rest_to_rest_of_sessions_is_their_root_mean_square():
+    def part(x, y):
+        rests = {"ax": RestToRest(x, 0.1, 4.0), "ay": RestToRest(y, 0.2, 5.0)}
+        return Fit(VarianceComponents(rest_to_rest=rests))
+
+    nothing = Fit(None)
+    found = [part(0.3, 0.5), nothing, part(0.7, 0.1)]
+    rests = combining._with_scatter(part(0.6, 0.2), found).variance_components.rest_to_rest
+    assert rests["ax"] == RestToRest(pytest.approx(math.sqrt(0.29)), 0.1, 4.0)
+    assert rests["ay"] == RestToRest(0.2, 0.2, 5.0)  # the pooled fit has no more
+    assert combining._with_scatter(nothing, found) is nothing
+
+
+# --- a run that is checked
+
+
+def test_errors_of_force_and_their_u_by_the_inverse_of_the_matrix():
+    """f = K⁻¹(y − b): C of K and b by its derivatives, noise by K⁻¹, placement across f."""
+    rng = np.random.default_rng(4)
+    K, b = (
+        np.array([[1.1, 0.06, -0.04], [0.05, 0.9, 0.07], [-0.03, 0.08, 1.2]]),
+        [0.03, -0.02, 0.01],
+    )
+    up = mp.read_scheme("fibonacci-9").up
+    noisy = 3e-3 * rng.normal(size=up.shape)
+    cal = with_known_noise(
+        mp.fit(mp.Readings(b + up @ K.T + noisy, up=up, unit="g"), reading_sd=3e-3)
+    )
+    K, b = cal.parameters.reshape(3, 4)[:, 1:], cal.parameters.reshape(3, 4)[:, 0]
+    known = mp.read_scheme("fibonacci-5").up
+    values = b + known @ K.T + 0.01 * rng.normal(size=known.shape)
+    orientation, reference_u = np.linspace(0.002, 0.01, 5), 1e-3 * rng.uniform(1, 5, (5, 3))
+    data = mp.Readings(
+        values, up=known, unit="g", orientation_sd=orientation, reference_u=reference_u
+    )
+    noise = RunNoise(np.array([2e-3, 4e-3, 1e-3]) * np.ones((5, 1)), np.zeros((5, 3)))
+    nominal = Nominal(0.02, 1.3)
+    reference, before, after, u, U = force_errors(cal, data, known, nominal, noise)
+    inverse = np.linalg.inv(K)
+    force = (values - b) @ inverse.T
+    assert_allclose(reference, known)
+    assert_allclose(before, (values - 0.02) / 1.3 - known, atol=1e-12)
+    assert_allclose(after, force - known, atol=1e-8)
+    for row in range(5):
+        X = np.kron(np.eye(3), np.append(1.0, force[row]))
+        D = X @ cal.covariance @ X.T + np.diag(noise.whole[row] ** 2)
+        square = np.diag(inverse @ D @ inverse.T)
+        square = square + (1.0 - known[row] ** 2) * orientation[row] ** 2 + reference_u[row] ** 2
+        assert_allclose(u[row], np.sqrt(square), rtol=1e-4)
+    assert_allclose(U, u * norm.ppf(0.975), rtol=0.025)  # or by a k of 2
+
+
+def test_noise_of_a_run_that_is_stated_or_not():
+    values = np.zeros((2, 2))
+    parts = {"ax": SimpleNamespace(value=0.3), "ay": SimpleNamespace(value=0.4)}
+    c = SimpleNamespace(outputs=("ax", "ay"), variance_components=None)
+    data = SimpleNamespace(values=values, u=np.array([[0.4, 0.3], [1.6, 1.2]]))
+    assert run_noise(c, data, None).whole is data.u
+    c.variance_components = SimpleNamespace(rest_to_rest=parts)
+    whole, estimated = run_noise(c, data, None)
+    assert_allclose(whole, np.hypot(data.u, [0.3, 0.4]))
+    assert_allclose(estimated, [[0.3, 0.4]] * 2)
+    assert_allclose(run_noise(c, data, [0.1, 0.2]).whole, [[0.1, 0.2]] * 2)
+
+
+def test_what_placement_and_reference_add_to_a_run():
+    """Of a turn about every axis the cross product with what is known, and its square."""
+    known, u = RNG.normal(size=(3, 3)), RNG.uniform(0.1, 0.2, (3, 3))
+    sd = np.array([0.02, 0.05, math.inf])
+    data = SimpleNamespace(orientation_sd=sd, reference_u=u)
+    for row, T in enumerate(_orientation_error(data, known)):
+        moved = np.cross(np.eye(3), known[row])
+        s = sd[row] if row < 2 else 0.0
+        assert_allclose(T, s**2 * moved.T @ moved + np.diag(u[row] ** 2), atol=1e-14)
+
+
+def test_what_a_parameter_takes_of_the_sum_of_squares():
+    X, y = RNG.normal(size=(9, 4)), RNG.normal(size=9)
+    gram, right = X.T @ X, X.T @ y
+
+    def square(columns):
+        left = y - X[:, columns] @ np.linalg.lstsq(X[:, columns], y, rcond=None)[0]
+        return left @ left
+
+    assert_allclose(_taken(gram, right, [], np.zeros(0)), [y @ y - square([j]) for j in range(4)])
+    chosen = [2, 0]
+    steps = np.linalg.lstsq(X[:, chosen], y, rcond=None)[0]
+    taken = _taken(gram, right, chosen, steps)
+    assert_allclose(taken[[1, 3]], [square(chosen) - square([*chosen, j]) for j in (1, 3)])
+    assert_allclose(taken[chosen], 0.0, atol=1e-12)
+
+
+# --- changes, clocks and units
+
+
+def test_the_clock_of_repeats():
+    def at(*times):
+        return [
+            SimpleNamespace(readings=SimpleNamespace(environment={"time": np.array(each)}))
+            for each in times
+        ]
+
+    assert _clock(at([1e8, 1e8 + 4], [3e8, 3e8 + 2]))[1] == "absolute"
+    values, clock = _clock(at([1e8 - 1, 1e8 + 4], [1e8 + 5, 3e8]))
+    assert clock == "ordered"
+    assert_allclose(values, [1e8 + 1.5, (1e8 + 5 + 3e8) / 2])
+    together = at([0.0, 5.0], [5.0, 7.0])
+    assert _clock(together)[0].tolist() == [1.0, 2.0]
+    assert _clock([*at([3.0, 9.0]), SimpleNamespace(readings=SimpleNamespace(environment={}))])[
+        0
+    ].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "name", "own"),
+    [
+        (7.0, "V", "bias_a", 7.0),
+        (7.0, "", "scale_a", 7.0),
+        (7.0, "mg", "bias_a", 7e-3 * 2.5),
+        (7.0, "ppm", "bias_a", 7e-6 * 2.5),
+        (7.0, "%", "scale_a", 0.07 * 2.5),
+        (7.0, "mrad", "cross_a_y", 7e-3 * 2.5),
+    ],
+)
+def test_a_limit_in_the_unit_of_a_parameter(value, unit, name, own):
+    model = build_model("1 + x + y", ("a",), ("x",), unit="V")
+    c = SimpleNamespace(names=model.names, model=model, parameters=np.array([0.3, -2.5, 0.1]))
+    assert _in_unit(value, unit, name, c) == pytest.approx(own)
+
+
+def test_a_limit_of_a_field_in_another_of_its_units():
+    model = SimpleNamespace(units=("nT", ""), keys=(("m", "1"), ("m", "x")))
+    c = SimpleNamespace(names=("bias_m", "scale_m"), model=model, parameters=np.array([3.0, 0.9]))
+    assert _in_unit(7.0, "uT", "bias_m", c) == pytest.approx(7000.0)
+
+
+def test_changes_of_one_unit_keep_the_unit_that_the_largest_has():
+    def change(name, value, U, **more):
+        rest = {"En": abs(value) / U, "per_year": None, "limit": None, "within": None, "due": None}
+        return {"name": name, "change": value, "U": U, **rest, **more}
+
+    rate = {"value": 2e-4, "U": 1e-4}
+    found = {
+        "parameters": [{"name": n, "unit": u} for n, u in (("b", "g"), ("c", "g"), ("s", ""))],
+        "changes": [
+            change("b", -3.1e-3, 5e-4, per_year=rate, limit=2e-3, within=False, due="2031-01-01"),
+            change("c", 4.2e-5, 5.1e-4, limit=[-1e-3, None], within=True),
+        ],
+    }
+    header, rows = change_rows(found)
+    assert len(header) == 10
+    first, second = (dict(zip(header[:5], row[:5], strict=True)) for row in rows)
+    assert (first["unit"], second["unit"]) == ("mg", "mg")
+    assert (first["change"], first["U"], first["E_n"]) == ("-3.10", "0.50", "6.2")
+    assert (second["change"], second["E_n"]) == ("0.04", "0.082")
+    assert rows[0][5:] == ["0.20", "0.10", "2.00", "NO", "2031-01-01"]
+    assert rows[1][5:] == ["", "", "-1.00 … ", "yes", ""]
+
+
+def test_size_direction_and_zero_of_an_output_are_as_unsure_as_their_worst_term():
+    model = build_model("1 + x + y + z + x^2", ("a", "b"), ("y", "x"))
+    K = np.array([[0.3, 2.0, -0.6], [1.5, 0.0, 0.2]])
+    U = np.array([0.5, 0.4, 0.7, 0.1, 9.0, 0.6, 0.2, 0.3, math.nan, 9.0])
+    found = _unsure(SimpleNamespace(outputs=("a", "b"), sensitivity=K, model=model, U=U))
+    size = np.linalg.norm(K, axis=1)
+    assert_allclose(found, np.array([[0.7, 0.4, 0.5], [0.2, 0.3, 0.6]]) / size[:, None])
+
+
+# --- tumbles and regressions
+
+
+def test_ratios_to_k1_by_the_law_of_propagation():
+    """Of each ratio the gradient by differences; o of x is z, whose coefficient is turned round."""
+    model = build_model("1 + x + y + z + x^2", ("a",), ("x",), unit="V")
+    parameters, C = np.array([0.3, -2.5, 0.04, 0.07, 0.02]), 1e-6 * definite(5, 8)
+    k, dof = np.array([2.1, 2.2, 2.3, 2.4, 2.6]), np.array([9.0, 8.0, 7.0, 6.0, 5.0])
+    found = ratios_to_k1(model, parameters, C, k, dof, "x")
+    wanted = {"K0": (0, 1), "delta_o": (2, 1), "delta_p": (3, -1), "K2": (4, 1)}
+    for name, (j, sign) in wanted.items():
+        gradient = np.zeros(5)
+        gradient[j], gradient[1] = 1.0 / -2.5, -parameters[j] / 2.5**2
+        u, one = math.sqrt(gradient @ C @ gradient), found[name]
+        assert one.value == pytest.approx(sign * parameters[j] / -2.5)
+        assert (one.u, one.U) == (pytest.approx(u), pytest.approx(k[j] * u))
+        assert (one.k, one.dof, one.customary["u"]) == (k[j], dof[j], pytest.approx(1e6 * u))
+    one = found["K1"]
+    assert (one.value, one.u) == (-2.5, pytest.approx(math.sqrt(C[1, 1])))
+    assert one.customary["u"] == pytest.approx(1e6 * one.u / 2.5)
+    assert one.customary["U"] == pytest.approx(2.2e6 * one.u / 2.5)
+
+
+def test_u_of_many_rows_together_by_bonferroni():
+    r = SimpleNamespace(
+        segments=[SimpleNamespace(dof=(3.0, 40.0)), SimpleNamespace(dof=(5.0, 6.0))], confidence=0.9
+    )
+    by_hand = t.ppf(1.0 - 0.05 / 7, 6.0) / t.ppf(0.95, 6.0)
+    assert _family_factor(r, 7) == pytest.approx(by_hand, rel=1e-9)
+
+
+@pytest.mark.parametrize(("p", "consistent"), [(0.0249, False), (0.0251, True), (None, True)])
+def test_regressions_agree_whose_smallest_p_times_their_number_does(p, consistent, monkeypatch):
+    tested = [math.nan] if p is None else [0.5, p, math.nan]
+    terms = [SimpleNamespace(p=each, term="t", values=np.ones(2)) for each in tested]
+    monkeypatch.setattr(regressions, "_compared", lambda repeats, s: terms)
+    monkeypatch.setattr(regressions, "_check_alike", lambda *_: None)
+    monkeypatch.setattr(regressions, "find_repeated_regressions", lambda runs: ())
+    run = [SimpleNamespace(segments=[0], created="", run="run")]
+    assert compare_regressions([run, run], ("a", "b"), 0.95).consistent is consistent
+
+
+def test_a_zero_that_moved_is_said_in_g_of_its_output():
+    """(.9 − .3) V over 2.5 V/g; the ratio of the other's size is 1.3, whose ln is .26 of .1."""
+    model = build_model("1 + own", ("a", "b"), ("x", "y"), unit="V")
+    K = np.array([[2.5, 0.0, 0.0], [0.0, -4.0, 0.0]])
+    one = SimpleNamespace(
+        outputs=("a", "b"), model=model, sensitivity=K, U=np.full(4, 1e-3),
+        parameters=np.array([0.3, 2.5, 0.1, -4.0]),
+    )  # fmt: skip
+    other = SimpleNamespace(**{**vars(one), "parameters": np.array([0.9, 2.5, 0.1, -4.0])})
+    by, words = _apart(one, other)
+    assert words == "the bias of a changed by +0.24 g"
+    assert by == pytest.approx(0.24 / repeat_findings._ZERO)
+    other = SimpleNamespace(**{**vars(one), "sensitivity": K * [[1.0], [1.3]]})
+    by, words = _apart(one, other)
+    assert words == "b is 1.3 times as sensitive"
+    assert by == pytest.approx(math.log(1.3) / repeat_findings._SCALE)
+
+
+def test_tilt_of_one_axis_before_and_after_in_degrees():
+    """A tilt is asin f; before, of what 1.3 V/g and .02 V make of a reading."""
+    up = mp.read_scheme("roll-y-9").up
+    K, b = 1.1, 0.03
+    cal = mp.fit(mp.Readings(b + K * up[:, :1], up=up, unit="V"), axes="x", model="1 + x")
+    sines = np.array([0.3, -0.5])
+    known = np.column_stack([sines, np.zeros(2), np.sqrt(1.0 - sines**2)])
+    data = mp.Readings(
+        b + K * (known[:, :1] + 0.01), up=known, unit="V", orientation_sd=[0.01, 0.02]
+    )
+    noise = RunNoise(np.array([[0.003], [0.002]]), np.zeros((2, 1)))
+    reference, before, after, u, U = tilt_errors(cal, data, Nominal(0.02, 1.3), noise)
+    true = np.degrees(np.arcsin(sines))[:, None]
+    assert_allclose(reference, true)
+    assert_allclose(before, np.degrees(np.arcsin((data.values - 0.02) / 1.3)) - true)
+    assert_allclose(after, np.degrees(np.arcsin(sines + 0.01))[:, None] - true, atol=1e-6)
+    of_noise = np.array([0.003, 0.002]) / K / np.sqrt(1.0 - (sines + 0.01) ** 2)
+    assert_allclose(u[:, 0], np.degrees(np.hypot(of_noise, [0.01, 0.02])), rtol=1e-3)
+    assert_allclose(U, 1.96 * u, rtol=0.03)
+    turned = replace(cal, convention="gravity")
+    assert_allclose(
+        tilt_errors(turned, data, Nominal(0.02, 1.3), noise)[1],
+        np.degrees(np.arcsin(-(data.values - 0.02) / 1.3)) - true,
+    )
+
+
+def test_a_table_of_errors_is_row_by_row(monkeypatch):
+    columns = {}
+    monkeypatch.setattr(verdicts, "data_frame", columns.update)
+    numbers = {n: RNG.normal(size=(3, 2)) for n in ("reference", "before", "u", "U", "En")}
+    check = SimpleNamespace(
+        positions=("p", "q", "r"), axes=("x", "y"), verdicts=np.full((3, 2), ""),
+        after=np.arange(6.0).reshape(3, 2), counted=np.ones((3, 2), dtype=bool), **numbers,
+    )  # fmt: skip
+    Check.to_pandas(check)
+    assert list(columns["position"]) == ["p", "p", "q", "q", "r", "r"]
+    assert list(columns["axis"]) == ["x", "y"] * 3
+    assert columns["after"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert columns["En"].tolist() == numbers["En"].ravel().tolist()
