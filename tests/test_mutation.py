@@ -10,7 +10,7 @@ import pytest
 
 from tests.mutation.__main__ import draw
 from tests.mutation.changes import changes_of
-from tests.mutation.trying import _waited
+from tests.mutation.trying import Reached, _waited
 
 SOURCE = '''
 def deviation(x: list[float], known: bool = True) -> float:
@@ -48,6 +48,17 @@ def test_every_change_is_code(room, tmp_path):
         assert ast.dump(ast.parse(copy.read_bytes())) != ast.dump(
             ast.parse(Path(change.path).read_bytes())
         )
+
+
+def test_what_waits_without_the_processor_is_given_up():
+    """By ten times what its tests took, and half a minute."""
+    reached = Reached({"a": 0.2, "b": 3.0}, {})
+    assert reached.longest(["b"]) == 60.0
+    process = subprocess.Popen(["sleep", "60"], start_new_session=True)
+    assert _waited(process.pid, 0.1) == 1
+    with pytest.raises(ProcessLookupError):
+        os.kill(process.pid, 0)
+    process.poll()
 
 
 def test_an_interrupt_leaves_no_process(monkeypatch):

@@ -41,6 +41,7 @@ _BESIDE = {
         "tests/sensor/test_parity.py",
         "tests/sensor/test_magnetometer.py",
         "tests/regression/test_regress.py",
+        "tests/regression/test_several.py",
     ),
     "exports": ("tests/sensor/test_magnetometer.py",),
     "capturing": ("tests/sensor/test_magnetometer.py",),

@@ -1,0 +1,252 @@
+"""Numbers of static records by hand or by a second route, at points without symmetry."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import nnls
+from scipy.stats import chi2, t
+
+import multipos as mp
+from multipos.bias_stability import allan, analysis, trends
+from multipos.bias_stability.allan import (
+    _best,
+    _is_rejected,
+    _not_negative,
+    _pairs,
+    _products,
+    octaves,
+    phase_covariance,
+    starts,
+)
+from multipos.bias_stability.analysis import Values, _check_alike, _is_steady, _movements
+from multipos.bias_stability.stability_result import _is_whole, _shown
+from multipos.bias_stability.static_records import _require_one_g
+
+
+def test_phases_covary_by_the_laws_of_their_noise():
+    # eq. (3) of bias_stability.allan
+    lag = 2.7
+    by_hand = [-lag / 2.0, lag**2 * math.log(lag) / (2.0 * math.pi), lag**3 / 12.0]
+    assert_allclose(phase_covariance(np.array([-lag, 0.0]))[:, 0], by_hand)
+    assert_allclose(phase_covariance(np.array([-lag, 0.0]))[:, 1], 0.0)
+
+
+@pytest.mark.parametrize("lag", [-6, -2, 0, 3, 5, 8])
+def test_pairs_of_so_many_starts_apart_are_counted(lag):
+    count = sum(i - j == lag for i in range(5) for j in range(7))
+    assert _pairs(np.array([float(lag)]), 5, 7) == count
+
+
+def test_products_of_flicker_and_walk_are_sums_over_all_pairs():
+    """Second differences of phases a lag apart covary by R; their squares by twice its square."""
+    records, lengths = ((60, 2), (37, 1)), (1, 2, 4)
+    lags = np.roll(np.arange(-60, 61), -60)  # a lag is its own place
+    total = [sum(k * starts(n, m) for n, k in records) for m in lengths]
+
+    def apart(law, m, k, lag):
+        weights = (1.0, -2.0, 1.0)
+        places = [(a * m - b * k, weights[a] * weights[b]) for a in range(3) for b in range(3)]
+        return sum(w * phase_covariance(np.array(lag + place))[law] for place, w in places)
+
+    found = _products(lengths, records)
+    for law, other in ((0, 0), (1, 1), (2, 2), (0, 2), (1, 2)):
+        for i, m in enumerate(lengths):
+            for j, k in enumerate(lengths[i:], i):
+                product = apart(law, m, k, lags) * apart(other, m, k, lags)
+                square = sum(
+                    times
+                    * product[np.subtract.outer(range(starts(n, m)), range(starts(n, k)))].sum()
+                    for n, times in records
+                )
+                by_hand = 2.0 * square / (2.0 * m**2 * total[i] * 2.0 * k**2 * total[j])
+                assert found[law, other, i, j] == pytest.approx(by_hand, rel=0.05)
+                assert found[law, other, j, i] == found[law, other, i, j]
+
+
+def test_least_squares_without_negative_parts():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        A, y = rng.normal(size=(6, 3)), rng.normal(size=6)
+        assert_allclose(_not_negative(A, y), nnls(A, y)[0], atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("gain", "count", "laws"), [(3.9, 9, 3), (4.1, 9, 4), (4.1, 6, 3), (4.1, 7, 4)]
+)
+def test_quantisation_must_explain_so_much_more(gain, count, laws, monkeypatch):
+    fits = {3: SimpleNamespace(chi2=20.0, laws=3), 4: SimpleNamespace(chi2=20.0 - gain, laws=4)}
+    monkeypatch.setattr(allan, "_fit", lambda *arguments: fits[arguments[-1]])
+    assert _best(range(count), np.zeros(count), (), 2).laws == laws
+
+
+@pytest.mark.parametrize(("by", "rejected"), [(0.999, False), (1.001, True)])
+def test_a_curve_is_rejected_at_one_in_a_thousand(by, rejected):
+    assert _is_rejected(SimpleNamespace(dof=5, chi2=by * chi2.isf(1e-3, 5))) is rejected
+    assert not _is_rejected(SimpleNamespace(dof=0, chi2=1e9))
+    poor, rich = SimpleNamespace(likelihood=50.0), SimpleNamespace()
+    rich.likelihood = 50.0 - by * chi2.isf(1e-4, 3)
+    assert trends._better(rich, poor, 3) == rejected
+
+
+def test_a_warm_up_is_looked_for_inside_the_records(monkeypatch):
+    """From two blocks, 14 samples, to a third of the longest, 100; forty times between."""
+    seen = []
+
+    def square(records, names, constant, white):
+        seen.append(constant)
+        return SimpleNamespace(square=abs(math.log(constant / 40.0)))
+
+    def described(records, lengths, names, constant):
+        value = SimpleNamespace(value=settled[0] * constant)
+        return SimpleNamespace(time_constant=value, names=names)
+
+    monkeypatch.setattr(trends, "_least_squares", square)
+    monkeypatch.setattr(trends, "_describe", described)
+    records = [SimpleNamespace(length=5, samples=300), SimpleNamespace(length=7, samples=200)]
+    settled = [1.0]
+    found = trends._warming(records, (), ("t",))
+    assert (len(seen), seen[0], seen[-1]) == (40, pytest.approx(14.0), pytest.approx(100.0))
+    assert found.time_constant.value == min(seen, key=lambda one: abs(math.log(one / 40.0)))
+    assert found.names == ("t", trends.DRIFT, trends.WARM_UP)
+    for settled[0] in (0.3, 2.7):
+        assert trends._warming(records, (), ()) is None
+    assert trends._warming([SimpleNamespace(length=17, samples=102)], (), ()) is None
+
+
+def test_noise_that_is_left_is_of_lengths_that_the_records_have_often(monkeypatch):
+    given = []
+    monkeypatch.setattr(trends, "fit_laws", lambda *arguments: given.append(arguments))
+    monkeypatch.setattr(trends, "_left_over", lambda record, trend, used: trend * np.array(used))
+    records = [SimpleNamespace(samples=240), SimpleNamespace(samples=100)]
+    lengths = octaves(240)
+    trends._noise(records, lengths, [2.0, 3.0])
+    used, curve, samples = given[0]
+    assert (used, samples) == ([1, 2, 4, 8, 16], [240, 100])
+    m = np.array(used)
+    counts = np.array([starts(240, k) + starts(100, k) for k in used])
+    assert_allclose(curve, 5.0 * m / (2.0 * m**2 * counts))
+    trends._noise([SimpleNamespace(samples=20)], octaves(20), [1.0])
+    assert given[1][0] == list(octaves(20)[:4])
+
+
+def record(**more):
+    own = {
+        "source": "s", "names": ("a", "b"), "unit": "g", "rate": 100.0, "temperature": None,
+        "sums": np.array([[3.0, 5.0, 7.0], [2.0, 4.0, 9.0]]), "samples": 12,
+        "length": 4, "blocks": np.arange(6.0).reshape(2, 3),
+    }  # fmt: skip
+    return SimpleNamespace(**own | more)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"names": ("a", "c")}, "its outputs are a, c"),
+        ({"unit": "V"}, "its outputs are in V"),
+        ({"rate": 101.01}, "101.01 Hz"),
+        ({"rate": 98.99}, "98.99 Hz"),
+        ({"temperature": np.ones(3)}, "no temperature"),
+        ({"sums": np.array([[3.0, 5.0], [0.0, 0.0]])}, "'b' never changes"),
+        ({"rate": 100.99}, None),
+        ({"rate": 99.01}, None),
+    ],
+)
+def test_records_that_are_pooled_are_alike(change, said):
+    if said is None:
+        _check_alike([record(), record(**change)])
+        return
+    with pytest.raises(mp.MultiposError, match=said):
+        _check_alike([record(), record(**change)])
+
+
+def test_the_deviation_of_records_together_by_hand():
+    raw = [record(samples=12), record(samples=6, sums=np.array([[1.0, 0.5], [6.0, 2.5]]))]
+    values = Values(raw, (1, 2, 4), "g", 0.95)
+    counts = [
+        starts(12, 1) + starts(6, 1),
+        starts(12, 2) + starts(6, 2),
+        starts(12, 4) + starts(6, 4),
+    ]
+    by_hand = np.sqrt(np.array([8.0, 6.5, 9.0]) / (2.0 * np.array([1, 4, 16]) * counts))
+    assert_allclose(values._deviation(1), by_hand)
+
+
+@pytest.mark.parametrize(("means", "told"), [((0.5, 0.049), False), ((0.5, 0.051), True)])
+def test_a_temperature_coefficient_in_ppm_of_what_an_output_reads(means, told):
+    raw = [record()]
+    values = Values(raw, (1, 2, 4), "g", 0.9)
+    values._means = np.array(means)
+    one = SimpleNamespace(value=3e-5, u=4e-6, dof=7.0)
+    found = values._temperature(SimpleNamespace(found={trends.TEMPERATURE: one}), 1)
+    k = t.ppf(0.95, 7.0)
+    assert pytest.approx(k * 4e-6) == found.change.U
+    assert found.micro_g.value == pytest.approx(30.0)
+    if told:
+        assert found.ppm.value == pytest.approx(1e6 * 3e-5 / 0.051)
+        assert pytest.approx(1e6 * k * 4e-6 / 0.051) == found.ppm.U
+    else:
+        assert found.ppm is None
+    assert values._temperature(SimpleNamespace(found={}), 1) is None
+
+
+def test_a_movement_is_told_by_its_time(monkeypatch):
+    """The middle of block 7 of 40 samples at 16 Hz: 18.75 s."""
+    found = {0.0: None, 3.0: SimpleNamespace(block=7, jump=0.0123, count=3)}
+    monkeypatch.setattr(analysis, "find_movement", lambda means: found[means[0]])
+    (said,) = _movements(record(length=40, rate=16.0))
+    assert said.outputs == ("b",)
+    assert said.text.startswith("s: b jumps by 0.012 near 19 s, the largest of 3 movements")
+
+
+@pytest.mark.parametrize("size", [1e3 * 2, 9.8 * 2, 9.8 / 2, 0.102 / 2, 0.102 * 2])
+def test_a_force_of_one_g_in_another_unit_is_refused_within_a_factor_of_two(size):
+    field = SimpleNamespace(magnetic=False)
+    c = SimpleNamespace(field=field, model=SimpleNamespace(unit="g"))
+
+    def force(by):
+        return np.array([[0.6], [-0.8], [0.0]]) * [size * by, 0.1 * size, 7.0 * size]
+
+    inside, outside = (0.99, 1.01) if size in (2e3, 19.6, 0.204) else (1.01, 0.99)
+    with pytest.raises(mp.MultiposError, match="where 1 g is meant"):
+        _require_one_g("s", c, force(inside))
+    _require_one_g("s", c, force(outside))
+    _require_one_g("s", SimpleNamespace(field=SimpleNamespace(magnetic=True)), force(inside))
+    _require_one_g("s", c, force(inside)[:2])
+
+
+def test_a_coefficient_of_nothing_is_shown_by_its_bound():
+    assert _shown(SimpleNamespace(value=0.0, u=2.0, U=3.4), 1.5) == "< 5.1"
+    assert _shown(SimpleNamespace(value=4.0, u=0.2, U=0.4), 1.5) == "6.00(30)"
+
+
+def test_a_record_without_a_change_of_temperature_is_steady():
+    assert _is_steady(record(temperature=np.full(3, 21.0)))
+    assert not _is_steady(record(temperature=np.array([21.0, 21.5])))
+    assert not _is_steady(record())
+
+
+def test_a_file_is_whole_where_everything_is_about_the_same_outputs():
+    def whole(**change):
+        columns = {"a": [1.0, 2.0], "b": [3.0, 4.0]}
+        one = {"temperature": None, "time": [0.0, 1.0], "zero": columns, "settled": columns}
+        spread = {"a": 1, "b": 2}
+        content = {"outputs": spread, "run_to_run": spread, "turn_on": None, "records": [one]}
+        return content | change, one, columns
+
+    taus = [[1.0, 2.0], [1.0, 2.0]]
+    content, one, columns = whole()
+    assert _is_whole(content, taus)
+    assert not _is_whole(content, [[1.0, 2.0], [1.0, 3.0]])
+    assert not _is_whole(whole(outputs={}, run_to_run=None, records=[])[0], [])
+    assert not _is_whole(whole(turn_on={"a": 1})[0], taus)
+    for change in (
+        {"temperature": [20.0]},
+        {"zero": {**columns, "b": [3.0]}},
+        {"settled": {"a": 1}},
+        {"zero": {"a": [1.0, 2.0]}},
+    ):
+        assert not _is_whole(whole(records=[one, {**one, **change}])[0], taus)
+    assert _is_whole(whole(records=[one, {**one, "temperature": [20.0, 21.0]}])[0], taus)

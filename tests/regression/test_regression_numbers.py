@@ -1,0 +1,287 @@
+"""Numbers of regressions by hand or by a second route, at points without symmetry."""
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import f as fisher
+from scipy.stats import t
+
+from multipos.numerics.terms import parse_terms
+from multipos.regression.correlation import (
+    _autoregression,
+    _filtered,
+    _first_variance,
+    _less,
+    _likelihoods,
+    _long_run,
+    bandwidth,
+)
+from multipos.regression.junctions import _junction, find_junctions
+from multipos.regression.observations import _same, _still
+from multipos.regression.piecewise import _local, _segment
+from multipos.regression.prediction import hold_inside
+from multipos.regression.region import Region
+from multipos.regression.robust import _by_law, _tested, within_runs
+from multipos.regression.segmentation import hinges
+
+
+@dataclass
+class Data:
+    response: np.ndarray
+    run: np.ndarray
+
+
+class Rows(SimpleNamespace):
+    def __init__(self, response, columns):
+        super().__init__(response=response, columns=columns, run=None)
+
+    def __len__(self):
+        return len(self.response)
+
+
+def ages_of(*lengths):
+    return np.concatenate([np.arange(length) for length in lengths])
+
+
+def test_likelihoods_of_laws_by_dense_covariances():
+    """Of a mean and a slope beside noise whose covariance is that of the filter, in two runs."""
+    rng = np.random.default_rng(3)
+    n, age = 40, ages_of(23, 17)
+    X = np.column_stack([np.ones(n), rng.normal(size=n)])
+    e = rng.normal(size=n)
+    for i in range(1, n):
+        e[i] += 0.6 * e[i - 1] if age[i] else 0.0
+    found = _likelihoods(np.column_stack([X, e]), age)
+    for rho, share in list(found)[::7]:
+        theta = rho * share
+        W = _filtered(np.eye(n), age, rho, theta)
+        V = np.linalg.inv(W.T @ W)
+        weights = np.linalg.inv(V)
+        b = np.linalg.solve(X.T @ weights @ X, X.T @ weights @ e)
+        square = (e - X @ b) @ weights @ (e - X @ b)
+        by_hand = -0.5 * np.linalg.slogdet(V)[1] - 0.5 * np.linalg.slogdet(X.T @ weights @ X)[1]
+        by_hand -= 0.5 * (n - 2) * math.log(square)
+        assert found[rho, share] == pytest.approx(by_hand, abs=1e-6)
+    best = max(found, key=found.__getitem__)
+    near = [one for one in found if one[1] == best[1] and one != best]
+    assert min(abs(one[0] - best[0]) for one in near) < 0.1  # the grid is finer at its top
+    assert all(0.0 <= rho < 0.9995 and 0.0 <= share < 1.0 for rho, share in found)
+
+
+def test_the_first_variance_is_that_of_the_process():
+    """x = ρ x' + e − θ e': its variance is a sum over all that went before."""
+    rho, theta = 0.8, 0.3
+    weights = [1.0, *((rho - theta) * rho ** np.arange(200.0))]
+    assert _first_variance(rho, theta) == pytest.approx(np.square(weights).sum(), rel=1e-12)
+
+
+def test_rows_less_those_before_within_their_run():
+    z = np.array([3.0, 5.0, -2.0, 7.0, 11.0])
+    assert_allclose(_less(z, 0.4, ages_of(3, 2), 1), [3.0, 3.8, -4.0, 7.0, 8.2])
+    assert_allclose(_less(z, 0.4, ages_of(3, 2), 2), [3.0, 5.0, -3.2, 7.0, 11.0])
+
+
+@pytest.mark.parametrize(("n", "order"), [(400, 3), (39, 1), (19, 0)])
+def test_an_autoregression_has_the_order_of_least_criterion(n, order):
+    """n ln(e'e/n) + q ln n over q up to a twentieth of the rows, and six."""
+    rng = np.random.default_rng(5)
+    e, age = rng.normal(size=n), ages_of(n - n // 3, n // 3)
+    for i in range(2, n):
+        if age[i] >= 2:
+            e[i] += 0.5 * e[i - 1] - 0.6 * e[i - 2]
+    found, scores = [], []
+    for q in range(min(n // 20, 6) + 1):
+        rows = [[e[i - lag] if age[i] >= lag else 0.0 for lag in range(1, q + 1)] for i in range(n)]
+        lagged = np.array(rows).reshape(n, q)
+        a = np.linalg.lstsq(lagged, e, rcond=None)[0] if q else np.zeros(0)
+        left = e - lagged @ a
+        found.append(a)
+        scores.append(n * math.log(left @ left / n) + q * math.log(n))
+    best = found[int(np.argmin(scores))]
+    assert len(best) <= order
+    assert_allclose(_autoregression(e, age), best, rtol=1e-9)
+
+
+def test_the_long_run_power_of_scores_row_by_row():
+    """Whitened by the correlation of neighbours, corrected; sums with Bartlett's weights; back."""
+    rng = np.random.default_rng(8)
+    n, run = 60, np.repeat([0, 1], [35, 25])
+    g = rng.normal(size=(n, 2))
+    for i in range(1, n):
+        g[i] += [0.5 * g[i - 1, 0], -0.3 * g[i - 1, 1]] if run[i] == run[i - 1] else 0.0
+    order = SimpleNamespace(order=np.arange(n), run=run)
+    beside = [i for i in range(1, n) if run[i] == run[i - 1]]
+    h, a = g.copy(), np.zeros(2)
+    for j in range(2):
+        a[j] = sum(g[i, j] * g[i - 1, j] for i in beside) / (g[:, j] @ g[:, j]) * n / len(beside)
+        a[j] += (1.0 + 3.0 * a[j]) / n if a[j] > 0.0 else 0.0
+        for i in range(n):
+            h[i, j] = g[i, j] - a[j] * g[i - 1, j] if i in beside else g[i, j]
+            h[i, j] *= 1.0 if i in beside else math.sqrt(1.0 - a[j] ** 2)
+    left = sum(h[i] @ h[i - 1] for i in beside) / np.sum(h**2)
+    B = bandwidth(abs(left), n)
+    S = np.zeros((2, 2))
+    for i in range(n):
+        for k in range(n):
+            if run[i] == run[k] and abs(i - k) < B:
+                S += (1.0 - abs(i - k) / B) * np.outer(h[i], h[k])
+    wanted = S / np.outer(1.0 - a, 1.0 - a)
+    assert_allclose(_long_run(g, order), wanted, rtol=1e-9)
+
+
+def test_a_third_of_the_rows_is_the_widest_band():
+    """α = 4·.25/(.25·2.25) = 16/9 at .5: 1.1447 (16/9·90)^(1/3) = 6.2."""
+    assert bandwidth(0.5, 90) == 7
+    assert bandwidth(0.96, 90) == 30
+    assert bandwidth(0.99, 10**6) == bandwidth(0.97, 10**6)
+
+
+def test_columns_that_are_one_but_for_size_and_zero():
+    x = np.array([1.0, 2.0, 4.0, 8.5])
+    off = 3e-10 * np.array([1.0, -1.0, 1.0, -1.0])
+    assert _same(x, -3.0 * x, False)
+    assert not _same(x, 3.0 * x + 1.0, False)
+    assert _same(x, 3.0 * x + 1.0, True)
+    assert not _same(x, x + 10.0 * off, True)
+    assert _same(x, x + 0.1 * off, True)
+    assert _still(np.array([1.0, 1.0 + 5e-15]), True)
+    assert not _still(np.array([1.0, 1.0 + 5e-14]), True)
+    assert not _still(np.array([1.0, 1.0]), False)
+    assert _still(np.zeros(2), False)
+
+
+def test_rows_less_what_differs_between_runs():
+    """Each column less the mean of its run, and the mean of these means added."""
+    run = np.array([4, 4, 9, 9, 9])
+    design, y = (
+        np.array([[1.0, 3.0], [2.0, 5.0], [4.0, 1.0], [8.0, 2.0], [3.0, 9.0]]),
+        np.arange(5.0),
+    )
+    X, data = within_runs(design, Data(y, run))
+    for found, column in zip([*X.T, data.response], [*design.T, y], strict=True):
+        first, second = column[:2].mean(), column[2:].mean()
+        wanted = np.concatenate([column[:2] - first, column[2:] - second]) + (first + second) / 2
+        assert_allclose(found, wanted)
+
+
+def test_numbers_of_a_segment_by_their_definitions():
+    rng = np.random.default_rng(2)
+    n = 12
+    X = np.column_stack([np.ones(n), rng.normal(size=n)])
+    y = X @ [3.0, 0.5] + rng.normal(size=n)
+    H = X @ np.linalg.pinv(X)
+    e = y - H @ y
+    terms = parse_terms("1 + t")
+    selection = SimpleNamespace(path=(), runner_up=None, F_to_enter=None, collinear=())
+    fit = SimpleNamespace(
+        residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection, subsets=()
+    )
+    data = Rows(y, {"t": X[:, 1]})
+    plan = SimpleNamespace(terms=terms, confidence=0.9, variables=("t",))
+
+    def segment(rows, kept):
+        return _segment(
+            plan, fit, data, rows, kept, np.zeros(2), np.eye(2), (1, n - 2), 3.4, (0, 1), None, None
+        )
+
+    whole = segment(np.arange(n), terms)
+    assert whole.rms == pytest.approx(math.sqrt(e @ e / (n - 2)))
+    assert whole.r2 == pytest.approx(np.corrcoef(y, H @ y)[0, 1] ** 2)
+    assert whole.adjusted_r2 == pytest.approx(1.0 - (e @ e / (n - 2)) / y.var(ddof=1))
+    left_out = []
+    for i in range(n):
+        rest = np.arange(n) != i
+        left_out.append(y[i] - X[i] @ np.linalg.lstsq(X[rest], y[rest], rcond=None)[0])
+    assert whole.press == pytest.approx(np.sqrt(np.mean(np.square(left_out))))
+    assert whole.p == pytest.approx(fisher.sf(3.4, 1, n - 2))
+    assert whole.F_critical == pytest.approx(fisher.ppf(0.9, 1, n - 2))
+    assert whole.aicc == pytest.approx(n * math.log(e @ e / n) + 2 * 3 * n / (n - 3 - 1))
+    assert whole.limits == {"t": (X[:, 1].min(), X[:, 1].max())}
+    rows = np.array([1, 4, 5, 7, 10])
+    part = segment(rows, terms)
+    own = e[rows] @ e[rows] / (5 - np.diag(H)[rows].sum())
+    assert part.rms == pytest.approx(math.sqrt(own))
+    assert part.r2 == pytest.approx(1.0 - e[rows] @ e[rows] / (4 * y[rows].var(ddof=1)))
+    assert part.adjusted_r2 == pytest.approx(1.0 - own / y[rows].var(ddof=1))
+    bare = segment(rows, terms[1:])
+    assert bare.r2 == pytest.approx(1.0 - e[rows] @ e[rows] / (y[rows] @ y[rows]))
+    assert bare.adjusted_r2 == pytest.approx(1.0 - own / (y[rows] @ y[rows] / 5))
+
+
+def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
+    terms = parse_terms("1 + t + t^2 + t*v")
+    chosen = [*terms, *hinges(terms, "t", (2.0, 5.0), both=True)]
+    b = np.random.default_rng(6).normal(size=len(chosen))
+    at = {"t": np.array([0.7, 3.3, 6.1]), "v": np.array([1.7, -0.4, 2.2])}
+    whole = sum(value * column.evaluate(at) for value, column in zip(b, chosen, strict=True))
+    for i, below in enumerate(((), (2.0,), (2.0, 5.0))):
+        own, L = _local(chosen, below)
+        here = sum(value * term.evaluate(at) for value, term in zip(L @ b, own, strict=True))
+        assert here[i] == pytest.approx(whole[i], rel=1e-10)
+
+
+def test_leverage_of_a_region_is_the_square_of_its_factor():
+    terms = parse_terms("1 + t + t*v")
+    factor = np.array([[0.3, 0.0, -0.2], [0.0, 0.7, 0.5]])
+    at = {"t": np.array([0.7, -3.3]), "v": np.array([1.7, 0.4])}
+    values = np.stack([np.ones(2), at["t"], at["t"] * at["v"]])
+    found = Region(terms, factor, 1.0).leverage(at, 2)
+    assert_allclose(found, np.sum((factor @ values) ** 2, axis=0))
+
+
+def test_a_jump_between_two_segments_where_it_is_largest():
+    """Rows near the edge, the largest difference of both and its U by the fewer of freedom."""
+    C = [np.array([[0.04, 0.01], [0.01, 0.09]]), np.array([[0.03, -0.02], [-0.02, 0.05]])]
+    values, v = [np.array([1.0, 2.0]), np.array([1.3, 1.4])], np.array([0.5, -3.0, 2.0, 9.0])
+
+    def segment(i, dof, robust):
+        return SimpleNamespace(
+            values=values[i], covariance=C[i], dof=(1, dof), robust=robust, branch="up",
+            design=lambda columns, rows: np.column_stack([np.ones(len(rows)), v[rows]]),
+        )  # fmt: skip
+
+    robust = SimpleNamespace(covariance=4.0 * C[1], t_dof=6.5)
+    below, above = segment(0, 7.0, None), segment(1, 3.0, robust)
+    found = _junction(below, above, {}, np.array([0, 1, 2]), 5.0, 0.9)
+    x = np.array([1.0, -3.0])
+    u = math.sqrt(x @ C[0] @ x + 4.0 * x @ C[1] @ x)
+    assert found.jump == pytest.approx(0.3 + 0.6 * 3.0)
+    assert pytest.approx(t.ppf(0.95, 6.5) * u, rel=1e-6) == found.U
+    assert find_junctions([], Rows(v, {}), None, (), None, 0.9) == ()
+
+
+def test_columns_are_held_inside_what_a_segment_was_fitted_to():
+    region = SimpleNamespace(leverage=lambda at, n: at["v"] ** 2, limit=4.0)
+    segments = [
+        SimpleNamespace(
+            used=("t", "v"), limits={"v": (-1.0, 3.0)}, range=(0.0, 5.0), region=region
+        ),
+        SimpleNamespace(used=("t", "v"), limits={"v": (-9.0, 9.0)}, range=(5.0, 8.0), region=None),
+    ]
+    regression = SimpleNamespace(segments=segments, segment_variable="t")
+    columns = {
+        "t": np.array([0.0, -0.1, 4.0, 4.0, 4.0, 8.0, 8.1]),
+        "v": np.array([-1.0, 0.0, -1.1, 2.1, 1.9, 9.0, 0.0]),
+    }
+    beyond, held = hold_inside(regression, columns, np.array([0, 0, 0, 0, 0, 1, 1]))
+    assert beyond.tolist() == [False, True, True, True, False, False, True]
+    assert held["t"].tolist() == [0.0, 0.0, 4.0, 4.0, 4.0, 8.0, 8.0]
+    assert held["v"].tolist() == [-1.0, 0.0, -1.0, 2.1, 1.9, 9.0, 0.0]
+
+
+def test_a_law_is_tested_by_wald_and_what_is_later_makes_no_less_of_it():
+    values, C = np.array([5.0, 0.4, -0.3]), np.diag([1.0, 0.02, 0.03])
+    F = (0.16 / 0.02 + 0.09 / 0.03) / 2
+    one = SimpleNamespace(values=values, covariance=C, dof=9, later=None)
+    found = _by_law(one, [1, 2], 0.5)
+    assert (found.F, found.p) == (pytest.approx(F), pytest.approx(fisher.sf(F, 2, 9)))
+    later = SimpleNamespace(values=values, covariance=4.0 * C, dof=7, later=None)
+    one.later = later
+    assert pytest.approx(F) == _by_law(one, [1, 2], found.p).F
+    assert pytest.approx(F / 4) == _by_law(one, [1, 2], found.p * 1.01).F
+    assert math.isnan(_tested(3.0, 0, 5.0).p)
+    assert math.isnan(_tested(3.0, 2, 0.0).p)

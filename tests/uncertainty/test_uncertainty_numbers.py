@@ -1,0 +1,248 @@
+"""Numbers of uncertainty by hand or by a second route, at points without symmetry."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import f as fisher
+from scipy.stats import t
+
+import multipos as mp
+from multipos.uncertainty import monte_carlo, sensitivities
+from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
+from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
+from multipos.uncertainty.propagation import _blocks, row_dof
+from multipos.uncertainty.turntable import _solve_beside
+
+# --- what residuals show
+
+
+@pytest.mark.parametrize(("dof", "pooled"), [((7.4, 5.4), False), ((12.0, 12.0), True)])
+def test_variances_of_residuals_that_hold_nothing_common_are_kept(dof, pooled):
+    """Two patterns of nothing; of one scatter for both, where there are more than its own."""
+    e, nu = np.array([[1.0, 2.0], [3.0, -1.0], [-2.0, 0.5]]), np.array([7.0, 5.0])
+    c = SimpleNamespace(dof=np.array(dof))
+    shown = sensitivities._Shown(np.arange(2), e, np.full((3, 2, 1), 1e-9), nu)
+    found = sensitivities._from_residuals(c, shown)
+    assert_allclose(found.ratio, 1.0, rtol=1e-6)
+    assert_allclose(found.left, nu, rtol=1e-6)
+    assert_allclose(found.dof, dof, rtol=1e-6)
+
+
+def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
+    """Far above the noise it takes the first row whole: one degree of freedom of twelve."""
+    e = np.array([[50.0, 70.0], [3.0, -1.0], [-2.0, 0.5]])
+    pattern = np.zeros((3, 2, 1))
+    pattern[0, :, 0] = [5e5, 7e5]
+    nu = np.array([7.0, 5.0])
+    c = SimpleNamespace(dof=np.array([12.0, 12.0]))
+    found = sensitivities._from_residuals(c, sensitivities._Shown(np.arange(2), e, pattern, nu))
+    assert_allclose(found.left.sum(), 11.0, rtol=1e-6)
+    assert_allclose(found.left[0] / found.left[1], 7.0 / 5.0, rtol=1e-6)
+    assert_allclose(found.dof, 11.0, rtol=1e-6)
+    assert_allclose(found.ratio, (14.25 / 11.0) / (np.sum(e**2) / 12.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "looked"),
+    [
+        ({}, True),
+        ({"common": False}, False),
+        ({"common": False, "shared": True}, True),
+        ({"name": "gravity"}, False),
+        ({"u": 0.0}, False),
+        ({"exact": False}, False),
+        ({"robust_weight": 1}, False),
+        ({"sessions": 1}, False),
+        ({"bounded": True}, False),
+        ({"noise": 1}, False),
+        ({"noise": 1, "rests": {}}, True),
+    ],
+)
+def test_what_residuals_may_show(change, looked, monkeypatch):
+    of = {"common": True, "shared": False, "name": "level", "u": 0.1, "exact": True, "noise": None}
+    of |= {"robust_weight": None, "sessions": None, "bounded": False, "rests": None, **change}
+    monkeypatch.setattr(sensitivities, "is_bounded", lambda c, quantity: of["bounded"])
+    quantity = SimpleNamespace(
+        kind=SimpleNamespace(common=of["common"], shared=of["shared"]), name=of["name"], u=of["u"]
+    )
+    c = SimpleNamespace(
+        estimator=SimpleNamespace(exact=of["exact"]), robust_weight=of["robust_weight"],
+        sessions=of["sessions"], noise=of["noise"], model=None,
+        variance_components=SimpleNamespace(rest_to_rest=of["rests"]),
+    )  # fmt: skip
+    assert sensitivities._is_looked_for(c, quantity) is looked
+
+
+# --- a table beside the sensor
+
+
+def test_errors_of_a_table_are_fitted_beside_the_sensor():
+    """Weighted least squares of both, the F of what the errors add, and Student's t."""
+    rng = np.random.default_rng(4)
+    sensor, errors, w = rng.normal(size=(14, 3)), rng.normal(size=(14, 2)), rng.uniform(0.5, 2, 14)
+    y = sensor @ [1.0, 2.0, 3.0] + errors @ [0.4, -0.6] + 0.5 * rng.normal(size=14)
+    bench = SimpleNamespace(
+        keys="abc", values=y.reshape(7, 2), weight=w, sensor=sensor,
+        first=SimpleNamespace(confidence=0.9),
+    )  # fmt: skip
+    X = np.column_stack([sensor, errors])
+    found, sizes = _solve_beside(bench, X, np.array([True, False, True]))
+    weighted, right = X * w[:, None], y * w
+    b = np.linalg.lstsq(weighted, right, rcond=None)[0]
+    square = np.sum((right - weighted @ b) ** 2)
+    C = np.linalg.inv(weighted.T @ weighted) * square / 9
+    alone = weighted[:, :3] @ np.linalg.lstsq(weighted[:, :3], right, rcond=None)[0]
+    F = (np.sum((right - alone) ** 2) - square) / 2 / (square / 9)
+    assert_allclose(found.parameters, b[:3])
+    assert_allclose(found.covariance, C[:3, :3], rtol=1e-9)
+    assert (found.dof, found.identifiable) == (9.0, (True, False, True))
+    assert found.p == pytest.approx(fisher.sf(F, 2, 9), rel=1e-9)
+    for j, (value, u, U) in enumerate(sizes, 3):
+        assert (value, u) == (pytest.approx(b[j]), pytest.approx(math.sqrt(C[j, j])))
+        assert pytest.approx(t.ppf(0.95, 9) * u, rel=1e-6) == U
+
+
+# --- Monte Carlo
+
+
+def draws(**given):
+    own = {"n": 2, "m": 2, "joint": False, "rng": np.random.default_rng(6)}
+    return SimpleNamespace(**own | given)
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_noise_is_drawn_with_its_covariance_and_degrees_of_freedom(joint):
+    """Student's t of 8: a variance of 8/6, of one output alone or of both together."""
+    root = np.array([[0.5, 0, 0, 0], [0.2, 0.3, 0, 0], [0.1, -0.4, 0.7, 0], [0.3, 0.1, 0.2, 0.6]])
+    dof = np.array([8.0, 8.0 if joint else math.inf])
+    drawn = Draws._noise(draws(noise=root, dof=dof, joint=joint), 100_000).reshape(-1, 4)
+    factor = np.array([8 / 6, 8 / 6 if joint else 1.0] * 2)
+    C = root @ root.T
+    found = drawn.T @ drawn / len(drawn)
+    assert_allclose(np.diag(found), np.diag(C) * factor, rtol=0.03)
+    # apart, a covariance has the mean of the square root of one factor: sqrt(4) Γ(7/2)/Γ(4)
+    half = 2.0 * math.gamma(3.5) / math.gamma(4.0)
+    assert found[0, 1] == pytest.approx(C[0, 1] * (8 / 6 if joint else half), rel=0.05)
+    plain = Draws._noise(
+        draws(noise=np.array([1.0, 2.0, 3.0, 4.0]), dof=np.full(2, np.inf)), 20_000
+    )
+    assert_allclose(plain.std(axis=0).ravel(), [1.0, 2.0, 3.0, 4.0], rtol=0.03)
+
+
+def test_turns_of_positions_are_as_wide_as_the_likelihood_says():
+    """The spread of each with t of 10, and a level that all share by their attitudes."""
+    attitude = np.array([[[0.6, 0.8, 0.1], [0.3, 0.4, 9.0], [0.2, -0.7, 9.0]]] * 2)
+    state = draws(
+        spread=np.array([0.01, 0.03]), rolls=None, spread_dof=10.0, level=0.0, attitude=attitude
+    )
+    turns = Draws._allowed(state, 40_000)
+    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(10 / 8)
+    assert_allclose(turns.std(axis=0), wanted, rtol=0.03)
+    state.spread, state.level = np.zeros(2), 0.02
+    turns = Draws._allowed(state, 40_000)
+    assert_allclose(turns.std(axis=0)[0], 0.02 * np.hypot(*attitude[0, :, :2].T), rtol=0.03)
+    assert_allclose(turns[:, 0], turns[:, 1])
+
+
+def test_forces_that_act_are_turned_and_scaled():
+    """A heading turns all at once by its axes; gravity scales what is at rest."""
+    model = SimpleNamespace(environment=("t",), predict=lambda b, f, env: f + env["t"][:, None])
+    reference = np.array([[0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
+    environment = {"t": np.array([3.0, 5.0])}
+    readings = SimpleNamespace(forced=np.array([False, True]), environment=environment)
+    c = SimpleNamespace(reference=reference, parameters=None, model=model, readings=readings)
+    c.gravity = SimpleNamespace(value=9.8)
+    axes = np.array([[[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]])
+    drawn = {"level": np.array([[2.0], [-3.0]]), "gravity": np.full((2, 1, 1), 0.49)}
+    state = draws(c=c, m=3, _law=lambda quantity, shape: drawn[quantity.name])
+    state._allowed = lambda trials: np.zeros((trials, 2, 3))
+    quantities = [SimpleNamespace(name=name) for name in ("level", "gravity")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(monte_carlo, "is_bounded", lambda c, quantity: False)
+        patch.setattr(monte_carlo, "turn_axes", lambda c, quantity: axes)
+        found = Draws._acted(state, 2, quantities[:1], quantities[1:])
+    for trial, degrees in enumerate((2.0, -3.0)):
+        a = math.radians(degrees)
+        first = [0.6 * math.cos(a) - 0.8 * math.sin(a), 0.0, -0.6 * math.sin(a) - 0.8 * math.cos(a)]
+        assert_allclose(found[trial, 0], np.array(first) * 1.05 + 3.0, rtol=1e-12)
+        assert_allclose(found[trial, 1], [5.0 - math.sin(a), 5.0 + math.cos(a), 5.0], rtol=1e-12)
+
+
+def test_the_ends_of_intervals_of_trials():
+    """Of 11 trials 90 % are 10 in width: from the first to the last; 50 % six, shortest or even."""
+    values = np.array([[0.5, 4.0, 5.0, 6.0, 6.5, 7.0, 9.0, 12.0, 13.0, 17.0, 30.0]])
+    low, high = _symmetric(values, 0.5)
+    assert (low[0], high[0]) == (5.0, 13.0)
+    assert _shortest(values, 0.5).tolist() == [[4.0, 12.0]]
+    low, high = _symmetric(values, 0.9)
+    assert (low[0], high[0]) == (0.5, 30.0)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_root_of_the_noise_of_readings(whole, monkeypatch):
+    """Stated noise times what the residuals scaled it by, of each output its own."""
+    rng = np.random.default_rng(2)
+    gain, A = rng.normal(size=(3, 4)), rng.normal(size=(4, 6))
+    noise = A @ A.T if whole else rng.uniform(1, 2, 4)
+    V = noise if whole else np.diag(noise)
+    plain = np.sqrt(np.diag(gain @ V @ gain.T))
+    monkeypatch.setattr(monte_carlo, "estimator_gain", lambda c: gain)
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=np.zeros((2, 2))), noise=noise,
+        model=SimpleNamespace(slices=(slice(0, 2), slice(2, 3))),
+    )  # fmt: skip
+    root = _noise_root(c, np.diag((plain * [1.3, 1.3, 0.7]) ** 2))
+    scale = np.array([1.3, 0.7, 1.3, 0.7])
+    wanted = V * np.outer(scale, scale)
+    assert_allclose(root @ root.T if whole else np.diag(root**2), wanted, rtol=1e-9)
+
+
+# --- budgets
+
+
+def test_degrees_of_freedom_of_a_row_are_the_fewest_of_what_is_used():
+    row = SimpleNamespace(added=np.diag([1.0, 2.0, 0.0]), dof=np.array([9.0, 5.0, 2.0]))
+    gradient = np.array([[1.0, 0.0, 1.0], [0.3, -0.2, 0.0], [0.0, 0.0, 4.0]])
+    assert row_dof(row, gradient).tolist() == [9.0, 5.0, math.inf]
+    row.dof = 7.0
+    assert row_dof(row, gradient).tolist() == [7.0, 7.0, math.inf]
+
+
+def test_parameters_of_outputs_that_covary_are_in_one_row():
+    c = SimpleNamespace(model=SimpleNamespace(output_of=np.array([0, 0, 1])), outputs=("a", "b"))
+    for share, rows in ((0.9e-9, 2), (1.1e-9, 1)):
+        C = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 6.0 * share], [0.0, 6.0 * share, 4.0]])
+        found = _blocks(c, C)
+        assert len(found) == rows
+        assert found[0].tolist() == [True, True, rows == 1]
+
+
+@pytest.mark.parametrize(
+    ("spread", "u", "law"),
+    [
+        ({"u": 0.3}, 0.3, "normal"),
+        ({"U": 0.3, "k": 2.5}, 0.12, "normal"),
+        ({"half_width": 0.3, "distribution": "rectangular"}, 0.3 / math.sqrt(3), "rectangular"),
+        ({"half_width": 0.3, "distribution": "triangular"}, 0.3 / math.sqrt(6), "triangular"),
+    ],
+)
+def test_a_size_of_a_budget(spread, u, law):
+    assert _size("b", spread, "") == (pytest.approx(u), law)
+
+
+@pytest.mark.parametrize("table", [{"u": 1.0, "U": 2.0}, {"u": 0.3, "k": 2.0}, {}])
+def test_a_size_that_is_none_or_two(table):
+    with pytest.raises(mp.MultiposError, match="b: "):
+        _size("b", table, "")
+
+
+def test_numbers_of_a_budget_have_their_least():
+    _check_numbers("b", {"u_ax": 0.0, "dof": 1.0})
+    with pytest.raises(mp.MultiposError, match="at least 1"):
+        _check_numbers("b", {"u_ax": 0.1, "dof": 0.99})
+    assert _quantity("b", "level", {"u_deg": 0.2, "dof": 3.5}).dof == 3.5
+    with pytest.raises(mp.MultiposError):
+        _quantity("b", "level", {"u_deg": 0.2, "dof": 0.0})
