@@ -211,14 +211,14 @@ def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
     if not (np.isfinite(root).all() and size.all()):  # no residuals, or no linear response
         return False
     phi = c.model.basis(c.reference, c.readings.environment)
-    designs, added, largest, values = [], [], [], []
+    bases, added, largest, residuals = [], [], [], []
     for i, own in enumerate(c.model.columns):
         weight = root[:, [i]]
-        designs.append(phi[:, own] * weight)
+        bases.append(np.linalg.qr(phi[:, own] * weight)[0])
         added.append(columns_of(kinds, i, c.reference, c.readings.environment) * weight)
         largest.append(largest_coefficients(kinds, i)[:, None] * size[i])
-        values.append(c.residuals[:, [i]] * weight)
-    return bool(are_better_with(designs, added, largest, values)[0])
+        residuals.append(c.residuals[:, [i]] * weight)
+    return bool(are_better_with(bases, added, largest, residuals)[0])
 
 
 def largest_coefficients(kinds: Sequence[Kind], output: int) -> Array:
@@ -228,50 +228,45 @@ def largest_coefficients(kinds: Sequence[Kind], output: int) -> Array:
 
 
 def are_better_with(
-    designs: Sequence[Array],
+    bases: Sequence[Array],
     added: Sequence[Array],
     largest: Sequence[Array],
-    values: Sequence[Array],
+    residuals: Sequence[Array],
 ) -> Mask:
     """Tell in which units (B,) further terms lower the errors at rows that are left out.
 
     Parameters
     ----------
-    designs, added : M arrays (n, p), (n, k)
-        Of the model, and of the terms.
+    bases, added : M arrays (n, p), (n, k)
+        Q of the model's design, and columns of the terms.
     largest : M arrays (k, B) or (k, 1)
         That a coefficient can be.
-    values : M arrays (n, B)
-        Readings, or residuals of the model.
+    residuals : M arrays (n, B)
+        Of the model.
     """
-    better = np.ones(values[0].shape[1], dtype=np.bool_)
+    better = np.ones(residuals[0].shape[1], dtype=np.bool_)
     ratio = np.zeros(len(better))
-    for X, Z, most, y in zip(designs, added, largest, values, strict=True):
-        before = _left_out(X, y)
-        if not Z.shape[1] or before is None:
+    for Q, Z, most, e in zip(bases, added, largest, residuals, strict=True):
+        if not Z.shape[1]:
             ratio += 1.0
             continue
-        after = _left_out(np.column_stack([X, Z]), y)
-        if after is None:
+        length = np.linalg.norm(Z, axis=0)
+        unit = Z / np.where(length > 0.0, length, 1.0)
+        T, R = np.linalg.qr(unit - Q @ (Q.T @ unit))
+        if len(Q) < Q.shape[1] + Z.shape[1] or np.abs(np.diag(R)).min() < _SEPARATE:
             return np.zeros_like(better)
-        better &= (np.abs(after[1][X.shape[1] :]) <= most).all(axis=0)
-        ratio += after[0] / np.where(before[0] > 0.0, before[0], 1.0)
-    return np.asarray(better & (ratio < len(values)))
+        along, left = T.T @ e, 1.0 - np.einsum("np,np->n", Q, Q)
+        better &= (np.abs(np.linalg.solve(R, along) / length[:, None]) <= most).all(axis=0)
+        before = _left_out(e, left)
+        after = _left_out(e - T @ along, left - np.einsum("nk,nk->n", T, T))
+        ratio += after / np.where(before > 0.0, before, 1.0)
+    return np.asarray(better & (ratio < len(residuals)))
 
 
-def _left_out(X: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return the sums of squares (B,) of errors at rows left out one by one, and coefficients.
-
-    None where the columns of X (n, p) are not separate.
-    """
-    length = np.linalg.norm(X, axis=0)
-    Q, R = np.linalg.qr(X / np.where(length > 0.0, length, 1.0))
-    if len(X) < X.shape[1] or np.abs(np.diag(R)).min() < _SEPARATE:
-        return None
-    along = Q.T @ y
-    left = 1.0 - np.einsum("np,np->n", Q, Q)[:, None]
-    error = (y - Q @ along) / np.maximum(left, _ALONE)
-    return np.einsum("nb,nb->b", error, error), np.linalg.solve(R, along) / length[:, None]
+def _left_out(residuals: Array, left: Array) -> Array:
+    """Return the sums of squares (B,) of errors at rows left out one by one, 1 − leverage `left`."""
+    error = residuals / np.maximum(left, _ALONE)[:, None]
+    return np.asarray(np.einsum("nb,nb->b", error, error))
 
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:

@@ -325,20 +325,18 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
     `along` (3, n, B) is what columns see of outputs that move together.
     """
     _, m, count = e.shape
-    explained = np.empty((len(test.limits), m, count))
+    each = m if test.family.apart else 1
+    explained = np.empty((len(test.limits), each, count))
     for part in test.parts:
-        if not test.family.apart:
-            seen = part.seen(along)
-            explained[:] = np.einsum("kqb,kqb->kb", seen, seen)[:, None] / m
-            continue
-        for output in part.outputs.tolist():
-            seen = part.seen(e[None, :, output])
-            explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen)
+        for output in part.outputs[:each].tolist():
+            seen = part.seen(e[None, :, output] if test.family.apart else along)
+            explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen) * (each / m)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
     # the largest Λ less its limit, by its exponential: one logarithm a unit
-    left = np.prod(1.0 - explained, axis=1) * np.exp(test.limits / nu)[:, None]
+    left = np.prod(1.0 - explained, axis=1)
+    left *= np.exp(test.limits * each / (nu * m))[:, None]
     place = np.argmin(left, axis=0)
-    there = explained[place, :, np.arange(count)].T
+    there = np.broadcast_to(explained[place, :, np.arange(count)].T, (m, count))
     return place, -nu * np.log1p(-there).sum(axis=0), there
 
 

@@ -15,8 +15,6 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.sensor.model import Model
 
-Outputs = Sequence[Array] | Array  # one (B, n) array an output
-
 _STEPS = 30  # of the compensation: three gain what the model's curvature costs
 _XTOL = 1e-15  # [g], where a step is only rounding
 _SINGULAR = 1e-8  # determinant of A'A, its rows of length one, below which A is not inverted
@@ -30,7 +28,7 @@ class Estimates(NamedTuple):
     parameters, u : (B, p) arrays
     dof : (p,) or (B, p) array
     rms : (B,) array [g]
-    residuals : M arrays (B, n), in reading units
+    residuals : (M, B, n) array, in reading units
         Of known orientations those of the plain fit, whatever the weights.
     sensitivity, inverse : (B, M, K), (B, K, M) arrays
         To the K components that the sensor has.
@@ -47,7 +45,7 @@ class Estimates(NamedTuple):
     u: Array
     dof: Array
     rms: Array
-    residuals: tuple[Array, ...]
+    residuals: Array
     sensitivity: Array
     inverse: Array
     sound: NDArray[np.bool_]
@@ -91,13 +89,12 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
     def joined(name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    residuals = zip(*(part.residuals for part in parts), strict=True)
     return Estimates(
         joined("parameters"),
         joined("u"),
         np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
         joined("rms"),
-        tuple(np.concatenate(each) for each in residuals),
+        np.concatenate([part.residuals for part in parts], axis=1),
         joined("sensitivity"),
         joined("inverse"),
         joined("sound"),
@@ -138,7 +135,7 @@ def _invert(model: Model, environment: Mapping[str, Array], theta: Array) -> Inv
     return Inverted(matrix, inverse, inverted)
 
 
-def _rms(inverse: Array, residuals: Outputs) -> Array:
+def _rms(inverse: Array, residuals: Array) -> Array:
     """Return what is left after compensation (B,) [g], of a model that is linear."""
     total = np.zeros(len(inverse))
     for row in range(inverse.shape[1]):
@@ -181,8 +178,8 @@ def compensated(
     environment: Mapping[str, Array],
     reference: Array,
     theta: Array,
-    values: Outputs,
-    residuals: Outputs,
+    values: Array,
+    residuals: Array,
 ) -> Compensated:
     """Return what is left after compensation by steps of the inverse sensitivities.
 
@@ -193,19 +190,19 @@ def compensated(
     reference : (n, 3) or (B, n, 3) array [g]
     theta : (B, M, T) array
         Coefficients.
-    values, residuals : M arrays (B, n)
+    values, residuals : (M, B, n) arrays
     """
-    count, n = values[0].shape
+    count, n = values.shape[1:]
     inverted = _invert(model, environment, theta)
     inverse = inverted.inverse.transpose(0, 2, 1)
     sensed = list(model.sensed_axes)
-    misfit = np.stack(list(residuals), axis=2)
+    misfit = np.moveaxis(residuals, 0, 2)
     if model.is_linear:
         return Compensated(misfit @ inverse, inverted)
     left = np.zeros((count, n, len(sensed)))
     if len(sensed) != len(values):  # then the steps below would end at another force
         return Compensated(left * np.nan, inverted._replace(sound=np.zeros(count, dtype=np.bool_)))
-    raw = np.stack(list(values), axis=2)
+    raw = np.moveaxis(values, 0, 2)
     force = np.array(np.broadcast_to(reference, (count, n, 3)))
     start = force[:, :, sensed]
     size = np.full(count, np.inf)

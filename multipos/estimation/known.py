@@ -78,6 +78,7 @@ ZERO_NORM = 1e-9  # [g], absolute norm below which a column of the design is zer
 REJECTED = 0.999  # χ² point beyond which the residuals reject a stated noise
 ROUNDING = 1e-9  # residuals below this part of the readings are those of a search or of rounding
 _COARSE = 20  # bits of the coefficients that multiply without rounding
+_FINEST = -1000  # power of two of a grid
 _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
 _REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
@@ -352,9 +353,10 @@ def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
     """
     shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
     columns, power = design.T, np.ldexp(1.0, -shift)[:, None]
-    b = np.ldexp(y @ inverse.T, shift)
+    b = y @ np.ldexp(inverse, shift[:, None]).T
     grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
-    coarse = np.ldexp(np.rint(np.ldexp(b, -grid)), grid)
+    unit = np.ldexp(1.0, np.maximum(grid, _FINEST))
+    coarse = np.rint(b / unit) * unit
     both = np.hstack((coarse, b - coarse))
     r, step = np.empty(y.shape), np.zeros(b.shape)
     blocks = [slice(first, first + _ROWS) for first in range(0, y.shape[1], _ROWS)]
@@ -367,7 +369,9 @@ def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
         r[:, rows] = left
     for rows in blocks:
         r[:, rows] -= step @ columns[:, rows]
-    return np.ldexp(b, -shift) + step, r
+    b *= power.T
+    b += step
+    return b, r
 
 
 def _weigh(
@@ -521,7 +525,7 @@ def _estimates(
         u=found.u,
         dof=model.per_parameter(dof),
         rms=rms,
-        residuals=tuple(found.plain),
+        residuals=found.plain,
         sensitivity=inverted.sensitivity,
         inverse=inverted.inverse,
         sound=sound,

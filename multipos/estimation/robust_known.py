@@ -486,7 +486,7 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
     for each in found:
         limit = f_quantile(1.0 - level, 1.0, float(np.nanmax(each.dof)))
         sound &= each.units.q.max(axis=1) <= limit * each.factor
-    plain = tuple(each.plain for each in found)
+    plain = np.stack([each.plain for each in found])
     weight = np.stack([each.weight for each in found], axis=1)
     return Estimates(parameters, u, dof, rms, plain, *inverted[:2], sound, weight=weight)
 

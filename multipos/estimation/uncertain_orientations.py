@@ -456,13 +456,13 @@ def _estimate(
         units, valid = _Units.under_stated(start, place), np.zeros_like(valid)
         U, tail, excess = np.full(theta.shape, np.nan), *np.full((2, count), np.nan)
     place = units.found
-    theta, residuals = place.theta, tuple(place.residuals)
+    theta, residuals = place.theta, place.residuals
     left = compensated(
         model,
         shared.environment,
         place.force.transpose(1, 2, 0),
         model_coefficients(model, theta),
-        tuple(values),
+        values,
         residuals,
     )
     rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / n)

@@ -429,15 +429,15 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
         shared.environment,
         force,
         model_coefficients(model, place.theta),
-        tuple(values),
-        tuple(place.residuals),
+        values,
+        place.residuals,
     )
     length = np.linalg.norm(force + left.force, axis=2)
     rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
     dof = np.broadcast_to(found.dof[:, None], found.u.shape)
-    residuals = tuple(place.residuals)
     valid &= left.inverted.sound
-    return Estimates(place.theta, found.u, dof, rms, residuals, *left.inverted[:2], valid, chi2)
+    of_units = place.theta, found.u, dof, rms, place.residuals
+    return Estimates(*of_units, *left.inverted[:2], valid, chi2)
 
 
 def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:

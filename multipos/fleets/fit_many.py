@@ -200,7 +200,7 @@ def _at(column: Column, rows: Places) -> Column:
     return [read[row] for row in rows.tolist()]
 
 
-_READINGS = 200_000  # of an output in a task
+_READINGS = 48_000  # of an output in a task, whose arrays stay in cache
 _ALONE = 64  # units of a task that are fitted one by one
 _TRIED = 3  # units of a group that may be at fault before it is taken one by one
 _FEWEST = 2  # units that share anything

@@ -133,5 +133,5 @@ def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[
 
 def _angles(fixture: Fixture, found: Estimates) -> Array:
     """Return δ̂_u (B, 3 n) of every unit."""
-    left = np.stack(found.residuals, axis=2) @ found.inverse.transpose(0, 2, 1)
+    left = np.moveaxis(found.residuals, 0, 2) @ found.inverse.transpose(0, 2, 1)
     return np.asarray(left.reshape(len(left), -1) @ fixture.inverse.T)

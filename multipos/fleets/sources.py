@@ -293,6 +293,8 @@ def _file_units(files: Sequence[Source]) -> list[str]:
     """Return the units that files name: without ending, with their folder where names repeat."""
     paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
     stems = [_unpacked(path).stem for path in paths]
+    if len(set(stems)) == len(stems):
+        return stems
     folders = [f"{p.absolute().parent.name}/{n}" for p, n in zip(paths, stems, strict=True)]
     for longer in (folders, [*map(str, paths)]):
         often = Counter(stems)

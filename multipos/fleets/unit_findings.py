@@ -174,7 +174,7 @@ def find_in_units(
         Readings of each output.
     found : Estimates
     """
-    residuals, sensitivity = np.stack(found.residuals), found.sensitivity
+    residuals, sensitivity = found.residuals, found.sensitivity
     variance = None if found.variance is None else found.variance.T[:, :, None]
     error = residuals if variance is None else residuals / np.sqrt(variance)
     r2 = studentised_squares(error, tests.leverage[:, None], shared.dof[:, None, None])
@@ -203,7 +203,9 @@ def find_in_units(
     if tests.soaks:
         singly |= missing | scored
     if tests.order is not None and shown is not None and scored.any():
-        of_row, several = _one_row(tests.order, r2 / shared.dof[:, None, None])
+        of_row, several = np.full(len(scored), -np.inf), np.zeros_like(scored)
+        share = r2[:, scored] / shared.dof[:, None, None]
+        of_row[scored], several[scored] = _one_row(tests.order, share)
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
     codes["placement"] = codes["placement"] & ~codes["outlier"]
@@ -264,7 +266,10 @@ def _admissible(
         added = [columns_of(kinds, i, shared.reference, shared.environment) for i in outputs]
         largest = [np.outer(largest_coefficients(kinds, i), size[i, units]) for i in outputs]
         found[units] = are_better_with(
-            shared.designs, added, largest, [each[units].T for each in residuals]
+            [each.Q for each in shared.by_output],
+            added,
+            largest,
+            residuals[:, units].transpose(0, 2, 1),
         )
     return found
 

@@ -96,7 +96,9 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     gaps = np.diff(ordered, axis=0)
     span = ordered[-1] - ordered[0]
     equal = 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0)
-    least = np.where(gaps > equal, gaps, np.inf).min(axis=0)
+    least = gaps.min(axis=0)
+    tied = np.flatnonzero(least <= equal)
+    least[tied] = np.where(gaps[:, tied] > equal[tied], gaps[:, tied], np.inf).min(axis=0)
     asked = (least <= _FINE * span) & (least > 2.0 * scatter)
     steps, columns = np.zeros(values.shape[1]), np.flatnonzero(asked)
     # most of what is on no grid shows it in its largest gap

@@ -416,10 +416,10 @@ def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
     s2 = np.einsum("...n,...n->...", error, error)[..., None] / np.maximum(dof, 1.0)
     left = 1.0 - leverage
     # A position that alone fixes a parameter (leverage 1) has no residual to test.
-    tested = (dof >= 2.0) & (s2 > 0.0) & (left > 1e-9)
-    variance = s2 * left
-    variance[~tested] = np.inf
-    return np.asarray(error**2 / variance)
+    scale = 1.0 / np.where((dof >= 2.0) & (s2 > 0.0), s2, np.inf)
+    r2 = error**2 / np.where(left > 1e-9, left, np.inf)
+    r2 *= scale
+    return np.asarray(r2)
 
 
 def largest_square(nu: float, readings: int) -> float:
