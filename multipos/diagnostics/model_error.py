@@ -231,7 +231,7 @@ def are_better_with(
     bases: Sequence[Array],
     added: Sequence[Array],
     largest: Sequence[Array],
-    residuals: Sequence[Array],
+    residuals: Sequence[Array] | Array,
 ) -> Mask:
     """Tell in which units (B,) further terms lower the errors at rows that are left out.
 
@@ -264,7 +264,7 @@ def are_better_with(
 
 
 def _left_out(residuals: Array, left: Array) -> Array:
-    """Return the sums of squares (B,) of errors at rows left out one by one, 1 − leverage `left`."""
+    """Return the sums of squares (B,) of errors at rows left out, by 1 − leverage (n,)."""
     error = residuals / np.maximum(left, _ALONE)[:, None]
     return np.asarray(np.einsum("nb,nb->b", error, error))
 

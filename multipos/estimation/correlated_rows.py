@@ -139,7 +139,9 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
 
 
-def find_correlated(reference: Array, values: Sequence[Array], residuals: Sequence[Array]) -> Mask:
+def find_correlated(
+    reference: Array, values: Sequence[Array], residuals: Sequence[Array] | Array
+) -> Mask:
     """Tell of which of B units the rows of an output are correlated, without stated noise.
 
     Parameters
