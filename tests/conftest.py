@@ -7,6 +7,7 @@ import os
 if not any(f"{name}_NUM_THREADS" in os.environ for name in ("OMP", "OPENBLAS", "MKL")):
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Wall-clock never decides a test; on a shared machine the same examples are drawn every time.
@@ -18,3 +19,9 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("multipos")
+
+
+@pytest.fixture
+def without_findings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Findings change no number, and take as long as the fit: simulations of claims leave them."""
+    monkeypatch.setattr("multipos.fitting.fit_readings.examine", lambda c, **_: c)

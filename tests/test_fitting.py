@@ -418,6 +418,7 @@ def test_what_cannot_be_separated_is_named_with_a_way_out(model, scheme, words):
     ("scheme", "model"),
     rest_slow([("faces-6", "linear"), ("faces-6", "own-quadratic"), ("faces-corners-14", "ieee")]),
 )
+@pytest.mark.usefixtures("without_findings")
 def test_t_intervals_cover(scheme, model):
     rng = np.random.default_rng(16)
     up = mp.read_scheme(scheme).up
@@ -441,6 +442,7 @@ def test_t_intervals_cover(scheme, model):
 
 
 @pytest.mark.parametrize("runs", few_and_many(60, 400))
+@pytest.mark.usefixtures("without_findings")
 def test_intervals_of_believed_noise_cover(runs):
     rng = np.random.default_rng(17)
     u = np.where(np.arange(14) < 7, 1e-3, 5e-3)[:, None] * np.ones(3)

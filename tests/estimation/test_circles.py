@@ -209,6 +209,7 @@ def test_a_model_of_ones_own_holds_what_the_rolls_leave_free():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("session", [pointer, level, beside_known])
+@pytest.mark.usefixtures("without_findings")
 def test_the_truth_is_covered(session):
     rng = np.random.default_rng(11)
     hits = []

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from scipy import integrate, optimize, stats
 
 import multipos as mp
-from multipos.fitting import fit_readings
 from multipos.positions.scheme import read_scheme
 
 SCALE = np.eye(3)
@@ -149,16 +148,14 @@ def test_a_claim_far_above_the_residuals_is_the_noise():
         pytest.param(6, False, 1.35, 0.87, 0.84, marks=pytest.mark.slow),
     ],
 )
-def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst, monkeypatch):
+@pytest.mark.usefixtures("without_findings")
+def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
     """Readings of their own generator; an estimate is normal and independent of its residuals.
 
     So the coverage is that of the normal law at U, averaged over residuals: 300 of them know it
     to half a percent. One output alone has two degrees of freedom at six positions.
     """
     # eq. (1) of estimation.posteriors
-    monkeypatch.setattr(
-        fit_readings, "examine", lambda c, **_: c
-    )  # findings take long and change no number
     rng = np.random.default_rng(n)
     up = sphere(n)
     outputs = 3 if pool else 1

@@ -13,7 +13,6 @@ from multipos.estimation.unequal_axes import (
     _most_likely,
     allow_for_axes,
 )
-from multipos.fitting import fit_readings
 from multipos.numerics.quantiles import coverage_factor
 
 P = 9
@@ -219,8 +218,8 @@ def covered(rng, n, noise, sets, **stated):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [(1, 1, 10), (1, 1, 1), (10, 10, 1)], ids=str)
-def test_u_holds_what_hangs_on_one_axis(noise, monkeypatch):
-    monkeypatch.setattr(fit_readings, "examine", lambda calibration, **_: calibration)  # no number
+@pytest.mark.usefixtures("without_findings")
+def test_u_holds_what_hangs_on_one_axis(noise):
     sets = 250
     held = covered(np.random.default_rng(5), 30, noise, sets)
     # nine parameters at .9 and beyond, the least of them by 2.8 standard deviations; U that

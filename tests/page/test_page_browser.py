@@ -249,7 +249,9 @@ def test_plan_and_apply(visitor, tmp_path):
 
 
 def test_another_language_from_the_address_and_by_the_button(visitor):
+    visitor.host.asked.clear()
     visit(visitor, f"{visitor.host.address}?lang=zh")
+    assert set(visitor.host.asked) <= {"/sw.js", "/site.js"}  # whether there is a newer site
     assert visitor.evaluate("document.documentElement.lang") == "zh-Hans"
     assert text(visitor, "calibrate") == "校准"
     answered(visitor, "document.getElementById('example').click()")
@@ -334,47 +336,36 @@ def test_the_policy_keeps_out_what_is_not_the_site_s(visitor):
     visitor.events.clear()
 
 
-def test_offline_after_the_first_visit(folder, tmp_path):
-    with hosted(folder) as host, browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
-        visit(page, host.address)
-        host.asked.clear()
-        visit(page, f"{host.address}?again")
-        assert set(host.asked) <= {"/sw.js", "/site.js"}  # whether there is a newer site
-        host.stop()
-        visit(page, f"{host.address}?offline")
-        assert answered(page, "document.getElementById('example').click()") == "done"
-        assert next(iter(parameters(page))) == "bias_ax"
+def test_a_site_in_a_folder_its_newer_one_and_neither_host(folder, tmp_path):
+    """A runtime from another host; a newer site, taken whole by the visit after the next; offline.
 
-
-def test_a_runtime_from_another_host_and_a_site_in_a_folder(tmp_path):
-    with hosted(page_runtime.folder()) as other, hosted(tmp_path) as host:
-        write_site(tmp_path / "tools" / "page", make_site(other.address))
+    One browser: each visit that loads the runtime takes seconds.
+    """
+    place = tmp_path / "tools" / "page"
+    base = "self.SITE.runtime.base"
+    with hosted(folder / "runtime") as other, hosted(tmp_path) as host:
+        address = f"{host.address}tools/page/"
+        write_site(place, make_site(other.address))
         with browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
-            visit(page, f"{host.address}tools/page/")
+            visit(page, address)
             assert other.address.rstrip("/") in text(page, "host")
             assert answered(page, "document.getElementById('example').click()") == "done"
             policy = page.evaluate(
                 "fetch('worker.js').then(found => found.headers.get('Content-Security-Policy'))"
             )
-        assert sorted(other.asked) == sorted(f"/{name}" for name in runtime.FILES)
-    assert f"connect-src 'self' {other.address.rstrip('/')};" in policy
-
-
-def test_a_newer_site_is_taken_as_a_whole_by_the_visit_after_the_next(folder, tmp_path):
-    place = tmp_path / "site"
-    base = "self.SITE.runtime.base"
-    with hosted(folder / "runtime") as other, hosted(tmp_path) as host:
-        write_site(place, make_site(other.address))
-        with browser.browse(tmp_path, ONLY_THIS_MACHINE) as page:
-            visit(page, f"{host.address}site/")
+            assert f"connect-src 'self' {other.address.rstrip('/')};" in policy
+            assert sorted(other.asked) == sorted(f"/{name}" for name in runtime.FILES)
             write_site(place, make_site(str(folder / "runtime")))
-            visit(page, f"{host.address}site/?while-it-is-fetched")
+            visit(page, f"{address}?while-it-is-fetched")
             assert page.evaluate(base) == other.address
             waiting = "navigator.serviceWorker.getRegistration().then(found => !!found.waiting)"
             page.wait(waiting)
-            visit(page, f"{host.address}site/?newer")
+            visit(page, f"{address}?newer")
             page.wait(f"{base} === 'runtime/' && {STATE} === 'ready'")
+            host.stop()
+            visit(page, f"{address}?offline")
             assert answered(page, "document.getElementById('example').click()") == "done"
+            assert next(iter(parameters(page))) == "bias_ax"
 
 
 def test_a_file_with_another_hash_is_refused_by_name(folder, tmp_path):

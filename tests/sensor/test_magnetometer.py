@@ -487,6 +487,7 @@ def test_noisy_data_do_better_than_the_classical_fit(n, sd, ratio):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 @pytest.mark.parametrize("noise", ["equal", "1:1:3"])
 def test_coverage_of_a_thousand_sensors(noise):
     """Own generator: 12 to 200 positions, hard iron to 40 µT, soft iron to 10 %; 94 to 96 %."""
@@ -521,6 +522,7 @@ def test_coverage_of_a_thousand_sensors(noise):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 0.98])
 def test_coverage_of_waved_logs_whose_noise_is_correlated(rho):
     hits = []

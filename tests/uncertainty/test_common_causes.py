@@ -266,6 +266,7 @@ def test_repeats_are_judged_by_what_is_left():
 @pytest.mark.slow
 @pytest.mark.parametrize(("level", "noise"), [(0.1, 30e-6), (0.02, 300e-6)])
 @pytest.mark.parametrize("claim", [{}, {"u": 1.0}])
+@pytest.mark.usefixtures("without_findings")
 def test_u_covers_and_is_no_longer_than_it_must_be(level, noise, claim):
     rng = np.random.default_rng(4)
     rotation, runs = attitudes(24, 3), 100

@@ -133,6 +133,7 @@ def test_what_leans_on_the_table_is_null_in_json():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_coverage_beside_the_head():
     """95 % are stated; a binomial limit at 1e-3 for the benches, of which each counts once."""
     runs, held = 80, {}

@@ -324,6 +324,7 @@ def test_another_budget_can_be_asked_of_a_finished_calibration():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_coverage_of_budgeted_intervals():
     """Scatter and a common gravity drawn anew each run: U covers as often as it says."""
     rng = np.random.default_rng(12)

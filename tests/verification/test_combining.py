@@ -99,6 +99,7 @@ def test_u_of_the_next_session_covers_however_much_sessions_differ(count, least)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("noises", "size"), [((SD, SD), 2.0), ((SD, 2 * SD, 3 * SD, SD), 1.0)])
+@pytest.mark.usefixtures("without_findings")
 def test_whole_fits_of_sessions_that_differ_cover_the_next(noises, size):
     """Zeros that move by so many of the u that sessions have of them, equal and unequal."""
     rng, hits = np.random.default_rng(8), []
@@ -154,6 +155,7 @@ def test_the_zero_of_a_budget_is_not_added_again():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4])
+@pytest.mark.usefixtures("without_findings")
 def test_u_covers_a_session_never_seen(count):
     """The three zeros of a session tell one spread between sessions."""
     rng = np.random.default_rng(count)

@@ -49,6 +49,7 @@ def at_most(hits, runs, level):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 @pytest.mark.parametrize(
     ("count", "options"),
     [
@@ -78,6 +79,7 @@ def test_false_alarms_come_as_often_as_said(count, options):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_plain_chi_square_would_cry_wolf():
     """The reason for the F statistic: four repeats, one degree of freedom each."""
     rng = np.random.default_rng(7)
