@@ -1,0 +1,369 @@
+"""Numbers behind findings by hand or by a second route, at points without symmetry."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+import multipos as mp
+from multipos.diagnostics import gross_errors, magnetic, row_order
+from multipos.diagnostics.columns import (
+    _clipped,
+    _has_common_ends,
+    _shows_noise,
+    counter_column,
+)
+from multipos.diagnostics.gross_errors import _is_skew, _is_slight, _known_to, _silent
+from multipos.diagnostics.magnetic import _left, moving_iron
+from multipos.diagnostics.repairs import (
+    View,
+    _many_factors,
+    _many_flips,
+    _radians,
+    _single_flips,
+    _squares,
+    _wrap_of,
+)
+from multipos.diagnostics.row_order import _correlation, _judge_slow, _traces
+from multipos.diagnostics.scales import factor_in_words, reversed_or_permuted
+from multipos.sensor.found import Estimator
+
+K = np.array([[2.0, 0.1, -0.2], [0.05, 1.5, 0.15], [-0.1, 0.2, 1.1]])
+UP = mp.read_scheme("fibonacci-14").up
+
+
+def view_of(values, reference=UP):
+    return View(np.ones((len(reference), 1)), reference, values)
+
+
+def readings(seed=1, sd=0.002):
+    return 0.3 + UP @ K.T + sd * np.random.default_rng(seed).normal(size=UP.shape)
+
+
+# --- rows in time
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_traces_of_correlated_rows_by_dense_matrices(beside):
+    rng = np.random.default_rng(3)
+    n, rho = 17, _correlation(17)
+    Q = np.linalg.qr(rng.normal(size=(n, 4)))[0]
+    across = rng.normal(size=(n, 2)) if beside else None
+    Omega = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    if beside:
+        Omega = Omega * (across @ across.T)
+    once = (np.eye(n) - Q @ Q.T) @ Omega
+    powers = [once.trace(), (once @ once).trace(), (once @ once @ once).trace()]
+    assert_allclose(_traces(Q, across), powers, rtol=1e-9)
+
+
+def test_the_correlation_of_slow_noise_is_that_of_a_fifth_of_the_rows():
+    assert [_correlation(n) for n in (8, 20, 200)] == pytest.approx([0.5, 0.75, 0.95])
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_slow_noise_is_judged_by_a_chi_square_of_its_first_moments(beside, monkeypatch):
+    """T = e'Ωe above mean and sd by a gamma law of the skewness; units that are not whole not."""
+    rng = np.random.default_rng(5)
+    n, rho = 30, _correlation(30)
+    e = np.cumsum(rng.normal(size=(n, 2, 3)), axis=0)
+    e[:, :, 2] = rng.normal(size=(n, 2))
+    e /= np.sqrt(np.sum(e**2, axis=0))
+    across = rng.uniform(0.5, 1.5, (n, 2)) if beside else None
+    Omega = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    w = e if across is None else across[:, :, None] * e
+    T = np.einsum("icb,ij,jcb->b", w, Omega, w)
+    mean, sd, skewness = 2.0, (T[0] - 2.0) / 5.5, 0.8
+    plan = SimpleNamespace(slow=(mean, sd, skewness), across=across, codes=3, freedom=7.0)
+    monkeypatch.setattr(row_order, "_slow_gains", lambda plan, e: np.arange(5.0, 5.0 + e.shape[2]))
+    score, p = np.zeros(3), np.ones(3)
+    _judge_slow(plan, e, np.array([True, False, True]), score, p)
+    k = 8.0 / 0.8**2
+    assert p[0] == pytest.approx(3 * chi2.sf(k + math.sqrt(2 * k) * 5.5, k), rel=1e-6)
+    assert p[0] < row_order.LEVEL
+    assert score[0] == pytest.approx(5.0 - math.log(7.0))
+    assert (score[1:].tolist(), p[1:].tolist()) == ([0.0, 0.0], [1.0, 1.0])
+
+
+# --- repairs
+
+
+def test_the_row_upside_down_is_the_best_of_all_turned_one_by_one():
+    values = readings()
+    values[5] = 0.3 - UP[5] @ K.T
+    view = view_of(values)
+    weight = _squares(view)[1]
+    assert_allclose(weight, 1.0 / values.var(axis=0))
+    total = [np.sum(view.turned(np.array([i])).residuals ** 2, axis=0) @ weight for i in range(14)]
+    rows = np.array([0, 3, 5, 8, 9, 12])
+    repairs, tried = _single_flips(view, rows)
+    best = rows[np.argsort(np.array(total)[rows])[:3]]
+    assert ([r.rows[0] for r in repairs], tried) == (best.tolist(), 6)
+    assert best[0] == 5
+
+
+def test_several_rows_upside_down_are_found_from_a_guess():
+    values = readings()
+    turned = [1, 4, 9, 12]
+    values[turned] = 0.3 - UP[turned] @ K.T
+    found = list(_many_flips(view_of(values), np.diag([1.0, 1.0, 1.0])))
+    best = min(found, key=lambda repair: repair.view.misfit)
+    assert best.rows == (1, 4, 9, 12)
+    assert all(2 * len(repair.rows) <= 14 for repair in found)
+
+
+@pytest.mark.parametrize(
+    ("rows", "size"), [((0, 3, 7), 9.80665), (tuple(range(3, 14)), 1 / 9.80665)]
+)
+def test_rows_in_another_unit_are_found_by_their_size(rows, size):
+    """Of more than half the others are the exception, by the inverse of the factor."""
+    values = readings()
+    values[list(rows)] *= 9.80665
+    found = min(_many_factors(view_of(values)), key=lambda repair: repair.view.misfit)
+    few = rows if len(rows) < 7 else tuple(sorted({*range(14)} - {*rows}))
+    assert (found.rows, found.size) == (few, pytest.approx(size))
+    assert found.shrunk == pytest.approx(len(rows) * 3 * math.log(9.80665))
+    # larger sets of 2 to 12, in steps of 1, by two orders
+    assert found.tried == 22
+
+
+def test_a_converter_that_ran_over_is_set_right_by_its_step():
+    values = readings(sd=1e-4)
+    over = values[:, 0] > 1.9
+    assert 1 <= over.sum() <= 3
+    values[over, 0] -= 4.096
+    view = view_of(values)
+    M = np.eye(14) - view.basis @ view.basis.T
+    rows, step = _wrap_of(view, M, 0)
+    assert step == pytest.approx(4.096, abs=0.01)
+    assert np.flatnonzero(rows).tolist() == np.flatnonzero(over).tolist()
+    assert (rows[over] > 0.0).all()
+    assert _wrap_of(view, M, 1) is None
+
+
+def test_radians_that_were_read_as_degrees_are_turned_back():
+    """Roll and pitch with z down, and turns about x, y and z, as schemes have them."""
+    roll, pitch = np.radians([40.0, -75.0, 160.0]), np.radians([25.0, 60.0, -10.0])
+
+    def direction(roll, pitch):
+        x = np.sin(pitch)
+        return np.column_stack([x, -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+
+    def meant(up, sign=1.0):
+        view = SimpleNamespace(odd=sign * 1.3 * up, at=lambda reference: reference)
+        return [repair.view for repair in _radians(view)]
+
+    as_read = direction(np.radians(roll), np.radians(pitch))
+    (found,) = meant(as_read)
+    assert_allclose(found, 1.3 * direction(roll, pitch), atol=1e-9)
+    assert_allclose(meant(as_read, -1.0)[0], -1.3 * direction(roll, pitch), atol=1e-9)
+    angle = np.radians([30.0, 50.0, 100.0])
+    places = ((1, 2), (0, 2), (0, 1))
+    as_read, truth = np.zeros((3, 3)), np.zeros((3, 3))
+    for row, (first, second) in enumerate(places):
+        small = math.radians(angle[row])
+        as_read[row, [first, second]] = math.cos(small), math.sin(small)
+        truth[row, [first, second]] = math.cos(angle[row]), math.sin(angle[row])
+    assert_allclose(meant(as_read)[0], 1.3 * truth, atol=1e-9)
+    assert meant(UP) == []
+
+
+# --- a magnetometer
+
+
+def test_misfits_of_a_field_are_freed_of_what_a_calibration_takes():
+    rng = np.random.default_rng(4)
+    b = rng.normal(size=(60, 3))
+    b *= rng.normal(1.0, 0.01, (60, 1)) / np.linalg.norm(b, axis=1, keepdims=True)
+    relative = SimpleNamespace(compensate=lambda values, environment: values)
+    c = SimpleNamespace(
+        estimator=Estimator.UNKNOWN, readings=range(60), robust_weight=None, rms=0.01,
+        relative=relative, effective_rows={"a": 30.0, "b": 24.0},
+    )  # fmt: skip
+    u, design, left, fewer = _left(c, SimpleNamespace(values=b, environment={}))
+    x, y, z = (b / np.linalg.norm(b, axis=1, keepdims=True)).T
+    X = np.column_stack([x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
+    misfit = np.linalg.norm(b, axis=1) - 1.0
+    assert_allclose(u, np.column_stack([x, y, z]))
+    assert_allclose(left, misfit - X @ np.linalg.pinv(X) @ misfit, atol=1e-12)
+    assert fewer == pytest.approx(60 / 24)
+    assert design.shape == (60, 9)
+
+
+@pytest.mark.parametrize(("gained", "end"), [(0.9, 60), (0.9, 50), (0.02, 60)])
+def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monkeypatch):
+    """Three numbers of 80 rows that are worth 40: the part is one of 45."""
+    left = np.full(80, 0.1)
+    field = SimpleNamespace(size=None)
+    labels = tuple(str(i) for i in range(60))
+    c = SimpleNamespace(field=field, readings=SimpleNamespace(labels=labels))
+    found = np.zeros((80, 3)), np.zeros((80, 9)), left, 2.0
+    monkeypatch.setattr(magnetic, "_left", lambda c, readings: found)
+    monkeypatch.setattr(magnetic, "_sums", lambda *_: None)
+    monkeypatch.setattr(magnetic, "_likeliest", lambda sums: (20, end, gained * 0.8))
+    monkeypatch.setattr(
+        magnetic, "_refined", lambda sums, start, stop: (21, stop + 20 * (stop == 60), 0.03)
+    )
+    f = gained * 0.8 / 3.0 / 2.0 / ((1.0 - gained) * 0.8 / (80 - 12))
+    p = 45 * fisher.sf(f, 3, 28)
+    said = moving_iron(c)
+    if gained < 0.1:
+        assert said is None
+        return
+    assert said.p == pytest.approx(p, rel=1e-6)
+    where = "from row 21 on" if end == 60 else "from row 21 to row 49"
+    assert said.text.startswith(f"hard iron changes by 3 % of the field {where}")
+
+
+# --- columns
+
+
+@pytest.mark.parametrize(
+    ("step", "short", "found"),
+    [(0.002, 0.0105, False), (0.002, 0.0115, True), (0.004, 0.0155, False), (0.004, 0.0165, True)],
+)
+def test_a_saturated_reading_falls_short_of_what_the_others_say(step, short, found):
+    """By a hundredth of the signal, 1.1 here, or four of the least steps, at the least."""
+    x = np.array([0.3, 1.0, -0.9, 0.3 + step / 1.1, -0.2, 0.998, 0.7, -0.5])
+    values = 0.2 + 1.1 * x
+    values[[1, 5]] = 1.3 - short
+    clipped = _clipped(x[:, None], values)
+    assert (clipped is not None) is found
+    if found:
+        assert clipped.tolist() == [1, 5]
+    values[5] = 0.2 + 1.1 * 0.99  # one alone is the largest of all
+    assert _clipped(x[:, None], values) is None
+
+
+def test_a_column_that_counts_the_rows():
+    def c(values, residuals):
+        return SimpleNamespace(
+            readings=SimpleNamespace(values=values), outputs=("a", "b"), residuals=residuals
+        )
+
+    count = np.arange(7.0) * 0.25 + 3.0
+    values = np.column_stack([count, np.cos(count)])
+    assert counter_column(c(values, np.full((7, 2), 1e-3))).outputs == ("a",)
+    assert counter_column(c(values, np.full((7, 2), 2.4e-7))) is None
+    assert counter_column(c(values, np.full((7, 2), 2.6e-7))).outputs == ("a",)
+    assert counter_column(c(values[:4], np.ones((4, 2)))) is None
+    off = values.copy()
+    off[5, 0] += 1e-9
+    assert counter_column(c(off, np.ones((7, 2)))) is None
+
+
+@pytest.mark.parametrize(("scatter", "common"), [(0.8, True), (0.7, False)])
+def test_ends_that_outputs_share_are_a_limit(scatter, common):
+    """Three tops and three bottoms are one: four more than two; (.1/(4 s))^4 is 1e-6 at s = .79."""
+    values = np.array([[5.0, 5.0, 5.0], [-5.0, -5.0, -5.0], [0.1, 0.2, 0.4]])
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=values), residual_sd=np.array([0.3, scatter, np.nan])
+    )
+    assert _has_common_ends(c) is common
+    values[0, 0] = values[0, 1] = 4.9
+    assert not _has_common_ends(c)
+
+
+@pytest.mark.parametrize(("scatter", "shows"), [(0.21, True), (0.19, False)])
+def test_noise_shows_where_a_step_is_half_of_it(scatter, shows):
+    """Steps of .1; the median size of a residual is .6745 sd, of which terms take their part."""
+    values = np.round(np.random.default_rng(2).normal(size=(8, 2)), 1)
+    left = 1.0 - 6 / 2 / 8
+    size = scatter * 0.6745 * math.sqrt(left)
+    residuals = size * np.array([[0.2, -1.0]] * 4 + [[1.0, -3.0]] * 4)
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=values), parameters=np.zeros(6), residuals=residuals
+    )
+    assert _shows_noise(c) is shows
+
+
+# --- gross errors
+
+
+@pytest.mark.parametrize(
+    ("own", "sd", "silent"),
+    [(0.019, 0.16, True), (0.021, 0.16, False), (0.019, 0.10, False), (0.019, 0.21, False)],
+)
+def test_an_output_that_only_scatters_as_the_others_do(own, sd, silent):
+    """Below a fiftieth of their response, its scatter above √.019 of theirs and below a fifth."""
+    sensitivity = np.array([[1.0, 0.0, 0.0], [0.0, own, 0.0], [0.0, 0.6, 0.8]])
+    c = SimpleNamespace(
+        sensitivity=sensitivity, residual_sd=np.array([0.9, sd, 0.9]), outputs=("a", "b", "c")
+    )
+    found = _silent(c)
+    assert (found is not None and found.outputs == ("b",)) is silent
+
+
+@pytest.mark.parametrize(
+    ("sd", "residual", "slight"), [(0.019, 0.22, True), (0.021, 0.1, False), (0.019, 0.25, False)]
+)
+def test_residuals_are_slight_below_half_of_a_gross_error(sd, residual, slight):
+    """.3 g of .25 V/g times what a leverage of a fifth leaves: .06 of .08 V; here of 1 V/g .24."""
+    c = SimpleNamespace(
+        estimator=SimpleNamespace(exact=True), robust_weight=None,
+        sensitivity=np.array([[0.6, 0.8, 0.0]]), residual_sd=np.array([sd]),
+        diagnostics=SimpleNamespace(leverage=np.array([[0.2], [0.1]])),
+        residuals=np.array([[residual], [0.0]]),
+    )  # fmt: skip
+    assert _is_slight(c) is slight
+    c.robust_weight = 1
+    assert not _is_slight(c)
+
+
+def test_outputs_of_a_triad_far_from_right_angles():
+    unit = np.array([[1.0, 0.0, 0.0], [0.49, math.sqrt(1 - 0.49**2), 0.0], [0.0, 0.0, 1.0]])
+    assert not _is_skew(unit)
+    unit[1, :2] = 0.51, math.sqrt(1 - 0.51**2)
+    assert _is_skew(unit)
+    c = SimpleNamespace(
+        model=SimpleNamespace(own_scales=(1, 3)), outputs=("a", "b"),
+        U=np.array([9.0, 0.3, 9.0, 0.7]), residual_sd=np.array([0.2, 0.3]),
+    )  # fmt: skip
+    assert_allclose(_known_to(c), [0.3, 0.6])
+    c.model.own_scales = (1,)
+    assert_allclose(_known_to(c), [0.0, 0.0])
+
+
+def test_a_misfit_is_gross_by_its_own_limit_or_that_of_orientations():
+    for misfit, but_one, sd, gross in (
+        (0.39, 0.24, 0.0, False), (0.41, 0.0, 0.0, True), (0.0, 0.26, 0.0, True),
+        (0.51, 0.49, 0.21, False), (0.53, 0.0, 0.21, True), (0.0, 0.53, 0.21, True),
+    ):  # fmt: skip
+        view = SimpleNamespace(misfit=misfit, misfit_but_one=but_one)
+        assert gross_errors.is_gross(view, sd) is gross
+
+
+# --- scales
+
+
+def test_factors_between_units_are_named():
+    assert factor_in_words(9.807) == "9.807 (m/s^2 for g)"
+    assert factor_in_words(1 / 9.8) == "0.102 (g for m/s^2)"
+    assert factor_in_words(1000.5) == "1000 (a thousandth for the unit)"
+    assert factor_in_words(1.3e-3) == "0.0013 (the unit for a thousandth)"
+    assert factor_in_words(57.3) == "57.3 (degrees for radians)"
+    assert factor_in_words(0.0174) == "0.0174 (radians for degrees)"
+    assert factor_in_words(3.7) == "3.7"
+
+
+def test_a_triad_that_no_turn_gives_is_reversed_or_interchanged():
+    def c(facing=None):
+        model = SimpleNamespace(axes=("x", "y", "z"))
+        return SimpleNamespace(outputs=("a", "b", "c"), model=model, facing=facing)
+
+    own = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, -0.1], [0.1, 0.2, 3.0]])
+    signs = np.array([[1.0], [-1.0], [1.0]])
+    assert reversed_or_permuted(c(), own) is None
+    assert reversed_or_permuted(c(), own[[1, 2, 0]]) is None  # the sensor was turned
+    assert reversed_or_permuted(c(), -own) is None  # the other convention
+    said = reversed_or_permuted(c(), signs * own)
+    assert (said.code, said.outputs) == ("sign", ("b",))
+    said = reversed_or_permuted(c(), own[[1, 0, 2]])
+    assert (said.code, said.outputs) == ("permuted-outputs", ("a", "b"))
+    assert reversed_or_permuted(c(("x", "-y", "z")), signs * own) is None
+    said = reversed_or_permuted(c(("x", "-y", "z")), own)
+    assert (said.code, said.outputs) == ("sign", ("b",))
