@@ -1,0 +1,359 @@
+"""Numbers of logs by hand or by a second route, at points without symmetry."""
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2, ortho_group
+
+import multipos as mp
+from multipos.logs import faults, joining
+from multipos.logs.clock import read_dates, unwrap
+from multipos.logs.faults import find_stuck, find_wrapped
+from multipos.logs.joining import _alike, _from_lines, _match_rows
+from multipos.logs.log_columns import _variation
+from multipos.logs.rest_means import RestMean, _cosines, _edge, _lines, with_rounding
+from multipos.logs.rests import Finder, Grid, Rest, Run, _first_peak, is_long, long_enough
+from multipos.logs.samples import Samples, _turns
+from multipos.logs.still import would_take
+from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
+
+# --- clocks and cells
+
+
+def test_times_that_wrap_go_on():
+    time = np.array([7.0, 9.5, 1.5, 4.0])
+    found = unwrap(time, np.nan, 0.0, 2.5, (5.0, 10.0, 100.0))
+    assert (found.size, found.wraps) == (10.0, 1)
+    assert_allclose(found.time, [7.0, 9.5, 11.5, 14.0])
+    assert unwrap(time[2:], 9.5, 10.0, 2.5, ()).time.tolist() == [11.5, 14.0]
+    assert unwrap(time, np.nan, 0.0, 0.019, (10.0,)).size == 0.0  # 2 is beyond 100 usual steps
+    assert unwrap(time, np.nan, 0.0, 0.021, (10.0,)).size == 10.0
+    assert unwrap(time, np.nan, 0.0, 2.5, (7.9,)).size == 0.0  # it would go back
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "2026-11-21 13:04:05.25", "2026/11/21 13:04:05.25", "21.11.2026 13:04:05,25",
+        "11/21/2026 13:04:05.25", "2026-11-21T13:04:05.25",
+    ],
+)  # fmt: skip
+def test_dates_are_seconds_since_1970(cell):
+    truth = datetime(2026, 11, 21, 13, 4, 5, 250_000, tzinfo=UTC).timestamp()
+    found = read_dates([cell, "nothing"])
+    assert found[0] == pytest.approx(truth, abs=1e-6)
+    assert math.isnan(found[1])
+
+
+def test_times_without_a_date_are_seconds_since_midnight():
+    assert_allclose(read_dates(["9:04:05.5", "23:59:59"]), [32645.5, 86399.0])
+
+
+def test_a_column_that_begins_again_has_so_many_turns():
+    cells = np.array(["a", "b", "c"] * 32)
+    assert _turns(cells) == 3
+    assert _turns(cells[:-1]) == 0  # fewer than 32 rounds
+    assert _turns(np.array(["a", "a", "b"] * 40)) == 0
+    lost = np.array(["a", "b", "c"] * 60)
+    lost[[30, 90]] = "x"  # four of 177 pairs
+    assert _turns(lost) == 0
+    lost[90] = "a"
+    assert _turns(lost) == 3
+
+
+def test_whole_numbers_get_their_sign():
+    state = SimpleNamespace(signed=8, _column=lambda table, name, largest: table)
+    assert Samples._output(state, np.array([0.0, 127.0, 128.0, 255.0]), "a").tolist() == [
+        0.0, 127.0, -128.0, -1.0]  # fmt: skip
+    cells = type("Cells", (np.ndarray,), {"where": lambda self, row, name: f"row {row}"})
+    for bad in (256.0, -1.0, 3.5):
+        column = np.array([1.0, bad]).view(cells)
+        with pytest.raises(mp.MultiposError, match=r"row 1: .* is no number of 8 bits"):
+            Samples._output(state, column, "a")
+
+
+# --- rests
+
+
+def test_rests_are_as_long_as_those_of_the_log():
+    """Of 900, 100, 110 and 20 samples the usual without the longest is 100: .4 of it."""
+    rests = [Rest(0, 900), Rest(1000, 1100), Rest(1200, 1310), Rest(1400, 1420), Rest(1500, 1539)]
+    long, short, shortest = long_enough(rests, Grid(2, 120, True))
+    by_hand = int(0.4 * np.median([100, 110, 20, 39]))
+    assert shortest == max(24, by_hand) == 27
+    assert [rest.start for rest in long] == [0, 1000, 1200, 1500]
+    assert [rest.start for rest in short] == [1400]
+    long, short, shortest = long_enough(rests, Grid(2, 120, False))
+    assert (shortest, [rest.start for rest in long]) == (120, [0])
+    assert is_long(Rest(0, 117), 120, Grid(2, 120))
+    assert not is_long(Rest(0, 116), 120, Grid(2, 120))
+
+
+def test_the_first_peak_is_the_leftmost_that_is_high_enough():
+    density = np.array([0.0, 1.0, 0.5, 3.0, 7.0, 7.0, 2.0, 20.0, 9.0, 30.0, 1.0])
+    from multipos.logs.rests import _PEAK
+
+    least = _PEAK * 30.0
+    expected = next(i for i in (1, 5, 7, 9) if density[i] >= least)
+    assert _first_peak(density) == expected
+
+
+def test_frozen_parts_are_left_out_of_a_run():
+    grid = Grid(5, 10)
+    state = SimpleNamespace(_grid=grid, _frozen=SimpleNamespace(found=[(2, 3), (20, 24), (50, 60)]))
+    found = Finder._without_frozen(state, 8, 40)
+    assert [(run.start, run.end, run.begins, run.ends) for run in found] == [
+        (40, 100, True, False), (120, 200, False, Run(0, 1).ends)]  # fmt: skip
+    state._frozen.found = [(12, 13)]  # four blocks before it are less than a window of eight
+    assert [run.start for run in Finder._without_frozen(state, 8, 40)] == [65]
+
+
+def mean_of(n=100, **given):
+    ones = np.ones(2)
+    fields = dict.fromkeys(RestMean.__dataclass_fields__, ones) | {"n": n} | given
+    return RestMean(**fields)
+
+
+def test_rounding_adds_what_noise_does_not_average_out():
+    """Noise of .03 q²: B by eq. (4), and samples vary by v + 1/12 − B."""
+    # eq. (4) of logs.rest_means
+    v, q = 0.03, 0.5
+    k = np.arange(1, 60)
+    B = np.sum(np.exp(-4 * np.pi**2 * k**2 * v) / (2 * np.pi**2 * k**2))
+    sd = q * math.sqrt(v + 1.0 / 12.0 - B)
+    rests = [mean_of(sd=np.array([sd, sd]), u=np.array([0.01, 1.0])) for _ in range(6)]
+    found = with_rounding(rests, np.array([q, 0.0]))
+    rounding = q * math.sqrt(B)
+    assert_allclose(found[2].u, [math.hypot(0.01, rounding), 1.0], rtol=1e-3)
+    for u, raised in ((9.0 * rounding, True), (11.0 * rounding, False)):
+        rests = [mean_of(sd=np.array([sd, sd]), u=np.array([u, 1.0])) for _ in range(6)]
+        (one, *_) = with_rounding(rests, np.array([q, 0.0]))
+        assert one.u[0] == pytest.approx(math.hypot(u, rounding) if raised else u, rel=1e-3)
+
+
+def test_lines_edges_and_cosines_of_batch_means():
+    rng = np.random.default_rng(7)
+    b = 40
+    means = rng.normal(size=(1, 1, b)) + 0.1 * np.arange(b)
+    means -= means.mean()
+    count = np.array([[b]])
+    rise, left = _lines(means, count)
+    slope, start = np.polyfit(np.arange(b), means[0, 0], 1)
+    assert rise[0, 0] == pytest.approx(slope * b)
+    assert_allclose(left[0, 0], means[0, 0] - start - slope * np.arange(b), atol=1e-12)
+    phases = np.concatenate([[[[0.0]]], np.cumsum(means, axis=2)], axis=2)
+    tenth = max(abs(means[0, 0, :4].mean()), abs(means[0, 0, -4:].mean()))
+    found = _edge(phases, count, np.array([[2.5]]))
+    assert found[0, 0] == pytest.approx(tenth / math.sqrt(2.5 / 4))
+    k = np.arange(64.0)
+    ends = np.rint(b * np.arange(65) / 64).astype(int)
+    sums = np.diff(np.concatenate([[0.0], np.cumsum(means[0, 0])])[ends])
+    cosine = np.array([np.cos(np.pi * j * (k + 0.5) / 64) for j in range(1, 9)])
+    by_hand = 2.0 * (cosine @ sums) ** 2 / (b**2 * 0.3)
+    assert_allclose(_cosines(phases, count, np.array([[0.3]]))[0, 0], by_hand, rtol=1e-9)
+
+
+# --- faults
+
+
+def test_an_output_that_never_changes_is_stuck_or_saturated():
+    def rest(sd, longest, low, at_low):
+        return mean_of(
+            sd=np.array([sd, 1.0]), longest=np.array([longest, 3.0]), low=np.array([low, 0.0]),
+            high=np.array([9.0, 1.0]), at_low=np.array([at_low, 1.0]), at_high=np.array([4.0, 2.0]),
+        )  # fmt: skip
+
+    survey = SimpleNamespace(
+        resolution=np.array([0.5, np.nan]),
+        lowest=np.array([2.0, -1.0]),
+        highest=np.array([9.0, 5.0]),
+    )
+    rests = [
+        rest(0.3, 49, 3.0, 5),
+        rest(0.3, 51, 3.0, 5),
+        rest(0.3, 51, 2.0, 4),
+        rest(0.3, 51, 3.0, 3),
+    ]
+    said = find_stuck(("a", "b"), rests, [survey] * 4)
+    assert [len(each) for each in said] == [0, 1, 1, 1]
+    words = ["stuck" if "stuck" in each[0] else "saturated" for each in said[1:]]
+    assert words == ["stuck", "saturated", "saturated"]
+    quiet = [replace(each, sd=np.array([0.24, 1.0])) for each in rests]
+    assert find_stuck(("a", "b"), quiet, [survey] * 4) == [[], [], [], []]
+
+
+def test_numbers_that_wrap_are_told_by_their_bits(monkeypatch):
+    """Eight bits, of which .9 in one step is no motion: 231 is, 230 is not."""
+    monkeypatch.setattr(faults, "_bits", lambda low, high, step: 8 if high > 200 else 0)
+    pieces = [
+        (0, np.array([[5.0, 10.0, 241.0, 10.0], [1.0, 2.0, 1.0, 2.0]])),
+        (4, np.array([[10.0, 241.0, 11.0, 241.0], [1.0, 2.0, 1.0, 2.0]])),
+    ]
+    source = SimpleNamespace(
+        spikes=SimpleNamespace(found=[(3, 0, 250.0)]),
+        outputs=("a", "b"),
+        raw_outputs=lambda: pieces,
+    )
+    survey = SimpleNamespace(
+        lowest=np.array([5.0, 1.0]), highest=np.array([243.0, 2.0]), resolution=np.array([1.0, 1.0])
+    )
+    (said,) = find_wrapped(source, survey)
+    assert said.text == "output 'a' wraps around 3 times in 8 bits (5 to 250), first at row 2"
+    assert said.action == "Read it with --signed 8."
+
+
+# --- readings by hand
+
+
+def test_rows_off_an_ellipsoid_and_their_directions():
+    rng = np.random.default_rng(5)
+    u = mp.read_scheme("fibonacci-400").up
+    C = np.diag([30.0, 40.0, 50.0]) @ (np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
+    size = np.ones(400)
+    size[77] = 1.02
+    misfit, away = _off_the_ellipsoid((size[:, None] * u) @ C.T + [7.0, -20.0, 11.0])
+    assert misfit[77] == pytest.approx(0.02, abs=1e-3)
+    assert np.abs(np.delete(misfit, 77)).max() < 1e-3
+    assert_allclose(np.linalg.norm(away, axis=1), 1.0)
+    # but for a turn they are those of the field
+    turn = np.linalg.lstsq(u, away, rcond=None)[0]
+    assert_allclose(turn @ turn.T, np.eye(3), atol=5e-3)
+    t, a = rng.normal(size=(2, 30))  # of a hyperboloid there are none
+    saddle = np.column_stack([np.cosh(t) * np.cos(a), np.cosh(t) * np.sin(a), np.sinh(t)])
+    assert not _off_the_ellipsoid(saddle)[0].any()
+
+
+def test_directions_are_counted_by_squares_of_a_cube():
+    from multipos.logs.waved import _SQUARES
+
+    turn = ortho_group.rvs(3, random_state=1)
+    along = mp.read_scheme("fibonacci-200").up @ turn
+    for direction, square in zip(along, _squares_of(along), strict=True):
+        axis = int(np.argmax(np.abs(direction)))
+        place = [(direction[(axis + k) % 3] / abs(direction[axis]) + 1) / 2 for k in (1, 2)]
+        cells = [min(int(each * _SQUARES), _SQUARES - 1) for each in place]
+        face = 2 * axis + (direction[axis] > 0)
+        assert square == (face * _SQUARES + cells[0]) * _SQUARES + cells[1]
+
+
+def test_rows_that_are_kept_are_spread_over_directions():
+    """Of 3000 rows of which two thirds stay in one direction, 600, and no square far above."""
+    u = mp.read_scheme("fibonacci-1000").up
+    still = np.tile([0.6, 0.1, 0.79], (2000, 1))
+    still /= np.linalg.norm(still, axis=1, keepdims=True)
+    values = np.concatenate([u, still]) * 48.0 + 1e-3 * np.random.default_rng(2).normal(
+        size=(3000, 3)
+    )
+    rows, stride = worth_keeping(values)
+    assert (np.diff(rows) > 0).all()
+    assert stride >= 1
+    assert len(rows) < 600
+    assert np.sum(rows >= 1000) <= 24
+    rows, stride = worth_keeping(np.ones((900, 1)))
+    assert (len(rows), rows[-1], stride) == (600, 899, 1)
+
+
+@pytest.mark.parametrize(("run", "found"), [(3, False), (4, True)])
+def test_readings_cut_off_at_an_end(run, found):
+    rng = np.random.default_rng(3)
+    values = rng.uniform(-1.0, 1.0, (20, 3))
+    values[6 : 6 + run, 1] = -2.0
+    said = _cut_off(("a", "b", "c"), values)
+    assert bool(said) is found
+    if found:
+        assert said[0].text == "readings of 'b' are saturated in rows 7 to 10"
+        values[6:10, 2] = 0.3  # the others did not move
+        assert not _cut_off(("a", "b", "c"), values)
+
+
+# --- rests and positions
+
+
+def test_how_far_rests_are_from_known_positions():
+    """After a line of each output, the chord as an angle; axes that hardly move do not count."""
+    up = mp.read_scheme("fibonacci-9").up
+    scheme = SimpleNamespace(up=up)
+    rows = [8, 1, 3, 6, 0]
+    target = -up[rows][:, [2, 0]]
+    means = 0.3 + target * [2.0, -1.5]
+    means[2] += [0.2, 0.1]
+    found = _match_rows(means, (2, 0), rows, scheme, "gravity")
+    off = np.zeros(5)
+    for mean, own in zip(means.T, target.T, strict=True):
+        scale, bias = np.polyfit(own, mean, 1)
+        off += ((mean - bias) / scale - own) ** 2
+    assert_allclose(found.distance_deg, np.degrees(2 * np.arcsin(np.sqrt(off) / 2)), rtol=1e-9)
+    assert np.isinf(found.second_deg).all()
+    level = SimpleNamespace(up=np.array([[0.0, 0.3, 0.9], [0.0, -0.19, 0.9], [0.0, 0.1, 0.9]]))
+    near = _match_rows(np.array([[1.0], [5.0], [2.0]]), (1,), [0, 1, 2], level, "force")
+    assert near.distance_deg.tolist() == [0.0, 0.0, 0.0]  # .49 g is too little
+
+
+def test_lines_from_positions_to_means():
+    targets = np.array([[0.9, 0.1], [-0.6, 0.2], [0.2, -0.1], [0.5, 0.0]])
+    means = targets * [2.0, 3.0] + [0.3, 0.4] + 0.01 * np.arange(8.0).reshape(4, 2)
+    bias, scale = _from_lines(means, targets, np.array([7.0, 1.7]))
+    slope, start = np.polyfit(targets[:, 0], means[:, 0], 1)
+    assert_allclose((bias[0], scale[0]), (start, slope))
+    assert scale[1] == 1.7  # .3 g is too little to show it
+    assert bias[1] == pytest.approx(means[:, 1].mean() - 1.7 * targets[:, 1].mean())
+    turned = _from_lines(means * [-1.0, 1.0], targets, np.array([7.0, 1.7]))
+    assert turned[1][0] == 7.0
+
+
+@pytest.mark.parametrize(("by", "together"), [(0.97, True), (1.03, False)])
+def test_outputs_are_judged_together_unless_they_differ(by, together):
+    """Cube roots of means on ν are normal: 4.5 ν (∛(s/s̄) − 1)² against χ² of one at 1 %."""
+    usable = np.ones((10, 3), dtype=bool)
+    usable[:, 1] = False
+    dof = joining._DOF * 10
+
+    def off(x):
+        mean = (x + 1.0) / 2.0
+        return 4.5 * dof * ((np.cbrt(x / mean) - 1) ** 2 + (np.cbrt(1 / mean) - 1) ** 2)
+
+    low, high = 1.0, 100.0
+    for _ in range(80):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if off(middle) < chi2.isf(0.01, 1) else (low, middle)
+    size = np.ones((10, 3))
+    size[:, 0] = low**by
+    assert _alike(size, usable) == ([[0, 2]] if together else [[0], [2]])
+    assert _alike(size[:, :1], usable[:, :1]) == [[0]]
+
+
+def test_what_a_memory_makes_likely():
+    """Cosines with the density of a first-order process; each its own level."""
+    rows = np.random.default_rng(1).chisquare(1.0, (6, joining.COSINES)) + 0.1
+    logs = []
+    for memory in joining._MEMORIES:
+        shape = 1.0 / (1.0 + (joining._ORDER / memory) ** 2)
+        level = np.mean(rows.mean(axis=0) / shape)
+        logs.append(np.sum(np.log(level * shape) + 1.0))
+    assert joining._with_memory(rows) == pytest.approx(-0.5 * 6 * min(logs), rel=1e-9)
+
+
+def test_how_the_size_of_means_varies():
+    means = np.random.default_rng(4).normal(size=(3, 30))
+    size = np.linalg.norm(means, axis=0)
+    by_hand = (np.quantile(size, 0.9) - np.quantile(size, 0.1)) / np.median(size)
+    assert _variation(means) == pytest.approx(by_hand)
+    assert _variation(np.array([[3.0, 3.0], [0.0, 1.49], [0.0, 0.0]])) == np.inf
+    assert _variation(np.zeros((3, 4))) == np.inf
+
+
+def test_what_would_take_in_short_stretches():
+    short = [Rest(0, 57), Rest(100, 138)]
+    assert would_take([], 60, 50.0) == ""
+    assert would_take(short, 60, None).startswith(
+        "; 2 more stretches stood still for less than 60 s"
+    )
+    assert would_take(short[1:], 60, 50.0) == (
+        "; 1 more stretch stood still for less than 1.2 s; --min-duration 0.76 takes them in"
+    )
+    assert "--min-duration 0.77 " in would_take([Rest(0, 54)], 60, 70.0)
