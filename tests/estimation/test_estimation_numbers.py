@@ -1,0 +1,223 @@
+"""Numbers of estimation by hand or by a second route, at points without symmetry."""
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import t
+
+import multipos as mp
+from multipos.estimation import stated_uncertainty
+from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
+from multipos.estimation.known import fit_output
+from multipos.estimation.posteriors import _dof_of_tail, _probable
+from multipos.estimation.problem import OpenRolls, eliminate_free, turn_to_axes
+from multipos.estimation.stated_uncertainty import combined_dof, with_stated_dof
+from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
+from multipos.estimation.unknown_orientations import fit_ellipsoids
+from multipos.estimation.user_models import _moved_by_rotations
+from multipos.sensor.model import build_model
+
+# --- orientations
+
+
+def test_two_angles_are_eliminated_as_by_dense_matrices():
+    """Σ⁻¹ − Σ⁻¹J (J'Σ⁻¹J + diag(0, 1/s²))⁻¹ J'Σ⁻¹; the second angle may be held."""
+    # eq. (2) of estimation.problem
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 3, 5))
+    precision = root @ root.transpose(0, 2, 1)
+    jacobian, prior = rng.normal(size=(4, 3, 2)), np.array([0.7, 2.0, 0.0, 5.0])
+    jacobian[3, :, 1] = 0.0  # held
+    weighted = precision @ jacobian
+    gain, inverse, marginal, determinant = eliminate_free(precision, jacobian, weighted, prior)
+    for i in range(4):
+        A = jacobian[i].T @ weighted[i] + np.diag([0.0, prior[i]])
+        assert_allclose(inverse[i], np.linalg.inv(A), rtol=1e-9, atol=1e-12)
+        assert_allclose(gain[i], weighted[i] @ np.linalg.inv(A), rtol=1e-9, atol=1e-12)
+        taken = weighted[i] @ np.linalg.solve(A, weighted[i].T)
+        assert_allclose(marginal[i], precision[i] - taken, rtol=1e-9, atol=1e-9)
+        assert determinant[i] == pytest.approx(np.linalg.det(A))
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_rolls_and_a_listed_position_say_how_a_frame_is_turned(mirror):
+    angle = np.radians(np.arange(0.0, 360.0, 45.0))
+    c, s, level = np.cos(angle), np.sin(angle), np.zeros(8)
+    inclined = np.column_stack([0.8 * s, level + 0.6, 0.8 * c])  # of y, alike in all
+    reference = np.concatenate([np.column_stack([level, c, s]), inclined, [[0.6, 0.0, 0.8]]])
+    rolls = OpenRolls(np.repeat([0, 1, -1], [8, 8, 1]), np.repeat([-1, 0, -1], [8, 8, 1]))
+    rows = rolls.rows
+    turn = Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()
+    direction = mirror * reference @ turn
+    found = turn_to_axes(rolls, direction, ~rows, reference)
+    assert_allclose(found, mirror * turn, atol=1e-5)
+
+
+def test_changes_of_parameters_undo_a_rotation():
+    """Of three rotations one does what two parameters do, another nothing that any does."""
+    rng = np.random.default_rng(4)
+    slopes = rng.normal(size=(8, 3, 4))
+    c = np.array([0.5, 0.0, -1.2, 0.0])
+    rotated = np.stack([slopes @ c, rng.normal(size=(8, 3))], axis=2)
+    found = _moved_by_rotations(slopes, rotated)
+    assert found.shape == (4, 1)
+    scale = np.linalg.norm(slopes.reshape(24, 4), axis=0)
+    assert_allclose(np.abs(found[:, 0] / scale @ c) / np.linalg.norm(found[:, 0] / scale), 1.3)
+    assert _moved_by_rotations(slopes, rotated[:, :, 1:]).shape == (4, 0)
+
+
+@pytest.mark.parametrize("crossed", [True, False])
+def test_an_ellipsoid_gives_its_centre_and_its_triangle(crossed):
+    L = np.array([[2.0, 0.0, 0.0], [0.3, 1.5, 0.0], [-0.2, 0.1, 1.1]]) * (
+        1 if crossed else np.eye(3)
+    )
+    u = mp.read_scheme("fibonacci-20").up
+    values = (np.array([0.4, -0.3, 0.2]) + u @ L.T).T[None]
+    found = fit_ellipsoids(values, crossed=crossed)
+    assert_allclose(found.bias[0], [0.4, -0.3, 0.2], atol=1e-9)
+    assert_allclose(found.lower[0], L, atol=1e-9)
+    assert found.clear[0]
+    extent = np.linalg.eigvalsh(np.cov(values[0], bias=True))
+    assert found.thickness[0] == pytest.approx(extent[0] / extent[2])
+    change = values[0].std(axis=1).min() / np.abs(values).max()
+    assert found.change[0] == pytest.approx(change)
+
+
+# --- noise
+
+
+@pytest.mark.parametrize("equal", [True, False])
+def test_terms_of_a_node_are_those_of_the_restricted_likelihood(equal):
+    """Two outputs of one design: −½ (ln|V| + ln|X'V⁻¹X| + e'Pe), but for a constant."""
+    rng = np.random.default_rng(6)
+    n, p = 9, 3
+    X = np.column_stack([np.ones(n), rng.normal(size=(n, 2))])
+    u2 = np.full(n, 0.3) if equal else rng.uniform(0.1, 1.0, n)
+    e = rng.normal(size=(1, n, 2))
+    ((members, part),) = _parts([X, X], e, np.stack([u2, u2], axis=1)[None], range(2))
+    assert members == [0, 1]
+    nodes = np.array([[0.0, 0.2, 1.7]])
+    found = (_equal if equal else _unequal)(part, nodes)
+    by_hand = []
+    for g, node in enumerate(nodes[0]):
+        W = np.diag(1.0 / (u2 + node))
+        C = np.linalg.inv(X.T @ W @ X)
+        steps = C @ X.T @ W @ e[0]
+        left = e[0] - X @ steps
+        square = np.einsum("nm,nk,km->m", left, W, left).sum()
+        det = np.linalg.slogdet(W)[1] - np.linalg.slogdet(X.T @ W @ X)[1]
+        by_hand.append(0.5 * (2 * det - square))
+        assert_allclose(found.moves[0, g], steps.T.ravel(), atol=1e-9)
+        assert_allclose(found.variances[0, g], np.tile(np.diag(C), 2), rtol=1e-9)
+        assert found.information[0, g] == pytest.approx(2 * np.sum((u2 + node) ** -2.0))
+    assert_allclose(np.diff(found.log[0]), np.diff(by_hand), rtol=1e-8)
+    sums, w = _sums(part, nodes), 1.0 / (u2 + 0.2)
+    Q = part.basis
+    assert_allclose(sums.square[0, 1], Q.T @ (w[:, None] * Q), atol=1e-12)
+    assert_allclose(sums.right[0, 1], Q.T @ (w[:, None] * e[0]), atol=1e-12)
+    assert sums.misfit[0, 1] == pytest.approx(np.sum(w[:, None] * e[0] ** 2))
+    assert sums.log_weight[0, 1] == pytest.approx(np.log(w).sum())
+    assert p == Q.shape[1]
+
+
+@pytest.mark.parametrize("dof", [1.7, 6.0, 40.0, 400.0])
+def test_the_law_of_student_and_the_degrees_of_freedom_of_its_tails(dof):
+    law = _student(dof)
+    place = np.linspace(0.0, 1.0, len(law.inside))[1:-1]
+    inside = 2.0 * t.cdf(math.sqrt(dof) * place / (1.0 - place), dof) - 1.0
+    assert_allclose(law.inside[1:-1], inside, atol=2e-4)
+    assert_allclose(np.cumsum(law.rise), law.inside[1:])
+    assert law.k == pytest.approx(t.ppf(0.975, dof), rel=2e-3)
+    ratio = t.ppf(0.975, dof) / t.ppf(0.84, dof)
+    assert _dof_of_tail(ratio) == pytest.approx(dof, rel=0.02)
+
+
+def test_ranges_where_something_is_probable():
+    from multipos.estimation.posteriors import NEGLIGIBLE
+
+    low = -NEGLIGIBLE / 2.0
+    x = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 2)
+    log = np.array(
+        [
+            [low - 0.1, low - 0.1, low + 0.1, 0.0, low - 0.1, low - 0.1],
+            [0.0, low + 0.1, low - 0.1, low - 0.1, low - 0.1, low + 0.1],
+        ]
+    )
+    first, last = _probable(x, log)
+    assert (first.tolist(), last.tolist()) == ([2.0, 1.0], [5.0, 6.0])
+
+
+@pytest.mark.parametrize("parts", [4, 3])
+def test_weights_of_ratios_of_noise_are_their_likelihood_and_prior(parts):
+    """−½ (Σ w ln v + ν ln Σ w r²/v + x²/16) of ln s = x along the axes of the simplex."""
+    rng = np.random.default_rng(8)
+    V = rng.uniform(0.2, 1.0, (1, parts, 12))
+    squares, weight = rng.chisquare(1.0, (1, 12)), rng.uniform(0.5, 1.0, (1, 12))
+    own = _Parts(np.zeros((1, parts, 2, 2)), V, squares, weight, float(weight.sum()))
+    probability, s = _mixture(own)
+    assert probability.sum() == pytest.approx(1.0)
+    axes = _AXES[:, -parts:]
+    log = []
+    for ratios, p in zip(s[0], probability[0], strict=True):
+        x = axes @ np.log(ratios)  # q falls out: each axis sums to nothing
+        v = np.exp(x @ axes) @ V[0]
+        q = np.sum(weight[0] * squares[0] / v) / own.dof
+        assert_allclose(ratios, np.exp(x @ axes) * q, rtol=1e-9)
+        log.append(
+            -0.5 * (weight[0] @ np.log(v) + own.dof * math.log(q) + x @ x / 16.0) - math.log(p)
+        )
+    assert_allclose(log, log[0], atol=1e-9)
+
+
+# --- degrees of freedom and residuals
+
+
+@dataclass
+class Found:
+    model: object
+    dof: np.ndarray
+    parameter_dof: np.ndarray
+    variance_components: object = None
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_degrees_of_freedom_of_stated_variances_join_those_of_residuals(joint):
+    # eq. (3) of estimation.stated_uncertainty
+    u, nu = np.array([[0.3, 0.2], [0.4, 0.1], [0.5, 0.6]]), np.array([[9.0, 5.0]] * 3)
+    rests = {"a": SimpleNamespace(value=0.2), "b": SimpleNamespace(value=0.5)}
+    model = build_model("1 + own", ("a", "b"), ("x", "y"))
+    solution = Found(model, np.array([12.0, math.inf]), np.array([12.0, 11.0, 8.0, 7.0]))
+    solution.variance_components = SimpleNamespace(rest_to_rest=rests)
+    spread = []
+    for i, excess in enumerate((0.04, 0.25)):
+        v = u[:, i] ** 2
+        stated = v.sum() ** 2 / np.sum(v**2 / nu[:, i])
+        spread.append((v.mean() / (v.mean() + excess)) ** 2 / stated)
+    if joint:
+        spread = [max(spread)] * 2
+    found = with_stated_dof(solution, SimpleNamespace(u=u, dof=nu), joint=joint)
+    assert_allclose(found.dof, [1.0 / (1.0 / 12.0 + spread[0]), math.inf])
+    each = np.array([spread[0], spread[0], spread[1], spread[1]])
+    assert_allclose(found.parameter_dof, 1.0 / (1.0 / solution.parameter_dof + each))
+    of_units = combined_dof(
+        np.array([[12.0, 6.0]]), (u**2)[None], nu[None], np.array([[0.04, 0.25]])
+    )
+    own = stated_uncertainty._spread((u**2)[None], nu[None], np.array([[0.04, 0.25]]))[0]
+    assert_allclose(of_units[0], 1.0 / (1.0 / np.array([12.0, 6.0]) + own))
+
+
+def test_coefficients_of_an_output_and_what_they_leave_exactly():
+    """Columns of very different size; residuals of readings near a thousand to the last digit."""
+    rng = np.random.default_rng(9)
+    design = np.column_stack([np.ones(11), rng.normal(size=(11, 2)) * [1e-3, 40.0]])
+    y = 1000.0 + rng.normal(size=(2, 11))
+    b, left = fit_output(design, np.linalg.pinv(design), y)
+    for own, r, values in zip(b, left, y, strict=True):
+        assert_allclose(own, np.linalg.lstsq(design, values, rcond=None)[0], rtol=1e-9)
+        exact = values.astype(np.longdouble) - design.astype(np.longdouble) @ own
+        assert_allclose(r, exact.astype(float), atol=1e-14 * 1000.0)
