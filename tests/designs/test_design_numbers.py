@@ -1,6 +1,7 @@
 """Numbers of designs by hand or by a second route, at points without symmetry."""
 
 import math
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,14 +9,29 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.designs import information
-from multipos.designs.assessment import Assessor, _dof, find_aliases, positions_table
+from multipos.designs import designing, information
+from multipos.designs.assessment import (
+    Assessor,
+    _dof,
+    find_aliases,
+    positions_table,
+    schemes_sentence,
+)
 from multipos.designs.criteria import Criterion, make_criterion, objective
-from multipos.designs.designing import Design, _check_count, _efficiency, _time_s
+from multipos.designs.designing import (
+    Design,
+    _check_count,
+    _efficiency,
+    _order,
+    _promising,
+    _search_largest,
+    _time_s,
+    smaller_designs,
+)
 from multipos.designs.exchange import _roughly, _tidy
 from multipos.designs.information import Setting, tangents
 from multipos.designs.optimum import _length, _spread
-from multipos.designs.prospects import information_of, measured
+from multipos.designs.prospects import information_of, measured, worth_sentence, worth_text
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 
@@ -224,3 +240,76 @@ def test_the_drift_of_a_session_is_as_well_known_as_it_is():
     known = np.zeros(len(cal.u))
     known[drifts] = 1.0 / cal.u[drifts] ** 2
     assert_allclose(present - without, np.diag(known), rtol=1e-9, atol=1e-3)
+
+
+def test_included_positions_stay_and_a_curve_has_eight_points():
+    def make(count, included=0):
+        return SimpleNamespace(positions=range(count), included=included)
+
+    found = smaller_designs(partial(make, included=6), make(24, 6))
+    assert [len(each.positions) for each in found] == [9, 12, 15, 18, 21, 24]
+    assert len(smaller_designs(make, make(40))) == 8
+
+
+def test_the_order_of_travel_starts_at_the_last_position_that_is_given():
+    """From z down the short way: edge, x, edge, z up."""
+    up = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.7, 0.0, -0.7], [0.7, 0.0, 0.7]])
+    given = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    assert _order(Setting(LINEAR), up, given, "travel").tolist() == [2, 1, 3, 0]
+
+
+def test_the_least_of_the_largest_variances_is_chosen():
+    """Faces have 4 of 4; with two more at x, 5 of 4; a roll leaves parameters open."""
+    faces = read_scheme("faces-6").up
+    choices = [read_scheme("roll-x-8").up, read_scheme("faces-6+roll-z-2").up, faces]
+    value, up = _search_largest(Setting(LINEAR), choices, faces, np.empty((0, 3)))
+    assert value == pytest.approx(0.0, abs=1e-9)
+    assert_allclose(up, faces)
+    value, _ = _search_largest(Setting(LINEAR), choices[:2], faces, np.empty((0, 3)))
+    assert value == pytest.approx(-math.log(5.0 / 4.0), abs=1e-6)
+    assert _search_largest(Setting(LINEAR), choices[:1], faces, np.empty((0, 3)))[0] == -math.inf
+
+
+def test_candidates_that_promise_most_have_the_largest_variance(monkeypatch):
+    monkeypatch.setattr(designing, "_MANY", 5)
+    bench = read_scheme("fibonacci-40").up
+    best = SimpleNamespace(
+        chosen=np.array([3, 11, 17, 26, 39]), weights=np.array([1, 2, 3, 2, 2]) / 10
+    )
+    X = np.column_stack([np.ones(40), bench])
+    M = np.einsum("k,ki,kj->ij", best.weights, X[best.chosen], X[best.chosen])
+    variance = np.einsum("ni,ij,nj->n", X, np.linalg.inv(M), X)
+    found = _promising(Setting(LINEAR), Criterion("D"), bench, best)
+    assert_allclose(found, bench[np.sort(np.argsort(-variance)[:5])])
+
+
+def test_positions_that_separate_nothing_are_no_design(monkeypatch):
+    monkeypatch.setattr(designing, "_search", lambda *_: (-math.inf, np.empty((0, 3))))
+    with pytest.raises(mp.MultiposError, match="no 6 positions were found that separate"):
+        mp.design("linear", 6)
+
+
+def test_sentences_count_schemes_and_positions():
+    def scheme(name, efficiency):
+        return SimpleNamespace(
+            name=name, identifiable=efficiency is not None, d_efficiency=efficiency, positions=9
+        )
+
+    three = [scheme("a", 0.7), scheme("b", None), scheme("c", 0.8), scheme("d", None)]
+    said = schemes_sentence(SimpleNamespace(schemes=three, model="linear"))
+    assert said.startswith("Best of 4 schemes for linear: c, 80.0 %")
+    assert said.endswith("; 2 cannot determine it.")
+    path = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
+    entry = SimpleNamespace(up=path[0], fall=0.123, u={"ax:1": 2e-4})
+    found = SimpleNamespace(
+        candidates=[entry], parameter="ax:1", target=1e-4, path=path, further_positions=2,
+        floor=5e-5, drift_absorbed=0.25,
+    )  # fmt: skip
+    text = worth_text(found)
+    assert "25 % of a drift" in text
+    assert "2 further positions reach the target" in text
+    rows = [line.split() for line in text.splitlines() if line.split()[-1:] == ["0.000000"]]
+    assert rows == [["2", "0.000000", "1.000000", "0.000000"]]
+    assert worth_sentence(found).startswith("Best next position: up (0.6, 0, 0.8), u of ax:1 falls")
+    found.parameter = None
+    assert "u of all parameters falls by 12 %" in worth_sentence(found)

@@ -484,7 +484,7 @@ def test_each_criterion_is_best_at_its_own(criterion):
 def test_included_positions_stay_and_count():
     found = mp.design("own-quadratic", 9, include="faces-6")
     assert_allclose(found["positions"][:6], read_scheme("faces-6").up)
-    assert len(found["positions"]) == 9
+    assert (len(found["positions"]), found["included"]) == (9, 6)
     # the next best one after six faces: every direction adds at most what a face does
     one = mp.design("own-quadratic", 7, include="faces-6", candidates="all-26")
     assert np.abs(one["positions"][6]).max() == 1.0

@@ -1,8 +1,5 @@
 """Figures that commands write show what the results hold."""
 
-from functools import partial
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -81,13 +78,3 @@ def test_a_design_is_drawn_with_what_fewer_positions_would_do(tmp_path, monkeypa
     assert sizes == [5, 4, 3]  # three cannot tell four parameters, and end it
     figure = plots.design_figure(found)
     assert figure.axes[1].lines[0].get_xdata().tolist() == [4, 5, 6]
-
-
-def test_included_positions_stay_and_a_curve_has_eight_points():
-    def make(count, included=0):
-        return SimpleNamespace(positions=range(count), included=included)
-
-    found = smaller_designs(partial(make, included=6), make(24, 6))
-    assert [len(each.positions) for each in found] == [9, 12, 15, 18, 21, 24]
-    assert len(smaller_designs(make, make(40))) == 8
-    assert mp.design("linear", 9, include="faces-6").included == 6
