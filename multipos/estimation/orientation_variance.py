@@ -431,8 +431,10 @@ class _Evaluator:
         powers *= rotated.number[:, None]
         for units, places in _pieces(tau2.shape, len(rotated.number)):
             mine, some, at = rotated.of(units), F[units, places], tau2[units, places]
-            scaled = some[..., None] * mine.moving[:, None]
-            weight = 1.0 / (mine.fixed[:, None] + scaled + at[..., None])
+            weight = some[..., None] * mine.moving[:, None]
+            weight += mine.fixed[:, None]
+            weight += at[..., None]
+            np.reciprocal(weight, out=weight)
             log, R = self._likelihood(mine, weight)
             sums = np.moveaxis((weight * weight) @ powers[units], 2, 0)
             log += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
@@ -479,7 +481,8 @@ class _Evaluator:
     def _likelihood(self, rotated: _Rotated, weight: Array) -> tuple[Array, Array]:
         """Return ln L (B, G), and the Cholesky factors R (P + 1, P + 1, B, G) of eq. (4)."""
         sums = np.swapaxes(rotated.products, 1, 2) @ np.swapaxes(weight, 1, 2)
-        sums = np.moveaxis(sums, 1, 0) + np.reshape(self._prior, (-1, 1, 1))
+        sums = np.moveaxis(sums, 1, 0)
+        sums += np.reshape(self._prior, (-1, 1, 1))
         sums[-1] *= 1.0 + _ROUNDING  # of residuals that are nothing but rounding
         sums[-1] += _TINY
         R = _triangles(sums)
