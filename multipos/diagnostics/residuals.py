@@ -598,10 +598,10 @@ def understated_orientations(c: Calibration) -> Finding | None:
         return None
     moved, size = explain_orientations(of), math.sqrt(float(np.mean(sd[kept] ** 2)))
     found = math.sqrt(float(moved.variances[0, 1]))
-    deviance = min(
-        _deviance_at(of, tau2, size**2) for tau2 in of.scale[0] * np.geomspace(1e-8, 1.0, 33)
-    )
-    if found <= size or deviance - moved.deviance[0] < chi2_quantile(1.0 - 2.0 * LEVEL, 1.0):
+    if found <= size:
+        return None
+    gain = _least_deviance(of, size**2) - moved.deviance[0]
+    if gain < chi2_quantile(1.0 - 2.0 * LEVEL, 1.0):
         return None
     whole = _at_listed(c, np.ones_like(kept), up, sd)
     assert whole is not None
@@ -644,9 +644,12 @@ def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | 
     return Residuals(error[None], basis, c.model.columns, scaled[None], force, stated[None])
 
 
-def _deviance_at(of: Residuals, tau2: float, s2: float) -> float:
-    theta = np.array([[tau2, s2]])
-    return float(_evaluate(of, [np.eye(3)[None, None], of.across], theta).deviance[0])
+def _least_deviance(of: Residuals, s2: float) -> float:
+    """Return the least deviance of one unit whose orientations vary by s²."""
+    tau2 = of.scale[0] * np.geomspace(1e-8, 1.0, 33)
+    theta = np.column_stack([tau2, np.full_like(tau2, s2)])
+    same = of.some(np.zeros(len(tau2), dtype=np.intp))
+    return float(_evaluate(same, [np.eye(3)[None, None], of.across], theta).deviance.min())
 
 
 def unequal_noise(c: Calibration) -> Finding | None:
