@@ -24,4 +24,5 @@ settings.load_profile("multipos")
 @pytest.fixture
 def without_findings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Findings change no number, and take as long as the fit: simulations of claims leave them."""
-    monkeypatch.setattr("multipos.fitting.fit_readings.examine", lambda c, **_: c)
+    for finds in ("examine", "_with_rolls"):
+        monkeypatch.setattr(f"multipos.fitting.fit_readings.{finds}", lambda c, **_: c)

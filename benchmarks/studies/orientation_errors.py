@@ -26,15 +26,22 @@ def main() -> None:
         return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
     def errors(sd_deg, runs, matrix=MATRIX, noise=NOISE, seed=3, **how):
-        """Errors of the parameters, a row per calibration, with their names and u."""
+        """Errors of the parameters (runs, 3, 4) of as many calibrations."""
         rng = np.random.default_rng(seed)
-        rows = []
-        for _ in range(runs):
-            values = BIAS + turn(sd_deg, rng) @ matrix.T + noise * rng.standard_normal((24, 3))
-            cal = mp.fit(mp.Readings(values, up=UP), **how)
-            linear = cal.model.linear_map({}) @ cal.parameters
-            rows.append(linear - np.column_stack([BIAS, matrix]))
-        return np.array(rows), cal
+        values = np.array(
+            [
+                BIAS + turn(sd_deg, rng) @ matrix.T + noise * rng.standard_normal((24, 3))
+                for _ in range(runs)
+            ]
+        )
+        table = {"unit": np.repeat(np.arange(runs), 24)}
+        table |= dict(zip(("ax", "ay", "az"), values.reshape(-1, 3).T, strict=True))
+        if "unknown_orientation" not in how:
+            table |= dict(zip(("up_x", "up_y", "up_z"), np.tile(UP, (runs, 1)).T, strict=True))
+        found = mp.fit_many(table, unit_column="unit", **how)
+        model = mp.fit(mp.Readings(values[0], up=UP), **how).model
+        linear = model.linear_map({}) @ np.array([found[name] for name in model.names])
+        return np.moveaxis(linear, -1, 0) - np.column_stack([BIAS, matrix])
 
     def rms_bias(rows):
         return np.sqrt(np.mean(rows[:, :, 0] ** 2))
@@ -42,8 +49,8 @@ def main() -> None:
     def rms_scale(rows):
         return np.sqrt(np.mean(rows[:, range(3), range(1, 4)] ** 2))
 
-    plain, _ = errors(0.01, 100)
-    likely, _ = errors(0.01, 100, orientation_sd=0.01, reading_sd=NOISE)
+    plain = errors(0.01, 100)
+    likely = errors(0.01, 100, orientation_sd=0.01, reading_sd=NOISE)
     print(f"bias  {rms_bias(plain) / rms_bias(likely):.0f} times better")
     print(f"scale {rms_scale(plain) / rms_scale(likely):.0f} times better")
 
@@ -55,12 +62,12 @@ def main() -> None:
     print(f"cross terms {rms_cross(plain) / rms_cross(likely):.1f} times better")
     claimed = NOISE / np.sqrt(len(UP))  # of a bias, which is a mean
     for sd_deg in (0.01, 0.1):
-        print(f"{sd_deg:4} degrees: too small by {rms_bias(errors(sd_deg, 100)[0]) / claimed:.0f}")
+        print(f"{sd_deg:4} degrees: too small by {rms_bias(errors(sd_deg, 100)) / claimed:.0f}")
     for sd_deg in (0.0001, 0.001, 0.01, 0.1, 1.0):
-        known, _ = errors(sd_deg, 40)
-        given, _ = errors(sd_deg, 40, orientation_sd=sd_deg, reading_sd=NOISE)
-        auto, _ = errors(sd_deg, 40, orientation_sd="auto")
-        thrown, _ = errors(sd_deg, 40, matrix=LOWER, unknown_orientation=True)
+        known = errors(sd_deg, 40)
+        given = errors(sd_deg, 40, orientation_sd=sd_deg, reading_sd=NOISE)
+        auto = errors(sd_deg, 40, orientation_sd="auto")
+        thrown = errors(sd_deg, 40, matrix=LOWER, unknown_orientation=True)
         row = [1e6 * rms_bias(rows) for rows in (known, given, auto, thrown)]
         print(f"{sd_deg:6} degrees {row[0]:8.1f} {row[1]:6.1f} {row[2]:6.1f} {row[3]:6.1f}")
 
@@ -72,7 +79,7 @@ def main() -> None:
         "orientations thrown away": ({"unknown_orientation": True}, LOWER),
     }.items():
         angles = [0.0001, 0.001, 0.01, 0.1]
-        rms = [1e6 * rms_bias(errors(sd_deg, 20, matrix, **how)[0]) for sd_deg in angles]
+        rms = [1e6 * rms_bias(errors(sd_deg, 20, matrix, **how)) for sd_deg in angles]
         axes.loglog(angles, rms, "o-", label=label)
     axes.set(xlabel="placement [degrees]", ylabel="rms error of the bias [µg]")
     axes.xaxis.set_major_formatter("{x:g}")
@@ -80,8 +87,8 @@ def main() -> None:
     axes.legend()
     Path("placement.svg").write_text(to_svg(figure), encoding="utf-8")
     unequal = np.array([1e-5, 1e-5, 1e-4])
-    alike, _ = errors(0.0, 200, LOWER, unequal, unknown_orientation=True)
-    stated, _ = errors(0.0, 200, LOWER, unequal, unknown_orientation=True, reading_sd=unequal)
+    alike = errors(0.0, 200, LOWER, unequal, unknown_orientation=True)
+    stated = errors(0.0, 200, LOWER, unequal, unknown_orientation=True, reading_sd=unequal)
     for i, axis in enumerate("xyz"):
         ratio = np.std(alike[:, i, 0]) / np.std(stated[:, i, 0])
         print(f"bias of {axis}: {ratio:.1f} times")
