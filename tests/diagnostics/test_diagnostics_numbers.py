@@ -17,8 +17,11 @@ from multipos.diagnostics.columns import (
     _shows_noise,
     counter_column,
 )
+from multipos.diagnostics.examination import _gain_without
 from multipos.diagnostics.gross_errors import _is_skew, _is_slight, _known_to, _silent
 from multipos.diagnostics.magnetic import _left, moving_iron
+from multipos.diagnostics.model_error import are_better_with
+from multipos.diagnostics.projections import _whitener
 from multipos.diagnostics.repairs import (
     View,
     _many_factors,
@@ -28,8 +31,10 @@ from multipos.diagnostics.repairs import (
     _squares,
     _wrap_of,
 )
+from multipos.diagnostics.residuals import Explained, _information, _signs_lost, prefers_unequal
 from multipos.diagnostics.row_order import _correlation, _judge_slow, _traces
 from multipos.diagnostics.scales import factor_in_words, reversed_or_permuted
+from multipos.diagnostics.score_tests import ratios_of
 from multipos.sensor.found import Estimator
 
 K = np.array([[2.0, 0.1, -0.2], [0.05, 1.5, 0.15], [-0.1, 0.2, 1.1]])
@@ -367,3 +372,126 @@ def test_a_triad_that_no_turn_gives_is_reversed_or_interchanged():
     assert reversed_or_permuted(c(("x", "-y", "z")), signs * own) is None
     said = reversed_or_permuted(c(("x", "-y", "z")), own)
     assert (said.code, said.outputs) == ("sign", ("b",))
+
+
+# --- terms that are tested
+
+
+def test_ratios_of_scores_and_where_there_is_such_a_test():
+    """R = explained ν/(q rest), ν = left − q; no test on nothing, or where ν is below one."""
+    explained, whole = np.array([3.0, 3.0, 3.0, 3.0, np.nan]), 10.0
+    q, left = np.array([2.0, 0.0, 4.5, 4.0, 1.0]), 5.0
+    ratio, nu, tested = ratios_of(explained, whole, q, left, np.array([0.1]))
+    assert tested.tolist() == [True, False, False, True, False]
+    assert_allclose(nu, [3.0, 5.0, 0.5, 1.0, 4.0])
+    assert_allclose(ratio[[0, 3]], [3.0 * 3.0 / (2.0 * 7.0), 3.0 / (4.0 * 7.0)])
+    ratio, _, _ = ratios_of(np.array([9.9]), whole, np.array([2.0]), left, np.array([0.1]))
+    assert ratio[0] == pytest.approx(9.9 * 3.0 / (2.0 * 0.3))  # what is left is no less than noise
+
+
+def test_rows_that_are_left_out_gain_what_a_fit_without_them_does():
+    rng = np.random.default_rng(7)
+    n, rows = 12, [2, 9]
+    X = np.column_stack([np.ones(n), rng.normal(size=(n, 2))])
+    y, sd = rng.normal(size=(n, 2)), rng.uniform(0.5, 2.0, (n, 2))
+    residuals, gain = np.empty((n, 2)), 0.0
+    columns = (np.array([0, 1]), np.array([0, 1, 2]))
+    for i, own in enumerate(columns):
+        A, b = X[:, own] / sd[:, [i]], y[:, i] / sd[:, i]
+        residuals[:, i] = y[:, i] - X[:, own] @ np.linalg.lstsq(A, b, rcond=None)[0]
+        kept = [row for row in range(n) if row not in rows]
+        part = np.linalg.lstsq(A[kept], b[kept], rcond=None)[0]
+        before, after = (residuals[:, i] / sd[:, i]) ** 2, (b[kept] - A[kept] @ part) ** 2
+        gain -= (n - len(own)) * math.log(after.sum() / before.sum())
+    model = SimpleNamespace(basis=lambda *_: X, columns=columns)
+    c = SimpleNamespace(
+        model=model, reference=None, readings=SimpleNamespace(environment={}),
+        sd_of_readings=sd, residuals=residuals,
+    )  # fmt: skip
+    assert _gain_without(c, rows) == pytest.approx(gain, rel=1e-9)
+
+
+def test_further_terms_are_better_where_rows_left_out_are_nearer():
+    """By leaving out row by row; a coefficient beyond what sensors have, never."""
+    rng = np.random.default_rng(3)
+    n, B = 10, 40
+    X, Z = rng.normal(size=(n, 3)), rng.normal(size=(n, 1))
+    Q = np.linalg.qr(X)[0]
+    y = rng.normal(size=(n, B)) + Z * rng.normal(size=B)
+    e = y - Q @ (Q.T @ y)
+
+    def left_out(design, column):
+        total = 0.0
+        for i in range(n):
+            rest = np.arange(n) != i
+            b = np.linalg.lstsq(design[rest], column[rest], rcond=None)[0]
+            total += (column[i] - design[i] @ b) ** 2
+        return total
+
+    both = np.hstack([X, Z])
+    wanted = [left_out(both, column) < left_out(X, column) for column in y.T]
+    assert 5 < sum(wanted) < 35
+    found = are_better_with([Q], [Z], [np.full((1, 1), 1e9)], [e])
+    assert found.tolist() == wanted
+    size = np.abs([np.linalg.lstsq(both, column, rcond=None)[0][3] for column in y.T])
+    found = are_better_with([Q], [Z], [np.full((1, 1), 0.7)], [e])
+    assert found.tolist() == (np.array(wanted) & (size <= 0.7)).tolist()
+    assert not are_better_with([Q], [X[:, :1]], [np.full((1, 1), 1e9)], [e]).any()
+
+
+@pytest.mark.parametrize(("gain", "better"), [(9.1, False), (9.3, True)])
+def test_unequal_outputs_are_preferred_at_a_hundredth(gain, better):
+    """χ² of two more variances, 9.21."""
+    equal = Explained(np.zeros((1, 1)), np.array([50.0]))
+    unequal = Explained(np.zeros((1, 3)), np.array([50.0 - gain]))
+    assert prefers_unequal(equal, unequal)[0] == better
+    assert not prefers_unequal(equal, Explained(np.zeros((1, 1)), np.array([-1e9])))[0]
+
+
+def test_signs_that_were_lost_are_twice_the_reading():
+    values = np.array([[0.5, -0.4, 0.8], [0.1, 0.6, -0.7], [0.3, 0.3, 0.9]])
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=values, labels=("p", "q", "r")), outputs=("a", "b", "c")
+    )
+
+    def errors(*rows):
+        return SimpleNamespace(rows=np.array([0, 2]), errors=np.array(rows))
+
+    good = errors([0.01, -0.01, 1.35], [-0.03, 0.0, 1.52])
+    assert _signs_lost(c, good) == [("p", "c"), ("r", "c")]
+    assert _signs_lost(c, errors([0.01, -0.01, 1.32], [0.0, 0.0, 1.8])) == []
+    assert _signs_lost(c, errors([0.4, -0.01, 1.6], [0.0, 0.0, 1.8])) == []
+    assert _signs_lost(c, errors([0.2, -0.01, 1.6], [0.0, 0.0, 1.8])) == [("p", "c"), ("r", "c")]
+    assert _signs_lost(c, SimpleNamespace(errors=None)) == []
+
+
+def test_what_whitens_residuals_and_how_much_they_count():
+    rng = np.random.default_rng(9)
+    e, root = rng.normal(size=(3, 2)), rng.normal(size=(6, 8))
+    own = rng.uniform(0.5, 2.0, 6)
+    weight = np.array([1.0, 0.25, 0.64])
+
+    def c(noise, robust):
+        return SimpleNamespace(residuals=e, noise=noise, robust_weight=robust, readings=range(3))
+
+    by, counted = _whitener(c(None, None))
+    assert_allclose((by, counted), 1.0)
+    by, counted = _whitener(c(None, weight))
+    assert_allclose(by, np.sqrt(weight)[:, None] * np.ones((3, 2)))
+    assert_allclose(counted, weight[:, None] * np.ones((3, 2)))
+    by, _ = _whitener(c(own, weight))
+    assert_allclose(by, np.sqrt(weight[:, None] / own.reshape(3, 2)))
+    V = root @ root.T
+    by, _ = _whitener(c(V, weight))
+    scale = np.sqrt(np.repeat(weight, 2))
+    assert_allclose(by @ V @ by.T, np.outer(scale, scale) * np.eye(6), atol=1e-9)
+
+
+def test_information_of_outputs_whose_weights_covary():
+    rng = np.random.default_rng(2)
+    phi, roots = rng.normal(size=(5, 3)), rng.normal(size=(2, 5, 2, 3))
+    W = roots @ roots.transpose(0, 1, 3, 2)
+    of = SimpleNamespace(basis=phi, parameters=np.array([0, 2, 3, 4]))
+    X = np.stack([np.kron(np.eye(2), row) for row in phi])[:, :, of.parameters]  # (n, M, p)
+    by_hand = np.einsum("nmp,bnmk,nkq->bpq", X, W, X)
+    assert_allclose(_information(of, W), by_hand, rtol=1e-10)

@@ -16,10 +16,19 @@ from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.faults import find_stuck, find_wrapped
 from multipos.logs.joining import _alike, _from_lines, _match_rows
 from multipos.logs.log_columns import _variation
-from multipos.logs.rest_means import RestMean, _cosines, _edge, _lines, with_rounding
-from multipos.logs.rests import Finder, Grid, Rest, Run, _first_peak, is_long, long_enough
-from multipos.logs.samples import Samples, _turns
-from multipos.logs.still import would_take
+from multipos.logs.rest_means import (
+    RestMean,
+    _allan_line,
+    _centred_batches,
+    _cosines,
+    _edge,
+    _lines,
+    with_rounding,
+)
+from multipos.logs.rests import Finder, Grid, Rest, Run, Spikes, _first_peak, is_long, long_enough
+from multipos.logs.samples import Samples, _turns, good_rows
+from multipos.logs.still import _find_spikes, would_take
+from multipos.logs.text_logs import read_plain
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
 
 # --- clocks and cells
@@ -357,3 +366,99 @@ def test_what_would_take_in_short_stretches():
         "; 1 more stretch stood still for less than 1.2 s; --min-duration 0.76 takes them in"
     )
     assert "--min-duration 0.77 " in would_take([Rest(0, 54)], 60, 70.0)
+
+
+# --- text and samples
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t", ""])
+def test_numbers_of_a_text_are_what_python_reads(mark):
+    """Digits up to nineteen, points and minus signs, exponents, and white space about them."""
+    rng = np.random.default_rng(8)
+    sizes, digits = rng.normal(size=30) * 300.0, [0, 1, 3, 7, 12, 15] * 5
+    cells = [f"{x:.{d}f}" for x, d in zip(sizes, digits, strict=True)]
+    cells[4:8] = ["-0.5", "123456789012345678", "-9007199254740993.5", "7."]
+    cells[11], cells[17] = "1.5e-3", "-2E4"
+    between = mark or " "
+    lines = [between.join(cells[i : i + 3]) for i in range(0, 30, 3)]
+    text = ("\n".join(lines) + "\n").encode()
+    found = read_plain(text, mark, 3, [0, 1, 2])
+    assert_allclose(found.T.ravel(), [float(cell) for cell in cells], rtol=0, atol=0)
+    assert read_plain(text, mark, 3, [2]).tolist() == [found[2].tolist()]
+    spaced = text.replace(between.encode(), (f" {mark} " if mark else "  ").encode())
+    assert (read_plain(spaced, mark, 3, [0, 1, 2]) == found).all()
+    assert read_plain(text, mark, 4, [0, 1, 2]) is None
+    assert read_plain(text.replace(b"-0.5", b"0-.5"), mark, 3, [0, 1, 2]) is None
+    assert read_plain(text.replace(b"-0.5", b""), mark, 3, [0, 1, 2]) is None
+
+
+def test_single_samples_far_from_their_neighbours_are_taken_out():
+    """Their place, output and value are kept; three in a row are motion."""
+    rng = np.random.default_rng(3)
+    data = np.round(rng.normal(size=(3, 102)), 3)
+    clean = data.copy()
+    data[0, 37], data[1, [61, 62]], data[0, 80:83] = 40.0, -35.0, 60.0
+    spikes = Spikes(2)
+    parts = [spikes.feed(data[:, :50]), spikes.feed(data[:, 50:]), spikes.finish()]
+    kept = np.concatenate(parts, axis=1)
+    assert sorted(spikes.found) == [(37, 0, 40.0), (61, 1, -35.0), (62, 1, -35.0)]
+    assert kept[0, 80:83].tolist() == [60.0] * 3
+    assert kept[0, 37] in clean[0, 32:48]
+    assert abs(kept[0, 37] - np.median(clean[0, 32:48])) < 0.5
+    others = np.ones((3, 102), dtype=bool)
+    others[0, [37, 80, 81, 82]] = others[1, [61, 62]] = False
+    assert (kept == clean)[others].all()
+
+
+def test_spikes_in_rests_are_counted(monkeypatch):
+    found = [(5, 0, 1.0), (12, 1, 1.0), (19, 0, 1.0), (20, 0, 1.0), (45, 1, 1.0)]
+    source = SimpleNamespace(spikes=SimpleNamespace(found=found), outputs=("a", "b"))
+    (said,) = _find_spikes(source, [Rest(5, 20), Rest(40, 75)])
+    assert said.text.startswith("4 samples at rest (4 %) are spikes")
+    assert _find_spikes(source, [Rest(21, 40)]) == []
+
+
+def test_rows_that_sensors_cannot_have_read_are_left_out():
+    """A million times the median, or more than any sensor; the last column is the time."""
+    data = np.array(
+        [
+            [1.0, 2.0, 3.0, np.nan, 2.0, 2.9e6, 3.1e6, 2.5],
+            [5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0],
+            [9.0, np.nan, 8.0, 7.0, 7.0, 7.0, 7.0, 7.0],
+            [1.0, 2.0, 3.0, 4.0, np.inf, 6.0, 7.0, 8.0],
+        ]
+    )
+    usual = np.array([3.0, 5.0, 7.0, 4.0])
+    timed = good_rows(data, 2, timed=True, usual=usual)
+    assert timed.tolist() == [True, True, True, False, False, True, False, True]
+    loose = good_rows(data[:3], 2, timed=False, usual=usual[:3])
+    assert loose.tolist() == [True, True, True, False, True, True, False, True]
+    middle = np.array([2.5, 5.0, 7.0, 4.0])
+    own = good_rows(data, 2, timed=True)
+    assert own.tolist() == good_rows(data, 2, timed=True, usual=middle).tolist()
+
+
+def test_batch_means_of_rests_side_by_side():
+    parts = [[np.array([[1.0, 2.0]]), np.array([[6.0]])], [np.array([[4.0, 8.0]])]]
+    sums = [SimpleNamespace(batches=each, sum=np.zeros(1)) for each in parts]
+    batches, count = _centred_batches(sums)
+    assert count.tolist() == [[3], [2]]
+    assert batches[:, 0].tolist() == [[-2.0, -1.0, 3.0], [-2.0, 2.0, 0.0]]
+
+
+def test_a_line_through_allan_variances_in_logarithms():
+    """Weighted by degrees of freedom; its height at the end, and how well that is known."""
+    rng = np.random.default_rng(4)
+    b = 24
+    phases = np.concatenate([[0.0], np.cumsum(rng.normal(size=b))])
+    lengths, weights = np.array([[2, 4, 8]]), np.array([9.0, 4.0, 1.5])
+    y = []
+    for m in lengths[0]:
+        second = [phases[i + 2 * m] - 2 * phases[i + m] + phases[i] for i in range(b + 1 - 2 * m)]
+        y.append(math.log(np.mean(np.square(second)) / (2.0 * m**2)))
+    X = np.column_stack([np.ones(3), np.log(lengths[0] / b)])
+    W = np.diag(weights)
+    C = np.linalg.inv(X.T @ W @ X)
+    start, slope = C @ X.T @ W @ y
+    found = _allan_line(phases[None, None], lengths, weights, np.array([b]))
+    assert_allclose([found[0][0, 0], found[1][0, 0], found[2][0]], [slope, start, C[0, 0]])

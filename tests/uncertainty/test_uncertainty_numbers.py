@@ -10,11 +10,13 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 import multipos as mp
-from multipos.uncertainty import monte_carlo, sensitivities
+from multipos.sensor.found import Estimator
+from multipos.uncertainty import monte_carlo, sensitivities, turntable
 from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
 from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
-from multipos.uncertainty.turntable import _solve_beside
+from multipos.uncertainty.turntable import _largest_loss, _solve_beside
+from multipos.uncertainty.validity import ForcesSeen
 
 # --- what residuals show
 
@@ -177,6 +179,10 @@ def test_the_ends_of_intervals_of_trials():
     low, high = _symmetric(values, 0.5)
     assert (low[0], high[0]) == (5.0, 13.0)
     assert _shortest(values, 0.5).tolist() == [[4.0, 12.0]]
+    thirteen = np.arange(13.0)[None] ** 2  # a third of 13 is 4.29, and 4
+    low, high = _symmetric(thirteen, 0.33)
+    assert (low[0], high[0]) == (16.0, 64.0)
+    assert _shortest(thirteen, 0.33).tolist() == [[0.0, 16.0]]
     low, high = _symmetric(values, 0.9)
     assert (low[0], high[0]) == (0.5, 30.0)
 
@@ -246,3 +252,112 @@ def test_numbers_of_a_budget_have_their_least():
     assert _quantity("b", "level", {"u_deg": 0.2, "dof": 3.5}).dof == 3.5
     with pytest.raises(mp.MultiposError):
         _quantity("b", "level", {"u_deg": 0.2, "dof": 0.0})
+
+
+# --- where it holds
+
+
+def test_forces_that_were_seen_with_their_margins():
+    """Up to 1 g in any direction, and up to 4 g within a box; a hundredth more, and .05 g."""
+    low, high = np.array([-1.0, -0.5, -2.0]), np.array([3.8, 1.0, 2.0])
+    seen = ForcesSeen(1.0, 4.0, low, high, 0.05)
+    assert seen.limit(2.0) == pytest.approx(2.0 * 1.01 + 0.05)
+    bottom, top = seen.box([0, 2])
+    assert_allclose(bottom, [-1.0 - 0.09, -2.0 - 0.09])
+    assert_allclose(top, [3.8 + 0.09, 2.0 + 0.09])
+    forces = {
+        (1.05, 0.0, 0.0): True,
+        (0.0, -1.05, 0.0): True,
+        (0.0, -1.07, 0.0): False,
+        (3.88, 0.0, 0.0): True,
+        (3.9, 0.0, 0.0): False,
+        (0.0, 0.0, -2.08): True,
+        (0.0, 0.0, -2.1): False,
+        (3.8, 1.0, 2.0): False,
+        (3.6, 1.0, 1.6): True,
+        (math.nan, 0.0, 0.0): False,
+    }
+    assert seen.holds(np.array(list(forces)), [0, 1, 2]).tolist() == list(forces.values())
+    plain = ForcesSeen(2.0, 2.0, low, high, 0.05)
+    assert plain.holds(np.array([[2.06, 0.0], [0.0, 2.08]]), [0, 2]).tolist() == [True, False]
+    assert seen.in_words([0, 2]) == "x -1 to 3.8, z -2 to 2 g"
+    assert plain.in_words([0]) == "up to 2 g"
+
+
+def test_how_much_a_parameter_loses_by_the_others():
+    """1/√(1 − R²) of each column on the rest, the largest of all outputs."""
+    rng = np.random.default_rng(6)
+    blocks = [(0, rng.normal(size=(9, 3)) + 2.0), (1, rng.normal(size=(9, 2)))]
+    model = SimpleNamespace(respond=lambda *_: (None, blocks))
+    c = SimpleNamespace(
+        model=model, parameters=None, reference=None, readings=SimpleNamespace(environment={})
+    )
+    losses = []
+    for _, X in blocks:
+        for j in range(X.shape[1]):
+            rest = np.delete(X, j, axis=1)
+            left = X[:, j] - rest @ np.linalg.lstsq(rest, X[:, j], rcond=None)[0]
+            losses.append(np.linalg.norm(X[:, j]) / np.linalg.norm(left))
+    assert _largest_loss(c) == pytest.approx(max(losses))
+
+
+@pytest.mark.parametrize(
+    ("axes", "count", "spans", "enough"),
+    [("xyz", 8, True, True), ("xyz", 7, True, False), ("xy", 3, True, True), ("xy", 2, True, False),
+     ("xy", 9, False, False)],
+)  # fmt: skip
+def test_rolls_that_go_around_far_enough(axes, count, spans, enough, monkeypatch):
+    roll = SimpleNamespace(spans_a_turn=spans, distinct=range(count))
+    monkeypatch.setattr(turntable, "find_rolls", lambda readings: [roll])
+    c = SimpleNamespace(
+        estimator=Estimator.LINEAR, readings=SimpleNamespace(up=1), model=SimpleNamespace(axes=axes)
+    )
+    assert turntable.has_rolls(c) is enough
+    c.readings.up = None
+    assert not turntable.has_rolls(c)
+
+
+@pytest.mark.parametrize("dof", [math.inf, 9.0])
+def test_quantities_are_drawn_by_their_law(dof):
+    rng = np.random.default_rng(1)
+    state = SimpleNamespace(rng=rng)
+    quantity = SimpleNamespace(u=0.3, distribution="normal", dof=dof)
+    drawn = Draws._law(state, quantity, (40_000,))
+    wanted = 0.3 * (math.sqrt(9.0 / 7.0) if math.isfinite(dof) else 1.0)
+    assert drawn.std() == pytest.approx(wanted, rel=0.03)
+
+
+@pytest.mark.parametrize(("name", "size"), [("level", math.sqrt(2.0)), ("orientation", 1.0)])
+def test_positions_turn_each_by_itself_where_no_attitude_is_known(name, size, monkeypatch):
+    """Of a level so that the mean of all is off as stated: by √n, of two positions here."""
+    monkeypatch.setattr(monte_carlo, "is_bounded", lambda c, quantity: True)
+    model = SimpleNamespace(environment=(), predict=lambda b, f, env: f)
+    reference = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    c = SimpleNamespace(reference=reference, parameters=None, model=model)
+    turns = np.array([[[0.3, 0.0, 0.0], [0.0, 0.0, -0.2]]])
+    state = draws(c=c, m=3, _law=lambda quantity, shape: turns)
+    state._allowed = lambda trials: np.zeros((trials, 2, 3))
+    (found,) = Draws._acted(state, 1, [SimpleNamespace(name=name)], [])
+    a, b = np.radians(size * np.array([0.3, 0.2]))
+    assert_allclose(
+        np.abs(found), [[0.0, math.sin(a), math.cos(a)], [math.cos(b), math.sin(b), 0.0]]
+    )
+
+
+def test_rolls_of_open_angle_turn_only_across_their_circles():
+    reference = np.array([[0.0, 0.6, 0.8], [0.6, 0.0, 0.8]])
+    rolls = SimpleNamespace(
+        rows=np.array([True, False]), vectors=np.array([[1.0, 0, 0], [0, 0, 0]])
+    )
+    state = draws(
+        spread=np.array([0.01, 0.02]), rolls=rolls, spread_dof=math.inf, level=0.0, attitude=None
+    )
+    state.c = SimpleNamespace(reference=reference)
+    turns = Draws._allowed(state, 20_000)
+    covariance = turns[:, 0].T @ turns[:, 0] / 20_000
+    sizes, vectors = np.linalg.eigh(covariance)
+    assert_allclose(sizes, [0.0, 0.0, 1e-4], rtol=0.05, atol=1e-12)
+    # a turn about the vector moves the position along the axis of its roll
+    moved = np.cross(vectors[:, 2], reference[0])
+    assert abs(moved @ [1.0, 0.0, 0.0]) == pytest.approx(1.0, abs=1e-6)
+    assert_allclose(turns[:, 1].std(axis=0), 0.02, rtol=0.03)
