@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from scipy.stats import t
+from scipy.stats import chi2, t
 
 import multipos as mp
-from multipos.estimation import stated_uncertainty
+from multipos.estimation import correlated_rows, posteriors, stated_uncertainty
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
 from multipos.estimation.known import fit_output
+from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
 from multipos.estimation.posteriors import _dof_of_tail, _probable
 from multipos.estimation.problem import OpenRolls, eliminate_free, turn_to_axes
+from multipos.estimation.robustness import _middle
 from multipos.estimation.stated_uncertainty import combined_dof, with_stated_dof
+from multipos.estimation.uncertain import _scale_bias
 from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from multipos.estimation.unknown_orientations import fit_ellipsoids
 from multipos.estimation.user_models import _moved_by_rotations
@@ -185,6 +188,18 @@ class Found:
     variance_components: object = None
 
 
+@dataclass
+class Correlated:
+    model: object
+    dof: np.ndarray
+    parameters: np.ndarray
+    parameter_dof: np.ndarray
+    residuals: np.ndarray
+    covariance: np.ndarray
+    inflation: np.ndarray
+    variance_components: object = None
+
+
 @pytest.mark.parametrize("joint", [False, True])
 def test_degrees_of_freedom_of_stated_variances_join_those_of_residuals(joint):
     # eq. (3) of estimation.stated_uncertainty
@@ -221,3 +236,177 @@ def test_coefficients_of_an_output_and_what_they_leave_exactly():
         assert_allclose(own, np.linalg.lstsq(design, values, rcond=None)[0], rtol=1e-9)
         exact = values.astype(np.longdouble) - design.astype(np.longdouble) @ own
         assert_allclose(r, exact.astype(float), atol=1e-14 * 1000.0)
+
+
+# --- outliers
+
+
+@pytest.mark.parametrize("axes", ["xyz", "zxy"])
+@pytest.mark.parametrize("terms", ["linear", "own-quadratic", "1 + own"])
+def test_a_row_off_an_ellipsoid_is_off_by_its_share(axes, terms):
+    """Of squares or none, crossed or not, and with outputs in any order: 4 % too short."""
+    rng = np.random.default_rng(2)
+    up = mp.read_scheme("fibonacci-40").up
+    K = np.array([[2.2, 0.0, 0.0], [0.05, 0.9, 0.0], [-0.02, 0.03, 1.4]])
+    values = up * np.diag(K) if terms == "1 + own" else up @ K.T
+    if terms == "own-quadratic":
+        values = values + np.diag(K) * 0.01 * up**2
+    values = values[:, ["xyz".index(axis) for axis in axes]] + [0.3, -0.2, 0.1]
+    values[11] = 0.96 * (values[11] - [0.3, -0.2, 0.1]) + [0.3, -0.2, 0.1]
+    values += 1e-4 * rng.normal(size=values.shape)
+    model = build_model(terms, ("a", "b", "c"), tuple(axes))
+    u = np.full((40, 3), 1e-4)
+    for own in (None, u):
+        given = mp.Readings(values, outputs=("a", "b", "c"), unit="g", u=own)
+        found = find_outlying_rows(model, given, None)
+        assert found.rows.tolist() == [11]
+        assert found.off[0] == pytest.approx(0.04, rel=0.05)
+
+
+def test_a_row_off_a_line_is_off_by_its_error_over_the_response():
+    """Two outputs off by .06 V and −.05 V, of 2.0 and 1.25 V/g: √(.03² + .04²) g."""
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("fibonacci-30").up
+    values = 0.3 + up[:, :2] * [2.0, -1.25] + 1e-4 * rng.normal(size=(30, 2))
+    values[17] += [0.06, -0.05]
+    model = build_model("linear", ("a", "b"), ("x", "y"))
+    given = mp.Readings(values, up=up, outputs=("a", "b"), unit="V")
+    found = find_outlying_rows(model, given, given.up)
+    assert found.rows.tolist() == [17]
+    assert found.off[0] == pytest.approx(0.05, rel=0.01)
+    assert_allclose(found.errors, [[0.06, -0.05]], atol=3e-4)
+    assert found.dof == 30 - 4 - 1
+
+
+def test_a_view_is_the_regression_of_whitened_readings():
+    rng = np.random.default_rng(4)
+    X, y, variance = rng.normal(size=(9, 3)), rng.normal(size=(9, 2)), rng.uniform(0.3, 2.0, (9, 2))
+    (plain,) = view_of([X, X], y)
+    H = X @ np.linalg.pinv(X)
+    assert_allclose(plain.both[3:].T, y - H @ y, atol=1e-12)
+    assert_allclose(plain.both[:3].T @ plain.both[:3], H, atol=1e-12)
+    for part, column, own in zip(view_of([X, X], y, variance), y.T, variance.T, strict=True):
+        W = X / np.sqrt(own)[:, None]
+        H = W @ np.linalg.pinv(W)
+        assert_allclose(
+            part.both[3], column / np.sqrt(own) - H @ (column / np.sqrt(own)), atol=1e-12
+        )
+        assert_allclose(part.both[:3].T @ part.both[:3], H, atol=1e-12)
+    twice = np.column_stack([X, X[:, 0] + X[:, 2]])
+    (fewer,) = view_of([twice], y[:, :1])
+    assert len(fewer.both) == 3 + 1
+    kept = np.array([True] * 7 + [False] * 2)
+    view = view_of([X, X], y)
+    found = _outlying(view, np.array([7, 8]), np.zeros(2), None, kept)
+    ratios = []
+    for column in y.T:
+        after = column[kept] - X[kept] @ np.linalg.lstsq(X[kept], column[kept], rcond=None)[0]
+        before = column - X @ np.linalg.lstsq(X, column, rcond=None)[0]
+        ratios.append(before @ before / (after @ after) * (9 - 3 - 2) / (9 - 3))
+    assert found.ratio == pytest.approx(math.sqrt(max(ratios)), rel=1e-9)
+    assert found.dof == 4
+
+
+def test_medians_of_misfits_by_degrees_of_freedom():
+    found = _middle(np.array([1.0, 2.0, 2.25, 3.0, 0.4]))
+    wanted = [*chi2.ppf(0.5, [1.0, 2.0, 2.25, 3.0]), 0.4 * chi2.ppf(0.5, 1.0)]
+    assert_allclose(found, wanted, rtol=1e-6)
+
+
+# --- grids of a posterior
+
+
+def density_of(middle, sd, at):
+    return -0.5 * ((at - middle) / sd) ** 2
+
+
+@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.parametrize("dof", [9.0, 3.0])
+def test_a_posterior_over_a_grid_has_the_moments_of_its_density(stated, dof):
+    """Normal in ln(τ² + 1) and in ln F; at τ² = 0 a weight in units of ln V, where it may be."""
+
+    def evaluate(factors, tau2, whole):
+        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
+        log = density_of(2.0, 0.3, x) + density_of(-1.0, 0.2, y)
+        log[:, 0] = -2.0 + density_of(-1.0, 0.2, y[:, 0])
+        nothing = np.zeros((len(log), log[0].size, 1))
+        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
+
+    found = posteriors.integrate_grid(
+        evaluate, dof, np.ones(1), np.array([50.0]), np.array([30.0]),
+        least=np.array([0.01]), stated=stated,
+    )  # fmt: skip
+    y, w = np.log(found.factors[0]), found.weights[0]
+    assert w @ y == pytest.approx(-1.0, abs=0.01)
+    assert math.sqrt(w @ (y + 1.0) ** 2) == pytest.approx(0.2, rel=0.03)
+    nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
+    own = np.arange(len(nodes)) >= len(y)
+    at = math.exp(-2.0) * 1.4 * max(6.0 / dof, 1.0) ** 2 if stated else 0.0
+    share = at / (at + 0.3 * math.sqrt(2.0 * math.pi))
+    assert weights[~own].sum() == pytest.approx(share, rel=0.02, abs=1e-12)
+    x, part = np.log(nodes[own] + 1.0), weights[own] / weights[own].sum()
+    assert part @ x == pytest.approx(2.0, abs=0.02)
+    assert math.sqrt(part @ (x - 2.0) ** 2) == pytest.approx(0.3, rel=0.03)
+
+
+def test_stated_orientations_that_may_be_right_have_a_weight():
+    """At F = 1, beside half of a normal density in ln F from there on."""
+
+    def evaluate(factors, tau2, whole):
+        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
+        log = density_of(2.0, 0.3, x) + density_of(0.0, 0.5, y)
+        nothing = np.zeros((len(log), log[0].size, 1))
+        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
+
+    found = posteriors.integrate_grid(
+        evaluate, 9.0, np.ones(1), np.array([50.0]), np.array([30.0]), least=None, stated=False
+    )
+    rest = 0.5 * 0.5 * math.sqrt(2.0 * math.pi)
+    assert found.factors[0, 0] == 1.0
+    first = 1.4 / (1.4 + rest)
+    step = np.log(found.factors[0, 1]) / 2.0 / (1.4 + rest)  # its part of the density
+    assert found.weights[0, 0] == pytest.approx(first + step, rel=0.02)
+
+
+# --- rows that are correlated
+
+
+def test_fewer_rows_widen_what_they_are_of():
+    """U by the ratio and by what fewer degrees of freedom leave of it, of the outputs judged."""
+    solution = Correlated(
+        model=SimpleNamespace(outputs=("a", "b")), dof=np.array([20.0, 30.0]),
+        parameters=np.zeros(3), parameter_dof=np.array([20.0, 20.0, 30.0]),
+        residuals=np.zeros((25, 2)), covariance=np.ones((3, 3)),
+        inflation=np.array([1.0, 2.0, 3.0]),
+    )  # fmt: skip
+    worth = correlated_rows._RowPrecision(np.array([1.7, 1.2]), 6.0, 11.0)
+    found = correlated_rows._with(solution, [((0,), slice(0, 2), worth)])
+    k = t.ppf(0.975, 20.0) / t.ppf(0.975, 6.0)
+    ratio = np.array([1.7 * k, 1.2 * k, 1.0])
+    assert_allclose(found.covariance, np.outer(ratio, ratio), rtol=1e-6)
+    assert_allclose(found.inflation, ratio * [1.0, 2.0, 3.0], rtol=1e-6)
+    assert (found.dof.tolist(), found.parameter_dof.tolist()) == ([6.0, 30.0], [6.0, 6.0, 30.0])
+    assert found.variance_components.effective_rows == {"a": 11.0, "b": 25.0}
+    more = correlated_rows._RowPrecision(np.array([1.7, 1.2]), 90.0, None)
+    same = correlated_rows._with(solution, [((0,), slice(0, 2), more)])
+    assert same.dof.tolist() == [20.0, 30.0]
+    assert same.variance_components is None
+
+
+@pytest.mark.parametrize(("u", "said"), [(9.9e-3, True), (1.1e-2, False)])
+def test_the_bias_of_a_scale_by_the_noise_across_it(u, said):
+    """σ² of 1e-4, 4e-4, 9e-4 g²: half of the sum of the two others, by s²/(s² + σ²) = .3."""
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
+    theta = np.zeros(12)
+    theta[[1, 6, 11]] = 2.0, -0.5, 1.0
+    size, mean = 1.3, 14e-4 / 3
+    sd = np.array([0.01, 0.02, 0.03]) * np.array([2.0, 0.5, 1.0]) * size
+    s = math.sqrt(mean * 0.3 / 0.7)
+    problem = SimpleNamespace(model=model, orientation_sd=np.full(4, s))
+    wide = np.full(12, 1.0)
+    bias = 0.3 * np.array([13e-4, 10e-4, 5e-4]) / 2.0 * [2.0, 0.5, 1.0]
+    wide[1] = bias[0] / 0.1 * u / 1e-2
+    found = _scale_bias(problem, theta, wide, sd, size)
+    assert bool(found) is said
+    if said:
+        assert found[0].text.startswith(f"`scale_a` is too large by about {bias[0]:.2g}")

@@ -27,7 +27,7 @@ from multipos.exports.target_correction import (
     generated_rows,
 )
 from multipos.numerics.terms import parse_terms
-from multipos.regression.observations import causal_rate, filter_time
+from multipos.regression.observations import filter_time
 
 ROWS = 100_000
 
@@ -337,34 +337,6 @@ def test_rows_of_the_fit_may_have_gaps():
 
 
 # --- the recursion
-
-
-def test_causal_rate_by_hand():
-    """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
-    # eq. (2) of regression.observations
-    rate = causal_rate([0.0, 1.0, 2.0], [0.0, 2.0, 2.0], window=4.0)
-    # second: ahead 1 + 0, followed .5, rate .5 + (.5 − .5)/2
-    assert rate.tolist() == [0.0, 0.5, 0.5]
-
-
-def test_causal_rate_of_a_ramp_is_exact_at_any_spacing():
-    rng = np.random.default_rng(1)
-    time = np.cumsum(rng.uniform(0.1, 3.0, 400))
-    rate = causal_rate(time, 5.0 - 0.25 * time, window=8.0)
-    # what is left of the start falls by 1/(1 + Δt/T) a row, 400 rows of .1 to 3, T = 2
-    np.testing.assert_allclose(rate[200:], -0.25, rtol=1e-12)
-
-
-def test_causal_rate_is_as_late_as_half_its_window_and_as_quiet_as_said():
-    """Lag of a ramp's start by its area, w/2; noise s √Δt / (2 T^1.5), T = w/4."""
-    step, window = 0.01, 4.0
-    time = step * np.arange(200_000)
-    ramp = causal_rate(time, np.maximum(time - 5.0, 0.0), window=window)
-    assert step * (1.0 - ramp[time >= 5.0]).sum() == pytest.approx(window / 2, rel=0.01)
-    noise = np.random.default_rng(2).normal(0.0, 0.1, len(time))
-    expected = 0.1 * np.sqrt(step) / 2.0
-    # 200000 rows over a memory of some 400: a few percent of scatter; Δt/T adds half a percent
-    assert causal_rate(time, noise, window=window).std() == pytest.approx(expected, rel=0.1)
 
 
 def test_each_run_starts_at_rest(tmp_path):

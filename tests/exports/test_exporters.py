@@ -16,7 +16,7 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.c_body import _solved, _Writer, needed_steps
+from multipos.exports.c_body import _solved, _Writer, counted_steps, needed_steps
 from multipos.exports.c_fixed import _per_unit
 from multipos.exports.laws import (
     Correction,
@@ -786,3 +786,28 @@ def test_a_product_of_columns_about_the_middle():
     total = sum(weight * eval(product or "1", {}, left) for weight, product in parts)
     assert total == pytest.approx(3.0 * (20.0 - 2.3) ** 2 * (5.0 + 1.7), rel=1e-12)
     assert len(parts) == 6
+
+
+def test_steps_are_counted_until_every_force_is_near():
+    """Of y = f + .03 f², by f + (y − f − .03 f²), from nothing to a third beyond either end."""
+    up = mp.read_scheme("faces-6").up
+    cal = mp.fit(mp.Readings(up + 0.03 * up**2, up=up), model="1 + x + y + z + own^2")
+    needed = 0
+    for true in (4.0 / 3.0, -4.0 / 3.0):
+        f, steps = 0.0, 0
+        while steps == 0 or abs(f - true) > 1e-9:
+            f, steps = f + (true + 0.03 * true**2) - (f + 0.03 * f**2), steps + 1
+        needed = max(needed, steps)
+    assert counted_steps(cal, np.eye(3), 1e-9) == needed
+    assert counted_steps(cal, np.eye(3), 1e-300) == 40
+
+
+def test_a_law_of_raw_values_in_metres_is_the_same_law():
+    rng = np.random.default_rng(5)
+    drift = Drift(rng.normal(size=(3, 3)), 20.0, 0.0, 40.0)
+    law = Correction(rng.normal(size=(3, 3)), rng.normal(size=3), drift)
+    other, readings = law.of_raw_in(0.3, 7.0), rng.normal(size=3)
+    raw = 0.3 * (readings - 7.0)
+    by_hand = law.matrix @ (readings - law.offset - law.drift.offset([31.0])[0])
+    found = other.matrix @ (raw - other.offset - other.drift.offset([31.0])[0])
+    np.testing.assert_allclose(found, by_hand)
