@@ -21,7 +21,14 @@ from multipos.regression.correlation import (
     bandwidth,
 )
 from multipos.regression.junctions import _junction, find_junctions
-from multipos.regression.observations import _same, _still
+from multipos.regression.observations import (
+    _same,
+    _still,
+    _usual_window,
+    default_window,
+    join_runs,
+    rows_of_runs,
+)
 from multipos.regression.piecewise import _local, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
@@ -285,3 +292,27 @@ def test_a_law_is_tested_by_wald_and_what_is_later_makes_no_less_of_it():
     assert pytest.approx(F / 4) == _by_law(one, [1, 2], found.p * 1.01).F
     assert math.isnan(_tested(3.0, 0, 5.0).p)
     assert math.isnan(_tested(3.0, 2, 0.0).p)
+
+
+def test_tables_of_several_runs_are_named_as_they_can_be_told_apart(tmp_path):
+    """By their files' names, else by their paths, else by number; with what stood there before."""
+    for folder, name, value in (("a", "x", 1), ("a", "y", 2), ("b", "x", 3)):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"{name}.csv").write_text(f"v,run\n{value},p\n{value},\n")
+    ax, ay, bx = (tmp_path / name for name in ("a/x.csv", "a/y.csv", "b/x.csv"))
+    table, run = join_runs([ax, ay], "run")
+    assert list(table.text(run)) == ["x p", "x", "y p", "y"]
+    table, run = join_runs([ax, bx], "run")
+    assert list(table.text(run)) == [f"{ax} p", str(ax), f"{bx} p", str(bx)]
+    columns = [{"v": [4.0, 5.0], "run": ["q", "q"]}, {"v": [6.0, 7.0], "run": ["q", "q"]}]
+    table, run = join_runs(columns, "run")
+    assert list(table.text(run)) == ["1 q", "1 q", "2 q", "2 q"]
+
+
+def test_rows_of_runs_and_their_usual_window():
+    run = np.array([2, 0, 2, 1, 0, 2, 0, 0])
+    assert [rows.tolist() for rows in rows_of_runs(run)] == [[1, 4, 6, 7], [3], [0, 2, 5]]
+    time = np.array([0.0, 0.0, 2.0, 7.0, 1.0, 4.0, 2.0, 3.0])
+    each = [default_window(time[[1, 4, 6, 7]]), default_window(time[[0, 2, 5]])]
+    assert _usual_window(time, run) == pytest.approx(np.mean(each))
+    assert _usual_window(np.sort(time), None) == default_window(np.sort(time))

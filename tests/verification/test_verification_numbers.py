@@ -14,7 +14,14 @@ import multipos as mp
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import build_model
-from multipos.verification import combining, regressions, repeat_findings, verdicts
+from multipos.verification import (
+    agreement,
+    checks,
+    combining,
+    regressions,
+    repeat_findings,
+    verdicts,
+)
 from multipos.verification.agreement import _orientation_error, _taken
 from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt_errors
 from multipos.verification.coefficients import ratios_to_k1
@@ -93,6 +100,23 @@ def test_the_scatter_of_an_output_by_hand():
 
 
 # --- sessions combined
+
+
+@dataclass
+class Part:
+    quantity: str
+    axes: tuple
+    reference: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    u: np.ndarray
+    U: np.ndarray
+    U_family: np.ndarray
+    verdicts: np.ndarray
+    counted: np.ndarray
+    linearity_percent: dict
+    findings: tuple
+    segments: dict
 
 
 @dataclass
@@ -407,3 +431,90 @@ def test_a_table_of_errors_is_row_by_row(monkeypatch):
     assert list(columns["axis"]) == ["x", "y"] * 3
     assert columns["after"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     assert columns["En"].tolist() == numbers["En"].ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    ("p", "moved", "said"),
+    [(0.0049, (), True), (0.0051, (), False), (0.0051, ("bias_a",), True), (0.0049, ("b",), True)],
+)
+def test_a_run_disagrees_as_a_whole_or_by_what_moved(p, moved, said, monkeypatch):
+    """Half of a hundredth each."""
+    run = SimpleNamespace(r=np.ones((4, 2)), free=np.zeros((4, 2, 0)))
+    told = []
+    monkeypatch.setattr(agreement, "_whiten", lambda *_: run)
+    monkeypatch.setattr(agreement, "_judge", lambda run: SimpleNamespace(p=p))
+    monkeypatch.setattr(agreement, "_moved", lambda c, run: moved)
+
+    def in_words(found, moved, *, whole):
+        told.append(whole)
+        return "!"
+
+    monkeypatch.setattr(agreement, "_in_words", in_words)
+    c = SimpleNamespace(
+        diagnostics=SimpleNamespace(findings=()), covariance=np.eye(2), outputs=("a",),
+        model=SimpleNamespace(gauge=None),
+    )  # fmt: skip
+    noise = np.ones((4, 2))
+    found, findings = agreement.judge_run(c, None, None, noise, noise)
+    assert bool(findings) is said
+    assert told == ([p < 0.005] if said else [])
+    run.r, run.free = np.ones((1, 2)), np.zeros((1, 2, 3))
+    assert agreement.judge_run(c, None, None, noise, noise)[1] == ()
+    noise[2, 1] = 0.0
+    found, findings = agreement.judge_run(c, None, None, noise, noise)
+    assert findings == ()
+    assert "not known" in found.test
+
+
+def test_rows_that_are_as_many_as_a_scheme_s_positions():
+    data = range(6)
+    assert checks._fits("faces-6", data)
+    assert not checks._fits("edges-12", data)
+    assert not checks._fits(None, data)
+
+
+def test_errors_beside_the_columns_of_a_run():
+    run = {"ax": np.array([0.1, 0.2]), "ay": np.array([0.3, 0.4])}
+    found = SimpleNamespace(
+        quantity="force", axes=("x", "y"), reference=np.array([[1.0, 2.0], [3.0, 4.0]]),
+        after=np.array([[0.1, 0.2], [0.3, 0.4]]), before=np.array([[0.5, 0.6], [0.7, 0.8]]),
+    )  # fmt: skip
+    table = verdicts.errors_table(None, run, found)
+    assert list(table) == [
+        "ax", "ay", "f_x", "f_y", "error_x", "error_y", "nominal_error_x", "nominal_error_y"
+    ]  # fmt: skip
+    assert_allclose((table["f_x"], table["f_y"]), [[1.1, 3.3], [2.2, 4.4]])
+    assert_allclose((table["error_y"], table["nominal_error_x"]), [[0.2, 0.4], [0.5, 0.7]])
+    with pytest.raises(mp.MultiposError, match="column 'f_x' is there already"):
+        verdicts.errors_table(None, {**run, "f_x": run["ax"]}, found)
+    found.quantity = "tilt"
+    with pytest.raises(mp.UsageError):
+        verdicts.errors_table(None, run, found)
+
+
+def test_several_regressions_are_checked_side_by_side(monkeypatch):
+    """All rows of both together have a U of their own, by the degrees of freedom of each."""
+
+    def check(name, dof):
+        column = np.array([[1.0], [2.0], [3.0]]) * dof
+        return Part(
+            name, (name,), column, column, column, column, column, None, np.full((3, 1), "pass"),
+            np.array([[True], [True], [dof < 9]]), {}, (), {"1": dof > 0},
+        )  # fmt: skip
+
+    parts = {"a": check("a", 6.0), "b": check("b", 9.0)}
+    monkeypatch.setattr(regressions, "check_regression", lambda r, table, limit_g: parts[r.name])
+    both = {
+        name: SimpleNamespace(name=name, confidence=0.9, segments=[SimpleNamespace(dof=(1.0, nu))])
+        for name, nu in (("a", 6.0), ("b", 9.0))
+    }
+    found = regressions.check_regressions(both, {"a": [1.0]}, limit_g=0.1)
+    assert (found.quantity, found.axes) == ("a, b", ("a", "b"))
+    assert found.after.tolist() == [[6.0, 9.0], [12.0, 18.0], [18.0, 27.0]]
+    k = [t.ppf(1.0 - 0.05 / 5, nu) / t.ppf(0.95, nu) for nu in (6.0, 9.0)]
+    assert_allclose(found.U_family, found.U * k, rtol=1e-6)
+    assert found.segments == {"1": True}
+    assert np.isnan(found.linearity_percent["after"]).tolist() == [True, True]
+    parts["b"].segments = {}
+    found = regressions.check_regressions(both, {"a": [1.0]})
+    assert (found.segments, found.U_family) == ({}, None)
