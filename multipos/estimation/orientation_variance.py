@@ -351,7 +351,12 @@ def _axes_of_errors(spread: Array) -> tuple[Array, Array]:
     large, small = (np.einsum("bki,bki->bk", each, each) for each in (one, two))
     exact = (large == 0.0)[..., None]  # of a position known exactly any axes serve
     one = np.where(exact, [1.0, 0.0, 0.0], one) / np.sqrt(np.where(exact, 1.0, large[..., None]))
-    two = np.where(exact, [0.0, 1.0, 0.0], two) / np.sqrt(np.where(exact, 1.0, small[..., None]))
+    # Of errors along one line, by all the digits there are, any axis across it serves.
+    line = (small <= _ROUNDING**2 * large)[..., None]
+    away = np.eye(3)[np.abs(one).argmin(axis=2)]
+    away = away - np.einsum("bki,bki->bk", one, away)[..., None] * one
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    two = np.where(line, away, two) / np.sqrt(np.where(line, 1.0, small[..., None]))
     values = np.stack([large, small, np.zeros_like(large)], axis=2)
     return np.stack([one, two, np.cross(one, two)], axis=2), values
 

@@ -375,7 +375,10 @@ def fit(
         data = note_names(data, built)
     _check_environment(data, built)
     size = signed_size(sensed, convention)
-    data = without_orientation(data, scheme) if free else orient(data, scheme, order)
+    if free:
+        data = without_orientation(data, scheme)
+    else:
+        data = orient(data, scheme, order, estimable=True)
     stated_up = place(data, size, **options.spread)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.

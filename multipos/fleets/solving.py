@@ -319,7 +319,7 @@ def _share_uncertain(
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
     spread = Options(orientation_sd=options.get("orientation_sd")).spread
     size = c.sign * float(np.linalg.norm(c.reference[0]))
-    stated_up = place(orient(readings, options.get("scheme")), size, **spread)
+    stated_up = place(orient(readings, options.get("scheme"), estimable=True), size, **spread)
     apart = stated_up.groups or stated_up.rolls is not None
     if apart or options.get("level_sd", 0.0):
         return None

@@ -154,11 +154,14 @@ def find_faults(
 
 
 def _moved(share: float | None) -> list[Finding]:
-    if share is not None and share > _EDGE:
+    if not share:
+        return []
+    if share > _EDGE:
         text = f"the sensor moved during {100 * share:.0f} % of the time"
-        return [Finding("in-motion", "warning", text, "State its rows again, or record it again.")]
+        action = "Correct its rows in --sections, or record it again."
+        return [Finding("in-motion", "warning", text, action)]
     text = "the sensor moved at the beginning or end"
-    return [Finding("motion-at-edge", "warning", text, "State fewer rows.")] if share else []
+    return [Finding("motion-at-edge", "warning", text, "Give fewer rows of it with --sections.")]
 
 
 def _gaps(count: int) -> list[Finding]:

@@ -462,8 +462,14 @@ _OF_RESTS = {
         "Record longer rests.",
     ),
     "unsteady": ("are noisier than usual; their u includes it", ""),
-    "in-motion": ("are partly in motion", "State their rows again, or record them again."),
-    "motion-at-edge": ("contain motion at the beginning or end", "State fewer rows of them."),
+    "in-motion": (
+        "are partly in motion",
+        "Correct their rows in --sections, or record them again.",
+    ),
+    "motion-at-edge": (
+        "contain motion at the beginning or end",
+        "Give fewer rows of them with --sections.",
+    ),
     "quantized": (
         "are one code in an output; their u is resolution/sqrt(12)",
         "Record more digits.",

@@ -311,9 +311,15 @@ def _sd_of(readings: Readings, labels: Sequence[str], stated: float | None) -> A
 
 
 def orient(
-    readings: Readings, scheme: "Source | Scheme | None", order: Order = "paper"
+    readings: Readings,
+    scheme: "Source | Scheme | None",
+    order: Order = "paper",
+    *,
+    estimable: bool = False,
 ) -> Readings:
     """Return readings with the orientation of a scheme, matched by label or row by row.
+
+    Where the caller can estimate orientations, the error says how.
 
     Raises
     ------
@@ -328,7 +334,7 @@ def orient(
         _refuse_log(readings)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation{_meant(readings)}; give "
-            f"--scheme (a name or a file) or {_columns_for(readings)}."
+            f"--scheme (a name or a file){_columns_for(readings, estimable)}."
         )
     given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
@@ -351,13 +357,14 @@ def orient(
     )
 
 
-def _columns_for(readings: Readings) -> str:
-    """Return which columns state orientations."""
+def _columns_for(readings: Readings, estimable: bool) -> str:
+    """Return which columns state orientations, and the option that estimates them."""
     if all(component(name).magnetic for name in readings.outputs):
-        return "the direction of the field as b_x, b_y, b_z"
-    return (
-        "orientation columns such as direction or up_x, up_y, up_z, or known forces f_x, f_y, f_z"
-    )
+        return " or the direction of the field as b_x, b_y, b_z"
+    columns = "columns such as direction or up_x, up_y, up_z"
+    if estimable and len(readings.outputs) >= len(COMPONENTS):
+        return f", {columns}, or --unknown-orientation"
+    return f" or {columns}, or known forces f_x, f_y, f_z"
 
 
 def _meant(readings: Readings) -> str:

@@ -432,10 +432,10 @@ def stated_rows(rng, late, count):
     yield mp.average(columns, sections=sections(rests))
 
 
-follows("in-motion", "State its rows")(lambda rng: stated_rows(rng, 150, 1))
+follows("in-motion", "Correct its rows")(lambda rng: stated_rows(rng, 150, 1))
 follows("in-motion", "State their rows")(lambda rng: stated_rows(rng, 150, 3))
-follows("motion-at-edge", "State fewer rows.")(lambda rng: stated_rows(rng, 30, 1))
-follows("motion-at-edge", "State fewer rows of")(lambda rng: stated_rows(rng, 30, 3))
+follows("motion-at-edge", "Give fewer rows of it")(lambda rng: stated_rows(rng, 30, 1))
+follows("motion-at-edge", "Give fewer rows of them")(lambda rng: stated_rows(rng, 30, 3))
 
 
 @follows("correlated-samples")

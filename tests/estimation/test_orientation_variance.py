@@ -221,6 +221,9 @@ def test_degrees_of_freedom_by_how_much_wider_the_outer_interval_is(dof):
 def test_axes_of_orientation_errors_are_eigenvectors(r):
     spread = np.random.default_rng(r).normal(size=(2, 5, r, 2))
     spread[0, 0] = 0.0  # a position that is known exactly
+    spread[0, 1, :, 1] = 0.0  # and three where errors act along one line
+    spread[0, 2, 1:] = 0.0
+    spread[0, 3, :, 1] = 0.3 * spread[0, 3, :, 0]
     axes, values = _axes_of_errors(spread)
     square = spread @ np.swapaxes(spread, 2, 3)
     turned = axes @ square @ np.swapaxes(axes, 2, 3)
