@@ -350,6 +350,7 @@ class Piece:
                 self._known.options,
                 *self._stated(mine, values),
                 time=time,
+                temperature=read.of(read.temperature, mine, n),
             )
 
     def _stated(

@@ -141,6 +141,8 @@ class Conditions:
     values, stated, stated_dof : lists of M (N,) arrays
         Outputs, and where they are stated of all of them their u and its degrees of freedom,
         which units need not share; in the order of the units.
+    temperature : list of one (N,) array
+        Of which the residuals are asked where no term of the model takes it; empty elsewhere.
     """
 
     def __init__(
@@ -159,8 +161,10 @@ class Conditions:
             for name in rows.columns
             if _is_used(name, outputs, used) and name not in apart
         ]
-        if TEMPERATURE in rows.columns and TEMPERATURE not in used:
-            self._cells.append(self._over_temperature(rows))
+        asked = TEMPERATURE in rows.columns and TEMPERATURE not in used
+        self.temperature = self._columns(rows, [TEMPERATURE]) if asked else []
+        if asked:
+            self._cells.append(self._over_temperature(self.temperature[0]))
 
     def groups(self) -> Iterator[Places]:
         """Yield units that share all conditions; one whose cells are at fault comes alone."""
@@ -209,9 +213,8 @@ class Conditions:
             return self._grouped.arranged(rows.conditions(name).codes)
         return self._grouped.arranged((numbers + 0.0).view(np.uint64))
 
-    def _over_temperature(self, rows: Rows) -> AnyArray:
+    def _over_temperature(self, column: Array) -> AnyArray:
         """Return temperature where a unit was at several, as the tests of its residuals ask it."""
-        column = self._grouped.arranged(rows.numbers(TEMPERATURE))
         starts = self._grouped.starts[:-1]
         spread = np.maximum.reduceat(column, starts) - np.minimum.reduceat(column, starts)
         several = np.repeat(spread > ONE_TEMPERATURE, self._grouped.counts)
@@ -243,7 +246,7 @@ def _is_used(name: str, outputs: Sequence[str], used: Sequence[str]) -> bool:
 
 
 _LEAST = 2  # units, stations and trials
-ONE_TEMPERATURE = 1.0  # [K] of a unit, within which no term of temperature is asked of its batch
+ONE_TEMPERATURE = 1.0  # [K] of a unit, within which it need not share temperature with its batch
 
 
 class Trials(NamedTuple):

@@ -61,6 +61,7 @@ from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import (
     UnitTests,
     find_in_units,
+    follow_temperature,
     lacking_in_batch,
     may_lack_terms,
     unit_tests,
@@ -231,6 +232,8 @@ class Task:
         What is stated of the readings' uncertainties, and their degrees of freedom, if anything.
     time : (B, n) array or None
         Where U allows for slow noise.
+    temperature : tuple of one (B, n) array, or ()
+        Where no term of the model takes it.
     """
 
     units: Places
@@ -242,6 +245,7 @@ class Task:
     stated: tuple[Array, ...] = ()
     stated_dof: tuple[Array, ...] = ()
     time: Array | None = None
+    temperature: tuple[Array, ...] = ()
 
 
 def find_pattern(
@@ -416,6 +420,8 @@ def solve_task(task: Task) -> Solved:
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
         tested = find_in_units(task.pattern.tests, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
+        for temperature in task.temperature:
+            looked_at |= follow_temperature(task.pattern.tests, shared, temperature, found)
     if task.pattern.kinds and isinstance(shared, SharedDesign):
         looked_at |= may_lack_terms(task.pattern.kinds, shared, found)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]

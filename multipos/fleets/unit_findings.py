@@ -354,6 +354,41 @@ def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates
     return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
 
 
+def follow_temperature(
+    tests: UnitTests, shared: SharedDesign, temperature: Array, found: Estimates
+) -> Mask:
+    """Return which units (B,) have residuals that follow their own temperatures (B, n).
+
+    These are fitted singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term
+    of temperature to ask for. What is asked here is the first order, alone and times the sensitive
+    axis, of every output by itself.
+    """
+    follow: Mask = np.zeros(len(temperature), dtype=np.bool_)
+    if any(TEMPERATURE in kind.name for kind in tests.kinds):
+        return follow
+    m = len(shared.by_output)
+    left = np.maximum(shared.dof - 1.0, 1.0)
+    ratio = np.empty((2, len(temperature), m))
+    warmth = temperature - temperature[:, :1]
+    for i, each in enumerate(shared.by_output):
+        e, own = found.residuals[i], shared.reference[:, COMPONENTS.index(shared.model.axes[i])]
+        whole = np.einsum("bn,bn->b", e, e)
+        for place, column in enumerate((warmth, warmth * own)):
+            across = column - (column @ each.Q) @ each.Q.T
+            size = np.einsum("bn,bn->b", across, across)
+            varies = size > IDENTIFIABLE**2 * np.einsum("bn,bn->b", column, column)
+            explained = np.einsum("bn,bn->b", across, e) ** 2 / np.where(varies, size, np.inf)
+            ratio[place, :, i] = explained * left[i] / np.maximum(whole - explained, _LEAST)
+    limit = float(_limits(np.full((1, len(tests.kinds) + 2), m))[0, 0])
+    # The sum of m logarithms is below the limit only where one is below its m-th part.
+    least = np.array([f_quantile(1.0 - math.exp(limit / m), 1.0, nu) for nu in left.tolist()])
+    for place in range(2):
+        units = np.flatnonzero((ratio[place] > least).any(axis=1))
+        logs = [f_log_tails(ratio[place, units, i], 1.0, float(left[i])) for i in range(m)]
+        follow[units] |= np.sum(logs, axis=0) < limit
+    return follow
+
+
 def _limits(used: NDArray[np.intp]) -> Array:
     """Return ln p of so many outputs together (B, K), below which a kind is significant."""
     limit = np.full(used.shape, -np.inf)

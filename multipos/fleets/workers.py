@@ -139,7 +139,8 @@ def _finish(path: Path | None, each: "Solved | Future[Solved]") -> Solved:
 def _name(task: Task) -> str:
     """Return the SHA-256 of all that the numbers of a task depend on."""
     digest = hashlib.sha256(f"{__version__} {_said(task.options)}".encode())
-    for array in (task.units, task.stations, *task.values, *task.stated, *task.stated_dof):
+    stated = (*task.stated, *task.stated_dof)
+    for array in (task.units, task.stations, *task.values, *stated, *task.temperature):
         digest.update(np.ascontiguousarray(array).tobytes())
     if task.pattern is not None:
         shared = task.pattern.shared

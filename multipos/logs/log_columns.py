@@ -232,8 +232,12 @@ def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Find
 def magnetic_outputs(
     log: Log, outputs: Sequence[str] | None, kind: str | None, unit: str | None
 ) -> tuple[str, ...] | None:
-    """Return the outputs of a log that are a magnetometer's; None where they are not."""
-    if outputs is None and kind == "magnetic":
+    """Return the outputs of a log that are a magnetometer's; None where they are not.
+
+    A unit of tesla asks for them as `kind` does; G may be meant for g.
+    """
+    stated = unit_as_known(unit or "") in MAGNETIC_UNITS
+    if outputs is None and (kind == "magnetic" or (stated and str(unit).endswith("T"))):
         named = [name for name in log.numeric if component(name).magnetic]
         triads = triads_of(named, {name: component(name) for name in named})
         outputs = triads[0] if len(triads) == 1 else None
@@ -241,7 +245,6 @@ def magnetic_outputs(
         kinds = [component(name) for name in log.columns]
         if any(each.acceleration for each in kinds):
             return None
-        stated = unit_as_known(unit or "") in MAGNETIC_UNITS
         if not (stated or any(each.magnetic for each in kinds) or _in_field(log, log.columns)):
             return None
     chosen = choose_outputs(log, outputs, time_columns(log)).names

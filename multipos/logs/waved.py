@@ -27,7 +27,7 @@ from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
 from multipos.logs.table import Log
-from multipos.numerics.arrays import COMPONENTS, Array, Places, median
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Places, median
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen, plain
 
@@ -99,7 +99,7 @@ def read_rows(
     Raises
     ------
     MultiposError
-        Rows of several sensors take turns, or too few are left.
+        Rows of several sensors take turns, too few are left, or one is no number of a sensor.
     """
     warm = [name for name in ("temperature",) if all(name in log.numeric for log in logs)]
     parts: list[Array] = []
@@ -111,6 +111,14 @@ def read_rows(
     if signed is not None:
         half = 2.0 ** (signed - 1)
         values = np.where(values >= half, values - 2.0 * half, values)
+    far = (np.abs(values) > LARGEST) & np.isfinite(values)
+    if far.any():
+        row, column = np.argwhere(far)[0].tolist()
+        raise MultiposError(
+            f"{logs[0].source}: row {row + 1}, column '{outputs[column]}': "
+            f"{values[row, column]:g} is no number that is measured (beyond {LARGEST:g} in any "
+            "unit); correct it."
+        )
     environment = {}
     for name in warm:
         pieces = [p.table.columns[name] for log in logs for p in log.read((), (name,), ())]

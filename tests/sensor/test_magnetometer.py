@@ -617,6 +617,19 @@ def test_capture_takes_the_magnetometer_of_a_log_with_both(tmp_path):
     assert mp.capture(f"replay:{log}:0", field="magnetic").state["outputs"] == [*NAMES]
 
 
+def test_a_unit_of_tesla_takes_the_magnetometer_of_a_log_with_both():
+    log = wave(1000, 28)
+    log |= dict.fromkeys(("ax", "ay", "az"), log["mx"] / SIZE)
+    assert mp.calibrate(log, unit="uT").outputs == NAMES
+
+
+def test_a_flipped_bit_in_a_waved_log_is_named():
+    log = wave(1000, 29)
+    log["my"][499] = 7e264
+    with pytest.raises(MultiposError, match=r"row 500, column 'my': 7e\+264 is no number that is"):
+        mp.calibrate(log, unit="uT")
+
+
 def test_percentages_are_of_the_field_whatever_its_size(tmp_path, capsys):
     """The same rows with and without the size have the same linearity, of a fit and of a check."""
     rows, u = readings(sd=0.3)
