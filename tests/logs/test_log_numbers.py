@@ -25,7 +25,17 @@ from multipos.logs.rest_means import (
     _lines,
     with_rounding,
 )
-from multipos.logs.rests import Finder, Grid, Rest, Run, Spikes, _first_peak, is_long, long_enough
+from multipos.logs.rests import (
+    Finder,
+    Grid,
+    Rest,
+    Run,
+    Spikes,
+    _first_peak,
+    _valley,
+    is_long,
+    long_enough,
+)
 from multipos.logs.samples import Samples, _turns, good_rows
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import read_plain
@@ -462,3 +472,34 @@ def test_a_line_through_allan_variances_in_logarithms():
     start, slope = C @ X.T @ W @ y
     found = _allan_line(phases[None, None], lengths, weights, np.array([b]))
     assert_allclose([found[0][0, 0], found[1][0, 0], found[2][0]], [slope, start, C[0, 0]])
+
+
+def histogram(**counts):
+    bins = np.zeros(3600)
+    for place, count in counts.items():
+        bins[int(place[1:])] = count
+    return bins
+
+
+def at_bin(place):
+    return 10.0 ** (-18 + (place + 0.5) / 100)
+
+
+def test_the_limit_of_rest_lies_in_the_valley_above_the_first_peak():
+    """Hundred bins a decade: 2.5 to 4 times the peak is 40 to 60 bins above, in the middle 50."""
+    quietest = 10.0**-12
+    noise, limit = _valley(histogram(b1500=100, b1700=80), 0, quietest)
+    assert (noise, limit) == (pytest.approx(at_bin(1500)), pytest.approx(at_bin(1550)))
+    # windows in the middle of the valley: its end that is farther from the hill beyond is lower
+    noise, limit = _valley(histogram(b1500=100, b1552=40), 0, quietest)
+    assert limit == pytest.approx(at_bin(1540))
+    noise, limit = _valley(histogram(b1500=100, b1548=40), 0, quietest)
+    assert limit == pytest.approx(at_bin(1560))
+    noise, limit = _valley(histogram(b1500=100), 0, quietest, (1.7, 2.8))  # 23 to 45 above
+    assert limit == pytest.approx(at_bin(1534))
+    # what is below the quietest, and windows that never change, are counted with it
+    counts = histogram(b1400=30, b1450=30, b1530=70)
+    assert _valley(counts, 50, at_bin(1460))[0] == pytest.approx(at_bin(1460))
+    assert _valley(counts, 0, at_bin(1380))[0] == pytest.approx(at_bin(1400))
+    low = histogram(b1400=10, b1530=70)  # less than a fifth of the highest is no peak
+    assert _valley(low, 0, at_bin(1380))[0] == pytest.approx(at_bin(1530))
