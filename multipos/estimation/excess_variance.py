@@ -44,7 +44,7 @@ from multipos.estimation.posteriors import Found, Posterior, integrate, standard
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.least_squares import block_design
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import UNEQUAL, bartlett
+from multipos.sensor.fit_diagnostics import are_unequal
 
 _ROWS = 20_000  # readings worked on at once
 _RIDGE = 1e-13  # of rounding, so that variances of any size leave a matrix that can be inverted
@@ -171,7 +171,7 @@ def estimate_excess(
     if pool or m == 1 or dof.min() <= 0.0:
         return found
     chi2 = np.sum(residuals**2 / (noise + found.variance[:, None]), axis=1)
-    unequal = np.array([bartlett(each, dof) < UNEQUAL for each in chi2])
+    unequal = are_unequal(chi2, dof)
     if not unequal.any():
         return found
     groups = []
@@ -255,17 +255,17 @@ def integrate_parts(parts: Sequence[Part]) -> Posterior:
     plain = np.sum(np.concatenate([part.square for part in parts], axis=1), axis=1)
 
     def evaluate(nodes: Array, *, whole: bool) -> Found:
-        return _evaluate(parts, nodes, size)
+        return _evaluate(parts, nodes, size, whole=whole)
 
     return integrate(evaluate, dof, size, (weighted, plain))
 
 
-def _evaluate(parts: Sequence[Part], nodes: Array, size: Array) -> Found:
+def _evaluate(parts: Sequence[Part], nodes: Array, size: Array, *, whole: bool) -> Found:
     log = np.log(nodes + size[:, None])
     information = np.zeros(nodes.shape)  # of τ², twice
     moves, variances = [], []
     for part in parts:
-        own = _equal(part, nodes) if part.equal else _unequal(part, nodes)
+        own = _equal(part, nodes) if part.equal else _unequal(part, nodes, whole=whole)
         log += own.log
         information += own.information
         moves.append(own.moves)
@@ -295,7 +295,8 @@ def _equal(part: Part, nodes: Array) -> _Terms:
     )
 
 
-def _unequal(part: Part, nodes: Array) -> _Terms:
+def _unequal(part: Part, nodes: Array, *, whole: bool) -> _Terms:
+    """Return the terms of unequal stated variances, of the parameters only if `whole`."""
     p, m = part.parameters, part.residuals.shape[2]
     sums = _sums(part, nodes)
     scale = 1.0 / np.sqrt(np.einsum("bgpp->bgp", sums.square))
@@ -305,14 +306,13 @@ def _unequal(part: Part, nodes: Array) -> _Terms:
     determinants -= 2.0 * np.log(scale).sum(axis=2)
     step = np.einsum("bgpq,bgqm->bgmp", inverse, sums.right)
     gained = np.einsum("bgpm,bgmp->bg", sums.right, step)
+    log = 0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained)
+    if not whole:
+        return _Terms(log, m * sums.weight2, *np.empty((2, *nodes.shape, 0)))
     squares = (part.inverse[:, :, None] * part.inverse[:, None, :]).reshape(p, -1)
     own = inverse.reshape(*nodes.shape, -1) @ squares.T
-    return _Terms(
-        log=0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained),
-        information=m * sums.weight2,
-        moves=(step @ part.inverse.T).reshape(*nodes.shape, m * p),
-        variances=np.tile(own, (1, 1, m)),
-    )
+    moves = (step @ part.inverse.T).reshape(*nodes.shape, m * p)
+    return _Terms(log, m * sums.weight2, moves, np.tile(own, (1, 1, m)))
 
 
 def _inverted(matrices: Array) -> tuple[Array, Array]:

@@ -373,13 +373,14 @@ def erf(z: Array) -> Array:
     if z.size < _ARRAY:
         return np.array([*map(math.erf, z.ravel().tolist())]).reshape(z.shape)
     x = np.minimum(np.abs(z), 6.0)  # beyond which it is one
-    square = x * x
-    near, below, far, beyond = (
-        _polynomial(each, at) for each, at in zip(_CODY, (square, square, x, x), strict=True)
-    )
-    near *= x / below
-    far *= np.exp(-square) / beyond
-    return np.asarray(np.copysign(np.where(x <= 0.46875, near, 1.0 - far), z))
+    small, square = x <= 0.46875, x * x
+    found = np.exp(-square)
+    found *= _polynomial(_CODY[2], x) / _polynomial(_CODY[3], x)
+    np.subtract(1.0, found, out=found)
+    if small.any():
+        few = square[small]
+        found[small] = x[small] * _polynomial(_CODY[0], few) / _polynomial(_CODY[1], few)
+    return np.asarray(np.copysign(found, z))
 
 
 def _polynomial(coefficients: list[float], x: Array) -> Array:

@@ -603,15 +603,27 @@ def bartlett(rss: ArrayLike, dof: ArrayLike) -> float:
     rss, dof = np.broadcast_arrays(
         np.asarray(rss, dtype=np.float64), np.asarray(dof, dtype=np.float64)
     )
-    m, total = rss.size, float(dof.sum())
+    m = rss.size
     if m < 2 or not (dof > 0.0).all() or not rss.any():
         return float("nan")
     if (rss == 0.0).any():
         return 0.0
-    variances = rss / dof
-    statistic = total * np.log(rss.sum() / total) - (dof * np.log(variances)).sum()
-    correction = 1.0 + ((1.0 / dof).sum() - 1.0 / total) / (3.0 * (m - 1))
-    return chi2_tail(float(statistic / correction), m - 1)
+    return chi2_tail(float(_statistic(rss, dof)), m - 1)
+
+
+def are_unequal(rss: Array, dof: Array) -> Mask:
+    """Tell of which units (B,) Bartlett's test rejects that variances are equal, rss (B, m)."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # inf where one is zero, nan where all are
+        statistic = _statistic(rss, dof)
+    return np.asarray(statistic > chi2_quantile(1.0 - UNEQUAL, len(dof) - 1))
+
+
+def _statistic(rss: Array, dof: Array) -> Array:
+    """Return Bartlett's statistic (…), corrected, of (…, m) sums on (m,) degrees of freedom."""
+    total = dof.sum()
+    pooled = total * np.log(rss.sum(axis=-1) / total)
+    correction = 1.0 + ((1.0 / dof).sum() - 1.0 / total) / (3.0 * (len(dof) - 1))
+    return np.asarray((pooled - (dof * np.log(rss / dof)).sum(axis=-1)) / correction)
 
 
 def lack_of_fit(
