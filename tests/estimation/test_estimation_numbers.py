@@ -105,7 +105,7 @@ def test_terms_of_a_node_are_those_of_the_restricted_likelihood(equal):
     ((members, part),) = _parts([X, X], e, np.stack([u2, u2], axis=1)[None], range(2))
     assert members == [0, 1]
     nodes = np.array([[0.0, 0.2, 1.7]])
-    found = (_equal if equal else _unequal)(part, nodes)
+    found = _equal(part, nodes) if equal else _unequal(part, nodes, whole=True)
     by_hand = []
     for g, node in enumerate(nodes[0]):
         W = np.diag(1.0 / (u2 + node))
