@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.diagnostics import gross_errors, magnetic, row_order
+from multipos.diagnostics import examination, gross_errors, magnetic, residuals, row_order
 from multipos.diagnostics.columns import (
     _clipped,
     _has_common_ends,
@@ -19,7 +19,7 @@ from multipos.diagnostics.columns import (
 )
 from multipos.diagnostics.examination import _gain_without
 from multipos.diagnostics.gross_errors import _is_skew, _is_slight, _known_to, _silent
-from multipos.diagnostics.magnetic import _left, moving_iron
+from multipos.diagnostics.magnetic import _left, _size_in_tesla, field_size, moving_iron
 from multipos.diagnostics.model_error import are_better_with
 from multipos.diagnostics.projections import _whitener
 from multipos.diagnostics.repairs import (
@@ -30,12 +30,25 @@ from multipos.diagnostics.repairs import (
     _single_flips,
     _squares,
     _wrap_of,
+    look,
 )
-from multipos.diagnostics.residuals import Explained, _information, _signs_lost, prefers_unequal
+from multipos.diagnostics.residuals import (
+    Explained,
+    _information,
+    _separable,
+    _signs_lost,
+    prefers_unequal,
+)
 from multipos.diagnostics.row_order import _correlation, _judge_slow, _traces
-from multipos.diagnostics.scales import factor_in_words, reversed_or_permuted
+from multipos.diagnostics.scales import (
+    _stands_apart,
+    _times,
+    factor_in_words,
+    reversed_or_permuted,
+)
 from multipos.diagnostics.score_tests import ratios_of
 from multipos.sensor.found import Estimator
+from multipos.sensor.model import build_model
 
 K = np.array([[2.0, 0.1, -0.2], [0.05, 1.5, 0.15], [-0.1, 0.2, 1.1]])
 UP = mp.read_scheme("fibonacci-14").up
@@ -495,3 +508,115 @@ def test_information_of_outputs_whose_weights_covary():
     X = np.stack([np.kron(np.eye(2), row) for row in phi])[:, :, of.parameters]  # (n, M, p)
     by_hand = np.einsum("nmp,bnmk,nkq->bpq", X, W, X)
     assert_allclose(_information(of, W), by_hand, rtol=1e-10)
+
+
+# --- outputs, units and temperatures
+
+
+def test_outputs_in_a_unit_of_their_own():
+    assert _stands_apart(9.0, lone=True)  # 9.8 within 15 %
+    assert not _stands_apart(8.0, lone=True)
+    assert _stands_apart(4.1, lone=False)
+    assert not _stands_apart(3.9, lone=False)
+    assert _stands_apart(0.24, lone=False)
+    assert not _stands_apart(0.26, lone=False)
+    assert _times(9.5) == "9.5 times, as by a factor 9.807 (m/s^2 for g)"
+    assert _times(4.0) == "4 times"
+
+
+def test_the_size_of_a_field_in_tesla():
+    def c(size, unit, own, K):
+        field = SimpleNamespace(size=size, size_unit=unit)
+        return SimpleNamespace(field=field, model=SimpleNamespace(unit=own), sensitivity=K)
+
+    K = np.array([[2.0, 0.1, 0.0], [0.0, 3.0, 0.2], [0.1, 0.0, -4.0]]) * 10.0
+    assert _size_in_tesla(c(48.0, "uT", "count", K)) == pytest.approx(48e-6)
+    assert _size_in_tesla(c(48.0, "times", "count", K)) is None
+    size = abs(np.linalg.det(K)) ** (1 / 3)
+    assert _size_in_tesla(c(None, "", "uT", K)) == pytest.approx(size * 1e-6)
+    assert _size_in_tesla(c(None, "", "count", K)) is None
+    assert _size_in_tesla(c(None, "", "uT", K[:2])) is None
+    for tesla, said in ((19.9e-6, True), (20.1e-6, False), (73.6e-6, False), (73.8e-6, True)):
+        assert (field_size(c(tesla * 1e6, "uT", "count", K)) is not None) is said
+
+
+def test_a_view_of_a_model_of_temperature_keeps_the_response_of_the_day():
+    """Columns of temperature about their mean; of temperature times force, less of the force."""
+    t = np.linspace(-20.0, 60.0, 14) ** 1.0 + np.cos(np.arange(14.0))
+    model = build_model(
+        "1 + x + y + z + temperature + temperature*own + temperature*own^2",
+        ("a", "b", "c"), ("x", "y", "z"), known=("temperature",),
+    )  # fmt: skip
+    readings = SimpleNamespace(values=UP @ K.T, environment={"temperature": t})
+    c = SimpleNamespace(
+        estimator=SimpleNamespace(exact=True), reference=UP, model=model, readings=readings
+    )
+    view = look(c)
+    assert_allclose(view.even, np.column_stack([np.ones(14), t - t.mean()]))
+    columns = [t * x - (t * x) @ x / (x @ x) * x for x in UP.T]
+    assert_allclose(view.odd, np.column_stack([UP, *columns]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axes", "rank", "forced", "triad"),
+    [("xyz", 3, False, True), ("zxy", 3, False, True), ("xyy", 3, False, False),
+     ("xyz", 2, False, False), ("xyz", 3, True, False)],
+)  # fmt: skip
+def test_three_outputs_that_sense_a_rotation(axes, rank, forced, triad):
+    slopes = np.diag([1.0, 2.0, 3.0])
+    if rank == 2:
+        slopes[2] = slopes[0] + slopes[1]
+    at = []
+    model = SimpleNamespace(
+        axes=tuple(axes),
+        linear_part=lambda b, mean: at.append((b, mean)) or np.column_stack([np.ones(3), slopes]),
+    )
+    c = SimpleNamespace(
+        model=model, parameters="b", mean_environment="mean",
+        readings=SimpleNamespace(forced=np.array([False, forced])),
+        estimator=SimpleNamespace(exact=True), robust_weight=None,
+    )  # fmt: skip
+    assert _separable(c) is triad
+    assert all(each == ("b", "mean") for each in at)
+
+
+def test_unequal_noise_of_outputs_is_seen_in_their_residuals(monkeypatch):
+    """Scores ½ (e'e/common − tr P) of each against ½ P∘P: rows apart, so that P is diagonal."""
+    rng = np.random.default_rng(4)
+    n = 30
+    e, V = rng.normal(size=(n, 3)) * [1.0, 1.0, 2.0], rng.uniform(0.5, 2.0, (n, 3))
+    leverage = rng.uniform(0.05, 0.2, (n, 3))
+    P = np.zeros((n, 3, n, 3))
+    rows, outputs = np.arange(n)[:, None], np.arange(3)
+    P[rows, outputs, rows, outputs] = (1.0 - leverage) / V
+    problem = SimpleNamespace(precision=1.0 / V, degrees=np.full(n, 3.0), unknowns=12)
+    optimum = SimpleNamespace(projection=lambda: P.copy(), point=SimpleNamespace(residuals=e))
+    monkeypatch.setattr(residuals, "information_at_solution", lambda c: (problem, optimum))
+    c = SimpleNamespace(readings=SimpleNamespace(values=e), residuals=e, outputs="abc")
+    p, sizes = residuals.judge_equality(c)
+    traces = np.sum(1.0 - leverage, axis=0)
+    squares = np.sum(e**2 / V, axis=0)
+    common = squares.sum() / traces.sum()
+    U = 0.5 * (squares / common - traces)
+    solved = U / (0.5 * np.sum((1.0 - leverage) ** 2, axis=0))
+    assert p == pytest.approx(chi2.sf(U @ solved, 2), rel=1e-6)
+    assert_allclose(sizes, np.sqrt(V.mean(axis=0) * common * np.maximum(1.0 + solved, 0.05)))
+
+
+def test_what_outliers_and_repeats_explain_of_residuals(monkeypatch):
+    """ν ln of the sums of squares before and after, less ln ν a number and twice ln of choices."""
+    found = SimpleNamespace(rows=range(3), dof=24.0, ratio=2.5)
+    monkeypatch.setattr(examination, "outlying_rows", lambda c: found)
+    c = SimpleNamespace(
+        estimator=SimpleNamespace(exact=False), residuals=np.zeros((40, 3)),
+        outputs="abc", diagnostics=SimpleNamespace(lack_of_fit={}),
+    )  # fmt: skip
+    outlier = SimpleNamespace(code="outlier", rows=())
+    before, after = 27.0 * 2.5**2, 24.0  # of one residual sd, of 27 and of 24 degrees of freedom
+    gain = 27.0 * math.log(before / after) - 3 * math.log(27.0) - 2 * math.log(math.comb(40, 3))
+    assert examination._score(c, outlier, 27.0, None) == pytest.approx(gain)
+    tests = {"a": {"F": 4.0, "dof": (3, 9)}, "b": {"F": 2.0, "dof": (2, 5)}}
+    c.diagnostics.lack_of_fit = tests
+    gain = 12 * math.log(1 + 3 * 4 / 9) + 7 * math.log(1 + 2 * 2 / 5) - 5 * math.log(27.0)
+    found = examination._score(c, SimpleNamespace(code="lack-of-fit"), 27.0, None)
+    assert found == pytest.approx(gain)
