@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
+from scipy.stats import t
 
-from multipos.compensation import applying
+from multipos.compensation import applying, reading_noise
 from multipos.compensation.applying import _heading, _rows_of
+from multipos.compensation.reading_noise import ReadingUncertainty
 from multipos.files.tables import Table
 
 
@@ -51,3 +53,50 @@ def test_rows_that_are_worked_on_together(monkeypatch):
     assert [part.first for part in parts] == [3, 7, 11]
     assert_allclose(np.concatenate([part.columns["a"] for part in parts]), np.arange(10.0))
     assert parts[1].lines.tolist() == [24, 25, 26, 27]
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_uncertainty_of_compensated_force_is_the_sum_of_its_parts(own, monkeypatch):
+    """Budget, noise of each output, the zero of a soak for what of it the noise contains."""
+    rng = np.random.default_rng(5)
+    n, K, M, p = 3, 2, 2, 4
+    inverse, by_parameter = rng.normal(size=(n, K, M)), rng.normal(size=(n, M, p))
+    roots = rng.normal(size=(3, p, p))
+    rows = [
+        SimpleNamespace(added=root @ root.T * 30.0, dof=np.full(p, nu), evaluation=kind)
+        for root, nu, kind in zip(roots, (9.0, 7.0, math.inf), "AAB", strict=True)
+    ]
+    sd, columns = rng.uniform(0.1, 0.2, (n, M)), rng.normal(size=(n, M, 3))
+    contained = rng.uniform(0.1, 0.3, (n, M))
+    unseen = np.array([np.diag(each) for each in rng.uniform(0.0, 0.1, (n, K))])
+    zeros = SimpleNamespace(dof=np.array([6.0, math.inf]), columns=columns, contained=contained)
+    for name, value in (
+        ("sensitivities", (inverse, by_parameter)), ("zeros_of_soaks", zeros),
+        ("unseen_covariance", unseen),
+    ):  # fmt: skip
+        monkeypatch.setattr(reading_noise, name, lambda *_, value=value: value)
+    c = SimpleNamespace(
+        model=SimpleNamespace(sensed_axes=(0, 1)), parameters=np.zeros(p), confidence=0.9
+    )
+    noise, budget = SimpleNamespace(own=own), SimpleNamespace(rows=rows)
+    state = SimpleNamespace(calibration=c, noise=noise, budget=budget)
+    force = np.ones((n, K))
+    force[2, 1] = math.nan
+    u, U = ReadingUncertainty.of_force(state, force, {}, sd)
+    for row in range(2):
+        for k in range(K):
+            gradient = inverse[row, k] @ by_parameter[row]
+            parts = [gradient @ each.added @ gradient for each in rows]
+            noisy = inverse[row, k] ** 2 * sd[row] ** 2
+            zero = inverse[row, k, 0] ** 2 * np.sum(columns[row, 0] ** 2)
+            parts[0] -= inverse[row, k, 0] ** 2 * contained[row, 0]
+            if own:
+                parts[0], parts[1] = parts[0] + noisy[0], parts[1] + noisy[1]
+            else:
+                parts.append(noisy.sum())
+            square = sum(parts) + zero + unseen[row, k, k]
+            assert u[row, k] == pytest.approx(math.sqrt(square), rel=1e-9)
+            nu = square**2 / (parts[0] ** 2 / 9.0 + parts[1] ** 2 / 7.0 + zero**2 / 6.0)
+            lowered = math.floor(10.0 * nu) / 10.0
+            assert U[row, k] / u[row, k] == pytest.approx(t.ppf(0.95, lowered), rel=1e-6)
+    assert np.isnan(u[2]).all()

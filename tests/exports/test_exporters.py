@@ -16,6 +16,7 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
+from multipos.exports import target_autopilots
 from multipos.exports.c_body import _solved, _Writer, counted_steps, needed_steps
 from multipos.exports.c_fixed import _per_unit
 from multipos.exports.laws import (
@@ -811,3 +812,18 @@ def test_a_law_of_raw_values_in_metres_is_the_same_law():
     by_hand = law.matrix @ (readings - law.offset - law.drift.offset([31.0])[0])
     found = other.matrix @ (raw - other.offset - other.drift.offset([31.0])[0])
     np.testing.assert_allclose(found, by_hand)
+
+
+def test_numbers_that_a_file_names_are_held_by_single_precision(monkeypatch):
+    """Off-diagonals that are zero need not be; offsets have the sign of the target."""
+    held = []
+    monkeypatch.setattr(
+        target_autopilots, "require_writable", lambda c, name, value, info: held.append(name)
+    )
+    matrix = np.array([[1.1, 0.02, 0.0], [0.02, 0.9, -0.03], [0.0, -0.03, 1.2]])
+    law = Correction(matrix, np.array([0.0, 4.0, -5.0]))
+    names = ("OFFX", "OFFY", "OFFZ", "DIAX", "DIAY", "DIAZ", "ODIX", "ODIY", "ODIZ")
+    found = dict(target_autopilots._values(None, law, names, -1.0))
+    assert list(found.values()) == [0.0, -4.0, 5.0, 1.1, 0.9, 1.2, 0.02, 0.0, -0.03]
+    assert held == [name for name in names if name != "ODIY"]
+    assert list(dict(target_autopilots._values(None, law, names[:6]))) == list(names[:6])
