@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import warnings
-from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -71,7 +70,7 @@ SHARED = [
 
 @pytest.mark.parametrize("stride", STRIDES)
 def test_a_crossing_ends_as_promised(stride, place):
-    flags = {line: cycle(("", *crossing.flags(line.split()[0]))) for line in LINES}
+    flags = {line: crossing.cycled(line) for line in LINES}
     seen, faults = 0, []
     for words in (*SHARED, *crossing.KINDS[::stride]):
         made = crossing.make(words)
@@ -100,14 +99,13 @@ def test_what_outputs_share_goes_with_rests(place, making, budget):
 @pytest.mark.slow
 @pytest.mark.parametrize("first", range(4))
 def test_a_large_crossing_ends_as_promised(place, first):
-    faults = []
-    for words in crossing.KINDS[first * 22 :: 88]:
+    flags, faults = {line: crossing.cycled(line) for line in LINES}, []
+    for words in crossing.KINDS[first * 11 :: 44]:
         made = crossing.make(words)
         if made is None:
             continue
         Path(crossing.CALIBRATION).write_bytes(made)
         for line in LINES[first::4]:
-            for flag in ("", *crossing.flags(line.split()[0])):
-                asked = [*crossing.filled(line, words), *flag.split()]
-                faults += [(words, asked, fault) for fault in broken(asked)]
+            asked = [*crossing.filled(line, words), *next(flags[line]).split()]
+            faults += [(words, asked, fault) for fault in broken(asked)]
     assert not faults

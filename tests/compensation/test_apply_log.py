@@ -198,10 +198,17 @@ def test_an_error_half_way_leaves_the_old_file(saved, log, tmp_path, monkeypatch
     assert capsys.readouterr().out == ""
 
 
+@pytest.fixture
+def small_pieces(monkeypatch):
+    """What holds of pieces of 4 MB holds of half a megabyte, of a log an eighth as long."""
+    monkeypatch.setattr("multipos.logs.text_logs._PIECE", 1 << 19)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_pieces")
 def test_memory_of_json_is_that_of_its_numbers(saved, log, tmp_path, monkeypatch):
     row = [",".join(map(str, cells)) + "\n" for cells in zip(*log.values(), strict=True)]
-    times = 60_000 // len(row)
+    times = 15_000 // len(row)
     (tmp_path / "log.csv").write_text(",".join(log) + "\n" + times * "".join(row))
     with (tmp_path / "out.json").open("w") as stream:
         monkeypatch.setattr("sys.stdout", stream)
@@ -210,14 +217,15 @@ def test_memory_of_json_is_that_of_its_numbers(saved, log, tmp_path, monkeypatch
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     numbers = 8 * 8 * times * len(row)  # bytes of eight columns; as text they were 1300 a row
-    assert peak < 4 * numbers + 40e6  # two copies while they are joined; pieces of the text
+    assert peak < 4 * numbers + 10e6  # two copies while they are joined; pieces of the text
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_pieces")
 def test_memory_does_not_grow_with_the_log(cal, log, tmp_path):
     row = [",".join(map(str, cells)) + "\n" for cells in zip(*log.values(), strict=True)]
     peaks = []
-    for times in (200, 400):
+    for times in (25, 50):
         path = tmp_path / "log.csv"
         with path.open("w") as stream:
             stream.write(",".join(log) + "\n")

@@ -114,6 +114,11 @@ def flags(command: str) -> tuple[str, ...]:
     return tuple(a.option_strings[-1] for a in options.actions(command) if a.nargs == 0)
 
 
+def cycled(line: str) -> Iterator[str]:
+    """Return none and each of the options of a line that take no value, for ever."""
+    return itertools.cycle(("", *flags(line.split()[0])))
+
+
 def softly(own, x, y, z, bias, scale, limit=0.01):
     """A model given as a function: a sensor that saturates softly."""
     signal = bias + scale * own
