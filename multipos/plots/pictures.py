@@ -30,6 +30,7 @@ _RADIUS, _LONGEST = 58.0, 0.32  # of a disc, and of the largest error as a share
 _ROW = 182  # height of a sphere
 _PANEL, _MIDDLE, _HALF = 102, 59, 36  # height of residuals, their zero, and how far they reach
 _LEFT, _FOOT = 48, 30
+_ROUND = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # times a power of ten
 
 
 class _Picture:
@@ -208,7 +209,7 @@ def _draw_panel(
     )
     mark = _mark(largest)
     factor, shown = readable_unit(mark, unit)
-    middle, scale = top + _MIDDLE, _HALF / (largest or 1.0)
+    middle, scale = top + _MIDDLE, _HALF / (mark or 1.0)
     picture.write(0.0, top + 12.0, head.format(shown), "start")
     for at in (-mark, 0.0, mark):
         y = middle - scale * at
@@ -228,11 +229,11 @@ def _draw_panel(
 
 
 def _mark(largest: float) -> float:
-    """Return the largest of 1, 2 or 5 times a power of ten that is not beyond."""
+    """Return the least round number that nothing is beyond."""
     if not largest > 0.0:
         return 0.0
     power = 10.0 ** math.floor(math.log10(largest))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= largest)
+    return min(step * power for step in _ROUND if step * power >= largest * (1.0 - 1e-9))
 
 
 def _name_positions(picture: _Picture, y: float, names: Sequence[str], places: Array) -> None:

@@ -195,14 +195,18 @@ def test_unknown_orientations_have_errors_along_alone(unknown):
 
 
 def test_dots_of_residuals_stand_where_they_are(cal):
-    """By hand: a panel is 102 high, its middle at 59, and 36 units are the largest of all."""
+    """By hand: a panel is 102 high, its middle at 59, and 36 units are the mark, beyond all."""
     picture = residual_picture(cal)
     heights = np.array(
         [float(y) for y in re.findall(r'<circle cx="[\d.]+" cy="([\d.]+)"', picture)]
     )
     left = np.sqrt(1.0 - cal.diagnostics.leverage)
     largest = np.maximum(np.abs(cal.residuals), 2.0 * cal.sd_of_readings * left).max(axis=0)
-    expected = 102 * np.arange(3) + 59.0 - 36.0 * cal.residuals / largest
+    marks = np.array([float(each) for each in re.findall(r">−([\d.]+)</text>", picture)])
+    marks *= 10.0 ** np.round(np.log10(largest / marks))  # their unit
+    assert (largest <= marks).all()
+    assert (marks < 1.5 * largest).all()
+    expected = 102 * np.arange(3) + 59.0 - 36.0 * cal.residuals / marks
     assert np.abs(heights.reshape(3, 26).T - expected).max() < 0.051
 
 
