@@ -42,6 +42,7 @@ from multipos.files.whole import read_bytes, reading, write_text
 from multipos.results import frozen
 
 _FINITE = float(np.finfo(np.float64).max)
+_HEAD = 4096  # bytes, in which no text has a NUL
 _FEW = 1000  # rows, up to which cells are written one by one
 SHORT = 1 << 14  # bytes: a shorter file is read once, as opening it takes longer than reading
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
@@ -315,8 +316,9 @@ def _decode(path: str | os.PathLike[str], raw: bytes, what: str) -> str:
     except UnicodeDecodeError as error:
         found = decoded(raw)
         if found is None:
+            log = " A binary log is for multipos calibrate." if b"\0" in raw[:_HEAD] else ""
             raise MultiposError(
-                f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text."
+                f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text.{log}"
             ) from None
         text = found[0]
     if "\0" in text:

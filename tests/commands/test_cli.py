@@ -109,7 +109,11 @@ FILES = {
     "negative sd": ("up_x,up_y,up_z,ax,sd_ax\n0,0,1,0,-1\n", 1, "'sd_ax': -1 is not 0 or more"),
     "negative u": ("up_x,up_y,up_z,ax,u_ax\n0,0,1,0,-1\n", 1, "column 'u_ax': -1 is not above 0"),
     "four outputs": (SIX.replace("position", "aw"), 2, "could be outputs: aw, ax, ay, az; name"),
-    "not text": (b"\x89PNG\r\n\x1a\n\x00", 1, "bad.csv: byte 0 is not UTF-8"),
+    "not text": (
+        b"\x89PNG\r\n\x1a\n\x00",
+        1,
+        "byte 0 is not UTF-8; save the readings as UTF-8 text. A binary log is for",
+    ),
 }
 
 
