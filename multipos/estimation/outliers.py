@@ -169,7 +169,9 @@ def _off_line(
 
 
 def _off_ellipsoid(model: Model, readings: Readings, variance: Array | None) -> Outlying | None:
-    """Return the outliers among readings of unknown orientations, eq. (2)."""
+    """Return the outliers among readings of unknown orientations, eq. (2), which are of triads."""
+    if readings.values.shape[1] != len(COMPONENTS):
+        return None
     centre = readings.values.mean(axis=0)
     size = np.sqrt(np.mean((readings.values - centre) ** 2, axis=0))
     if not (size > 0.0).all():

@@ -914,6 +914,8 @@ def repeated(scheme, times=4, sd=1e-5, off_deg=0.0):
 def test_unknown_orientation_names_the_need(readings, message):
     with pytest.raises(mp.MultiposError, match=message):
         mp.fit(mp.Readings(readings.values), unknown_orientation=True)
+    with pytest.raises(mp.MultiposError, match=message):
+        mp.fit(mp.Readings(readings.values), unknown_orientation=True, exclude="auto")
 
 
 @pytest.mark.parametrize(
