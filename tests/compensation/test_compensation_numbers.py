@@ -9,10 +9,13 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import t
 
-from multipos.compensation import applying, reading_noise
+from multipos.compensation import applying, correction, reading_noise
 from multipos.compensation.applying import _heading, _rows_of
+from multipos.compensation.correction import _correct_each
 from multipos.compensation.reading_noise import ReadingUncertainty
+from multipos.errors import UsageError
 from multipos.files.tables import Table
+from multipos.finding import Finding
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -100,3 +103,31 @@ def test_uncertainty_of_compensated_force_is_the_sum_of_its_parts(own, monkeypat
             lowered = math.floor(10.0 * nu) / 10.0
             assert U[row, k] / u[row, k] == pytest.approx(t.ppf(0.95, lowered), rel=1e-6)
     assert np.isnan(u[2]).all()
+
+
+@pytest.mark.parametrize("column", [None, "p,q"])
+def test_several_regressions_correct_a_column_each(column, monkeypatch):
+    """Named after their responses; a row is outside where any says so, and counted once."""
+    asked = []
+
+    class Found(dict):
+        noise = "stated"
+        findings = (Finding("outside", "warning", "3"), Finding("other", "note", "what"))
+
+    def correct(one, table, *, column, **_):
+        asked.append(column)
+        outside = np.eye(4, dtype=int)[one]
+        return Found(t=table.columns["t"], corrected=np.full(4, one), outside=outside)
+
+    monkeypatch.setattr(correction, "correct", correct)
+    table = Table("s", {"t": np.arange(4.0)}, rows=4)
+    found = _correct_each({"a": 1, "b": 3}, table, column, "flag", True, None, False)
+    assert asked == ([None, None] if column is None else ["p", "q"])
+    assert list(found) == ["t", "corrected_a", "corrected_b", "outside"]
+    assert list(found["outside"]) == [0, 1, 0, 1]
+    assert [each.code for each in found.findings].count("outside") == 1
+    assert [each.text for each in found.findings if each.code == "other"] == ["a: what", "b: what"]
+    (said,) = (each.text for each in found.findings if each.code == "outside")
+    assert said.startswith("2 of 4 rows")
+    with pytest.raises(UsageError, match="names 1 columns for 2 responses"):
+        _correct_each({"a": 1, "b": 3}, table, "p", "flag", True, None, False)

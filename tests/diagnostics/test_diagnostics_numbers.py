@@ -39,7 +39,7 @@ from multipos.diagnostics.residuals import (
     _signs_lost,
     prefers_unequal,
 )
-from multipos.diagnostics.row_order import _correlation, _judge_slow, _traces
+from multipos.diagnostics.row_order import _correlation, _judge_slow, _limit, _traces
 from multipos.diagnostics.scales import (
     _stands_apart,
     _times,
@@ -620,3 +620,42 @@ def test_what_outliers_and_repeats_explain_of_residuals(monkeypatch):
     gain = 12 * math.log(1 + 3 * 4 / 9) + 7 * math.log(1 + 2 * 2 / 5) - 5 * math.log(27.0)
     found = examination._score(c, SimpleNamespace(code="lack-of-fit"), 27.0, None)
     assert found == pytest.approx(gain)
+
+
+def test_limits_and_scores_of_rows_in_time(monkeypatch):
+    """Λ at the F of a hundredth over so many steps; S less ln ν for one number more."""
+    f = fisher.ppf(1.0 - 0.01 / 12, 3.0, 17.0)
+    assert _limit(3.0, 20.0, 12) == pytest.approx(20.0 * math.log1p(3.0 * f / 17.0), rel=1e-6)
+    assert _limit(3.0, 3.9, 12) == math.inf
+    assert _limit(0.5, 20.0, 12) == math.inf
+    plan = SimpleNamespace(slow=(1.0, 1.0, 1.0), order=np.array([1, 0]), freedom=20.0)
+    monkeypatch.setattr(
+        row_order, "residuals_in_order", lambda c: (plan, np.array([[3.0], [5.0]]), None)
+    )
+    monkeypatch.setattr(row_order, "_slow_gains", lambda plan, e: 7.0 + e[0, :, 0])
+    assert row_order.slow_score(None) == pytest.approx(12.0 - math.log(20.0))
+    plan.slow = None
+    assert row_order.slow_score(None) == math.inf
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_gain_of_correlated_rows_by_dense_covariances(beside):
+    """Restricted likelihoods of two outputs over ρ, less that of independent rows, twice."""
+    rng = np.random.default_rng(6)
+    n, nu = 16, 13.0
+    X = np.column_stack([np.ones(n), rng.normal(size=(n, 2))])
+    Q = np.linalg.qr(X)[0]
+    e = np.cumsum(rng.normal(size=(n, 2, 3)), axis=0)
+    e -= np.einsum("np,pmb->nmb", Q, np.einsum("np,nmb->pmb", Q, e))
+    across = rng.normal(size=(n, n + 2)) if beside else None
+    plan = SimpleNamespace(groups=[(np.array([0, 1]), Q)], across=across, nu=nu)
+    wanted = np.zeros(3)
+    for rho in row_order._CORRELATIONS:
+        V = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        V = V * (across @ across.T) if beside else V
+        W = np.linalg.inv(V)
+        P = W - W @ Q @ np.linalg.solve(Q.T @ W @ Q, Q.T @ W)
+        det = np.linalg.slogdet(V)[1] + np.linalg.slogdet(Q.T @ W @ Q)[1]
+        square = np.einsum("nmb,nk,kmb->mb", e, P, e) / np.einsum("nmb,nmb->mb", e, e)
+        wanted = np.maximum(wanted, -nu * np.log(square).sum(axis=0) - 2.0 * det)
+    assert_allclose(row_order._slow_gains(plan, e), wanted, rtol=1e-8)
