@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import t
 
+import multipos as mp
 from multipos.compensation import applying, correction, reading_noise
 from multipos.compensation.applying import _heading, _rows_of
 from multipos.compensation.correction import _correct_each
@@ -131,3 +132,33 @@ def test_several_regressions_correct_a_column_each(column, monkeypatch):
     assert said.startswith("2 of 4 rows")
     with pytest.raises(UsageError, match="names 1 columns for 2 responses"):
         _correct_each({"a": 1, "b": 3}, table, "p", "flag", True, None, False)
+
+
+def test_rows_beyond_the_columns_of_the_calibration_are_clamped():
+    """Calibrated from 12 to 31: the ends are inside."""
+    readings = SimpleNamespace(environment={"t": np.array([31.0, 12.0, 20.0])})
+    table = Table("s", {"t": np.zeros(5)}, rows=5)
+    column = np.array([11.9, 12.0, 25.0, 31.0, 31.1])
+    c = SimpleNamespace(readings=readings)
+    beyond, clamped = applying._environment_outside(c, table, {"t": column})
+    assert beyond.tolist() == [True, False, False, False, True]
+    assert clamped["t"].tolist() == [12.0, 12.0, 25.0, 31.0, 31.0]
+
+
+@pytest.mark.parametrize(("column", "named"), [("y", "y"), (None, "x")])
+def test_a_refusal_names_the_column_that_is_corrected_or_read(column, named, monkeypatch):
+    told = []
+
+    def refuse(table, name, beyond):
+        told.append(name)
+        raise UsageError("outside")
+
+    monkeypatch.setattr(correction, "_refuse_outside", refuse)
+    monkeypatch.setattr(correction, "hold_inside", lambda *_: (np.ones(3, dtype=bool), {}))
+    found = mp.regress(
+        {"x": np.arange(9.0), "y": np.arange(9.0) ** 2 / 7.0}, response="y", variables="x"
+    )
+    table = {"x": [1.0, 2.0, 3.0]} | ({"y": [1.0, 2.0, 3.0]} if column else {})
+    with pytest.raises(UsageError):
+        mp.correct(found, table, column=column, outside="refuse")
+    assert told == [named]

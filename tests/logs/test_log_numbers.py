@@ -38,7 +38,7 @@ from multipos.logs.rests import (
 )
 from multipos.logs.samples import Samples, _turns, good_rows
 from multipos.logs.still import _find_spikes, would_take
-from multipos.logs.text_logs import read_plain
+from multipos.logs.text_logs import open_lines, read_plain
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
 
 # --- clocks and cells
@@ -503,3 +503,11 @@ def test_the_limit_of_rest_lies_in_the_valley_above_the_first_peak():
     assert _valley(counts, 0, at_bin(1380))[0] == pytest.approx(at_bin(1400))
     low = histogram(b1400=10, b1530=70)  # less than a fifth of the highest is no peak
     assert _valley(low, 0, at_bin(1380))[0] == pytest.approx(at_bin(1530))
+
+
+def test_a_text_that_still_comes_is_read_from_its_first_lines():
+    live = open_lines("live", ["# of a logger", "time,ax,ay", "0.5,1.25,-2", "1,3,4"], None)
+    assert (live.log.source, tuple(live.log.columns)) == ("live", ("time", "ax", "ay"))
+    (piece,) = live.log.read((), ("ay", "time"), ())
+    assert piece.table.columns["ay"].tolist() == [-2.0, 4.0]
+    assert piece.table.columns["time"].tolist() == [0.5, 1.0]
