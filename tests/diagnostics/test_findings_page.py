@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,12 @@ FILES = [p for p in sorted((ROOT / "multipos").rglob("*.py")) if "Finding(" in p
 
 
 PROGRAM = load("generated")
-MADE = list(PROGRAM.messages(FILES, PUT_IN))
+
+
+@cache
+def made_here():
+    """Return every finding of the program, whose files are read once."""
+    return list(PROGRAM.messages(FILES, PUT_IN))
 
 
 def on_the_page() -> set[tuple[str, str]]:
@@ -26,13 +32,13 @@ def on_the_page() -> set[tuple[str, str]]:
 
 
 def test_every_code_of_the_program_is_on_the_page_and_no_other():
-    made = {(code, level) for m in MADE for code in m.codes for level in m.levels}
+    made = {(code, level) for m in made_here() for code in m.codes for level in m.levels}
     assert len(made) > 25
     assert on_the_page() == made
 
 
 def test_what_is_kept_of_a_code_is_of_one_that_there_is():
-    codes = {code for m in MADE for code in m.codes}
+    codes = {code for m in made_here() for code in m.codes}
     for name in PROGRAM.KEPT:
         assert set(tomllib.loads((ROOT / "docs" / name).read_text("utf-8"))) <= codes
 
@@ -51,13 +57,9 @@ def test_every_code_has_an_example_that_the_program_says():
         pytest.fail(f"no example of {', '.join(missing)}; run `python docs/examples.py TEST`")
 
 
-SHOWN = [(m.codes, [*m.texts, *m.actions]) for m in MADE]
-
-
-@pytest.mark.parametrize("texts", [t for _, t in SHOWN], ids=[codes[0] for codes, _ in SHOWN])
-def test_every_text_of_a_finding_has_a_chinese_one(texts):
+def test_every_text_of_a_finding_has_a_chinese_one():
     words = Translator("zh")
-    for text in texts:
+    for text in (text for made in made_here() for text in (*made.texts, *made.actions)):
         assert len(text) <= 160, text
         if not re.search("[a-z]", text):  # made elsewhere, of what a run of a check has moved
             continue
@@ -144,9 +146,8 @@ def test_no_sentence_of_the_program_has_private_words():
     assert left == []
 
 
-@pytest.mark.parametrize("made", MADE, ids=lambda made: made.codes[0])
-def test_an_action_is_one_sentence_with_its_full_stop(made):
-    for action in made.actions:
+def test_an_action_is_one_sentence_with_its_full_stop():
+    for action in (action for made in made_here() for action in made.actions):
         if re.search("[a-z]", action):
             assert re.fullmatch(r"[A-Z`][^;]*[^.;]\.", action), action
             assert ". " not in action

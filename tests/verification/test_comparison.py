@@ -83,7 +83,7 @@ def test_false_alarms_come_as_often_as_said(count, options):
 def test_plain_chi_square_would_cry_wolf():
     """The reason for the F statistic: four repeats, one degree of freedom each."""
     rng = np.random.default_rng(7)
-    runs, alarms = 500, 0
+    runs, alarms = 150, 0
     for _ in range(runs):
         found = repeats(rng)
         value = np.array([c.parameters[0] for c in found])
