@@ -57,7 +57,7 @@ from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.clock import TimeUnit, check_time_unit
 from multipos.logs.opening import less_copies, open_log
-from multipos.logs.samples import Progress, Timing
+from multipos.logs.samples import Progress, Timing, share_of
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, Places, median, require_rate
 from multipos.numerics.quantiles import check_confidence, coverage_factor
@@ -262,16 +262,12 @@ def stability(
     )
     raw = []
     for i, each in enumerate(given):
-        report = None if progress is None else _share(progress, i, len(given))
+        report = share_of(progress, i, len(given))
         raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
     _check_alike(raw)
     own = raw[0].unit or "reading" if model is None else model.field.printed
     found = _complete(raw, model, unit or own, confidence)
     return replace(found, findings=in_order((*copies, *found.findings)))
-
-
-def _share(progress: Progress, i: int, count: int) -> Progress:
-    return lambda done: progress((i + done) / count)
 
 
 def _check_options(

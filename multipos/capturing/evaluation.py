@@ -37,7 +37,7 @@ from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
 from multipos.positions.order import Order, travel_order
 from multipos.positions.scheme import Scheme
-from multipos.results import Result, frozen
+from multipos.results import Keyed, Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
 
@@ -129,7 +129,7 @@ class SessionPlan:
 
 
 @frozen(eq=True)
-class Progress(Result):
+class Progress(Keyed):
     """One parameter and its target; `met` as eq. (1), None without a target."""
 
     name: str
@@ -266,7 +266,8 @@ def _unreachable(plan: SessionPlan, calibration: Calibration | None, poses: list
     if calibration is None or not plan.targets or _dof(calibration) < FEWEST_DOF:
         return ()
     targets = _targets_in(plan, calibration.model)
-    further = None if plan.scheme is None else _left_of(plan.scheme, poses)
+    scheme = plan.scheme
+    further = None if scheme is None else scheme.up[_left_of(scheme, poses)]
     try:
         ratios, count = expected(calibration, targets, further)
     except MultiposError:
@@ -285,11 +286,10 @@ def _unreachable(plan: SessionPlan, calibration: Calibration | None, poses: list
     return (Finding("target-out-of-reach", "warning", text, action),)
 
 
-def _left_of(scheme: Scheme, poses: list[Pose]) -> Array:
-    """Return the up vectors of the positions that have not been taken."""
+def _left_of(scheme: Scheme, poses: list[Pose]) -> list[int]:
+    """Return the rows of the positions that have not been taken."""
     done = {pose.position for pose in poses}
-    left = [i for i, label in enumerate(scheme.names) if label not in done]
-    return scheme.up[left]
+    return [i for i, label in enumerate(scheme.names) if label not in done]
 
 
 def model_of(plan: SessionPlan, outputs: tuple[str, ...], unit: str) -> Model:
@@ -310,16 +310,11 @@ def model_of(plan: SessionPlan, outputs: tuple[str, ...], unit: str) -> Model:
     def build(formula: str) -> Model:
         built = build_model(formula, outputs, axes, COMPONENTS, unit, columns)
         gauge = plan.fitting.get("gauge", "lower")
-        return built.with_gauge(gauge) if is_unknown(plan) else built
+        return built.with_gauge(gauge) if plan.scheme is None else built
 
     if not own:
         spread_targets(plan.targets, build(asked))
     return build("linear" if own or columns else asked)
-
-
-def is_unknown(plan: SessionPlan) -> bool:
-    """Tell whether nothing is known of the positions."""
-    return plan.scheme is None
 
 
 def next_pose(
@@ -342,15 +337,14 @@ def next_pose(
     under_way : (0 or 1, 3) array
         Up vector of a pose that is being taken, in case axes.
     """
-    targets = _targets_in(plan, model)
     if plan.scheme is not None:
-        return _next_of_scheme(plan.scheme, model, found, poses, targets, plan.order)
-    taken = under_way
+        return _next_of_scheme(plan, plan.scheme, model, found, poses)
+    taken, targets = under_way, _targets_in(plan, model)
     if frame is not None:
         taken = frame.in_outputs(under_way)
         if found.averages is not None:
             taken = np.concatenate([frame.up(found.averages.readings.values), taken])
-    best = best_pose(model, found.calibration, taken, targets, unknown_orientation=True)
+    best = best_pose(model, found.calibration, taken, targets)
     if best is None or frame is None:
         return best
     return replace(best, direction=frame.in_case(best.direction) + 0.0)
@@ -364,25 +358,16 @@ def _targets_in(plan: SessionPlan, model: Model) -> dict[str, float]:
 
 
 def _next_of_scheme(
-    scheme: Scheme,
-    model: Model,
-    found: PosesGain,
-    poses: list[Pose],
-    targets: dict[str, float],
-    order: Order | None,
+    plan: SessionPlan, scheme: Scheme, model: Model, found: PosesGain, poses: list[Pose]
 ) -> NextPose | None:
     """Return the next position of the scheme, as it is laid out or in short ways."""
-    labels = scheme.names
-    done = {pose.position for pose in poses}
-    left = [i for i, label in enumerate(labels) if label not in done]
+    labels, left = scheme.names, _left_of(scheme, poses)
     if not left:
         return None
     i = left[0]
-    if order == "travel":
+    if plan.order == "travel":
         start = scheme.up[[labels.index(poses[-1].position)]] if poses else None
         i = left[int(travel_order(scheme.up[left], start)[0])]
     taken = scheme.up[[labels.index(pose.position) for pose in poses]].reshape(-1, 3)
-    gain = gain_at(
-        model, found.calibration, taken, targets, scheme.up[i], unknown_orientation=False
-    )
+    gain = gain_at(model, found.calibration, taken, _targets_in(plan, model), scheme.up[i])
     return NextPose(scheme.up[i], gain, labels[i])

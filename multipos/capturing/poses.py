@@ -201,23 +201,17 @@ def _find_frame(
     """Return how readings (n, M) show directions by themselves."""
     sign = -1.0 if convention == "gravity" else 1.0
     order = tuple(int(i) for i in np.argsort(axes))
-    if calibration is not None and _is_plain_triad(calibration.model):
+    model = None if calibration is None else calibration.model
+    if model is not None and len(model.axes) == 3 and not model.environment:
         return Frame(np.zeros(3), 1.0, order, sign, calibration)
     if len(axes) != 3 or not len(means):
         return None
     centre = _centre(means)
     if centre is not None:
         return Frame(centre, float(median(np.linalg.norm(means - centre, axis=1))), order, sign)
-    zero = np.zeros(3)
     size = float(median(np.linalg.norm(means, axis=1)))
-    if any(abs(size / one - 1.0) < _NEAR for one in _ONE_G):
-        return Frame(zero, size, order, sign)
-    return None
-
-
-def _is_plain_triad(model: Model) -> bool:
-    """Tell whether a model has three outputs and asks for no other column."""
-    return len(model.axes) == 3 and not model.environment
+    in_known_unit = any(abs(size / one - 1.0) < _NEAR for one in _ONE_G)
+    return Frame(np.zeros(3), size, order, sign) if in_known_unit else None
 
 
 def _centre(means: Array) -> Array | None:
@@ -323,8 +317,6 @@ def best_pose(
     calibration: Calibration | None,
     taken: Array,
     targets: dict[str, float],
-    *,
-    unknown_orientation: bool,
 ) -> NextPose | None:
     """Return the pose to take next, None where no direction is left.
 
@@ -338,7 +330,7 @@ def best_pose(
         Up vectors of the poses taken, and of one that is being taken.
     targets : mapping of parameter to U
     """
-    state = _state(model, calibration, taken, unknown_orientation=unknown_orientation)
+    state = _state(model, calibration, taken, unknown_orientation=True)
     rivals = [_candidates("all-26"), _candidates(_FINE)]
     open_ = [each[_apart(each, taken)] for each in rivals]
     led_by = targets if len(taken) >= len(state.present) else {}  # until a fit can be, by the whole
@@ -360,11 +352,9 @@ def gain_at(
     taken: Array,
     targets: dict[str, float],
     up: Array,
-    *,
-    unknown_orientation: bool,
 ) -> float:
-    """Return the gain of one more pose that points up along (3,) up."""
-    state = _state(model, calibration, taken, unknown_orientation=unknown_orientation)
+    """Return the gain of one more pose that points up along (3,) up, by a scheme."""
+    state = _state(model, calibration, taken, unknown_orientation=False)
     return gain_of(state, up, targets)
 
 
@@ -450,11 +440,8 @@ def _ratios(state: _State, pieces: Array, targets: dict[str, float], dof: float)
     wanted = np.array([targets[names[i]] for i in places])
     C = np.linalg.inv(state.present + pieces)
     variance = np.diagonal(C, axis1=1, axis2=2) * state.scale + state.fixed
-    return np.asarray(_factor(dof) * np.sqrt(variance[:, places]) / wanted)
-
-
-def _factor(dof: float) -> float:
-    return coverage_factor(0.95, dof) if dof > 0.0 else coverage_factor(0.95, 1.0)
+    factor = coverage_factor(0.95, dof if dof > 0.0 else 1.0)
+    return np.asarray(factor * np.sqrt(variance[:, places]) / wanted)
 
 
 def gain_of(state: _State, up: Array, targets: dict[str, float]) -> float:

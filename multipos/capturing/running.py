@@ -33,7 +33,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.files.trees import read_json, to_json
-from multipos.files.whole import write_text
+from multipos.files.whole import write_text, writing
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.averages import Averages
 from multipos.logs.clock import TimeUnit, check_time_unit
@@ -154,13 +154,8 @@ def _locked(lock: Path) -> Iterator[list[str]]:
     if owner is not None:
         said.append(f"process {owner} has ended without its session; {lock} is taken over")
         lock.unlink(missing_ok=True)
-    try:
-        with lock.open("x", encoding="ascii") as stream:
-            stream.write(f"{os.getpid()}\n")
-    except OSError as error:
-        raise MultiposError(
-            f"{lock}: cannot write: {error.strerror or error}; check the folder and permissions."
-        ) from None
+    with writing(lock), lock.open("x", encoding="ascii") as stream:
+        stream.write(f"{os.getpid()}\n")
     try:
         yield said
     finally:
@@ -253,15 +248,10 @@ class RawLog:
         self._path = path
         self._going_on = going_on
         self._delimiter = ","
-        try:
+        with writing(path):
             self._stream: IO[str] = Path(path).open(  # noqa: SIM115
                 "a" if going_on else "w", encoding="utf-8", newline="", errors="backslashreplace"
             )
-        except OSError as error:
-            raise MultiposError(
-                f"{path}: cannot write: {error.strerror or error}; check the folder and "
-                "permissions."
-            ) from None
 
     def begin(self, log: Log) -> None:
         """Write the header, where the columns have names."""

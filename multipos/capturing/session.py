@@ -24,7 +24,7 @@ from multipos.capturing.evaluation import (
     model_of,
     next_pose,
 )
-from multipos.capturing.live_rests import LiveRests, LiveRows, RowOptions
+from multipos.capturing.live_rests import LiveRests, LiveRows, Motion, RowOptions
 from multipos.capturing.poses import (
     Frame,
     NextPose,
@@ -457,40 +457,22 @@ def chinese(text: str, field: Field = GRAVITY) -> str:
     return Translator("zh", field).message(text)
 
 
-_UNKNOWN: dict[str, Any] = {
-    "values": None,
-    "direction": None,
-    "still": False,
-    "seconds_left": None,
-    "motion": None,
-    "threshold": None,
-    "enough": False,
-    "refused": None,
-    "refused_zh": None,
-    "rows": 0,
-    "bad_rows": 0,
-    "gaps": 0,
-}
-
-
 def state_of(session: Session) -> dict[str, Any]:
     """Return what there is to show, as JSON can carry it; keys as in the reference."""
-    rows, found = session.rows, session.evaluation
+    live, found = live_of(session), session.evaluation
     shown: dict[str, Any] = plain(
         {
-            "live": live_of(session),
+            "live": live,
             "taken": _entries(session),
             "next": _next(session),
-            "parameters": _parameters(session),
+            "parameters": found.parameters,
             "finished": session.finished,
             "enough": session.is_enough,
-            "outputs": () if rows is None else rows.outputs,
+            "outputs": () if session.rows is None else session.rows.outputs,
             "unit": _unit(session),
             "field": session.field.kind,
             "missing": _missing(session),
-            "rows": 0 if rows is None else rows.rows,
-            "bad_rows": 0 if rows is None else rows.bad,
-            "gaps": 0 if rows is None else rows.gaps,
+            **{name: live[name] for name in ("rows", "bad_rows", "gaps")},
             "rate": session.rate,
             "threshold": session.threshold,
             "connected": session.connected,
@@ -509,10 +491,8 @@ def state_of(session: Session) -> dict[str, Any]:
 
 def live_of(session: Session) -> dict[str, Any]:
     """Return what the sensor reads now, where it points, and whether it is still."""
-    rows = session.rows
-    if session.rests is None or rows is None:
-        return _UNKNOWN
-    motion, under_way = session.rests.motion(), session.under_way
+    rows, rests, under_way = session.rows, session.rests, session.under_way
+    motion = Motion(None, False, 0) if rests is None else rests.motion()
     refused = None if under_way is None else under_way.reason
     live: dict[str, Any] = plain(
         {
@@ -521,13 +501,13 @@ def live_of(session: Session) -> dict[str, Any]:
             "still": motion.still,
             "seconds_left": None if session.rate is None else motion.samples_left / session.rate,
             "motion": motion.size,
-            "threshold": session.rests.limit,
+            "threshold": None if rests is None else rests.limit,
             "enough": under_way is not None and refused is None,
             "refused": refused,
             "refused_zh": _chinese(refused, session.field),
-            "rows": rows.rows,
-            "bad_rows": rows.bad,
-            "gaps": rows.gaps,
+            "rows": 0 if rows is None else rows.rows,
+            "bad_rows": 0 if rows is None else rows.bad,
+            "gaps": 0 if rows is None else rows.gaps,
         }
     )
     return live
@@ -539,7 +519,7 @@ def line_of(session: Session) -> dict[str, Any]:
         {
             **_entries(session)[-1],
             "next": _next(session),
-            "parameters": _parameters(session),
+            "parameters": session.evaluation.parameters,
             "missing": _missing(session),
             "threshold": session.threshold,
             "rate": session.rate,
@@ -562,20 +542,6 @@ def _missing(session: Session) -> Array | None:
         if pose.accepted and up is not None
     ]
     return missing_directions(np.array(shown).reshape(-1, 3))[0] + 0.0
-
-
-def _parameters(session: Session) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": each.name,
-            "value": each.value,
-            "U": each.U,
-            "unit": each.unit,
-            "target": each.target,
-            "met": each.met,
-        }
-        for each in session.evaluation.parameters
-    ]
 
 
 def _entries(session: Session) -> list[dict[str, Any]]:

@@ -42,6 +42,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names
+from multipos.files.whole import reading
 from multipos.logs.clock import time_columns
 from multipos.logs.opening import open_log
 from multipos.logs.table import Log
@@ -424,14 +425,8 @@ def _stdin() -> Chunks:
 
 
 def _growing(path: Path) -> Chunks:
-    try:
+    with reading(path, "log"):
         stream = path.open("rb")
-    except FileNotFoundError:
-        raise MultiposError(f"{path}: no such file; check the path of the log.") from None
-    except OSError as error:
-        raise MultiposError(
-            f"{path}: cannot read the log: {error.strerror or error}; check its permissions."
-        ) from None
     with stream:
         while True:
             chunk = stream.read(_CHUNK)

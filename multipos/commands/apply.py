@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import file_progress, names, numbers
+from multipos.commands.options import declare, file_progress
 from multipos.compensation.applying import apply_log, digits_written
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
@@ -23,32 +23,7 @@ OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("parquet
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration or regression to apply")
-    add("data", metavar="DATA.csv", help="raw readings; every column is kept")
-    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns, where it has none")
-    add("--tilt", action="store_true", help="add tilt_x_deg, …, the angle above the horizon")
-    add(
-        "--with",
-        dest="beside",
-        metavar="ACCEL.json",
-        help="of a magnetometer: add heading_deg by the accelerometer of the same case, at rest",
-    )
-    add("--uncertainty", action="store_true", help="add the uncertainties u_f_x, U_f_x, …")
-    add(
-        "--reading-sd",
-        type=numbers,
-        metavar="SD[,SD,SD]",
-        help="noise of one reading for them, where no u_<output> column of the data states it",
-    )
-    add("--parameters-only", action="store_true", help="leave the noise of the reading out of them")
-    add("--correct", metavar="COLUMN", help="what a regression corrects (default its response)")
-    add(
-        "--outside",
-        default="flag",
-        metavar="flag|clamp|refuse",
-        help="what to do with rows beyond what was calibrated (default flag)",
-    )
+    declare(parser, "apply")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -5,12 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.average import add_log_options, add_logs
-from multipos.commands.fit import add_fit_options
 from multipos.commands.options import (
-    add_order,
-    add_targets,
     asks_export,
+    declare,
     export_options,
     file_progress,
 )
@@ -18,6 +15,7 @@ from multipos.files.trees import to_json
 from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests, rests_or_rows
 from multipos.logs.averages import Averages, averages_text
+from multipos.logs.readers import formats_read
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
 
@@ -61,15 +59,8 @@ _OWN = ("logs", "json", "output")
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add_logs(parser)
-    add_log_options(parser)
-    add_fit_options(parser, "auto")
+    declare(parser, "calibrate", beside="CAL.json", formats=formats_read())
     parser.set_defaults(model=None)
-    add_order(parser, "paper", "order of rests that have no direction along the scheme")
-    add_targets(parser, "CAL.json")
-    parser.add_argument(
-        "--keep-going", action="store_true", help="write the other exports where one is refused"
-    )
 
 
 def run(arguments: argparse.Namespace) -> Answer:

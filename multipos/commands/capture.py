@@ -23,8 +23,11 @@ from multipos.capturing.session import Session, line_of
 from multipos.capturing.streams import open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
-from multipos.commands.fit import add_fit_options
-from multipos.commands.options import add_order, add_reading, add_targets, export_options, say
+from multipos.commands.options import (
+    declare,
+    export_options,
+    say,
+)
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
@@ -68,39 +71,7 @@ _UNUSED = ("drop_bad", "scheme", "order")
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "source",
-        metavar="SOURCE",
-        help="serial:DEVICE[:BAUD], udp:[ADDRESS:]PORT, - (stdin), a log that grows, or "
-        "replay:LOG[:SPEED] (1 is real time, 0 as fast as it goes)",
-    )
-    add(
-        "--target",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="TERM=U",
-        help="U that a parameter (bias_ax) or a kind (bias, scale, cross, quad) shall have; it "
-        "ends when all do",
-    )
-    add("--positions", type=int, metavar="N", help="end after so many poses")
-    add("--resume", action="store_true", help="go on with the session of the same -o")
-    add(
-        "--port", type=int, metavar="N", help=f"of the page (default {PORT}, else any that is free)"
-    )
-    add("--headless", action="store_true", help="no page: print a JSON line for each rest")
-    add_reading(parser)
-    add("--min-duration", type=float, metavar="S", help="shortest rest [s] (default 2)")
-    add(
-        "--threshold",
-        type=float,
-        metavar="V",
-        help="standard deviation above which it moves (default: learnt from the first rests)",
-    )
-    add_fit_options(parser, None)
-    add_order(parser, None, "order in which it leads through a scheme (default spread for names)")
-    add_targets(parser, "READINGS.csv")
+    declare(parser, "capture", beside="READINGS.csv", port=str(PORT))
 
 
 def run(arguments: argparse.Namespace) -> Answer:

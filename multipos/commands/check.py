@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_range, names, numbers
+from multipos.commands.options import declare
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.finding import Findings, errors_of
@@ -27,44 +27,7 @@ OUTPUT = Output(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration or regression to check")
-    add(
-        "readings",
-        metavar="READINGS",
-        help="CSV file of an independent run: at known positions, or a raw log of them, "
-        "or with the response of the regression",
-    )
-    add("--outputs", type=names, metavar="a,b,c", help="columns of the run that are its outputs")
-    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
-    add("--tilt", action="store_true", help="compare tilt in degrees and not force in g")
-    limit = parser.add_mutually_exclusive_group()
-    limit.add_argument("--limit-deg", type=float, metavar="D", help="largest error of tilt allowed")
-    limit.add_argument(
-        "--limit-g",
-        type=float,
-        metavar="G",
-        help="largest error of force or of a regression's response allowed",
-    )
-    add(
-        "--within-deg",
-        type=float,
-        metavar="D",
-        help="count only axes within D degrees of the horizon",
-    )
-    add(
-        "--nominal",
-        type=numbers,
-        metavar="BIAS,SCALE",
-        help="conversion (raw − BIAS)/SCALE before calibration (default that of the fit, else 0,1)",
-    )
-    add(
-        "--reading-sd",
-        type=numbers,
-        metavar="SD[,SD,SD]",
-        help="standard uncertainty of a reading of the run (default: as in the calibration)",
-    )
-    add_range(parser)
+    declare(parser, "check")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
+from multipos.commands.options import declare
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
@@ -23,28 +24,7 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "fi
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "calibrations", nargs="+", metavar="CAL.json|REG.json", help="repeats of one unit, in order"
-    )
-    add(
-        "--confidence",
-        type=float,
-        default=0.95,
-        metavar="P",
-        help="called inconsistent beyond this probability (default 0.95)",
-    )
-    add(
-        "--combine",
-        action="store_true",
-        help="make one calibration of all, whose U holds how sessions differ; -o CAL.json is it",
-    )
-    add(
-        "--limits",
-        metavar="FILE|NAME=VALUE[UNIT],…",
-        help="what parameters may be (CSV name,lsl,usl or TOML), or by how much they or a kind "
-        "(bias, scale, cross) may have changed, as bias=1mg,scale=500ppm",
-    )
+    declare(parser, "compare")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -6,10 +6,7 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import (
-    add_model,
-    add_order,
-    add_setting,
-    numbers,
+    declare,
     progress_bar,
     setting_of,
 )
@@ -32,27 +29,7 @@ OUTPUT = Output(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add_model(parser)
-    add("--positions", type=int, required=True, metavar="N", help="how many, --include counted")
-    add(
-        "--criterion",
-        default="D",
-        metavar="C",
-        help="D, A, G, I, u:OUTPUT:TERM such as u:ax:x^2, tilt:±30 or force:±0.5 (default D)",
-    )
-    add("--candidates", metavar="S", help="bench or scheme that can be reached (default any)")
-    add("--include", metavar="S", help="scheme of positions already measured, which stay")
-    add("--region", metavar="S", help="directions that criterion I averages over (default all)")
-    add_setting(parser)
-    add(
-        "--move-time",
-        type=numbers,
-        metavar="S,S",
-        help="seconds that a position takes, and that turning takes per degree",
-    )
-    add_order(parser, "spread", "order of the positions")
-    add("--seed", type=int, default=0, metavar="K", help="of the random starts (default 0)")
+    declare(parser, "design")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -11,7 +11,7 @@ from typing import Any
 
 from multipos.bias_stability.stability_result import SCHEMA, load_stability
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.options import add_export_options, add_nominal, export_options
+from multipos.commands.options import declare, export_options
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Exported, Target, self_test
@@ -45,23 +45,7 @@ OUTPUT = Output(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "calibration",
-        nargs="+",
-        metavar="CAL.json|REG.json|STABILITY.json",
-        help="calibration to export, or regressions, or both, the calibration first; of a "
-        "stability its noise, --to kalibr or ros",
-    )
-    targets = ", ".join(target.name for target in TARGETS)
-    add("--to", required=True, metavar="TARGET", help=f"one of {targets}")
-    add(
-        "--correct",
-        metavar="COLUMN,…",
-        help="what each regression corrects, in C; without, it gives the predicted responses",
-    )
-    add_nominal(parser)
-    add_export_options(parser)
+    declare(parser, "export", targets=", ".join(target.name for target in TARGETS))
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -8,8 +8,7 @@ from pathlib import Path
 from shutil import rmtree
 
 from multipos.commands.answers import Answer, Output, same_file
-from multipos.commands.fit import add_fit_options
-from multipos.commands.options import progress_bar
+from multipos.commands.options import declare, progress_bar
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import no_folder
@@ -44,33 +43,7 @@ _OWN = ("tables", "json", "output")
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "tables",
-        nargs="+",
-        metavar="TABLE",
-        help="CSV or Parquet, a row per unit and position or a file per unit; folders, patterns",
-    )
-    add(
-        "--unit-column",
-        metavar="C",
-        help="column that names the unit (default unit; without one, each file is a unit)",
-    )
-    add("--station-column", metavar="C", help="column that names the station")
-    add("--raw", action="store_true", help="the files are raw logs, one a unit; average them first")
-    add(
-        "--limits",
-        metavar="FILE",
-        help="CSV name,lsl,usl or TOML name = [lsl, usl]: of a parameter, U:NAME or rms",
-    )
-    add(
-        "--engine",
-        default="threads",
-        metavar="|".join(ENGINES),
-        help="what runs the tasks (default threads)",
-    )
-    add("--scheduler", metavar="ADDRESS", help="of Dask, such as tcp://10.0.0.1:8786")
-    add_fit_options(parser)
+    declare(parser, "fleet", engines="|".join(ENGINES))
 
 
 def run(arguments: argparse.Namespace) -> Answer:

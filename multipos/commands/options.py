@@ -1,12 +1,14 @@
 """What several commands share: lists on the command line, the model's options, findings."""
 
 import argparse
+import csv
 import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,120 +42,92 @@ def _read(split: Callable[[str], T], text: str) -> T:
         raise argparse.ArgumentTypeError(str(error).removesuffix(".")) from None
 
 
+def _whole(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
+
+
+def _degrees(text: str) -> float | str:
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is neither degrees nor 'auto'") from None
+
+
+_TYPES: dict[str, Callable[[str], Any]] = {
+    "names": names,
+    "numbers": numbers,
+    "float": float,
+    "int": int,
+    "whole": _whole,
+    "degrees": _degrees,
+}
+
+
+@cache
+def _rows() -> dict[str, list[dict[str, str]]]:
+    """Return the rows of `options.csv` by their group, which is a command or a part of several."""
+    found: dict[str, list[dict[str, str]]] = {}
+    with Path(__file__).with_name("options.csv").open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            found.setdefault(row["group"], []).append(row)
+    return found
+
+
+def declare(parser: argparse.ArgumentParser, group: str, **words: str) -> None:
+    """Add the options that `options.csv` has of a group.
+
+    An option ``@other`` stands for all of another group, ``= title`` begins a part of the help
+    under its own title, and braces hold one of the words. Under `more` stands ``exclusive`` where
+    neighbours are given one or the other, ``required``, or what argparse itself has.
+    """
+    part: argparse._ActionsContainer = parser
+    either: argparse._ActionsContainer | None = None
+    words = {"models": ", ".join(NAMED), **words}
+    for row in _rows()[group]:
+        option = row["option"]
+        if option.startswith("@"):
+            declare(parser, option[1:], **words)
+        elif option.startswith("="):
+            part = parser.add_argument_group(option[2:])
+        elif row["more"] == "exclusive":
+            either = either or parser.add_mutually_exclusive_group()
+            either.add_argument(option, **_keywords(row, words))
+        else:
+            either = None
+            part.add_argument(option, **_keywords(row, words))
+
+
+def _keywords(row: Mapping[str, str], words: Mapping[str, str]) -> dict[str, Any]:
+    """Return what argparse takes of an option."""
+    found: dict[str, Any] = {"help": row["help"].format(**words)}
+    found |= dict(each.split("=") for each in row["more"].split() if "=" in each)
+    if row["more"] == "required":
+        found["required"] = True
+    if row["metavar"]:
+        found["metavar"] = row["metavar"].format(**words)
+    if row["type"] == "flag":
+        found["action"] = "store_true"
+    elif row["type"]:
+        found["type"] = _TYPES[row["type"]]
+    if row["default"]:
+        found["default"] = row["default"]  # argparse reads it as what is typed
+    elif found.get("action") == "extend":
+        found["default"] = []
+    return found
+
+
 def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
     """Let an option take ``-2,2`` as its value: argparse knows negative numbers, not lists."""
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")
 
 
-def add_range(parser: argparse.ArgumentParser) -> None:
-    """Add ``--range``."""
-    accept_negative_lists(parser)
-    parser.add_argument(
-        "--range", type=numbers, metavar="LOW,HIGH", help="refuse readings outside these limits"
-    )
-
-
-def add_conditions(parser: argparse.ArgumentParser) -> None:
-    """Add what a fit needs to know of its bench: convention, gravity, unit, range, confidence."""
-    add = parser.add_argument
-    add(
-        "--convention",
-        default="specific-force",
-        metavar="C",
-        help="specific-force (up reads +1, default) or gravity (down reads +1)",
-    )
-    add("--gravity", type=float, metavar="G", help="local gravity [m/s^2]")
-    add("--gravity-u", type=float, metavar="U", help="its standard uncertainty [m/s^2]")
-    add("--latitude", type=float, metavar="DEG", help="gravity by WGS 84 at this latitude")
-    add("--height", type=float, metavar="M", help="and this height above the ellipsoid")
-    add("--field", metavar="gravity|magnetic", help="what is sensed (default: by names and unit)")
-    add("--field-size", metavar="B", help="size of the magnetic field, such as 48.6uT")
-    add("--field-size-u", metavar="U", help="its standard uncertainty")
-    add("--unit", metavar="UNIT", help="unit of the readings")
-    add_range(parser)
-    add(
-        "--confidence",
-        type=float,
-        default=0.95,
-        metavar="P",
-        help="coverage probability of U (default 0.95)",
-    )
-
-
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """Add ``--model``, ``--axes`` and ``--inputs``."""
-    add = parser.add_argument
-    add(
-        "--model",
-        default="linear",
-        metavar="M",
-        help=f"{', '.join(NAMED)}, or a formula (default linear)",
-    )
-    add("--axes", type=names, metavar="x,y,z", help="case axis that each output senses")
-    add(
-        "--inputs",
-        type=names,
-        default=("x", "y", "z"),
-        metavar="x,y,z",
-        help="reference components the model sees (default x,y,z)",
-    )
-
-
-def add_reading(parser: argparse.ArgumentParser) -> None:
-    """Add how a raw log is read."""
-    add = parser.add_argument
-    add("--columns", type=names, metavar="a,b,c,…", help="names of all columns of the log")
-    add("--time-column", metavar="T", help="column with the time (default: by its name)")
-    add(
-        "--time-unit",
-        metavar="s|ms|us|ns",
-        help="unit of the time (default: by the column's name or steps)",
-    )
-    add("--rate", type=float, metavar="HZ", help="sample rate, where no column is a time")
-    add(
-        "--drop-bad",
-        action="store_true",
-        help="leave out rows with a cell that is no number, or a million times the median",
-    )
-
-
-def add_setting(parser: argparse.ArgumentParser) -> None:
-    """Add how well readings and orientations are known, of these one option or the other."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--unknown-orientation", action="store_true", help="orientations are unknown, |f| = g"
-    )
-    group.add_argument(
-        "--orientation-sd",
-        type=float,
-        metavar="DEG",
-        help="standard deviation of the orientation per axis [degrees]",
-    )
-    parser.add_argument(
-        "--reading-sd",
-        type=float,
-        default=1.0,
-        metavar="SD",
-        help="standard uncertainty of a reading (default 1); in g with --orientation-sd",
-    )
-
-
 def setting_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what `add_model` and `add_setting` added, as schemes and their figures take it."""
+    """Return what the groups model and setting hold, as schemes and their figures take it."""
     names = ("model", "inputs", "unknown_orientation", "orientation_sd", "reading_sd")
     return {name: getattr(arguments, name) for name in names}
-
-
-def add_order(parser: argparse.ArgumentParser, default: str | None, what: str) -> None:
-    """Add ``--order``."""
-    said = "" if default is None else f" (default {default})"
-    parser.add_argument(
-        "--order",
-        default=default,
-        metavar="spread|travel|paper",
-        help=f"{what}{said}: spread absorbs least of a drift, "
-        "travel turns least, paper is as published",
-    )
 
 
 _HEADS = {"error": "not fit for use", "warning": "warning", "note": "note"}
@@ -172,27 +146,6 @@ def say(text: str) -> None:
             print(f"multipos: {one_line(text)}", file=sys.stderr, flush=True)
 
 
-def add_targets(parser: argparse.ArgumentParser, beside: str) -> None:
-    """Add ``--to`` and how exports are written; their targets are imported where one is asked."""
-    parser.add_argument(
-        "--to",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="TARGET",
-        help=f"export to the folder of {beside}, for the targets that multipos export --help lists",
-    )
-    add_export_options(parser)
-
-
-def add_nominal(parser: argparse.ArgumentParser) -> None:
-    """Add the conversion before calibration, in either of its forms."""
-    add = parser.add_argument
-    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
-    add("--full-scale", type=float, metavar="G", help="the same: counts of N bits over -G to G g")
-    add("--bits", type=int, metavar="N", help="of --full-scale")
-
-
 def take_full_scale(arguments: argparse.Namespace) -> None:
     """Put the nominal conversion that --full-scale and --bits state in the place of --nominal."""
     given = vars(arguments)
@@ -206,43 +159,8 @@ def take_full_scale(arguments: argparse.Namespace) -> None:
     arguments.nominal = [0.0, 2.0 ** (bits - 1) / full]
 
 
-def add_export_options(parser: argparse.ArgumentParser) -> None:
-    """Add how an export is written."""
-    add = parser.add_argument
-    add("--name", default="multipos", help="the C function is NAME_compensate (default multipos)")
-    add("--float", action="store_true", help="single precision, in C")
-    add("--fixed", action="store_true", help="32-bit whole numbers, no floating point, in C")
-    add(
-        "--allow-lossy",
-        action="store_true",
-        help="drop terms that the target cannot express, and state what that costs",
-    )
-    add("--tilt", action="store_true", help="write NAME_tilt as well, angles in degrees, in C")
-    add(
-        "--force",
-        action="store_true",
-        help="export what is not fit for use all the same; the file states it",
-    )
-    add("--output-unit", metavar="g|m/s^2", help="unit of the force, in C (default g)")
-    add("--instance", type=int, metavar="N", help="which accelerometer of the autopilot it is")
-    add(
-        "--device-id",
-        type=_whole,
-        metavar="ID",
-        help="its device, without which the autopilot ignores the file",
-    )
-    add("--stability", metavar="FILE", help="stability.json, whose noise densities go to Kalibr")
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
-
-
 def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the options that `add_export_options` added, as `export` takes them."""
+    """Return the options of the group export options, as `export` takes them."""
     asked = ("name", "float", "fixed", "allow_lossy", "force")
     own = ("output_unit", "instance", "device_id", "stability", "tilt")
     return {name: getattr(arguments, name) for name in (*asked, *own)}

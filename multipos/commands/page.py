@@ -9,6 +9,7 @@ from pathlib import Path
 
 from multipos.capturing.serving import LOOPBACK
 from multipos.commands.answers import Answer, Output, print_out
+from multipos.commands.options import declare
 from multipos.files.trees import to_json
 from multipos.page.runtime import VERSION
 from multipos.page.site import check_folder, make_site, write_site
@@ -20,19 +21,7 @@ OUTPUT = Output("DIR", "write the site to DIR, for any host; without it, serve i
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "--pyodide",
-        metavar="DIR|URL",
-        help=f"where the runtime comes from, Pyodide {VERSION}: a folder becomes part of the site "
-        "(default its official address)",
-    )
-    add(
-        "--port",
-        type=int,
-        metavar="N",
-        help=f"of the page where it is served (default {PORT}, else any that is free)",
-    )
+    declare(parser, "page", version=VERSION, port=str(PORT))
 
 
 def run(arguments: argparse.Namespace) -> Answer:

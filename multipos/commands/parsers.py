@@ -7,6 +7,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from multipos.commands.answers import print_out
+from multipos.commands.options import accept_negative_lists
 from multipos.errors import UsageError
 from multipos.files.spelling import near
 
@@ -43,6 +44,7 @@ def command(name: str) -> ModuleType:
 def command_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of one command, which the documentation prints as well."""
     parser = Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
+    accept_negative_lists(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     add = parser.add_argument
     add("-v", "--verbose", action="store_true", help="print notes and all that explains")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import numbers, progress_bar
+from multipos.commands.options import declare, progress_bar
 from multipos.errors import UsageError
 from multipos.files.pipes import is_folder
 from multipos.files.trees import read_schema, to_json
@@ -45,31 +45,7 @@ OUTPUT = Output(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "calibration",
-        metavar="CAL.json|REG.json|COMPARE.json|FLEET",
-        help="calibration or regression to report, or what compare or fleet wrote",
-    )
-    add(
-        "--data",
-        metavar="DATA.csv",
-        help="the rows of a regression or fleet, where not in its folder",
-    )
-    add("--unit", metavar="ID", help="of a fleet: the report of this unit's own calibration")
-    add("--station", metavar="S", help="where that unit was at several")
-    add("--lab", metavar="FILE", help="TOML file of administrative data of the laboratory")
-    add(
-        "--check", metavar="CHECK.json", help="what check -o CHECK.json wrote of an independent run"
-    )
-    add("--nominal", type=numbers, metavar="BIAS,SCALE", help="conversion before calibration")
-    add("--language", default="en", metavar="en|zh", help="language of the report (default en)")
-    add(
-        "--monte-carlo",
-        type=int,
-        metavar="TRIALS",
-        help="check the uncertainties by so many trials, 100 to 1000000",
-    )
+    declare(parser, "report")
 
 
 def _of_fleet(arguments: argparse.Namespace) -> Answer:

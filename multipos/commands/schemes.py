@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_model, add_order, add_setting, setting_of
+from multipos.commands.options import declare, setting_of
 from multipos.designs.assessment import Schemes, schemes, schemes_sentence, schemes_text
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
@@ -22,13 +22,10 @@ OUTPUT = Output(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("schemes", nargs="*", metavar="SCHEME", help="names or files; all if none")
+    declare(parser, "schemes")
     listing = "\n".join(f"  {name:<18}{scheme.description}" for name, scheme in SCHEMES.items())
     parser.epilog = f"names, which may be joined by +:\n{listing}"
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    add_model(parser)
-    add_order(parser, None, "order of the positions (default spread for names)")
-    add_setting(parser)
 
 
 def run(arguments: argparse.Namespace) -> Answer:

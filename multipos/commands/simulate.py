@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_order, numbers
+from multipos.commands.options import declare
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
@@ -21,36 +21,7 @@ _LOG = {"rate": 100.0, "rest": 5.0, "turn": 2.0, "sample_sd": 0.0, "correlation_
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="the sensor")
-    add("--scheme", required=True, metavar="S", help="scheme name, names joined by +, or CSV file")
-    add_order(parser, None, "order of the rows (default spread for names, of a log paper)")
-    add("--reading-sd", type=numbers, metavar="SD[,SD,SD]", help="noise of an averaged reading")
-    add(
-        "--orientation-sd",
-        type=float,
-        default=0.0,
-        metavar="DEG",
-        help="orientation error per axis [degrees]",
-    )
-    add(
-        "--temperature",
-        type=numbers,
-        metavar="FROM,TO",
-        help="temperature run [degC] (default: the mean at calibration)",
-    )
-    add("--log", action="store_true", help="a raw log of the session instead of readings")
-    add("--rate", type=float, metavar="HZ", help="sample rate of the log (default 100)")
-    add("--rest", type=float, metavar="S", help="duration of a rest (default 5)")
-    add("--turn", type=float, metavar="S", help="duration of a turn (default 2)")
-    add("--sample-sd", type=numbers, metavar="SD[,SD,SD]", help="noise of a sample of the log")
-    add(
-        "--correlation-time",
-        type=float,
-        metavar="S",
-        help="how long that noise remembers (default 0: white)",
-    )
-    add("--seed", type=int, metavar="K", help="seed of the random numbers")
+    declare(parser, "simulate")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

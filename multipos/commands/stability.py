@@ -5,7 +5,7 @@ import argparse
 from multipos.bias_stability.analysis import stability
 from multipos.bias_stability.stability_result import stability_sentence, stability_text
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_reading, file_progress, names
+from multipos.commands.options import declare, file_progress
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
@@ -17,29 +17,7 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "ta
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add(
-        "logs",
-        nargs="+",
-        metavar="LOG",
-        help=f"static records, each a switch-on of its own: CSV, white space, {formats_read()}",
-    )
-    add("--calibration", metavar="CAL.json", help="compensate the outputs with it")
-    add("--outputs", type=names, metavar="a,b,c", help="columns that are outputs")
-    add(
-        "--temperature",
-        metavar="COLUMN",
-        help="column with the temperature [degC] (default temperature)",
-    )
-    add_reading(parser)
-    add("--unit", metavar="UNIT", help="unit of raw outputs")
-    add(
-        "--confidence",
-        type=float,
-        default=0.95,
-        metavar="P",
-        help="coverage probability of U (default 0.95)",
-    )
+    declare(parser, "stability", formats=formats_read())
 
 
 def run(arguments: argparse.Namespace) -> Answer:

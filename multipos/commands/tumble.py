@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import add_conditions, names, numbers
+from multipos.commands.options import declare
 from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
@@ -15,18 +15,7 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add("readings", metavar="READINGS", help="CSV file of averaged readings of a tumble")
-    add("--outputs", type=names, metavar="A,…", help="columns that are outputs")
-    add("--axes", type=names, metavar="x,…", help="input axis of each (of one output x)")
-    add("--scheme", metavar="S", help="scheme name, names joined by +, or CSV file")
-    add(
-        "--model",
-        metavar="M",
-        help="model or formula (default: ieee-odd, less what is unidentifiable)",
-    )
-    add_conditions(parser)
-    add("--reading-sd", type=numbers, metavar="SD", help="standard uncertainty of a reading")
+    declare(parser, "tumble")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

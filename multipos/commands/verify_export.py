@@ -3,6 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
+from multipos.commands.options import declare
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Verification
 from multipos.exports.targets import verify_export
@@ -14,23 +15,7 @@ OUTPUT = Output("OUT", "write the result to OUT as well", "text", ("json",))
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument("file", metavar="FILE", help="file that export wrote")
-    parser.add_argument(
-        "calibration",
-        nargs="+",
-        metavar="CAL.json|REG.json",
-        help="what it came from, in the order of export",
-    )
-    parser.add_argument(
-        "--data",
-        metavar="DATA.csv",
-        help="what a regression was fitted to, replayed in place of rows that are made up",
-    )
-    parser.add_argument(
-        "--run-foreign-code",
-        action="store_true",
-        help="compile and run C that is not what export writes of CAL.json, whatever it does",
-    )
+    declare(parser, "verify-export")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -3,6 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
+from multipos.commands.options import declare
 from multipos.designs.prospects import worth, worth_sentence, worth_text
 from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
@@ -13,16 +14,7 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    add = parser.add_argument
-    add("calibration", metavar="CAL.json", help="calibration written by `multipos fit`")
-    add(
-        "--candidates",
-        default="all-26",
-        metavar="S",
-        help="bench or scheme of positions that could be next (default all-26)",
-    )
-    add("--parameter", metavar="OUTPUT:TERM", help="the parameter that counts (default all)")
-    add("--target", type=float, metavar="U", help="standard uncertainty it shall have")
+    declare(parser, "worth")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

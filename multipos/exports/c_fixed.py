@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
+from multipos.exports.c_running import fill
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.results import frozen
@@ -277,34 +278,14 @@ def fixed_test(fixed: FixedPoint, name: str) -> str:
         + "\n};"
         for key, numbers in (("raw", rows), ("expected", fixed_forces(fixed, rows)))
     )
-    return f"""\
-/* Self-test of {name}_compensate: compile with the file that holds it, and run.
-   Exits with 0 where every value is met. */
-#include <stdint.h>
-#include <stdio.h>
-
-{fixed_signature(fixed.calibration, name)};
-
-enum {{ COUNT = {len(rows)}, AXES = {len(fixed.linear)} }};
-
-{arrays}
-
-int main(void)
-{{
-    int failed = 0;
-    for (int i = 0; i < COUNT; ++i) {{
-        int32_t accel[AXES];
-        {name}_compensate(raw[i], accel);
-        for (int k = 0; k < AXES; ++k)
-            if (accel[k] != expected[i][k]) {{
-                printf("vector %d, axis %d: %ld\\n", i + 1, k + 1, (long)accel[k]);
-                failed = 1;
-            }}
-    }}
-    puts(failed ? "FAILED" : "{name}_compensate: all values met");
-    return failed;
-}}
-"""
+    return fill(
+        "test_fixed.c",
+        name=name,
+        declaration=fixed_signature(fixed.calibration, name),
+        count=len(rows),
+        axes=len(fixed.linear),
+        arrays=arrays,
+    )
 
 
 def fixed_body(fixed: FixedPoint) -> str:

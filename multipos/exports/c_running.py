@@ -10,6 +10,7 @@ import signal
 import subprocess
 import tempfile
 from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -23,26 +24,12 @@ _SECONDS = 60
 _MEMORY = 4 << 30  # [byte], of the compiler and of the program each
 
 # Readings and forces go through files, so that nothing the function prints comes between them.
-_MAIN = """\
-#include <stdint.h>
-#include <stdio.h>
-{declaration};
-int main(void)
-{{
-    double row[{columns}], out[{axes}];
-    FILE *readings = fopen("readings", "rb"), *forces = fopen("forces", "wb");
-    if (readings == NULL || forces == NULL) return 1;
-    while (fread(row, sizeof row, 1, readings) == 1) {{
-        {kind} raw[{raw}], accel[{axes}];
-        for (int i = 0; i < {raw}; ++i) raw[i] = ({kind})row[i];
-        {environment}
-        {name}_compensate(raw, {between}accel);
-        for (int k = 0; k < {axes}; ++k) out[k] = (double)accel[k];
-        if (fwrite(out, sizeof out, 1, forces) != 1) return 1;
-    }}
-    return fclose(forces) ? 1 : 0;
-}}
-"""
+
+
+def fill(template: str, **words: object) -> str:
+    """Return a program of the folder `templates` with its words filled in."""
+    text = Path(__file__).with_name("templates").joinpath(template).read_text(encoding="utf-8")
+    return Template(text).substitute(words)
 
 
 def run_c(path: str, text: bytes, calibration: Calibration, declaration: str, rows: Array) -> Array:
@@ -57,7 +44,8 @@ def run_c(path: str, text: bytes, calibration: Calibration, declaration: str, ro
         if count
         else ""
     )
-    main = _MAIN.format(
+    main = fill(
+        "run.c",
         declaration=declaration,
         columns=raw + count,
         axes=axes,

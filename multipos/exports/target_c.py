@@ -41,7 +41,7 @@ from multipos.exports.c_fixed import (
     fixed_signature,
     fixed_test,
 )
-from multipos.exports.c_running import run_c
+from multipos.exports.c_running import fill, run_c
 from multipos.exports.laws import rms_left
 from multipos.exports.parameters import size_of
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
@@ -292,43 +292,26 @@ def c_test(
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
     text = "\n".join(array(key, values, single) for key, values in arrays)
     call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
-    declared, checked, library = "", "", ""
+    declared, checked, library = f"{signature(calibration, name, single)};", "", ""
     if tilt:
         text += "\n" + array("angle", _angles(calibration, raw, env), single)
-        declared = f"\n{tilt_signature(calibration, name, single)};"
+        declared += f"\n{tilt_signature(calibration, name, single)};"
         checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
-    return of_field(
-        f"""\
-/* Self-test of {name}_compensate: compile with the file that holds it, and run.
-   Exits with 0 where every value is met within {tolerance} {unit}. */
-{library}#include <stdio.h>
-
-{signature(calibration, name, single)};{declared}
-
-enum {{ COUNT = {len(raw)}, AXES = {force.shape[1]} }};
-
-{text}
-
-int main(void)
-{{
-    int failed = 0;
-    for (int i = 0; i < COUNT; ++i) {{
-        {kind} accel[AXES];
-        {name}_compensate({call}, accel);
-        for (int k = 0; k < AXES; ++k) {{
-            const {kind} off = accel[k] - expected[i][k];
-            if (!(off < {tolerance} && -off < {tolerance})) {{
-                printf("vector %d, axis %d: off by %g {unit}\\n", i + 1, k + 1, (double)off);
-                failed = 1;
-            }}
-        }}
-{checked}    }}
-    puts(failed ? "FAILED" : "{name}_compensate: all values met");
-    return failed;
-}}
-""",
-        calibration,
+    filled = fill(
+        "test.c",
+        name=name,
+        kind=kind,
+        unit=unit,
+        tolerance=tolerance,
+        call=call,
+        declared=declared,
+        checked=checked,
+        library=library,
+        arrays=text,
+        count=len(raw),
+        axes=force.shape[1],
     )
+    return of_field(filled, calibration)
 
 
 def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
@@ -340,20 +323,9 @@ def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
 
 def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
     """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
-    f, tolerance = ("f", "2e-6f") if single else ("", "1e-9")
+    words = {"f": "f", "tolerance": "2e-6f"} if single else {"f": "", "tolerance": "1e-9"}
     turn = literal(np.pi / 180.0, single)
-    return f"""\
-        {kind} tilt[AXES];
-        {name}_tilt({call}, tilt);
-        for (int k = 0; k < AXES; ++k) {{
-            const {kind} off = sin{f}({turn} * tilt[k]) - sin{f}({turn} * angle[i][k]);
-            if (isnan(tilt[k]) != isnan(angle[i][k]) || off > {tolerance} || -off > {tolerance}) {{
-                printf("vector %d, axis %d: %g and not %g degrees\\n", i + 1, k + 1,
-                       (double)tilt[k], (double)angle[i][k]);
-                failed = 1;
-            }}
-        }}
-"""
+    return fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
 
 
 def _require_held(calibration: Calibration, single: bool) -> None:

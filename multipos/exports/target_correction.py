@@ -23,7 +23,7 @@ from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range
 from multipos.exports.c_correction import correction_source, declarations, output_line, rounding
-from multipos.exports.c_running import compile_and_run
+from multipos.exports.c_running import compile_and_run, fill
 from multipos.exports.parts import Correction
 from multipos.exports.target import Exported, GivenFile, in_a_sentence
 from multipos.exports.target_c import array, comment, is_foreign, require_identifier
@@ -252,70 +252,6 @@ SIGNATURE = re.compile(
 _TESTED = 60  # rows of the self-test
 _REPLAYED = 20_000  # rows that are made up
 _SAME = 1e-12  # of the largest output, beside what rounding may do
-_MAIN = """\
-#include <stdio.h>
-{state}
-{start};
-{correct};
-int main(void)
-{{
-    double row[{columns}], back[{outputs} + 1];
-    {name}_state state;
-    FILE *readings = fopen("readings", "rb"), *forces = fopen("forces", "wb");
-    if (readings == NULL || forces == NULL) return 1;
-    while (fread(row, sizeof row, 1, readings) == 1) {{
-        {kind} in[{inputs}], out[{outputs}] = {{0}};
-        for (int i = 0; i < {inputs}; ++i) in[i] = ({kind})row[i + 2];
-        if (row[0] > 0.0) {name}_start(&state);
-        back[0] = {name}_correct(&state, row[1], in, out);
-        for (int k = 0; k < {outputs}; ++k) back[k + 1] = (double)out[k];
-        if (fwrite(back, sizeof back, 1, forces) != 1) return 1;
-    }}
-    return fclose(forces) ? 1 : 0;
-}}
-"""
-_TEST = """\
-/* Self-test of {name}_correct: compile with the file that holds it, and run.
-   Exits with 0 where every value is met within the rounding that its header states. */
-#include <stdio.h>
-
-{state}
-{start};
-{correct};
-
-enum {{ COUNT = {count}, OUTPUTS = {outputs} }};
-
-static const int begins[COUNT] = {{{begins}}};
-static const int codes[COUNT] = {{{codes}}}; /* -1 where rounding decides */
-static const double at[COUNT] = {{{at}}};
-{arrays}
-static const {kind} tolerance[OUTPUTS] = {{{tolerance}}};
-
-int main(void)
-{{
-    int failed = 0;
-    {name}_state state;
-    for (int i = 0; i < COUNT; ++i) {{
-        {kind} out[OUTPUTS];
-        if (begins[i]) {name}_start(&state);
-        const int code = {name}_correct(&state, at[i], in[i], out);
-        if (codes[i] < 0) continue;
-        if (code != codes[i]) {{
-            printf("row %d: not the code that was expected\\n", i + 1);
-            failed = 1;
-        }}
-        for (int k = 0; k < OUTPUTS; ++k) {{
-            const {kind} off = out[k] - expected[i][k];
-            if (!(off <= tolerance[k] && -off <= tolerance[k])) {{
-                printf("row %d, output %d: off by %g\\n", i + 1, k + 1, (double)off);
-                failed = 1;
-            }}
-        }}
-    }}
-    puts(failed ? "FAILED" : "{name}_correct: all values met");
-    return failed;
-}}
-"""
 
 
 @frozen
@@ -447,7 +383,8 @@ def _self_test(c: Correction, name: str, single: bool) -> str:
     state, start, correct = declarations(c, name, single=single)
     allowed = _allowed(c, drive, out, single)
     literals = [f"{value!r}f" if single else repr(value) for value in map(_plain, allowed)]
-    return _TEST.format(
+    return fill(
+        "test_correction.c",
         name=name,
         state=state,
         start=start,
@@ -575,7 +512,8 @@ def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -
 def _run(path: str, text: bytes, c: Correction, name: str, single: bool, drive: Drive) -> Array:
     state, start, correct = declarations(c, name, single=single)
     rows = np.column_stack([drive.begins.astype(float), drive.time, drive.values])
-    main = _MAIN.format(
+    main = fill(
+        "run_correction.c",
         name=name,
         state=state,
         start=start,

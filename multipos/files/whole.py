@@ -99,12 +99,12 @@ def written(files: Mapping[str | os.PathLike[str], Pieces]) -> Iterator[None]:
     drafts: list[_Draft] = []
     try:
         for path, content in files.items():
-            with _writing(path):
+            with writing(path):
                 drafts.append(_draft(path))
             _fill(drafts[-1], content)
         for draft in drafts:
             if not draft.regular:
-                with _writing(draft.path):
+                with writing(draft.path):
                     _copy(draft.temporary, draft.target)
         yield
         _put_in_place([draft for draft in drafts if draft.regular])
@@ -115,7 +115,8 @@ def written(files: Mapping[str | os.PathLike[str], Pieces]) -> Iterator[None]:
 
 
 @contextmanager
-def _writing(path: str | os.PathLike[str]) -> Iterator[None]:
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Say in one line why a file cannot be written, where the block cannot."""
     try:
         yield
     except OSError as error:
@@ -131,7 +132,7 @@ def check_place(path: str | os.PathLike[str]) -> None:
     ------
     MultiposError
     """
-    with _writing(path):
+    with writing(path):
         _draft(path).target.parent.stat()
 
 
@@ -157,14 +158,14 @@ def _draft(path: str | os.PathLike[str]) -> _Draft:
 
 def _fill(draft: _Draft, content: Pieces) -> None:
     pieces = [content] if isinstance(content, str | bytes) else content
-    with _writing(draft.path):
+    with writing(draft.path):
         stream = draft.temporary.open("xb")
     with stream:
         for piece in pieces:
             raw = piece if isinstance(piece, bytes) else piece.encode("utf-8", "backslashreplace")
-            with _writing(draft.path):
+            with writing(draft.path):
                 stream.write(raw)
-        with _writing(draft.path):
+        with writing(draft.path):
             stream.flush()
             if draft.regular and draft.target.exists():
                 draft.temporary.chmod(stat.S_IMODE(draft.target.stat().st_mode))
@@ -173,7 +174,7 @@ def _fill(draft: _Draft, content: Pieces) -> None:
 def _put_in_place(drafts: Sequence[_Draft]) -> None:
     with ExitStack() as undo:
         for draft in drafts:
-            with _writing(draft.path):
+            with writing(draft.path):
                 if len(drafts) > 1:
                     if draft.target.exists():
                         shutil.copy2(draft.target, draft.before)

@@ -34,7 +34,7 @@ from multipos.files.pipes import Unpacked
 from multipos.files.tables import Column, Table
 from multipos.logs.extras import first_line, read_apart
 from multipos.logs.log_columns import name_header
-from multipos.logs.table import Log, Piece
+from multipos.logs.table import Log, Piece, Wanted
 from multipos.positions.headers import split_unit
 
 _ROWS = 1 << 16  # at a time
@@ -57,7 +57,7 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
         numeric=_of_kind(arrays, "fiubM"),
         delimiter=",",
         text=False,
-        read=partial(_read_arrays, source, arrays, rows),
+        pieces=partial(_read_arrays, source, arrays, rows),
         header=named.header,
         units={name: unit for name, (_, unit) in named_units if unit},
         headless=named.headless,
@@ -71,27 +71,18 @@ def _of_kind(arrays: Mapping[str, NDArray[Any]], kinds: str) -> tuple[str, ...]:
 
 
 def _read_arrays(
-    source: str,
-    columns: Mapping[str, NDArray[Any]],
-    rows: int,
-    names: Sequence[str],
-    optional: Sequence[str] = (),
-    texts: Sequence[str] = (),
-    *,
-    lenient: bool = False,
+    source: str, columns: Mapping[str, NDArray[Any]], rows: int, wanted: Wanted
 ) -> Iterator[Piece]:
-    del lenient  # arrays have all their cells
     for start in range(0, rows, _ROWS):
         end = min(start + _ROWS, rows)
         part: dict[str, Column] = {
-            name: _numbers(_cells(columns[name][start:end]))
-            for name in dict.fromkeys((*names, *optional))
+            name: _numbers(_cells(columns[name][start:end])) for name in wanted.numbers
         }
-        cells = {name: _cells(columns[name][start:end]) for name in texts}
+        cells = {name: _cells(columns[name][start:end]) for name in wanted.texts}
         plain = Table(source, cells, rows=end - start)
-        part |= {name: list(plain.text(name)) for name in texts}
+        part |= {name: list(plain.text(name)) for name in wanted.texts}
         table = Table(source, part, rows=end - start, first=start)
-        for name in names:
+        for name in wanted.names:
             table.number(name)
         yield Piece(table, None, end / rows)
 
@@ -149,9 +140,8 @@ def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
         )
     if array.dtype.names:
         return _legible(path, {name: array[name] for name in array.dtype.names})
-    if array.ndim == 1:
-        array = array[:, None]
-    return _legible(path, {str(i + 1): array[:, i] for i in range(array.shape[1])})
+    columns = [array] if array.ndim == 1 else list(array.T)
+    return _legible(path, {str(i): column for i, column in enumerate(columns, 1)})
 
 
 def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:
@@ -236,16 +226,7 @@ def load_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
 
 
 # In the order in which they are looked for.
-_WITH_GRAVITY = [
-    re.compile(pattern, re.IGNORECASE)
-    for pattern in (
-        r"total ?acc.*",
-        r"acc.*uncalibrated.*",
-        r"acc.*with.?g.*",
-        r"acc.*",
-        r"raw data",
-    )
-]
+_WITH_GRAVITY = ("total ?acc.*", "acc.*uncalibrated.*", "acc.*with.?g.*", "acc.*", "raw data")
 _TABLES = (".csv", ".tsv", ".txt")
 _LINEAR, _ELAPSED = "Accelerometer", "seconds_elapsed"  # of Sensor Logger: without gravity
 
@@ -281,7 +262,8 @@ def unpack_phone(path: os.PathLike[str]) -> Unpacked:
 
 def _with_gravity(names: Collection[str]) -> str | None:
     """Return which of a phone's sensors is the accelerometer, with gravity where there is one."""
-    found = next((s for p in _WITH_GRAVITY for s in names if p.fullmatch(s)), None)
+    pairs = [(pattern, name) for pattern in _WITH_GRAVITY for name in names]
+    found = next((name for p, name in pairs if re.fullmatch(p, name, re.IGNORECASE)), None)
     return next(iter(names)) if found is None and len(names) == 1 else found
 
 

@@ -101,11 +101,6 @@ class Averages(Result, Tabular):
         u = self._stack("u")
         return u if (u > 0.0).all() else None
 
-    @cached_property
-    def _dof(self) -> Array | None:
-        """Degrees of freedom of the standard uncertainties, where there are these."""
-        return None if self._u is None else self._stack("dof")
-
     @property
     def readings(self) -> Readings:
         """The readings, ready to be fitted."""
@@ -119,7 +114,7 @@ class Averages(Result, Tabular):
             positions=tuple(rest.position for rest in self.rests),
             up=self.scheme_up,
             u=self._u,
-            dof=self._dof,
+            dof=None if self._u is None else self._stack("dof"),
             sd=self._stack("sd"),
             samples=self._stack("n"),
             environment=columns,
@@ -135,11 +130,8 @@ class Averages(Result, Tabular):
             columns |= dict(zip(UP, self.scheme_up.T, strict=True))
         columns["n"] = [rest.found.n for rest in self.rests]
         columns |= dict(zip(self.outputs, readings.values.T, strict=True))
-        for prefix, values in (
-            ("sd", readings.sd),
-            ("u", readings.u),
-            ("dof", readings.dof),
-        ):
+        for prefix in ("sd", "u", "dof"):
+            values = getattr(readings, prefix)
             if values is not None:
                 names = [f"{prefix}_{output}" for output in self.outputs]
                 columns |= dict(zip(names, values.T, strict=True))

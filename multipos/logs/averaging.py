@@ -6,7 +6,6 @@ be longer than memory. Of several logs those with one rest are a position each, 
 files; the rests of the others follow each other.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_f
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.rests import read_sections
-from multipos.logs.samples import Progress, Timing, rows_of_sensor
+from multipos.logs.samples import Progress, Timing, rows_of_sensor, share_of
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
 from multipos.numerics.arrays import require_rate
@@ -118,8 +117,8 @@ def average(
     (['1', '2', '3', '4', '5', '6'], 100.0)
     """
     sources, copies = less_copies(spread(logs))
-    _check_options(sources, time_column, rate, threshold, sections, label_column, signed)
-    check_time_unit(time_unit)
+    if not sources:
+        raise TypeError("average needs a log.")
     check_convention(convention)
     wanted = None if scheme is None else read_scheme(scheme, order=order)
     which, sensor = _sensor(_names(only, "--only"))
@@ -134,11 +133,12 @@ def average(
         drop_bad=drop_bad,
         accept_faults=accept_faults,
     )
+    _check(wish, len(sources))
     found: list[StillLog] = []
     for i, source in enumerate(sources):
         log = open_log(source, columns=columns, outputs=outputs)
         log = log if sensor is None else rows_of_sensor(log, *sensor)
-        found.append(find_still(log, wish, _share(progress, i, len(sources))))
+        found.append(find_still(log, wish, share_of(progress, i, len(sources))))
     require_alike(found)
     if len(found) == 1 and wish.sections is None and label_column is None:
         require_several(found[0])
@@ -151,28 +151,20 @@ def average(
     return replace(averages, findings=in_order((*copies, *averages.findings)))
 
 
-def _check_options(
-    sources: Sequence[object],
-    time_column: str | None,
-    rate: float | None,
-    threshold: float | None,
-    sections: Source | None,
-    label_column: str | None,
-    signed: int | None,
-) -> None:
+def _check(wish: Wish, logs: int) -> None:
+    signed, threshold, timing = wish.signed, wish.threshold, wish.timing
     if signed is not None and not 2 <= signed <= 32:
         raise UsageError(f"--signed takes the bits of a register, 2 to 32, got {signed}.")
-    if not sources:
-        raise TypeError("average needs a log.")
-    if rate is not None:
-        require_rate(rate)
-    if time_column is not None and rate is not None:
+    if timing.rate is not None:
+        require_rate(timing.rate)
+    if timing.column is not None and timing.rate is not None:
         raise UsageError("--time-column and --rate both state the time; give one.")
+    check_time_unit(timing.unit)
     if threshold is not None and not 0.0 < threshold < np.inf:
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
-    if sections is not None and label_column is not None:
+    if wish.sections is not None and wish.label_column is not None:
         raise UsageError("--sections and --label-column both state the positions; give one.")
-    if sections is not None and len(sources) > 1:
+    if wish.sections is not None and logs > 1:
         raise UsageError("--sections are rows of one log, but several are given.")
 
 
@@ -189,7 +181,3 @@ def _sensor(
         raise UsageError("--only takes the rows of one sensor: give one COLUMN=VALUE.")
     labels = tuple(each for each in only or () if "=" not in each)
     return labels or None, filters[0] if filters else None
-
-
-def _share(progress: Progress | None, done: int, count: int) -> Callable[[float], object] | None:
-    return None if progress is None else lambda part: progress((done + part) / count)

@@ -32,21 +32,18 @@ TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100 us": 1e-4}
 
 # The first that a column answers to tells the time, in this order.
-_NAMES = [
-    re.compile(pattern)
-    for pattern in (
-        "time",
-        "t",
-        r"(time|timestamp|t)[ _](s|sec|ms|us|ns)|time(s|ms|us|ns)|timestamp(ms|us|ns)",
-        "(ms|us|ns)time",
-        "seconds[ _]elapsed|elapsed([ _]time)?|time[ _]elapsed",
-        "timestamp|time[ _]stamp|__time",
-        "sampletimefine",
-        "seconds|secs?|millis|millisec(ond)?s|micros|microsec(ond)?s|msec|usec|nanos",
-        "(utc[ _]?)?date([ _]?time)?|utc",
-        "time[ _].*|.*[ _]time|.*timestamp.*",
-    )
-]
+_NAMES = (
+    "time",
+    "t",
+    r"(time|timestamp|t)[ _](s|sec|ms|us|ns)|time(s|ms|us|ns)|timestamp(ms|us|ns)",
+    "(ms|us|ns)time",
+    "seconds[ _]elapsed|elapsed([ _]time)?|time[ _]elapsed",
+    "timestamp|time[ _]stamp|__time",
+    "sampletimefine",
+    "seconds|secs?|millis|millisec(ond)?s|micros|microsec(ond)?s|msec|usec|nanos",
+    "(utc[ _]?)?date([ _]?time)?|utc",
+    "time[ _].*|.*[ _]time|.*timestamp.*",
+)
 # Seconds from 1970 to 2000 and 2100, and to 2015 and 2060, and the largest steps of such times.
 _SINCE_1970 = ((946_684_800.0, 4_102_444_800.0, 2.0), (1_420_070_400.0, 2_840_140_800.0, 60.0))
 _DAY = 86400.0  # [s]
@@ -74,10 +71,7 @@ def time_columns(log: Log) -> list[str]:
     """Return the columns whose names say that they tell the time, the likeliest first."""
     numeric = [name for name in log.numeric if name not in log.nameless]
     found = [
-        name
-        for pattern in _NAMES
-        for name in numeric
-        if pattern.fullmatch(name.casefold()) is not None
+        name for pattern in _NAMES for name in numeric if re.fullmatch(pattern, name.casefold())
     ]
     first = numeric[:1] if log.rising else []
     return list(dict.fromkeys([*found, *(name for name in numeric if name in log.dates), *first]))
@@ -200,10 +194,10 @@ def _named_unit(column: str) -> str | None:
 def usual_step(time: Array) -> float:
     """Return the usual step between times (n,), which may come in bursts; 0 where there is none."""
     steps = np.diff(time)
-    usual = float(median(steps)) if len(steps) else 0.0
-    if usual <= 0.0:
-        usual = float(np.mean(steps)) if len(steps) else 0.0
-    return max(usual, 0.0)
+    if not len(steps):
+        return 0.0
+    usual = float(median(steps))
+    return max(usual if usual > 0.0 else float(np.mean(steps)), 0.0)
 
 
 def sample_rate(source: str, column: str, time: Array) -> float:

@@ -88,24 +88,16 @@ def find_stuck(
     At an extreme of its log it is saturated, elsewhere stuck.
     """
     usual = median([each.sd for each in found], axis=0)
-    said = []
+    said: list[list[str]] = []
     for each, survey in zip(found, surveys, strict=True):
         noisy = usual > 0.5 * np.nan_to_num(survey.resolution)
         constant = (each.longest >= _MOSTLY * each.n) & noisy
         value = np.where(each.at_low >= each.at_high, each.low, each.high)
         extreme = (value == survey.lowest) | (value == survey.highest)
-        said.append(
-            [
-                at_one_value(
-                    outputs[j],
-                    "saturated" if extreme[j] else "stuck",
-                    float(value[j]),
-                    int(each.longest[j]),
-                    each.n,
-                )
-                for j in np.flatnonzero(constant).tolist()
-            ]
-        )
+        said.append([])
+        for j in np.flatnonzero(constant).tolist():
+            fault, count = "saturated" if extreme[j] else "stuck", int(each.longest[j])
+            said[-1].append(at_one_value(outputs[j], fault, float(value[j]), count, each.n))
     return said
 
 
@@ -147,8 +139,10 @@ def find_faults(
     usual = median([each.sd for each in found], axis=0)
     faults = []
     for each, gap, moved in zip(found, gaps, moving, strict=True):
-        own = [] if moved else _rest_faults(outputs, each, usual, resolution)
-        faults.append([*_moved(moved), *_gaps(gap), *own])
+        own = [*_moved(moved), *_gaps(gap)]
+        for j, output in enumerate(() if moved else outputs):
+            own += _output_faults(output, j, each, float(usual[j]), float(resolution[j]))
+        faults.append(own)
     still = [i for i, moved in enumerate(moving) if not moved]
     return faults, _twins([found[i] for i in still], [labels[i] for i in still])
 
@@ -169,16 +163,6 @@ def _gaps(count: int) -> list[Finding]:
         return []
     text = "the time has 1 gap" if count == 1 else f"the time has {count} gaps"
     return [Finding("time-gap", "warning", text, "Check the logger.")]
-
-
-def _rest_faults(
-    outputs: Sequence[str], each: RestMean, usual: Array, resolution: Array
-) -> list[Finding]:
-    return [
-        note
-        for j, output in enumerate(outputs)
-        for note in _output_faults(output, j, each, float(usual[j]), float(resolution[j]))
-    ]
 
 
 def _output_faults(
@@ -281,10 +265,7 @@ def find_wrapped(samples: Samples, survey: Survey) -> list[Finding]:
     ends = np.array([survey.lowest, survey.highest])
     for _, j, value in samples.spikes.found:  # which jumps may have been taken for
         ends[:, j] = min(ends[0, j], value), max(ends[1, j], value)
-    finest = survey.resolution.tolist()
-    bits = [
-        _bits(low, high, step) for (low, high), step in zip(ends.T.tolist(), finest, strict=True)
-    ]
+    bits = [_bits(*each) for each in np.vstack([ends, survey.resolution]).T.tolist()]
     if not any(bits):
         return []
     across = [_ACROSS * 2.0**each if each else np.inf for each in bits]

@@ -68,7 +68,6 @@ from multipos.logs.faults import (
     find_stuck,
 )
 from multipos.logs.rest_means import COSINES, RestMean, with_rounding
-from multipos.logs.rests import Rest
 from multipos.logs.still import Still, StillLog, found_so_far, would_take
 from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_tail
@@ -372,13 +371,21 @@ def complete(
     chosen = _settled(chosen)
     match, labels, unseen = _matched(chosen, scheme, convention)
     stills = [each.still for each in chosen]
-    faults, general = _faults(logs, stills, labels)
+    faults, general = find_faults(
+        logs[0].outputs,
+        [still.found for still in stills],
+        np.fmin.reduce([log.survey.resolution for log in logs]),
+        [still.gaps for still in stills],
+        [still.moving for still in stills],
+        labels,
+    )
     timed = len(logs) == 1 or _times_follow(stills)
     if not timed:
         text = "the times of the logs do not follow each other; they are not used"
         unseen = [*unseen, Finding("times-unused", "note", text)]
     distances = None if match is None else match.distance_deg.tolist()
     rests = _rests(chosen, labels, faults, distances, timed=timed)
+    thresholds = {log.threshold for log in logs}
     left = _by_log(logs, lambda log: (*log.findings, *_find_short(log)))
     together = common_noise(logs[0].outputs, [still.found for still in stills])
     return Averages(
@@ -387,9 +394,9 @@ def complete(
         rests=tuple(rests),
         scheme_up=None if match is None or scheme is None else scheme.up[match.rows],
         sample_rate=_one_rate([log.rate for log in logs]),
-        threshold=_common([log.threshold for log in logs]),
+        threshold=thresholds.pop() if len(thresholds) == 1 else None,
         findings=in_order((*left, *wrong, *unseen, *together, *_of_rests(rests), *general)),
-        short=_short(logs),
+        short=tuple((_name(log), rest) for log in logs for rest in log.short),
         unit=_unit(logs),
     )
 
@@ -406,23 +413,6 @@ def _settled(chosen: Sequence[Chosen]) -> list[Chosen]:
         each._replace(still=replace(each.still, found=new))
         for each, new in zip(chosen, found, strict=True)
     ]
-
-
-def _faults(
-    logs: Sequence[StillLog], stills: Sequence[Still], labels: Sequence[str]
-) -> tuple[list[list[Finding]], list[Finding]]:
-    return find_faults(
-        logs[0].outputs,
-        [still.found for still in stills],
-        np.fmin.reduce([log.survey.resolution for log in logs]),
-        [still.gaps for still in stills],
-        [still.moving for still in stills],
-        labels,
-    )
-
-
-def _short(logs: Sequence[StillLog]) -> tuple[tuple[str, Rest], ...]:
-    return tuple((_name(log), rest) for log in logs for rest in log.short)
 
 
 def _of_rests(rests: Sequence[RestAverage]) -> list[Finding]:
@@ -557,10 +547,6 @@ def _one_rate(rates: Sequence[float | None]) -> float | None:
     known = [rate for rate in rates if rate is not None]
     alike = len(known) == len(rates) and max(known) - min(known) <= _ROUNDED * max(known)
     return known[0] if alike else None
-
-
-def _common(values: Sequence[float | None]) -> float | None:
-    return values[0] if len(set(values)) == 1 else None
 
 
 def _times_follow(stills: Sequence[Still]) -> bool:

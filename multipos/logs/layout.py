@@ -10,7 +10,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from itertools import islice, pairwise
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -103,7 +103,9 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     names = _labels([line.text for line in table[-_LAST:]])
     if names:
         table = [line._replace(text=without_labels(line.text)) for line in table]
-    rows = _rows(source, table)
+    rows = [line for line in table if not is_comment(line.text)]
+    if not rows:
+        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
     last = [line.text for line in rows[-_LAST:]]
     mark = _separator(last) if stated is None else stated
     shape = _shape([cells_of(line, mark) for line in last], mark)
@@ -117,7 +119,22 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
     if names and len(names) == shape.columns:
         header = header._replace(cells=names)
-    return _layout(shape, header, body, above, begin, labelled=bool(names))
+    columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
+    return Layout(
+        delimiter=mark,
+        width=shape.columns,
+        trailing=shape.trailing,
+        decimal_comma=mark != "," and any("," in row[i] for row in body for i in shape.numbers),
+        header=header.cells,
+        units=header.units,
+        numeric=tuple(_mostly([is_number(cell, mark) for cell in cells]) for cells in columns),
+        dates=tuple(_mostly([DATE.fullmatch(cell) for cell in cells]) for cells in columns),
+        first=begin,
+        rising=_rises([row[0] for row in body], mark),
+        rate=_stated_rate(above),
+        labelled=bool(names),
+        notes=_find_begin(above, begin, header),
+    )
 
 
 def without_labels(text: str) -> str:
@@ -130,41 +147,6 @@ def _labels(lines: Sequence[str]) -> tuple[str, ...]:
     found = Counter(tuple(_LABEL.findall(line)) for line in lines)
     names, count = found.most_common(1)[0] if found else ((), 0)
     return names if len(set(names)) == len(names) > 1 and 2 * count > len(lines) else ()
-
-
-def _rows(source: str, lines: Sequence[Line]) -> list[Line]:
-    rows = [line for line in lines if not is_comment(line.text)]
-    if not rows:
-        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
-    return rows
-
-
-def _layout(
-    shape: "_Shape",
-    header: "_Header",
-    body: Sequence[Sequence[str]],
-    above: Sequence[Line],
-    begin: int,
-    *,
-    labelled: bool,
-) -> Layout:
-    mark = shape.mark
-    columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
-    return Layout(
-        delimiter=mark,
-        width=shape.columns,
-        trailing=shape.trailing,
-        decimal_comma=mark != "," and _decimal_commas(body, shape.numbers),
-        header=header.cells,
-        units=header.units,
-        numeric=tuple(_mostly([is_number(cell, mark) for cell in cells]) for cells in columns),
-        dates=tuple(_mostly([DATE.fullmatch(cell) for cell in cells]) for cells in columns),
-        first=begin,
-        rising=_rises([row[0] for row in body], mark),
-        rate=_stated_rate(above),
-        labelled=labelled,
-        notes=_find_begin(above, begin, header),
-    )
 
 
 def _mostly(units_found: Sequence[object]) -> bool:
@@ -216,13 +198,18 @@ def cells_of(line: str, mark: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def is_number(cell: str, mark: str) -> bool:
-    """Tell whether a cell is a number, 'nan' too; with a decimal comma where none separates."""
+def number_of(cell: str, mark: str) -> float | None:
+    """Return the number in a cell, 'nan' too; with a decimal comma where none separates."""
     try:
-        float(cell if mark == "," else cell.replace(",", "."))
+        value = float(cell if mark == "," else cell.replace(",", "."))
     except ValueError:
-        return False
-    return "_" not in cell
+        return None
+    return None if "_" in cell else value
+
+
+def is_number(cell: str, mark: str) -> bool:
+    """Tell whether a cell is a number."""
+    return number_of(cell, mark) is not None
 
 
 def _separator(rows: Sequence[str]) -> str:
@@ -322,12 +309,13 @@ def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
             units = units_found
         else:
             _refuse_open_quote(source, line)
-            return _Header(cells, units or _units_behind(cells), line.number, comment)
+            return _Header(
+                cells,
+                units or tuple(split_unit(name)[1] or "" for name in cells),
+                line.number,
+                comment,
+            )
     return _Header(None, units or ("",) * shape.columns, 0, False)
-
-
-def _units_behind(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(split_unit(name)[1] or "" for name in names)
 
 
 def _refuse_open_quote(source: str, line: Line) -> None:
@@ -340,10 +328,8 @@ def _refuse_open_quote(source: str, line: Line) -> None:
 def _bare(line: str) -> tuple[str, bool]:
     """Return a line without its comment mark, and whether it had one."""
     stripped = line.strip()
-    for mark in COMMENTS:
-        if stripped.startswith(mark):
-            return stripped.lstrip("#/%").strip(), True
-    return stripped, False
+    commented = is_comment(line)
+    return stripped.lstrip("#/%").strip() if commented else stripped, commented
 
 
 def _names(line: str, shape: _Shape, *, comment: bool) -> tuple[str, ...] | None:
@@ -353,14 +339,11 @@ def _names(line: str, shape: _Shape, *, comment: bool) -> tuple[str, ...] | None
         cells = cells_of(line, mark)
         if len(cells) == shape.columns + 1 and not cells[-1]:
             cells = cells[:-1]
-        sentence = comment and not mark and not _mostly_known(cells)
+        known = sum(_KNOWN.fullmatch(cell) is not None for cell in cells)
+        sentence = comment and not mark and 2 * known <= len(cells)
         if len(cells) == shape.columns and not sentence and _may_name(cells, shape):
             return tuple(cells)
     return None
-
-
-def _mostly_known(cells: Sequence[str]) -> bool:
-    return 2 * sum(_KNOWN.fullmatch(cell) is not None for cell in cells) > len(cells)
 
 
 def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
@@ -392,12 +375,6 @@ def _refuse_other_width(source: str, line: Line, shape: _Shape) -> None:
 
 
 def _rises(cells: Sequence[str], mark: str) -> bool:
-    if len(cells) < 3 or not all(is_number(cell, mark) for cell in cells):
-        return False
-    numbers = [float(cell if mark == "," else cell.replace(",", ".")) for cell in cells]
-    steps = [after - before for before, after in pairwise(numbers)]
-    return min(steps) >= 0.0 and max(steps) > 0.0 and set(steps) != {1.0}
-
-
-def _decimal_commas(rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> bool:
-    return any("," in row[i] for row in rows for i in numbers if i < len(row))
+    steps = np.diff(np.array([number_of(cell, mark) for cell in cells], dtype=np.float64))
+    rising = len(steps) > 1 and (steps >= 0.0).all() and steps.any()
+    return bool(rising and (steps != 1.0).any())

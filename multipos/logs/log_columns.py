@@ -245,13 +245,10 @@ def magnetic_outputs(
         kinds = [component(name) for name in log.columns]
         if any(each.acceleration for each in kinds):
             return None
-        if not (stated or any(each.magnetic for each in kinds) or _in_field(log, log.columns)):
+        in_field = any(unit in MAGNETIC_UNITS for unit in log.units.values())
+        if not (stated or in_field or any(each.magnetic for each in kinds)):
             return None
     chosen = choose_outputs(log, outputs, time_columns(log)).names
     written = {log.units[name] for name in chosen if name in log.units}
     own = unit_as_known(unit) if unit else (written.pop() if len(written) == 1 else "reading")
     return chosen if field_of_outputs(chosen, own, None, kind) == "magnetic" else None
-
-
-def _in_field(log: Log, names: Sequence[str]) -> bool:
-    return any(log.units.get(name) in MAGNETIC_UNITS for name in names)

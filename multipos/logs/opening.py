@@ -21,6 +21,7 @@ from multipos.files.handed import content_of, find_copies, take_in
 from multipos.files.pipes import is_folder, rereadable, unpack_text
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Column, Source, read_table
+from multipos.files.whole import reading
 from multipos.finding import Finding, Findings, repeated_files
 from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
 from multipos.logs.extras import Noted
@@ -124,21 +125,13 @@ def _is_utf8(head: bytes) -> bool:
 
 
 def _read_head(path: os.PathLike[str]) -> bytes:
-    try:
-        with Path(path).open("rb") as stream:
-            head = stream.read(HEAD)
-            while len(head) % HEAD == 0 and 0 < len(head) < _WIDE and head.count(b"\n") < _LINES:
-                more = stream.read(HEAD)  # of thousands of columns
-                if not more:
-                    break
-                head += more
-    except FileNotFoundError:
-        raise MultiposError(f"{path}: no such file; check the path of the log.") from None
-    except OSError as error:
-        raise MultiposError(
-            f"{path}: cannot read the log: {error.strerror or error}; "
-            "check the path and its permissions."
-        ) from None
+    with reading(path, "log"), Path(path).open("rb") as stream:
+        head = stream.read(HEAD)
+        while len(head) % HEAD == 0 and 0 < len(head) < _WIDE and head.count(b"\n") < _LINES:
+            more = stream.read(HEAD)  # of thousands of columns
+            if not more:
+                break
+            head += more
     if not head.strip():
         raise MultiposError(f"{path}: the file is empty; a log needs rows of samples.")
     return head

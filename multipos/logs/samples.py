@@ -30,7 +30,7 @@ from multipos.logs.clock import (
     wraps_of,
 )
 from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Spikes, Survey, Windows, choose_grid
-from multipos.logs.table import Log, Piece
+from multipos.logs.table import Log, Piece, Wanted
 from multipos.numerics.arrays import Array, Mask, Places, median
 
 
@@ -85,6 +85,11 @@ class Runs:
 
 
 Progress = Callable[[float], object]  # is called with how much of the log has been read, 0 to 1
+
+
+def share_of(progress: Progress | None, done: int, count: int) -> Progress | None:
+    """Return what is called with how much of one log of several has been read."""
+    return None if progress is None else lambda part: progress((done + part) / count)
 
 
 _IN_MEMORY = 1 << 22  # bytes
@@ -467,26 +472,19 @@ def rows_of_sensor(log: Log, column: str, value: str) -> Log:
     """
     name = log.find(column)
     said = Finding("one-sensor", "note", f"only rows whose '{name}' is {value} are used")
-    taken = replace(log, read=partial(_read, log, name, value), notes=(*log.notes, said))
+    taken = replace(log, pieces=partial(_read, log, name, value), notes=(*log.notes, said))
     if not any(piece.table.rows for piece in taken.read((), (), ())):
         raise MultiposError(f"{log.source}: no row has '{name}' = {value}; correct --only.")
     return taken
 
 
-def _read(
-    log: Log,
-    column: str,
-    value: str,
-    names: Sequence[str],
-    optional: Sequence[str] = (),
-    texts: Sequence[str] = (),
-    *,
-    lenient: bool = False,
-) -> Iterator[Piece]:
-    numeric = column in log.numeric
-    more = ((*optional, column), texts) if numeric else (optional, (*texts, column))
-    first = 0
-    for piece in log.read(names, *more, lenient=lenient):
+def _read(log: Log, column: str, value: str, wanted: Wanted) -> Iterator[Piece]:
+    numeric, first = column in log.numeric, 0
+    if numeric:
+        wanted = wanted._replace(optional=(*wanted.optional, column))
+    else:
+        wanted = wanted._replace(texts=(*wanted.texts, column))
+    for piece in log.pieces(wanted):
         table = piece.table
         if numeric:
             matches = np.asarray(table.columns[column], dtype=np.float64) == _number(value)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import near
@@ -19,18 +19,21 @@ class Piece(NamedTuple):
     done: float  # how much of the log has been read, 0 to 1
 
 
-class ReadPieces(Protocol):
-    """How a log is read, from its beginning."""
+class Wanted(NamedTuple):
+    """What is read of rows, as `Log.read` has it."""
 
-    def __call__(
-        self,
-        names: Sequence[str],
-        optional: Sequence[str] = (),
-        texts: Sequence[str] = (),
-        *,
-        lenient: bool = False,
-    ) -> Iterator[Piece]:
-        """Yield pieces with the columns of these names."""
+    names: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    texts: tuple[str, ...] = ()
+    lenient: bool = False
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Columns that are read as numbers."""
+        return tuple(dict.fromkeys((*self.names, *self.optional)))
+
+
+ReadPieces = Callable[[Wanted], Iterator[Piece]]  # from the beginning of a log
 
 
 @frozen(eq=True)
@@ -48,10 +51,8 @@ class Log:
         What stands between the cells of the text; '' is white space; ',' where it is no text.
     text : bool
         Whether pieces have rows of text.
-    read : callable
-        ``read(names, optional, texts, lenient=…)`` yields pieces with those columns. A cell of
-        `names` that is no finite number is an error, in `optional` it is NaN; `texts` stay text.
-        Where it is lenient, a row with too few or too many cells has no numbers and no texts.
+    pieces : callable
+        What `read` calls.
     header : tuple of str
         The names as they stand in the log.
     units : mapping of str to str
@@ -77,7 +78,7 @@ class Log:
     numeric: tuple[str, ...]
     delimiter: str
     text: bool
-    read: ReadPieces
+    pieces: ReadPieces
     header: tuple[str, ...]
     units: Mapping[str, str] = field(default_factory=dict)
     rising: bool = False
@@ -87,6 +88,22 @@ class Log:
     rate: float | None = None
     notes: Findings = ()
     left_out: Findings = ()
+
+    def read(
+        self,
+        names: Sequence[str],
+        optional: Sequence[str] = (),
+        texts: Sequence[str] = (),
+        *,
+        lenient: bool = False,
+    ) -> Iterator[Piece]:
+        """Yield pieces with columns.
+
+        A cell of `names` that is no finite number is an error, in `optional` it is NaN; `texts`
+        stay text. Where it is lenient, a row with too few or too many cells has no numbers and no
+        texts.
+        """
+        return self.pieces(Wanted(tuple(names), tuple(optional), tuple(texts), lenient))
 
     def find(self, name: str) -> str:
         """Return the column of a name, given with or without its unit, in letters of any case.
@@ -109,13 +126,13 @@ class Log:
         )
 
 
-def called_as(log: Log, wanted: Sequence[str]) -> Log:
-    """Return a log whose columns have the names that are wanted, in letters of whatever case.
+def called_as(log: Log, given: Sequence[str]) -> Log:
+    """Return a log whose columns have the given names, in letters of whatever case.
 
     The header, and rows of text, stay as they are.
     """
-    own: dict[str, str] = {}  # a name that is wanted -> as the log has it
-    for name in wanted:
+    own: dict[str, str] = {}  # a given name -> as the log has it
+    for name in given:
         equal = [each for each in log.columns if each.casefold() == name.casefold()]
         if name not in log.columns and len(equal) == 1:
             own[name] = equal[0]
@@ -126,15 +143,9 @@ def called_as(log: Log, wanted: Sequence[str]) -> Log:
     def called(names: Sequence[str]) -> tuple[str, ...]:
         return tuple(new.get(name, name) for name in names)
 
-    def read(
-        names: Sequence[str],
-        optional: Sequence[str] = (),
-        texts: Sequence[str] = (),
-        *,
-        lenient: bool = False,
-    ) -> Iterator[Piece]:
-        asked = ([own.get(name, name) for name in part] for part in (names, optional, texts))
-        for piece in log.read(*asked, lenient=lenient):
+    def read(wanted: Wanted) -> Iterator[Piece]:
+        asked = [tuple(own.get(name, name) for name in part) for part in wanted[:3]]
+        for piece in log.read(*asked, lenient=wanted.lenient):
             columns = {new.get(name, name): each for name, each in piece.table.columns.items()}
             yield piece._replace(table=replace(piece.table, columns=columns))
 
@@ -145,5 +156,5 @@ def called_as(log: Log, wanted: Sequence[str]) -> Log:
         units={new.get(name, name): unit for name, unit in log.units.items()},
         nameless=frozenset(called(tuple(log.nameless))),
         dates=frozenset(called(tuple(log.dates))),
-        read=read,
+        pieces=read,
     )

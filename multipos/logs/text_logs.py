@@ -19,7 +19,7 @@ import re
 from codecs import BOM_UTF8
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from operator import methodcaller
 from pathlib import Path
@@ -40,11 +40,12 @@ from multipos.logs.layout import (
     find_layout,
     is_comment,
     is_number,
+    number_of,
     without_labels,
 )
 from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
-from multipos.logs.table import Log, Piece, ReadPieces
+from multipos.logs.table import Log, Piece, ReadPieces, Wanted
 from multipos.numerics.arrays import Array, Mask
 from multipos.results import frozen
 
@@ -169,16 +170,7 @@ class _Cells(NamedTuple):
     def of_columns(self, width: int, columns: Sequence[int]) -> "_Cells":
         """Return the cells of some columns."""
         which = np.arange(len(self.odd)).reshape(-1, width)[:, columns].ravel()
-        return _Cells(
-            self.block,
-            self.end[which],
-            self.last[which],
-            self.length[which],
-            self.digits[which],
-            self.decimals[which],
-            self.negative[which],
-            self.odd[which],
-        )
+        return _Cells._make([self.block, *(each[which] for each in self[1:])])
 
 
 def read_plain(text: bytes, delimiter: str, width: int, columns: Sequence[int]) -> Array | None:
@@ -325,6 +317,11 @@ class _Text:
     # show of gravity is looked at before the log is gone through.
     kept: list[Array | None] | None = None
 
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Which column has which name."""
+        return {name: place for place, name in enumerate(self.columns)}
+
     @property
     def dates(self) -> frozenset[str]:
         """Names of the columns of dates."""
@@ -385,21 +382,12 @@ class LiveText:
         names = self.log.numeric
         if not rows.lines:
             return np.empty((len(names), 0)), []
-        table = _parse(self.text, rows, 0, _Wanted((), names, (), lenient=True))
+        table = _parse(self.text, rows, 0, Wanted((), names, (), lenient=True))
         return np.array([table.columns[name] for name in names], dtype=np.float64), rows.lines
 
 
-def _read_head(
-    text: _Text,
-    head: str,
-    names: Sequence[str],
-    optional: Sequence[str] = (),
-    texts: Sequence[str] = (),
-    *,
-    lenient: bool = False,
-) -> Iterator[Piece]:
+def _read_head(text: _Text, head: str, wanted: Wanted) -> Iterator[Piece]:
     rows = rows_only(text.layout, table_text(text.layout, head, text.layout.first))
-    wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
     yield Piece(_parse(text, rows, 0, wanted), partial(list, rows.lines), 1.0)
 
 
@@ -413,7 +401,7 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log
         numeric=tuple(name for name, number, date in numbers if number or date),
         delimiter=layout.delimiter,
         text=True,
-        read=read,
+        pieces=read,
         header=named.header,
         units={name: unit for name, unit in named_units if unit},
         rising=named.headless and layout.rising,
@@ -465,16 +453,8 @@ def _is_cut(line: str, layout: Layout, unended: bool) -> bool:
     return unended and any(cell and not is_number(cell, layout.delimiter) for cell in held)
 
 
-def _read_text(
-    text: _Text,
-    names: Sequence[str],
-    optional: Sequence[str] = (),
-    texts: Sequence[str] = (),
-    *,
-    lenient: bool = False,
-) -> Iterator[Piece]:
+def _read_text(text: _Text, wanted: Wanted) -> Iterator[Piece]:
     first = 0
-    wanted = _Wanted(tuple(names), tuple(optional), tuple(texts), lenient)
     for block in _blocks(text):
         table = _plain_table(text, block, first, wanted)
         if table is not None:
@@ -522,26 +502,12 @@ def _lines(text: _Text, block: _Block) -> list[str]:
     return _part(text, block).lines()
 
 
-class _Wanted(NamedTuple):
-    """What is read of rows, as `Log.read` has it."""
-
-    names: tuple[str, ...]
-    optional: tuple[str, ...]
-    texts: tuple[str, ...]
-    lenient: bool
-
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.names, *self.optional)))
-
-
-def _plain_table(text: _Text, block: _Block, first: int, wanted: _Wanted) -> Table | None:
+def _plain_table(text: _Text, block: _Block, first: int, wanted: Wanted) -> Table | None:
     """Return the wanted columns of lines that are nothing but rows of numbers, None of others."""
     layout = text.layout
     if wanted.texts or layout.trailing or layout.labelled or not all(layout.numeric):
         return None
-    places = {name: place for place, name in enumerate(text.columns)}
-    values = _numbers(text, block, [places[name] for name in wanted.numbers])
+    values = _numbers(text, block, [text.places[name] for name in wanted.numbers])
     if values is None or not np.isfinite(values).all():
         return None
     rows = range(block.line, block.line + values.shape[1])
@@ -569,14 +535,13 @@ def _table(text: _Text, numbers: Sequence[int], first: int) -> Table:
     return Table(str(text.path), {}, rows=len(numbers), lines=numbers, first=first, delimiter=mark)
 
 
-def _parse(text: _Text, rows: Rows, first: int, wanted: _Wanted) -> Table:
+def _parse(text: _Text, rows: Rows, first: int, wanted: Wanted) -> Table:
     """Return the wanted columns of rows of text: by NumPy's reader, by ours where it stumbles."""
     table = _table(text, rows.numbers, first)
     if not text.dates.isdisjoint(wanted.numbers) or wanted.texts:
         return _parse_slowly(text, rows, table, wanted)
     try:
-        places = {name: place for place, name in enumerate(text.columns)}
-        index = [places[name] for name in wanted.numbers]
+        index = [text.places[name] for name in wanted.numbers]
         columns = dict(zip(wanted.numbers, _fast(text, rows, index), strict=True))
         if all(np.isfinite(columns[name]).all() for name in wanted.names):
             return replace(table, columns=columns)
@@ -585,13 +550,12 @@ def _parse(text: _Text, rows: Rows, first: int, wanted: _Wanted) -> Table:
     return _parse_slowly(text, rows, table, wanted)
 
 
-def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: _Wanted) -> Table:
+def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: Wanted) -> Table:
     """Return columns cell by cell: what is bad is named, or not a number where it may be."""
     cells = _cells(text, rows, table.first, lenient=wanted.lenient)
-    places = {name: place for place, name in enumerate(text.columns)}
 
     def column(name: str) -> list[str]:
-        place = places[name]
+        place = text.places[name]
         return [row[place] for row in cells]
 
     parsed: dict[str, Column] = {n: [*map(of_cell, column(n))] for n in wanted.texts}
@@ -640,13 +604,7 @@ def _cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def _lenient(cells: Sequence[str], mark: str) -> Array:
-    return np.array([_number(cell, mark) for cell in cells], dtype=np.float64)
-
-
-def _number(cell: str, mark: str) -> float:
-    if not is_number(cell, mark):
-        return np.nan
-    return float(cell if mark == "," else cell.replace(",", "."))
+    return np.array([number_of(cell, mark) for cell in cells], dtype=np.float64)
 
 
 def _fast(text: _Text, rows: Rows, index: list[int]) -> Array:

@@ -20,8 +20,8 @@ from multipos.capturing import live_rests, poses
 from multipos.capturing.evaluation import (
     NOTHING,
     SessionPlan,
-    _next_of_scheme,
     _small,
+    next_pose,
     read_targets,
     spread_targets,
 )
@@ -700,12 +700,12 @@ def test_the_next_position_as_it_is_laid_out_or_by_short_ways(monkeypatch):
     monkeypatch.setattr("multipos.capturing.evaluation.gain_at", lambda *_, **__: 0.5)
     up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     scheme = mp.Scheme("mine", up, np.full((3, 3, 3), np.nan), ("a", "b", "c"))
-    taken = [SimpleNamespace(position="a")]
-    labels = [_next_of_scheme(scheme, None, NOTHING, taken, {}, o).label for o in (None, "travel")]
-    assert labels == ["b", "c"]
-    assert _next_of_scheme(scheme, None, NOTHING, [], {}, None).label == "a"
+    as_it_is, travel = (SessionPlan({}, {}, None, scheme, order) for order in (None, "travel"))
+    bare = SimpleNamespace(names=())
     taken = [SimpleNamespace(position=label) for label in "abc"]
-    assert _next_of_scheme(scheme, None, NOTHING, taken, {}, None) is None
+    for plan, done, label in ((as_it_is, 1, "b"), (travel, 1, "c"), (as_it_is, 0, "a")):
+        assert next_pose(plan, bare, NOTHING, None, taken[:done], None).label == label
+    assert next_pose(as_it_is, bare, NOTHING, None, taken, None) is None
 
 
 def test_rows_that_are_kept_in_a_file_and_let_go(monkeypatch):

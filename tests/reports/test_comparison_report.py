@@ -60,9 +60,9 @@ def test_the_report_says_what_moved_and_every_value(compared, tmp_path, capsys):
 def test_the_figure_has_the_u_of_each_run(compared, monkeypatch):
     drawn = []
 
-    def keep(tr, rows, height, draw):
-        axes = new_figure(rows)[1]
-        draw(axes)
+    def keep(tr, height, draw):
+        axes = new_figure()[1]
+        draw(axes[0])
         drawn.append(axes[0])
 
     monkeypatch.setattr(several, "draw_svg", keep)

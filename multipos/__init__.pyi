@@ -1,0 +1,63 @@
+from typing import TYPE_CHECKING
+
+__version__: str
+
+if TYPE_CHECKING:  # mypy takes these last, as every module imports the version
+    from multipos.bias_stability.analysis import stability as stability
+    from multipos.bias_stability.stability_result import Stability as Stability
+    from multipos.bias_stability.stability_result import load_stability as load_stability
+    from multipos.capturing.running import Captured as Captured
+    from multipos.capturing.running import capture as capture
+    from multipos.compensation.applying import apply as apply
+    from multipos.compensation.correction import correct as correct
+    from multipos.designs.assessment import schemes as schemes
+    from multipos.designs.designing import design as design
+    from multipos.designs.prospects import worth as worth
+    from multipos.errors import CalibrationWarning as CalibrationWarning
+    from multipos.errors import ConvergenceError as ConvergenceError
+    from multipos.errors import MultiposError as MultiposError
+    from multipos.errors import RankError as RankError
+    from multipos.errors import UsageError as UsageError
+    from multipos.exports.targets import export as export
+    from multipos.exports.targets import verify_export as verify_export
+    from multipos.files.tables import read_table as read_table
+    from multipos.files.tables import write_table as write_table
+    from multipos.finding import Finding as Finding
+    from multipos.fitting.calibrate_logs import calibrate as calibrate
+    from multipos.fitting.fit_readings import fit as fit
+    from multipos.fitting.regress_columns import regress as regress
+    from multipos.fleets.fit_many import fit_many as fit_many
+    from multipos.fleets.fleet import Fleet as Fleet
+    from multipos.fleets.fleet import fleet as fleet
+    from multipos.logs.averages import Averages as Averages
+    from multipos.logs.averaging import average as average
+    from multipos.numerics.terms import Formula as Formula
+    from multipos.positions.reading_tables import read_readings as read_readings
+    from multipos.positions.readings import Readings as Readings
+    from multipos.positions.scheme import Scheme as Scheme
+    from multipos.positions.scheme import read_scheme as read_scheme
+    from multipos.regression.regression import Regression as Regression
+    from multipos.regression.regression import Regressions as Regressions
+    from multipos.regression.regression_file import load_regression as load_regression
+    from multipos.reports.documents import report as report
+    from multipos.sensor.calibration import Calibration as Calibration
+    from multipos.sensor.calibration_file import load as load
+    from multipos.sensor.model import Model as Model
+    from multipos.sensor.simulation import simulate as simulate
+    from multipos.sensor.simulation import simulate_log as simulate_log
+    from multipos.sensor.temperature import over_temperature as over_temperature
+    from multipos.song_qin import demo as demo
+    from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
+    from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
+    from multipos.uncertainty.propagation import state_budget as state_budget
+    from multipos.uncertainty.turntable import state_bench as state_bench
+    from multipos.uncertainty.turntable import table_errors as table_errors
+    from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
+    from multipos.units import normal_gravity as normal_gravity
+    from multipos.verification.checks import check as check
+    from multipos.verification.comparison import compare as compare
+    from multipos.verification.tumbling import Tumble as Tumble
+    from multipos.verification.tumbling import Tumbles as Tumbles
+    from multipos.verification.tumbling import tumble as tumble
+    from multipos.verification.verdicts import Check as Check
+    from multipos.verification.verdicts import load_check as load_check
