@@ -10,8 +10,10 @@ The noise of one row is `u_<column>` of the table, else what `reading_sd` states
 model left.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -98,9 +100,10 @@ def correct(
     check_noise_options(uncertainty, reading_sd, parameters_only)
     table = read_table(data, what="data")
     if isinstance(regression, Regressions):
-        return _correct_each(
-            regression, table, column, outside, uncertainty, reading_sd, parameters_only
-        )
+        how: dict[str, Any] = {"outside": outside, "uncertainty": uncertainty}
+        how |= {"reading_sd": reading_sd, "parameters_only": parameters_only}
+        each = partial(correct, data=table, **how)
+        return _correct_each(regression, table, column, each)
     given = table
     asked = () if column is None else (column if isinstance(column, str) else ",".join(column),)
     table, notes = as_fitted(regression, table, asked)
@@ -171,10 +174,7 @@ def _correct_each(
     regressions: Regressions,
     table: Table,
     column: Names | None,
-    outside: Outside,
-    uncertainty: bool,
-    reading_sd: float | Sequence[float] | None,
-    parameters_only: bool,
+    correct_one: Callable[..., Corrected],
 ) -> Corrected:
     """Return what `correct` adds by each of several regressions, named after its response."""
     targets = [None] * len(regressions) if column is None else split_names(column, "--correct")
@@ -188,15 +188,7 @@ def _correct_each(
     noises: list[str | None] = []
     raised: list[Finding] = []
     for (name, one), target in zip(regressions.items(), targets, strict=True):
-        found = correct(
-            one,
-            table,
-            column=target,
-            outside=outside,
-            uncertainty=uncertainty,
-            reading_sd=reading_sd,
-            parameters_only=parameters_only,
-        )
+        found = correct_one(one, column=target)
         beyond |= np.asarray(found["outside"])
         mine = [key for key in found if key not in table and key != "outside"]
         added |= {f"{key}_{name}": found[key] for key in mine}

@@ -114,17 +114,11 @@ def check_noise_options(
     uncertainty: bool, reading_sd: ArrayLike | None, parameters_only: bool
 ) -> None:
     """Refuse what says nothing, or the opposite."""
-    given = [
-        name
-        for name, value in (
-            ("--reading-sd", reading_sd is not None),
-            ("--parameters-only", parameters_only),
-        )
-        if value
-    ]
-    if given and not uncertainty:
-        raise UsageError(f"{given[0]} goes with --uncertainty.")
-    if len(given) > 1:
+    if reading_sd is not None and not uncertainty:
+        raise UsageError("--reading-sd goes with --uncertainty.")
+    if parameters_only and not uncertainty:
+        raise UsageError("--parameters-only goes with --uncertainty.")
+    if reading_sd is not None and parameters_only:
         raise UsageError("--parameters-only leaves out the noise that --reading-sd states.")
 
 

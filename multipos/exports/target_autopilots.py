@@ -83,6 +83,24 @@ _REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
 # --- what both have in common
 
 
+def _numbered(instance: int) -> str:
+    return "" if instance == 1 else str(instance)  # the first has none
+
+
+def _names(templates: str) -> Callable[[int], tuple[str, ...]]:
+    """Return what names the parameters of an instance, each that has an axis for all three."""
+
+    def names(i: int) -> tuple[str, ...]:
+        every = [
+            template.format(i=i, n=_numbered(i), axis=axis, place=place)
+            for template in templates.split()
+            for place, axis in enumerate("XYZ")
+        ]
+        return tuple(dict.fromkeys(every))
+
+    return names
+
+
 def _values(
     calibration: Calibration, law: Correction, names: tuple[str, ...], sign: float = 1.0
 ) -> _Values:
@@ -146,21 +164,10 @@ _PX4_GIVEN = re.compile(r"^(?!#).*\bCAL_ACC(?P<instance>\d)_[XYZ]", re.MULTILINE
 _PX4_MAG_GIVEN = re.compile(r"^(?!#).*\bCAL_MAG(?P<instance>\d)_[XYZ]", re.MULTILINE)
 
 
-def _px4_names(instance: int) -> tuple[str, ...]:
-    return tuple(f"CAL_ACC{instance}_{axis}{kind}" for kind in ("OFF", "SCALE") for axis in "XYZ")
-
-
-def _px4_mag_names(instance: int) -> tuple[str, ...]:
-    kinds = ("OFF", "SCALE", "ODIAG")
-    return tuple(f"CAL_MAG{instance}_{axis}{kind}" for kind in kinds for axis in "XYZ")
-
-
-def _px4_slopes(instance: int) -> tuple[str, ...]:
-    return tuple(f"TC_A{instance}_X{power}_{axis}" for power in (1, 2, 3) for axis in range(3))
-
-
-def _px4_limits(instance: int) -> tuple[str, ...]:
-    return tuple(f"TC_A{instance}_{name}" for name in ("TREF", "TMIN", "TMAX"))
+_px4_names = _names("CAL_ACC{i}_{axis}OFF CAL_ACC{i}_{axis}SCALE")
+_px4_mag_names = _names("CAL_MAG{i}_{axis}OFF CAL_MAG{i}_{axis}SCALE CAL_MAG{i}_{axis}ODIAG")
+_px4_slopes = _names("TC_A{i}_X1_{place} TC_A{i}_X2_{place} TC_A{i}_X3_{place}")
+_px4_limits = _names("TC_A{i}_TREF TC_A{i}_TMIN TC_A{i}_TMAX")
 
 
 def _params_text(head: list[str], found: _Values) -> str:
@@ -253,29 +260,12 @@ _LIMITS = (3.5, (0.8, 1.2))
 _MAG_LIMITS, _BESIDE = (1800.0, (0.2, 5.0)), 1.0
 
 
-def _numbered(instance: int) -> str:
-    return "" if instance == 1 else str(instance)  # the first has none
-
-
-def _ardupilot_names(instance: int) -> tuple[str, ...]:
-    number = _numbered(instance)
-    return tuple(f"INS_ACC{number}{kind}_{axis}" for kind in ("OFFS", "SCAL") for axis in "XYZ")
-
-
-def _ardupilot_mag_names(instance: int) -> tuple[str, ...]:
-    number = _numbered(instance)
-    return tuple(
-        f"COMPASS_{kind}{number}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in "XYZ"
-    )
-
-
-def _ardupilot_slopes(instance: int) -> tuple[str, ...]:
-    return tuple(f"INS_TCAL{instance}_ACC{power}_{axis}" for power in (1, 2, 3) for axis in "XYZ")
-
-
-def _ardupilot_limits(instance: int) -> tuple[str, ...]:
-    names = tuple(f"INS_TCAL{instance}_{name}" for name in ("TMIN", "TMAX"))
-    return (f"INS_ACC{instance}_CALTEMP", *names)
+_ardupilot_names = _names("INS_ACC{n}OFFS_{axis} INS_ACC{n}SCAL_{axis}")
+_ardupilot_mag_names = _names("COMPASS_OFS{n}_{axis} COMPASS_DIA{n}_{axis} COMPASS_ODI{n}_{axis}")
+_ardupilot_slopes = _names(
+    "INS_TCAL{i}_ACC1_{axis} INS_TCAL{i}_ACC2_{axis} INS_TCAL{i}_ACC3_{axis}"
+)
+_ardupilot_limits = _names("INS_ACC{i}_CALTEMP INS_TCAL{i}_TMIN INS_TCAL{i}_TMAX")
 
 
 def _beyond(found: _Values, *, magnetic: bool) -> list[Finding]:

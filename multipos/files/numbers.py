@@ -7,6 +7,7 @@ them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten d
 import heapq
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Sequence
 
 from multipos.files.spelling import visible
@@ -183,15 +184,24 @@ def largest_rows(
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:
     """Return rows as aligned text, the first `left` columns flush left, the others right."""
     cells = [[visible(cell) for cell in row] for row in (header, *rows)]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    widths = [max(columns_of(row[i]) for row in cells) for i in range(len(header))]
     lines = []
     for row in cells:
-        aligned = [
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
+        spaces = [" " * (width - columns_of(cell)) for cell, width in zip(row, widths, strict=True)]
+        pairs = zip(row, spaces, strict=True)
+        aligned = [c + space if i < left else space + c for i, (c, space) in enumerate(pairs)]
         lines.append("  ".join(aligned).rstrip())
     return "\n".join(lines)
+
+
+def columns_of(text: str) -> int:
+    """Return how many columns a terminal needs: Chinese characters take two."""
+    return sum(2 if unicodedata.east_asian_width(mark) in "WF" else 1 for mark in text)
+
+
+def titled(title: str, body: str) -> str:
+    """Return a part of a text under its underlined title."""
+    return f"{title}\n{'-' * len(title)}\n{body}\n"
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> str:

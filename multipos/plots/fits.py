@@ -166,7 +166,9 @@ def draw_correction(
         'before' or 'after' draws that alone, on a scale of its own.
     """
     table = read_table(data, what="data")
-    _draw_corrected(regression, _corrected(regression, table, variable, column), axes, when=when)
+    _draw_corrected(
+        regression, corrected_rows(regression, table, variable, column), axes, when=when
+    )
 
 
 class _Corrected(NamedTuple):
@@ -179,9 +181,10 @@ class _Corrected(NamedTuple):
     x: Array
 
 
-def _corrected(
+def corrected_rows(
     regression: Regression, table: Table, variable: str | None = None, column: str | None = None
 ) -> _Corrected:
+    """Return a column before and after its correction, against a variable or that of segments."""
     target = column or regression.response
     columns = read_predictors(regression, table, read_runs(regression, table))
     name, x = (
@@ -315,7 +318,7 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
 
 
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
-    found = _corrected(regression, _complete_rows(regression, table))
+    found = corrected_rows(regression, complete_rows(regression, table))
     before, after = (np.abs(y).max(initial=0.0) for y in (found.before, found.after))
     words: tuple[_When, ...] = ("before", "after") if before > _FAR * after else ("both",)
     return [partial(_draw_corrected, regression, found, when=word) for word in words]
@@ -327,11 +330,12 @@ def _titled_path(regression: Regression, segment: Segment, axes: "Axes") -> None
     write_title(axes, "all segments" if regression.continuous else span.replace(" -", " −"))
 
 
-def _complete_rows(regression: Regression, table: Table) -> Table:
+def complete_rows(regression: Regression, table: Table) -> Table:
     """Return the rows without an empty cell in what the regression needs."""
-    needed = [regression.response, regression.range_variable, *regression.needed]
-    sources = [name.removesuffix("_rate") for name in needed] + [regression.time or ""]
-    columns = [table.number(n, empty=True) for n in {*needed, *sources} if n in table]
+    r = regression
+    needed = [r.response, r.range_variable, *r.needed, *([r.time] if r.time else [])]
+    names = {n if n in table else n.removesuffix("_rate") for n in needed}
+    columns = [table.number(n, empty=True) for n in names if n in table]
     return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.spelling import quoted
 from multipos.files.tables import Table
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.units import cos_deg, sin_deg
@@ -123,8 +124,8 @@ def _form(table: Table) -> str | None:
     missing = [name for name in names if name not in table]
     if missing:
         raise MultiposError(
-            f"{table.source}: column {_quoted(missing)} is missing; an orientation given as "
-            f"{found[0]} needs {_quoted(names)}."
+            f"{table.source}: column {quoted(missing)} is missing; an orientation given as "
+            f"{found[0]} needs {quoted(names)}."
         )
     return found[0]
 
@@ -305,10 +306,6 @@ _READERS = {
     "quaternion": _read_quaternion,
     "roll about an axis": _read_roll_axis,
 }
-
-
-def _quoted(names: list[str] | tuple[str, ...]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
 
 
 def pose_words(up: Array, *, magnetic: bool = False) -> dict[str, str]:

@@ -15,6 +15,7 @@ from multipos.files.numbers import (
     p_in_words,
     plain_number,
     readable_unit,
+    titled,
 )
 from multipos.numerics.arrays import Array
 from multipos.reports.sheets import Sheet
@@ -155,7 +156,7 @@ def _by_segment(found: Check) -> Sheet:
 def check_text(found: Check) -> str:
     """Return the check as plain text."""
     sheets = check_sheets(found)
-    text = "\n".join(f"{s.title}\n{'-' * len(s.title)}\n{s}\n" for s in sheets)
+    text = "\n".join(titled(s.title, str(s)) for s in sheets)
     said = []
     if found.limit is not None:
         count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}

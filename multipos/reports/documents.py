@@ -18,7 +18,6 @@ import os
 import re
 import subprocess
 import textwrap
-import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -31,7 +30,14 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.numbers import SUPERSCRIPT, markdown_line, markdown_table, markdown_text
+from multipos.files.numbers import (
+    SUPERSCRIPT,
+    columns_of,
+    markdown_line,
+    markdown_table,
+    markdown_text,
+    table,
+)
 from multipos.files.spelling import visible
 from multipos.files.whole import write_text
 from multipos.fleets.fleet import Fleet
@@ -398,26 +404,12 @@ def _without_controls(value: Any) -> Any:
 
 
 def _underlined(title: str, mark: str) -> str:
-    return f"{title}\n{mark * _columns(title)}"
-
-
-def _columns(text: str) -> int:
-    """Return how many columns a terminal needs: Chinese characters take two."""
-    return sum(2 if unicodedata.east_asian_width(mark) in "WF" else 1 for mark in text)
+    return f"{title}\n{mark * columns_of(title)}"
 
 
 def _aligned_documents(grid: PageTable) -> str:
-    shown = [list(map(readable, grid.header)), *aligned_rows(grid, " ", " ")]
-    cells = [list(map(visible, row)) for row in shown]
-    widths = [max(_columns(row[i]) for row in cells) for i in range(len(grid.header))]
-    lines = []
-    for row in cells:
-        parts = []
-        for i, (cell, width) in enumerate(zip(row, widths, strict=True)):
-            space = " " * (width - _columns(cell))
-            parts.append(cell + space if i < grid.left else space + cell)
-        lines.append("  ".join(parts).rstrip())
-    return "\n".join(lines)
+    rows = aligned_rows(grid, " ", " ")
+    return table(list(map(readable, grid.header)), rows, left=grid.left)
 
 
 def _inline(figure: Figure, prefix: str) -> str:

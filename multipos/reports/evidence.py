@@ -6,7 +6,8 @@ about a finished calibration is a table of it.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -207,20 +208,13 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
 
 def rolls_section(c: Calibration, tr: Translator) -> Section:
     """Return the signal along each roll, the harmonics left, and the errors of the turntable."""
-
-    def signal(axes: Any) -> None:
-        for output, one in zip(c.outputs, axes, strict=True):
-            draw_rolls(c, one, output=output)
-
-    def left(axes: Any) -> None:
-        for output, one in zip(c.outputs, axes, strict=True):
-            draw_harmonics(c, one, output=output)
-
+    signals = [partial(draw_rolls, c, output=output) for output in c.outputs]
+    left = [partial(draw_harmonics, c, output=output) for output in c.outputs]
     figures = [
         Figure(
             tr("Signal against angle"),
             tr("One panel for each output; markers are readings, by the plane of the roll."),
-            lambda: draw_svg(tr, len(c.outputs), 2.2, signal),
+            partial(draw_svg, tr, 2.2, *signals),
         )
     ]
     if fourier_residuals(c):
@@ -228,7 +222,7 @@ def rolls_section(c: Calibration, tr: Translator) -> Section:
             Figure(
                 tr("Residual harmonics"),
                 tr("Bars for each order and roll; the numbers are in the checks."),
-                lambda: draw_svg(tr, len(c.outputs), 1.9, left),
+                partial(draw_svg, tr, 1.9, *left),
             )
         )
     return Section(
@@ -264,11 +258,8 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
         )
 
     apart = errors_apart(found)
-
-    def draw(axes: Any) -> None:
-        for axis, one in zip(found.axes, axes, strict=True):
-            draw_check(found, one, axis=axis, when="after" if apart else "both")
-
+    when: Literal["after", "both"] = "after" if apart else "both"
+    panels = [partial(draw_check, found, axis=axis, when=when) for axis in found.axes]
     paragraphs = [
         tr(
             "An independent run at known positions ({file}), before compensation by (reading − "
@@ -304,7 +295,7 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
                     else "One panel for each axis: open squares before, circles with U after, "
                     "dashed lines the limit."
                 ),
-                lambda: draw_svg(tr, len(found.axes), 1.9, draw),
+                partial(draw_svg, tr, 1.9, *panels),
             ),
         ),
         tuple(_table_of(sheet, tr, found) for sheet in check_sheets(found, whole=True)),
@@ -334,11 +325,6 @@ def temperature_sections(c: Calibration, tr: Translator) -> tuple[Section, ...]:
     curves = temperature_curves(c)
     if not curves:
         return ()
-
-    def draw(axes: Any) -> None:
-        for curve, one in zip(curves, axes, strict=True):
-            draw_curve(curve, one)
-
     return (
         Section(
             tr("Over temperature"),
@@ -352,7 +338,7 @@ def temperature_sections(c: Calibration, tr: Translator) -> tuple[Section, ...]:
                 Figure(
                     tr("Parameters over temperature"),
                     tr("One panel for each parameter that changes."),
-                    lambda: draw_svg(tr, len(curves), 1.9, draw),
+                    partial(draw_svg, tr, 1.9, *(partial(draw_curve, curve) for curve in curves)),
                 ),
             ),
         ),
@@ -379,7 +365,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
     paragraphs: list[str] = []
     tests = _tests_of_terms(c, tr)
     if c.estimator.exact:
-        tests += _criticism(c, tr)
+        tests += [*_single_terms(c, tr), _influence(c, tr), *_waves(c, tr)]
     if tests:
         tables += tests
         paragraphs.append(
@@ -420,10 +406,10 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
     rows = [
         (
             name,
-            *_simulated_cells(u, (low, high), (first, last), tolerance, units[unit]),
+            *_simulated_cells(u, (symmetric, shortest), tolerance, units[unit]),
             tr("yes") if valid else tr("no"),
         )
-        for name, unit, u, (low, high), (first, last), tolerance, valid in zip(
+        for name, unit, u, symmetric, shortest, tolerance, valid in zip(
             found.names,
             c.model.units,
             found.u.tolist(),
@@ -446,25 +432,14 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
 
 
 def _simulated_cells(
-    u: float,
-    symmetric: Sequence[float],
-    shortest: Sequence[float],
-    tolerance: float,
-    unit: tuple[float, str],
+    u: float, intervals: Sequence[Sequence[float]], tolerance: float, unit: tuple[float, str]
 ) -> tuple[str, ...]:
     """Return u, both intervals and the tolerance in one unit, and it."""
     factor, shown = unit
     decimals = decimals_of(factor * u)
     form = ".7g" if decimals is None else f".{decimals}f"
-    intervals = [
-        f"[{factor * low:{form}}, {factor * high:{form}}]" for low, high in (symmetric, shortest)
-    ]
-    return plain_number(factor * u), *intervals, plain_number(factor * tolerance, 2), shown
-
-
-def _criticism(c: Calibration, tr: Translator) -> list[PageTable]:
-    """Return tests of terms, influence of the positions and harmonics of the residuals."""
-    return [*_single_terms(c, tr), _influence(c, tr), *_waves(c, tr)]
+    cells = [f"[{factor * low:{form}}, {factor * high:{form}}]" for low, high in intervals]
+    return plain_number(factor * u), *cells, plain_number(factor * tolerance, 2), shown
 
 
 def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:

@@ -6,7 +6,7 @@ because an error that is corrected a hundredfold is a flat line on the other's s
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.tables import Table, read_table
 from multipos.finding import serious
 from multipos.numerics.arrays import Array, Places
-from multipos.plots.fits import draw_path
+from multipos.plots.fits import complete_rows, corrected_rows, draw_path
 from multipos.plots.style import COLOURS
 from multipos.regression.junctions import Junction
 from multipos.regression.regression import (
@@ -257,7 +256,7 @@ def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
             Figure(
                 tr("Path of terms, {span}", span=span),
                 tr("F of every step; a diamond is the runner-up."),
-                partial(draw_svg, tr, 1, height, partial(_draw_path, s)),
+                partial(draw_svg, tr, height, partial(draw_path, s)),
             )
         )
         rows = tuple(
@@ -275,21 +274,14 @@ def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
     return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))]
 
 
-def _draw_path(segment: Segment, axes: Any) -> None:
-    draw_path(segment, axes[0])
-
-
 def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> Section:
     """Return before and after against the variable of the segments and against time."""
     if table is None:
         said = "The rows of the fit ({source}) are not here; --data draws before and after."
         sentences = tr(said, source=str(r.source))
         return Section(of("Before and after"), paragraphs=(sentences,))
-    complete = _complete(r, table)
-    columns = read_predictors(r, complete, read_runs(r, complete))
-    variable, x = range_column(r, complete, columns)
-    before = complete.number(r.response)
-    after = np.asarray(correct(r, complete, column=r.response)["corrected"])
+    complete = complete_rows(r, table)
+    _, before, after, variable, x = corrected_rows(r, complete)
     against: list[tuple[str, Array, Sequence[float]]] = [(variable, x, r.edges)]
     if r.time is not None and r.time != variable:
         against.append((r.time, complete.number(r.time), ()))
@@ -297,25 +289,16 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
     which = ""
     if len(shown) < len(after):
         which = tr(" ({shown} of {n} rows)", shown=str(len(shown)), n=str(len(after)))
+
+    def panels(label: str, x: Array, edges: Sequence[float]) -> Iterator[Callable[[Any], None]]:
+        for y, word, below in ((before, "before", ""), (after, "after", label)):
+            yield partial(_draw_one, x[shown], y[shown], edges, f"{r.response}, {word}", below)
+
     figures = tuple(
         Figure(
             tr("Before and after against {label}", label=label) + which,
             tr("Above before, below after, each on its own scale."),
-            partial(
-                draw_svg,
-                tr,
-                2,
-                1.9,
-                partial(
-                    _draw_both,
-                    label,
-                    values[shown],
-                    edges,
-                    before[shown],
-                    after[shown],
-                    r.response,
-                ),
-            ),
+            partial(draw_svg, tr, 1.9, *panels(label, values, edges)),
         )
         for label, values, edges in against
     )
@@ -345,33 +328,17 @@ def _rows_to_draw(after: Array) -> Rows:
     return np.union1d(even, largest)
 
 
-def _draw_both(
-    label: str,
-    x: Array,
-    edges: Sequence[float],
-    before: Array,
-    after: Array,
-    response: str,
-    axes: Any,
+def _draw_one(
+    x: Array, values: Array, edges: Sequence[float], name: str, below: str, axes: Any
 ) -> None:
-    for one, values, word, colour in zip(
-        axes, (before, after), ("before", "after"), (COLOURS[6], COLOURS[0]), strict=True
-    ):
-        one.plot(x, values, color=colour, marker=".", linestyle="none", markersize=3.0)
-        one.axhline(0.0, color="#000000", linewidth=0.5)
-        for edge in edges:
-            one.axvline(edge, color="#000000", linewidth=0.8, linestyle="--")
-        one.set_ylabel(f"{response}, {word}")  # in English, as `Translator.svg` expects words
-        one.ticklabel_format(axis="y", scilimits=(-3, 4))
-    axes[-1].set_xlabel(label)
-
-
-def _complete(r: Regression, table: Table) -> Table:
-    """Return the rows that the regression can be applied to."""
-    needed = [r.response, r.range_variable, *r.needed, *([r.time] if r.time else [])]
-    names = {n if n in table else n.removesuffix("_rate") for n in needed}
-    columns = [table.number(n, empty=True) for n in names if n in table]
-    return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
+    colour = COLOURS[0] if below else COLOURS[6]
+    axes.plot(x, values, color=colour, marker=".", linestyle="none", markersize=3.0)
+    axes.axhline(0.0, color="#000000", linewidth=0.5)
+    for edge in edges:
+        axes.axvline(edge, color="#000000", linewidth=0.8, linestyle="--")
+    axes.set_ylabel(name)  # in English, as `Translator.svg` expects words
+    axes.ticklabel_format(axis="y", scilimits=(-3, 4))
+    axes.set_xlabel(below)
 
 
 def _method(several: Sequence[Regression], tr: Translator) -> Section:

@@ -131,13 +131,14 @@ class Section:
     tables: tuple[PageTable, ...] = ()
 
 
-def draw_svg(tr: Translator, rows: int, height: float, draw: Callable[[Any], None]) -> str:
-    """Return a figure of so many axes as SVG with its words translated."""
+def draw_svg(tr: Translator, height: float, *panels: Callable[[Any], object]) -> str:
+    """Return a figure of panels of a height, each drawn on its own axes, as SVG translated."""
     # Imported here: a sentence on the screen needs no figure.
     from multipos.plots.style import new_figure, to_svg
 
-    figure, axes = new_figure(rows, width=_WIDTH, height=height)
-    draw(axes)
+    figure, axes = new_figure(len(panels), width=_WIDTH, height=height)
+    for draw, one in zip(panels, axes, strict=True):
+        draw(one)
     return to_svg(figure, tr.label)
 
 

@@ -230,21 +230,14 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     if moved:
         paragraphs.append(tr("Moved beyond chance: {names}.", names=tr.listed(moved)))
     biases = [entry for entry in found["parameters"] if entry["term"] == "1"]
+    values = {entry["name"]: _less_mean(entry) for entry in biases}
+    draw = partial(draw_values, values, unit=biases[0]["unit"] if biases else "")
     picture = Figure(
         tr("Biases by run, each less its mean, with U")
         if all("U" in entry for entry in biases)
         else tr("Biases by run, each less its mean"),
         tr("One line for each output; the numbers are in the table below."),
-        lambda: draw_svg(
-            tr,
-            1,
-            2.4,
-            lambda axes: draw_values(
-                {entry["name"]: _less_mean(entry) for entry in biases},
-                axes[0],
-                unit=biases[0]["unit"],
-            ),
-        ),
+        partial(draw_svg, tr, 2.4, draw),
     )
     return Section(
         tr("Result"), tuple(paragraphs), (picture,) if biases else (), (changes,) if rows else ()
@@ -481,7 +474,7 @@ def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
                 "histogram of {count} units, with limits where there are any",
                 count=str(each["count"]),
             ),
-            partial(_drawn, tr, draw_histogram, each),
+            partial(draw_svg, tr, 2.2, partial(draw_histogram, each)),
         )
         for each in (limited or counted)[:_DRAWN]
     )
@@ -494,15 +487,11 @@ def _charts(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
         Figure(
             tr("{name} by station", name=each["name"]),
             tr(said),
-            partial(_drawn, tr, draw_chart, each),
+            partial(draw_svg, tr, 2.2, partial(draw_chart, each)),
         )
         for each in found["parameters"]
         if each["name"] in moved and each["chart"]
     )
-
-
-def _drawn(tr: Translator, draw: Any, what: Any) -> str:
-    return draw_svg(tr, 1, 2.2, lambda axes: draw(what, axes[0]))
 
 
 def _moves(found: Mapping[str, Any]) -> Rows:

@@ -43,42 +43,19 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
     """Return the errors of the turntable with what they are confounded with, and zero shifts."""
     sections = []
     rows = []
-    for error in found.errors:
-        known = error.value_deg is not None and error.u_deg is not None
-        rows.append(
-            [
-                error.plane,
-                error.quantity.replace("_", " "),
-                uncertain(error.value_deg or 0.0, error.u_deg or 0.0)
-                if known
-                else "not identifiable",
-                plain_number(error.U_deg, 2),
-                ", ".join(error.confounded_with) or "nothing",
-            ]
-        )
-    for error in found.shaft:
-        if error.value_deg is not None and error.u_deg is not None:
-            rows.append(
-                [
-                    error.plane,
-                    f"shaft {error.quantity.replace('_', ' ')}",
-                    uncertain(error.value_deg, error.u_deg),
-                    plain_number(error.U_deg, 2),
-                    "nothing",
-                ]
-            )
+    for of, errors in (("", found.errors), ("shaft ", found.shaft)):
+        for error in errors:
+            value, alike = "not identifiable", ", ".join(error.confounded_with) or "nothing"
+            if error.value_deg is not None and error.u_deg is not None:
+                value = uncertain(error.value_deg, error.u_deg)
+            elif of:
+                continue
+            quantity = f"{of}{error.quantity.replace('_', ' ')}"
+            rows.append([error.plane, quantity, value, plain_number(error.U_deg, 2), alike])
     if rows:
         header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
         sections.append(Sheet("Turntable", header, rows))
-    shifts = [
-        [
-            shift.plane,
-            shift.output,
-            *_shift_cells(shift),
-            chance(shift.p),
-        ]
-        for shift in found.zero_shifts
-    ]
+    shifts = [[s.plane, s.output, *_shift_cells(s), chance(s.p)] for s in found.zero_shifts]
     if shifts:
         header = ["roll", "zero of", "shift(u)", "U", "unit", "p"]
         sections.append(Sheet("Zero between rolls", header, shifts))

@@ -10,7 +10,15 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from multipos.files.numbers import beyond_rounding, in_unit, largest_rows, number, p_in_words, table
+from multipos.files.numbers import (
+    beyond_rounding,
+    in_unit,
+    largest_rows,
+    number,
+    p_in_words,
+    table,
+    titled,
+)
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
@@ -107,23 +115,20 @@ def text_report(calibration: Calibration) -> str:
     """Return the summary as plain text."""
     parts = [f"{calibration_sentence(calibration)}\n", parameter_text(calibration)]
     if calibration.findings:
-        parts.append(_titled("Findings", _bullets(map(str, calibration.findings))))
+        said = "\n".join(f"- {found}" for found in calibration.findings)
+        parts.append(titled("Findings", said))
     return "\n".join([*parts, detail_text(calibration)])
 
 
 def parameter_text(calibration: Calibration) -> str:
     """Return the table of parameters, after the positions that were set aside."""
     aside = f"{calibration.set_aside}\n\n" if calibration.excluded else ""
-    return aside + _titled("Parameters", table(*parameter_rows(calibration)))
+    return aside + titled("Parameters", table(*parameter_rows(calibration)))
 
 
 def detail_text(calibration: Calibration) -> str:
     """Return what was done, how the sensor is installed, the residuals and the checks."""
-    return "\n".join(_titled(title, body) for title, body in _sections(calibration))
-
-
-def _titled(title: str, body: str) -> str:
-    return f"{title}\n{'-' * len(title)}\n{body}\n"
+    return "\n".join(titled(title, body) for title, body in _sections(calibration))
 
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
@@ -141,27 +146,22 @@ def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     return sections
 
 
-def _bullets(lines: Iterable[str]) -> str:
-    return "\n".join(f"- {line}" for line in lines)
-
-
 def _summary(calibration: Calibration) -> str:
     c = calibration
     readings = c.readings
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
+    in_field = [f"convention  {c.convention}", f"gravity     {c.field.text}"]
+    if c.field.magnetic:
+        in_field = [f"field       {c.field.text}"]
     lines = [
         f"readings    {readings.source or 'from memory'}: {counted}",
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
-        *((f"field       {c.field.text}",) if c.field.magnetic else _in_gravity(c)),
+        *in_field,
         *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
         f"estimator   {c.estimator}: {c.criterion}",
         f"created     {c.created}, multipos {c.version}",
     ]
     return "\n".join(lines)
-
-
-def _in_gravity(c: Calibration) -> tuple[str, str]:
-    return f"convention  {c.convention}", f"gravity     {c.field.text}"
 
 
 def _residuals(calibration: Calibration) -> str:

@@ -3,7 +3,15 @@
 import math
 from collections.abc import Mapping
 
-from multipos.files.numbers import chance, number, p_in_words, plain_number, table, uncertain
+from multipos.files.numbers import (
+    chance,
+    number,
+    p_in_words,
+    plain_number,
+    table,
+    titled,
+    uncertain,
+)
 from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
 from multipos.reports.sheets import table_error_sheets
@@ -34,7 +42,7 @@ def tumble_sections(found: Tumble) -> _Sections:
 
 def tumble_text(found: Tumble) -> str:
     """Return the tumble as plain text."""
-    text = _as_text(tumble_sections(found))
+    text = "\n".join(titled(*section) for section in tumble_sections(found))
     if found.fourier_max_difference is not None:
         text += (
             f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
@@ -61,11 +69,8 @@ def tumbles_text(found: Tumbles) -> str:
         sections += [(f"{title}: {name}", body) for title, body in both]
     sections += _hysteresis_section(found.outputs)
     sections += [(sheet.title, str(sheet)) for sheet in table_error_sheets(found.table_errors)]
-    return _as_text([*sections, *_beside_section(found.beside_table, found.table_errors)])
-
-
-def _as_text(sections: _Sections) -> str:
-    return "\n".join(f"{title}\n{'-' * len(title)}\n{body}\n" for title, body in sections)
+    sections += _beside_section(found.beside_table, found.table_errors)
+    return "\n".join(titled(*section) for section in sections)
 
 
 def _coefficients_of_all(found: Tumbles) -> str:
@@ -109,20 +114,8 @@ def _coefficient_rows(
 ) -> tuple[list[str], list[list[str]]]:
     rows = []
     for name, c in coefficients.items():
-        custom = c.customary
-        value = _valued(custom["value"], custom["u"]) if "value" in custom else "-"
-        rows.append(
-            [
-                name,
-                _valued(c.value, c.u),
-                c.unit,
-                value,
-                plain_number(custom["U"], 2),
-                custom["unit"],
-                number(c.k),
-                number(c.dof),
-            ]
-        )
+        shown = [*_customary_cells(c), c.customary["unit"]]
+        rows.append([name, _valued(c.value, c.u), c.unit, *shown, number(c.k), number(c.dof)])
     header = ["coefficient", "value(u)", "unit", "value(u)", "U", "unit", "k", "dof"]
     return header, rows
 
