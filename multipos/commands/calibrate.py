@@ -5,12 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.options import (
-    asks_export,
-    declare,
-    export_options,
-    file_progress,
-)
+from multipos.commands.options import asks_export, declare, export_options, file_progress
 from multipos.files.trees import to_json
 from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests, rests_or_rows

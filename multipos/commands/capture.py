@@ -23,11 +23,7 @@ from multipos.capturing.session import Session, line_of
 from multipos.capturing.streams import open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
-from multipos.commands.options import (
-    declare,
-    export_options,
-    say,
-)
+from multipos.commands.options import declare, export_options, say
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line

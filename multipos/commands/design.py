@@ -5,11 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import (
-    declare,
-    progress_bar,
-    setting_of,
-)
+from multipos.commands.options import declare, progress_bar, setting_of
 from multipos.designs.designing import (
     Design,
     design,

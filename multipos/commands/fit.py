@@ -4,9 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import (
-    declare,
-)
+from multipos.commands.options import declare
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text

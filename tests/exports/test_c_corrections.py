@@ -13,9 +13,9 @@ import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_correction import _Writer, declarations, rounding
+from multipos.exports.c_running import fill
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
-    _MAIN,
     Drive,
     _allowed,
     _certain,
@@ -83,7 +83,8 @@ def program(folder, compiler, c, text, name, single, *options):
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler} on this machine")
     state, start, correct = declarations(c, name, single=single)
-    main_c = _MAIN.format(
+    main_c = fill(
+        "run_correction.c",
         name=name,
         state=state,
         start=start,
