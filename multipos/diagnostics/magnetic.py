@@ -10,7 +10,8 @@ them, k a twentieth of all, over s/√k, is beyond what the largest of n such me
 
 *Moving iron* changes the hard iron from a row on, or from one row to another: r falls by F on 3 and
 n − 12 degrees of freedom where the columns u are added in these rows, whose ends are one of 45
-pairs of tenths. The rows named are those around the best pair by which r falls most.
+pairs of tenths. The rows named are those around the best pair by which r falls most. Of what r'r
+falls by, one row has no more than three fifths: of an outlier in a run it has nearly twice all.
 
 Both take rows as worth fewer where their noise is correlated (`effective_rows`).
 
@@ -40,6 +41,7 @@ _LEAST = 0.002  # relative: what nobody need look for
 _TENTHS = np.arange(11) / 10.0
 _RUNS = np.triu_indices(10, 1)  # between edges: what begins at the first is a complement
 _DIRECTIONS = "all-26"
+_OF_ONE_ROW = 0.6  # of a fall of r'r
 _SHOWN = 8  # rows that a sentence names
 
 
@@ -161,8 +163,10 @@ def moving_iron(c: Calibration, readings: Readings | None = None) -> Finding | N
     after = float(left @ left) - gained
     f = gained / 3.0 / fewer / (after / (n - 12.0)) if after > 0.0 else 0.0
     p = min(1.0, len(_RUNS[0]) * f_tail(f, 3.0, dof)) if f > 0.0 else 1.0
-    start, end, size = _refined(sums, start, end)
-    if p > _CHANCE or size < _LEAST:
+    start, end = _refined(sums, start, end)
+    step = _moved(sums, np.array([start]), np.array([end]))[0][0]
+    size = float(np.linalg.norm(step))
+    if p > _CHANCE or size < _LEAST or _of_one_row(u, design, left, slice(start, end), step):
         return None
     scale = c.field.size if c.field.size is not None else None
     said = f"{100.0 * size:.2g} % of the field" if scale is None else c.field.shown(scale * size)
@@ -207,8 +211,17 @@ def _likeliest(sums: Array) -> tuple[int, int, float]:
     return int(start[best]), int(end[best]), float(gained[best])
 
 
-def _refined(sums: Array, start: int, end: int) -> tuple[int, int, float]:
-    """Return a run whose ends are moved by up to a tenth to where r'r is least, and its step."""
+def _of_one_row(u: Array, design: Array, left: Array, run: slice, step: Array) -> bool:
+    """Tell whether most of what r'r falls by is one reading's, and no step of a run of rows."""
+    added = np.zeros(len(u))
+    added[run] = u[run] @ step
+    added -= design @ np.linalg.lstsq(design, added, rcond=None)[0]
+    fall = left**2 - (left - added) ** 2
+    return float(fall.max()) > _OF_ONE_ROW * float(fall.sum())
+
+
+def _refined(sums: Array, start: int, end: int) -> tuple[int, int]:
+    """Return a run whose ends are moved by up to a tenth to where r'r is least."""
     n = len(sums) - 1
     reach = n // 10
     for _ in range(2):
@@ -217,8 +230,7 @@ def _refined(sums: Array, start: int, end: int) -> tuple[int, int, float]:
         if end < n:
             rows = np.arange(max(end - reach, start + 3), min(end + reach, n - 1))
             end = int(rows[np.argmax(_moved(sums, np.full_like(rows, start), rows)[1])])
-    step = _moved(sums, np.array([start]), np.array([end]))[0]
-    return start, end, float(np.linalg.norm(step))
+    return start, end
 
 
 OF_FIELD = (field_size, sphere_gap, disturbance, moving_iron)

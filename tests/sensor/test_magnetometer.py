@@ -380,6 +380,13 @@ def test_iron_beside_the_sensor_for_a_while_is_one_cause_with_its_rows():
     assert 7.0 < float(re.search(r"by ([\d.]+) µT", found.text)[1]) < 9.0
 
 
+@pytest.mark.parametrize("exclude", ["auto", "none"])
+def test_a_spike_is_no_iron_that_moved(exclude):
+    values = healthy(500, 30)
+    values[253, 0] += 15.0
+    assert "moving-iron" not in found_in(values, exclude=exclude)
+
+
 def test_size_gap_and_saturation():
     assert "field-size" in found_in(3.0 * healthy(1000, 23))
     values = healthy(3000, 24)
