@@ -80,6 +80,7 @@ def test_k_is_of_the_residuals_where_both_stand_on_them(cal):
     assert stated["U_f_x"][0] / stated["u_f_x"][0] == pytest.approx(1.95996, abs=1e-4)
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_u_covers_the_force_on_new_readings():
     """Six positions twice, a reading of the same noise: U of u_f_… holds 95 % of forces."""
     rng = np.random.default_rng(20)
@@ -255,6 +256,7 @@ def test_rows_that_look_like_single_samples(step, sd, rows, more, found):
         assert f"noise {step / np.sqrt(2.0):.2g}," in said[0].text
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_a_reading_at_a_soak_of_its_own_has_its_zero_in_u():
     # Six soaks of 14 positions, zeros of 5 mg, seven times the noise: U held 80 % without them.
     up = mp.read_scheme("faces-corners-14").up

@@ -149,6 +149,7 @@ def test_profile_bends_where_the_noise_is_large():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_coverage_of_profiles_of_an_uncertain_orientation():
     runs, inside = 150, 0
     truth = M[1, 0]

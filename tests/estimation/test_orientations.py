@@ -191,6 +191,7 @@ def test_robust_fits_of_good_readings_seldom_name_an_outlier(loss, sets, most):
     assert named <= most
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_robust_fits_of_few_positions_more_than_parameters_converge():
     """Twelve positions of unknown orientation for nine parameters: weights settle slowly."""
     random, up, failed = np.random.default_rng(2), read_scheme("icosahedron-12").up, 0

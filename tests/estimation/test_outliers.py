@@ -64,6 +64,7 @@ def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
 @pytest.mark.parametrize("n", [12, 24, 48])
 @pytest.mark.parametrize("stated", [False, True])
 @pytest.mark.parametrize(("sets", "most"), few_and_many((15, 2), (150, 6)))
+@pytest.mark.usefixtures("without_findings")
 def test_good_sets_keep_their_rows(unknown, n, stated, sets, most):
     # 1 % is allowed; of 150 sets more than 6 have a chance of 0.3 %, of 15 more than 2 of 0.04 %
     named = 0
@@ -77,6 +78,7 @@ def test_good_sets_keep_their_rows(unknown, n, stated, sets, most):
 
 
 @pytest.mark.parametrize(("sets", "least"), few_and_many((40, 0.86), (200, 0.93)))
+@pytest.mark.usefixtures("without_findings")
 def test_u_holds_after_rows_were_set_aside(sets, least):
     # of 120 numbers, fewer than 86 % have a chance of 1e-4 at 95 %
     rng, held = np.random.default_rng(5), []

@@ -137,6 +137,7 @@ def written(folder, parameters, outputs):
     return str(path)
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
     """By hand: s² from the residuals on n - (share of the readings) degrees of freedom."""
     generator = np.random.default_rng(4)

@@ -178,6 +178,7 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
 
 
 @pytest.mark.parametrize("claim", [1.0, 0.3])
+@pytest.mark.usefixtures("without_findings")
 def test_coverage_of_few_sets_whatever_their_claim(claim):
     """The coverage above, of 40 sets: a twentieth off would show (its sd is .007)."""
     rng, up, share = np.random.default_rng(12), sphere(12), []

@@ -58,6 +58,7 @@ def test_positions_are_listed_where_they_are_with_their_uncertainty(convention):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_a_unit_that_is_fitted_with_it_is_off_by_no_more_than_it_says():
     runs, count, inside = 20, 15, 0
     before, after = [], []

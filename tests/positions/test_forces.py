@@ -72,6 +72,7 @@ def test_uncertain_gravity_moves_what_the_rows_at_rest_decide():
     assert_allclose(added, np.abs(moved) * 0.01, rtol=2e-3, atol=2e-8)
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_uncertainty_of_the_force_is_covered():
     rng = np.random.default_rng(5)
     u = np.vstack([np.zeros(FACES.shape), np.full(CENTRIFUGE.shape, 1e-3)])

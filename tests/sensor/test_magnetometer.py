@@ -469,6 +469,7 @@ def test_matlab_and_magneto_are_met_on_good_data():
 
 
 @pytest.mark.parametrize(("n", "sd", "ratio"), [(200, (3, 3, 3), 0.95), (60, (1, 1, 3), 0.97)])
+@pytest.mark.usefixtures("without_findings")
 def test_noisy_data_do_better_than_the_classical_fit(n, sd, ratio):
     """rms error of the field over fresh directions, against Magneto's equation.
 

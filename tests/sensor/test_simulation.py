@@ -114,6 +114,7 @@ def test_temperature_runs():
     assert (log["temperature"][0], log["temperature"][-1]) == (10.0, 40.0)
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_fit_covers_the_truth():
     """Errors of 40 fits over their u: of 480, as many within U as 95 % intervals promise."""
     cal = sensor()

@@ -283,6 +283,7 @@ def random_linear_fit(kind, rng):
     ["unstated", "pooled", "stated", "denied", "one denied", "correlated", "closed form"],
 )
 @pytest.mark.parametrize("fits", few_and_many(1, 4))
+@pytest.mark.usefixtures("without_findings")
 def test_profile_of_a_linear_fit_is_its_interval(kind, fits):
     rng = np.random.default_rng(1515)
     for _ in range(fits):

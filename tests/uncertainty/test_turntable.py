@@ -58,6 +58,7 @@ def test_two_rolls_of_a_pair_tell_every_quantity_of_the_linear_model():
         assert_allclose(np.radians(error.value_deg), ERRORS[error.quantity], rtol=0, atol=5e-6)
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_a_perfect_table_has_no_errors_and_u_covers():
     runs, covered, total = 30, 0, 0
     for seed in range(runs):

@@ -163,6 +163,7 @@ def test_json_holds_and_gives_back_all_of_it(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("without_findings")
 def test_a_run_in_control_is_inconsistent_in_one_of_twenty_and_fails_as_seldom():
     """300 days: 15 ± 3.8 inconsistent by chance; more than 29 come once in 5000 such studies."""
     inconsistent = failed = 0
@@ -189,6 +190,7 @@ def over_soaks(temperatures, rng, zeros, shift=0.0):
 
 @pytest.mark.parametrize("run", [(20.0,), (-30.0, 0.0, 50.0)])
 @pytest.mark.parametrize("zeros", [0.0, 5e-4])
+@pytest.mark.usefixtures("without_findings")
 def test_zeros_of_soaks_make_no_run_disagree(run, zeros):
     """60 sensors of five soaks: at 1 % no more than four runs (binomial, .3 %) disagree."""
     found = 0
@@ -209,6 +211,7 @@ def test_zeros_of_soaks_make_no_run_disagree(run, zeros):
 
 @pytest.mark.parametrize("tilt", [False, True])
 @pytest.mark.parametrize("sensors", [16, pytest.param(80, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("without_findings")
 def test_zeros_of_soaks_are_in_the_uncertainty_of_every_error(tilt, sensors):
     """Five soaks, zeros of five times the noise: U of rows held 80 % (tilt 74) without them.
 

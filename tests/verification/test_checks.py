@@ -96,6 +96,7 @@ def test_verdicts_by_hand(error, U, verdict):
     assert found.tolist() == [[verdict, ""]]
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_u_covers_the_error_of_an_independent_run():
     """u has the calibration and the run's noise in it: normalised errors have unit variance."""
     z = []

@@ -59,6 +59,7 @@ def test_sessions_that_differ_by_far_more_than_their_noise_by_hand():
     assert mp.compare(*found).combined is None
 
 
+@pytest.mark.usefixtures("without_findings")
 def test_sessions_that_agree_are_no_four_times_too_long():
     """Three sessions of one truth: U covers it, and is less than twice as long as need be."""
     rng = np.random.default_rng(11)
