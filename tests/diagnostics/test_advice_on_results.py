@@ -433,7 +433,7 @@ def stated_rows(rng, late, count):
 
 
 follows("in-motion", "Correct its rows")(lambda rng: stated_rows(rng, 150, 1))
-follows("in-motion", "State their rows")(lambda rng: stated_rows(rng, 150, 3))
+follows("in-motion", "Correct their rows")(lambda rng: stated_rows(rng, 150, 3))
 follows("motion-at-edge", "Give fewer rows of it")(lambda rng: stated_rows(rng, 30, 1))
 follows("motion-at-edge", "Give fewer rows of them")(lambda rng: stated_rows(rng, 30, 3))
 
