@@ -69,12 +69,12 @@ def main() -> None:
     rng, sd = np.random.default_rng(1), 1e-4
     scheme = mp.read_scheme("icosahedron-12")
     (entry,) = mp.schemes(scheme, unknown_orientation=True, reading_sd=sd)["schemes"]
-    found = []
-    for _ in range(200):
-        values = scheme.up + sd * rng.standard_normal((12, 3))
-        readings = dict(zip(("ax", "ay", "az"), values.T, strict=True))
-        found.append(mp.fit(readings, unknown_orientation=True, reading_sd=sd).parameters)
-    ratio = np.std(found, axis=0, ddof=1) / list(entry["u"].values())
+    values = scheme.up + sd * rng.standard_normal((200, 12, 3))
+    readings = dict(zip(("ax", "ay", "az"), values.reshape(-1, 3).T, strict=True))
+    readings["unit"] = np.repeat(np.arange(200), 12)
+    found = mp.fit_many(readings, unit_column="unit", unknown_orientation=True, reading_sd=sd)
+    parameters = [found[name] for name in found if f"u_{name}" in found]
+    ratio = np.std(parameters, axis=1, ddof=1) / list(entry["u"].values())
     print(bool(abs(ratio - 1).max() < 3.5 / math.sqrt(2 * 200)))
 
 
