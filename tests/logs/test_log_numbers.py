@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2, ortho_group
 
 import multipos as mp
-from multipos.logs import faults, joining
+from multipos.logs import faults, joining, opening
 from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.faults import find_stuck, find_wrapped
 from multipos.logs.joining import _alike, _from_lines, _match_rows
@@ -38,7 +38,7 @@ from multipos.logs.rests import (
 )
 from multipos.logs.samples import Samples, _turns, good_rows
 from multipos.logs.still import _find_spikes, would_take
-from multipos.logs.text_logs import open_lines, read_plain
+from multipos.logs.text_logs import _decode, open_lines, read_plain
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
 
 # --- clocks and cells
@@ -511,3 +511,32 @@ def test_a_text_that_still_comes_is_read_from_its_first_lines():
     (piece,) = live.log.read((), ("ay", "time"), ())
     assert piece.table.columns["ay"].tolist() == [-2.0, 4.0]
     assert piece.table.columns["time"].tolist() == [0.5, 1.0]
+
+
+def test_the_head_of_a_log_of_many_columns_has_its_first_lines(tmp_path):
+    (tmp_path / "wide.csv").write_bytes(b"x," * (opening.HEAD + 7) + b"y\n1\n")
+    head = opening._read_head(tmp_path / "wide.csv")
+    assert len(head) == 2 * (opening.HEAD + 7) + 4
+    assert head.endswith(b"y\n1\n")
+
+
+def test_pieces_that_were_kept_in_a_file_come_back(tmp_path):
+    rng = np.random.default_rng(1)
+    pieces = [rng.normal(size=(4, 5)), rng.normal(size=(4, 3))]
+    with (tmp_path / "kept").open("w+b") as stream:
+        for piece in pieces:
+            stream.write(piece.tobytes())
+        state = SimpleNamespace(
+            _file=stream, _sizes=[5, 3], outputs=("a", "b"), others=("t",), clock=1
+        )
+        found = list(Samples._in_file(state))
+    assert all((a == b).all() for a, b in zip(found, pieces, strict=True))
+
+
+def test_a_head_may_end_inside_a_letter():
+    """Of three bytes at most, and only where it was cut."""
+    full = b"a" * (opening.HEAD - 2) + "\u20ac".encode()[:2]
+    assert _decode("p", full) == "a" * (opening.HEAD - 2)
+    for bad in (full[1:], b"a" + "\u20ac".encode()[:2] + full[3:]):
+        with pytest.raises(mp.MultiposError, match="byte 0xe2 is not UTF-8"):
+            _decode("p", bad)
