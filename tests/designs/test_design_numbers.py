@@ -28,7 +28,7 @@ from multipos.designs.designing import (
     _time_s,
     smaller_designs,
 )
-from multipos.designs.exchange import _roughly, _tidy
+from multipos.designs.exchange import _roughly, _tidy, polish
 from multipos.designs.information import Setting, tangents
 from multipos.designs.optimum import _length, _spread
 from multipos.designs.prospects import information_of, measured, worth_sentence, worth_text
@@ -313,3 +313,18 @@ def test_sentences_count_schemes_and_positions():
     assert worth_sentence(found).startswith("Best next position: up (0.6, 0, 0.8), u of ax:1 falls")
     found.parameter = None
     assert "u of all parameters falls by 12 %" in worth_sentence(found)
+
+
+def test_positions_that_nothing_improves_stay_as_they_were():
+    """Faces turned anyhow are the best six for the linear model; of others the criterion rises."""
+    turn = np.linalg.qr(away_from_zero((3, 3)))[0]
+    known, nothing = Setting(LINEAR), np.empty((0, 3))
+    faces = read_scheme("faces-6").up @ turn
+    value, up = polish(known, faces, Criterion("D"), nothing)
+    assert up is faces
+    assert value == pytest.approx(9.0 * math.log(1.0 / 3.0) / 12.0)
+    off = faces + 0.05 * away_from_zero((6, 3), 2)
+    off /= np.linalg.norm(off, axis=1, keepdims=True)
+    better, up = polish(known, off, Criterion("D"), nothing)
+    assert better == pytest.approx(value, abs=1e-9)
+    assert up is not off

@@ -540,3 +540,35 @@ def test_a_head_may_end_inside_a_letter():
     for bad in (full[1:], b"a" + "\u20ac".encode()[:2] + full[3:]):
         with pytest.raises(mp.MultiposError, match="byte 0xe2 is not UTF-8"):
             _decode("p", bad)
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_rests_far_beyond_the_median_take_no_part(outputs):
+    """At one in a thousand of χ²/ν over its median, whose ν is that of all usable outputs."""
+    nu = outputs / float(joining._WEIGHT @ joining._WEIGHT)
+    limit = chi2.isf(1e-3, nu) / chi2.median(nu)
+    size = np.tile([1.0, 1.3, 0.8, 1.0, 1.1, 0.9, 1.0], (2, 1)).T
+    size[3] = 0.99 * limit
+    usable = np.ones((7, 2), dtype=bool)
+    usable[:, outputs:] = False
+    size[:, outputs:] = 1e9
+    assert joining._are_usual(size, usable).tolist() == [True] * 7
+    size[3, :outputs] = 1.01 * limit
+    assert np.flatnonzero(~joining._are_usual(size, usable)).tolist() == [3]
+
+
+def test_what_is_common_to_rests_raises_their_u():
+    """Where it is more than their own, with degrees of freedom from one to what they had."""
+    each = mean_of(
+        u=np.array([0.2, 0.3]), dof=np.array([9.0, 5.0]), drift_factor=np.array([2.0, 1.0])
+    )
+    found = joining._raised(
+        each, np.array([True, False]), np.array([0.25, 0.01]), np.array([4.0, 2.0])
+    )
+    assert_allclose(found.u, [0.5, 0.3])
+    assert_allclose(found.common, [0.5 * 2.0 / 0.2, 1.0])
+    assert_allclose(found.dof, [4.0, 5.0])
+    found = joining._raised(
+        each, np.ones(2, dtype=bool), np.array([0.25, 0.16]), np.array([0.3, 70.0])
+    )
+    assert_allclose(found.dof, [1.0, 5.0])
