@@ -518,3 +518,24 @@ def test_several_regressions_are_checked_side_by_side(monkeypatch):
     parts["b"].segments = {}
     found = regressions.check_regressions(both, {"a": [1.0]})
     assert (found.segments, found.U_family) == ({}, None)
+
+
+def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
+    t_ = np.array([0.5, -1.0, 2.0, 3.0, 4.0])
+
+    def segment(columns, C):
+        between = SimpleNamespace(columns=lambda at, mine: np.column_stack([mine + 1.0]))
+        return SimpleNamespace(
+            terms=range(columns), covariance=C, robust=None, between=between,
+            design=lambda at, mine: t_[mine, None] ** np.arange(columns),
+        )  # fmt: skip
+
+    C = [np.array([[0.4, 0.1], [0.1, 0.3]]), np.array([[0.25]])]
+    r = SimpleNamespace(segments=[segment(2, C[0]), segment(1, C[1])])
+    place, run, e = np.array([0, 0, 1, 1, 0]), np.array([0, 1, 1, 0, 1]), np.arange(5.0)
+    found = regressions._rows(r, {}, place, e, run)
+    assert_allclose(found.X, [[1, 0.5, 0], [1, -1, 0], [0, 0, 1], [0, 0, 1], [1, 4, 0]])
+    assert_allclose(found.Z, [[1, 0], [0, 2], [0, 3], [4, 0], [0, 5]])
+    whole = np.zeros((3, 3))
+    whole[:2, :2], whole[2, 2] = C[0], 0.25
+    assert_allclose(found.root @ found.root.T, whole)
