@@ -18,7 +18,11 @@ from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
 from multipos.estimation.posteriors import _dof_of_tail, _probable
 from multipos.estimation.problem import OpenRolls, eliminate_free, turn_to_axes
 from multipos.estimation.robustness import _middle
-from multipos.estimation.stated_uncertainty import combined_dof, with_stated_dof
+from multipos.estimation.stated_uncertainty import (
+    add_reference_noise,
+    combined_dof,
+    with_stated_dof,
+)
 from multipos.estimation.uncertain import _scale_bias
 from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from multipos.estimation.unknown_orientations import fit_ellipsoids
@@ -410,3 +414,39 @@ def test_the_bias_of_a_scale_by_the_noise_across_it(u, said):
     assert bool(found) is said
     if said:
         assert found[0].text.startswith(f"`scale_a` is too large by about {bias[0]:.2g}")
+
+
+@pytest.mark.parametrize("across", [0.0, 0.05, 0.3])
+def test_what_uncertain_forces_add_to_the_noise_of_readings(across):
+    """U + J diag(u²) J'; a share below a hundredth of correlation is none."""
+    # eq. (4) of estimation.stated_uncertainty
+    rng = np.random.default_rng(2)
+    up = mp.read_scheme("fibonacci-5").up
+    J = np.diag([2.0, 1.5, 1.1]) + across * rng.uniform(0.5, 1.0, (3, 3)) * (1.0 - np.eye(3))
+    u, reference_u = rng.uniform(0.01, 0.02, (5, 3)), rng.uniform(0.002, 0.005, (5, 3))
+    model = SimpleNamespace(force_jacobian=lambda b, f, env: np.tile(J, (5, 1, 1)))
+    solution = SimpleNamespace(
+        model=model, parameters=None, reference=up, residual_sd=np.array([0.3, 0.2, 0.4])
+    )
+    blocks = [J @ np.diag(each**2) @ J.T for each in reference_u]
+    given = mp.Readings(up, up=up, u=u, reference_u=reference_u)
+    found = add_reference_noise(given, solution)
+    V = [np.diag(own**2) + block for own, block in zip(u, blocks, strict=True)]
+    scale = [np.sqrt(np.diag(each)) for each in V]
+    beside = max(
+        np.abs(v / np.outer(s, s) - np.eye(3)).max() for v, s in zip(V, scale, strict=True)
+    )
+    if beside <= 0.01:
+        assert_allclose(found.u, scale)
+        assert found.covariance is None
+    else:
+        whole = found.covariance.reshape(5, 3, 5, 3)
+        for i in range(5):
+            assert_allclose(whole[i, :, i, :], V[i], rtol=1e-12)
+        assert not whole[0, :, 1, :].any()
+        assert found.u is None
+    # without stated noise it is a thousandth of what residuals show
+    plain = add_reference_noise(mp.Readings(up, up=up, reference_u=reference_u), solution)
+    variance = np.diag(blocks[3]) + 1e-6 * solution.residual_sd**2
+    own = plain.u[3] ** 2 if plain.u is not None else np.diag(plain.covariance)[9:12]
+    assert_allclose(own, variance, rtol=1e-12)
