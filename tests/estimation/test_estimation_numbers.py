@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
 import multipos as mp
-from multipos.estimation import correlated_rows, posteriors, stated_uncertainty
+from multipos.estimation import correlated_rows, known, posteriors, stated_uncertainty
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
 from multipos.estimation.known import fit_output
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
@@ -27,6 +27,7 @@ from multipos.estimation.uncertain import _scale_bias
 from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from multipos.estimation.unknown_orientations import fit_ellipsoids
 from multipos.estimation.user_models import _moved_by_rotations
+from multipos.sensor.fit_diagnostics import bartlett
 from multipos.sensor.model import build_model
 
 # --- orientations
@@ -450,3 +451,22 @@ def test_what_uncertain_forces_add_to_the_noise_of_readings(across):
     variance = np.diag(blocks[3]) + 1e-6 * solution.residual_sd**2
     own = plain.u[3] ** 2 if plain.u is not None else np.diag(plain.covariance)[9:12]
     assert_allclose(own, variance, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("times", "found"), [(1.0, 0), (8.0, 1)])
+def test_outputs_that_share_a_scatter_by_bartlett_s_test(times, found):
+    """Sums of squares of 9 and 20 degrees of freedom, of variances that are alike or as 1 to 8."""
+    residuals = np.zeros((30, 2))
+    residuals[0] = np.sqrt([9.0, 20.0 * times])
+    shared = SimpleNamespace(dof=np.array([9.0, 20.0]))
+    one = SimpleNamespace(sd=None, residuals=residuals)
+    squares = np.array([9.0, 20.0 * times])
+    p = bartlett(np.array([9.0, 20.0 * times]), shared.dof)
+    pooled = squares.sum() / 29.0
+    statistic = 29.0 * math.log(pooled) - shared.dof @ np.log(squares / shared.dof)
+    statistic /= 1.0 + (1.0 / 9.0 + 1.0 / 20.0 - 1.0 / 29.0) / 3.0
+    assert p == pytest.approx(chi2.sf(statistic, 1), rel=1e-6)
+    assert len(known._of_noise(shared, one, True)) == found
+    assert known._of_noise(shared, one, False) == ()
+    shared.dof[0] = 0.0
+    assert len(known._of_noise(shared, one, True)) == 1

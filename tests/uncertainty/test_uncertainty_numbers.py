@@ -11,7 +11,8 @@ from scipy.stats import t
 
 import multipos as mp
 from multipos.sensor.found import Estimator
-from multipos.uncertainty import monte_carlo, sensitivities, turntable
+from multipos.sensor.model import build_model
+from multipos.uncertainty import monte_carlo, sensitivities, turntable, validity
 from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
 from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
@@ -361,3 +362,25 @@ def test_rolls_of_open_angle_turn_only_across_their_circles():
     moved = np.cross(vectors[:, 2], reference[0])
     assert abs(moved @ [1.0, 0.0, 0.0]) == pytest.approx(1.0, abs=1e-6)
     assert_allclose(turns[:, 1].std(axis=0), 0.02, rtol=0.03)
+
+
+def test_how_force_follows_parameters_at_the_mean_temperature():
+    """df/dp = −K⁻¹ X of y = b + K f + c T, at T of 20 on average; what is unseen beside it."""
+    rng = np.random.default_rng(3)
+    formula = "1 + x + z + temperature"
+    model = build_model(formula, ("a", "b"), ("x", "z"), ("x", "z"), known=("temperature",))
+    theta = rng.normal(size=8) + np.array([0, 3, 0, 0, 0, 0, 3, 0])
+    c = SimpleNamespace(
+        model=model, parameters=theta,
+        readings=SimpleNamespace(environment={"temperature": np.array([12.0, 20.0, 28.0])}),
+    )  # fmt: skip
+    asked = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(validity, "unseen_covariance", lambda *given: asked.append(given) or "unseen")
+        slopes, unseen = validity._sensitivity(c, np.array([[0.6, -0.8], [0.1, 0.2]]))
+    assert unseen == "unseen"
+    assert asked[0][2]["temperature"].tolist() == [20.0, 20.0]
+    K = theta.reshape(2, 4)[:, 1:3]
+    for f, found in zip(((0.6, -0.8), (0.1, 0.2)), slopes, strict=True):
+        X = np.kron(np.eye(2), [1.0, *f, 20.0])
+        assert_allclose(found, -np.linalg.inv(K) @ X, rtol=1e-9)
