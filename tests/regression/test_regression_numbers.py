@@ -11,6 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 from multipos.numerics.terms import parse_terms
+from multipos.regression import region
 from multipos.regression.correlation import (
     _autoregression,
     _filtered,
@@ -32,7 +33,7 @@ from multipos.regression.observations import (
 from multipos.regression.piecewise import _local, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
-from multipos.regression.robust import _by_law, _tested, within_runs
+from multipos.regression.robust import _by_law, _tested, robust_fit, within_runs
 from multipos.regression.segmentation import hinges
 
 
@@ -316,3 +317,17 @@ def test_rows_of_runs_and_their_usual_window():
     each = [default_window(time[[1, 4, 6, 7]]), default_window(time[[0, 2, 5]])]
     assert _usual_window(time, run) == pytest.approx(np.mean(each))
     assert _usual_window(np.sort(time), None) == default_window(np.sort(time))
+
+
+@pytest.mark.parametrize(("dof", "rss"), [(0, 1.0), (5, 0.0)])
+def test_what_leaves_nothing_has_no_robust_covariance(dof, rss):
+    assert robust_fit(SimpleNamespace(dof=dof, rss=rss), None, None, "hac") is None
+
+
+def test_leverage_of_many_rows_is_worked_out_in_pieces(monkeypatch):
+    monkeypatch.setattr(region, "_ROWS", 3)
+    terms, factor = parse_terms("1 + t"), np.array([[0.3, -0.2], [0.0, 0.5]])
+    t_ = np.arange(7.0)
+    values = np.stack([np.ones(7), t_])
+    found = Region(terms, factor, 1.0).leverage({"t": t_}, 7)
+    assert_allclose(found, np.sum((factor @ values) ** 2, axis=0))
