@@ -215,21 +215,22 @@ def force_uncertainty(
     moved = (flat @ calibration.covariance).reshape(from_parameters.shape)
     result: Array = moved @ from_parameters.transpose(0, 2, 1)
     result += (inverse * spread[:, None, :]) @ inverse.transpose(0, 2, 1)
+    if unseen is not None:
+        result += unseen
+    total = np.einsum("nkk->nk", result)
+    size = np.where(total > 0.0, total, 1.0)  # squares of shares of it do not overflow
     effective = np.zeros((n, k))
     for output, part in enumerate(model.slices):
         own, block = from_parameters[:, :, part], calibration.covariance[part, part]
         share = quadratic(own, block)
         share += inverse[:, :, output] ** 2 * spread[:, [output]]
-        effective += share**2 / (calibration.dof[output] or math.nan)
+        effective += (share / size) ** 2 / (calibration.dof[output] or math.nan)
     shared = model.output_of == len(model.outputs)  # what several outputs tell together
     if shared.any():
         own, block = from_parameters[:, :, shared], calibration.covariance[np.ix_(shared, shared)]
-        effective += quadratic(own, block) ** 2 / calibration.dof.sum()
-    if unseen is not None:
-        result += unseen
-    total = np.einsum("nkk->nk", result)
+        effective += (quadratic(own, block) / size) ** 2 / calibration.dof.sum()
     with np.errstate(divide="ignore", invalid="ignore"):
-        dof = np.where(effective == 0.0, np.inf, total**2 / effective)
+        dof = np.where(effective == 0.0, np.inf, (total / size) ** 2 / effective)
     if k == 1:
         result[:, 0, 0] += _unseen_circle(calibration, rest)
     elif k == 2:

@@ -38,6 +38,17 @@ def write(path, columns):
     return str(path)
 
 
+def test_a_huge_noise_has_the_degrees_of_freedom_of_a_large_one():
+    """Welch and Satterthwaite's figure does not change with the scale of a noise above all else."""
+    up = read_scheme("faces-corners-14").up
+    values = up + np.random.default_rng(3).normal(0.0, 1e-3, up.shape)
+    cal = mp.fit(mp.Readings(values, up=up, outputs=("ax", "ay", "az"), unit="g"))
+    with np.errstate(all="raise"):
+        dof = [force_uncertainty(cal, up, {}, np.full(3, sd))[1] for sd in (1e3, 1e78)]
+    assert_allclose(dof[1], dof[0], rtol=1e-6)
+    assert_allclose(dof[0], cal.dof[0], rtol=1e-3)
+
+
 @pytest.mark.parametrize(("inputs", "third"), [("x,y", 0.0), ("x,y,z", 0.01)])
 def test_noise_free_rolls_return_the_paper_s_parameters(inputs, third):
     bench = make_bench(np.random.default_rng(1), third=third)
