@@ -107,7 +107,7 @@ def test_uncertainty_of_compensated_force_is_the_sum_of_its_parts(own, monkeypat
 
 
 @pytest.mark.parametrize("column", [None, "p,q"])
-def test_several_regressions_correct_a_column_each(column, monkeypatch):
+def test_several_regressions_correct_a_column_each(column):
     """Named after their responses; a row is outside where any says so, and counted once."""
     asked = []
 
@@ -115,14 +115,13 @@ def test_several_regressions_correct_a_column_each(column, monkeypatch):
         noise = "stated"
         findings = (Finding("outside", "warning", "3"), Finding("other", "note", "what"))
 
-    def correct(one, table, *, column, **_):
+    def correct(one, *, column):
         asked.append(column)
         outside = np.eye(4, dtype=int)[one]
         return Found(t=table.columns["t"], corrected=np.full(4, one), outside=outside)
 
-    monkeypatch.setattr(correction, "correct", correct)
     table = Table("s", {"t": np.arange(4.0)}, rows=4)
-    found = _correct_each({"a": 1, "b": 3}, table, column, "flag", True, None, False)
+    found = _correct_each({"a": 1, "b": 3}, table, column, correct)
     assert asked == ([None, None] if column is None else ["p", "q"])
     assert list(found) == ["t", "corrected_a", "corrected_b", "outside"]
     assert list(found["outside"]) == [0, 1, 0, 1]
@@ -131,7 +130,7 @@ def test_several_regressions_correct_a_column_each(column, monkeypatch):
     (said,) = (each.text for each in found.findings if each.code == "outside")
     assert said.startswith("2 of 4 rows")
     with pytest.raises(UsageError, match="names 1 columns for 2 responses"):
-        _correct_each({"a": 1, "b": 3}, table, "p", "flag", True, None, False)
+        _correct_each({"a": 1, "b": 3}, table, "p", correct)
 
 
 def test_rows_beyond_the_columns_of_the_calibration_are_clamped():
