@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, file_progress
+from multipos.commands.options import declare, file_progress, options_of
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.averages import averages_sentence, averages_text
@@ -20,11 +20,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
     with file_progress(arguments.logs, "reading") as progress:
         from multipos.logs.averaging import average  # with the search for rests
 
-        found = average(*arguments.logs, progress=progress, **options)
+        found = average(*arguments.logs, progress=progress, **options_of(arguments, "average"))
     return Answer(
         sentence=lambda: averages_sentence(found),
         text=lambda: averages_text(found),

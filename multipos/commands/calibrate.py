@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.options import asks_export, declare, export_options, file_progress
+from multipos.commands.options import asks_export, declare, file_progress, options_of
 from multipos.files.trees import to_json
 from multipos.finding import in_order
 from multipos.fitting.calibrate_logs import fit_rests, rests_or_rows
@@ -34,22 +34,6 @@ OUTPUT = Output(
     ("text",),
     beside=_beside,
 )
-# Whose option is whose: what is left is of the fit.
-_AVERAGE = (
-    *("outputs", "columns", "time_column", "time_unit", "rate", "min_duration", "threshold"),
-    *(
-        "sections",
-        "label_column",
-        "only",
-        "signed",
-        "drop_bad",
-        "accept_faults",
-        "scheme",
-        "order",
-        "convention",
-    ),
-)
-_OWN = ("logs", "json", "output")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -64,19 +48,16 @@ def run(arguments: argparse.Namespace) -> Answer:
         from multipos.commands.export import check_targets
 
         check_targets(arguments)
-    options = vars(arguments)
     with file_progress(arguments.logs, "reading") as progress:
-        chosen = {name: options[name] for name in _AVERAGE}
         found = rests_or_rows(
             *arguments.logs,
-            exclude=options["exclude"],
-            field=options["field"],
-            unit=options["unit"],
+            exclude=arguments.exclude,
+            field=arguments.field,
+            unit=arguments.unit,
             progress=progress,
-            **chosen,
+            **options_of(arguments, "average"),
         )
-    apart = {*_AVERAGE, "to", *export_options(arguments), *_OWN, "keep_going"} - {"convention"}
-    fitting = {name: value for name, value in options.items() if name not in {*apart, "model"}}
+    fitting = options_of(arguments, "fit", ["outputs", "scheme", "order", "model"])
     calibration = fit_rests(found, arguments.model, **fitting)
     exports, refused = _exports(calibration, arguments)
     listing = [

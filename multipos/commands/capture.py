@@ -23,7 +23,7 @@ from multipos.capturing.session import Session, line_of
 from multipos.capturing.streams import open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
-from multipos.commands.options import declare, export_options, say
+from multipos.commands.options import declare, options_of, say
 from multipos.exports.target import Exported
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
@@ -60,9 +60,6 @@ OUTPUT = Output(
     beside=_beside,
 )
 PORT = 8035
-_READING = ("outputs", "time_column", "time_unit", "rate", "min_duration", "threshold")
-_OWN = ("source", "json", "output", "columns", "target", "positions", "resume", "port", "headless")
-_UNUSED = ("drop_bad", "scheme", "order")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -78,13 +75,15 @@ def run(arguments: argparse.Namespace) -> Answer:
     if path is not None and source.path is not None:
         refuse_inputs([path, *_beside(arguments)], [str(source.path)])
     source.untimed = source.untimed and arguments.rate is None
-    options = vars(arguments)
-    apart = {*_READING, "to", *export_options(arguments), *_OWN, *_UNUSED}
-    fitting = {name: value for name, value in options.items() if name not in apart}
-    plan = make_plan(
-        arguments.target, arguments.positions, arguments.scheme, fitting, arguments.order
+    given = arguments
+    fitting = options_of(given, "fit", ["outputs", "scheme", "order"])
+    plan = make_plan(given.target, given.positions, given.scheme, fitting, given.order)
+    reading = make_reading(
+        outputs=given.outputs,
+        min_duration=given.min_duration,
+        threshold=given.threshold,
+        **options_of(given, "reading", ["columns", "drop_bad"]),
     )
-    reading = make_reading(**{name: options[name] for name in _READING})
     with ExitStack() as stack:
         kept = stack.enter_context(keep(source, path, resume=arguments.resume))
         session = _begin(plan, reading, kept, headless=arguments.headless)

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.finding import Findings, errors_of
@@ -34,12 +34,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     fitted = read_schema(arguments.calibration) == SCHEMA
     calibration = (load_regression if fitted else load)(arguments.calibration)
-    options = {
-        name: value
-        for name, value in vars(arguments).items()
-        if name not in ("calibration", "readings", "json", "output")
-    }
-    found = check(calibration, arguments.readings, **options)
+    found = check(calibration, arguments.readings, **options_of(arguments, "check"))
     return Answer(
         sentence=lambda: check_sentence(found),
         text=lambda: check_text(found),

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
@@ -29,12 +29,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = compare(
-        *arguments.calibrations,
-        confidence=arguments.confidence,
-        combine=arguments.combine,
-        limits=arguments.limits,
-    )
+    found = compare(*arguments.calibrations, **options_of(arguments, "compare"))
     return Answer(
         sentence=lambda: comparison_sentence(plain(found.to_dict())),
         text=lambda: _text(found)[0],

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, progress_bar, setting_of
+from multipos.commands.options import declare, options_of, progress_bar, setting_of
 from multipos.designs.designing import (
     Design,
     design,
@@ -35,22 +35,12 @@ def run(arguments: argparse.Namespace) -> Answer:
         raise UsageError("--move-time takes two times of 0 or more: per position, per degree.")
     if arguments.seed < 0:
         raise UsageError(f"--seed must be 0 or more, got {arguments.seed}.")
-    axes = arguments.axes or ("x", "y", "z")
+    options = options_of(arguments, "design")
+    axes = options["axes"] = options["axes"] or ("x", "y", "z")
     setting = setting_of(arguments)
 
     def make(positions: int) -> Design:
-        return design(
-            positions=positions,
-            criterion=arguments.criterion,
-            axes=axes,
-            candidates=arguments.candidates,
-            include=arguments.include,
-            region=arguments.region,
-            move_time=move_time,
-            seed=arguments.seed,
-            order=arguments.order,
-            **setting,
-        )
+        return design(**options | {"positions": positions})
 
     with progress_bar("searching positions"):
         found = make(arguments.positions)

@@ -11,7 +11,7 @@ from typing import Any
 
 from multipos.bias_stability.stability_result import SCHEMA, load_stability
 from multipos.commands.answers import STDOUT, Answer, Output
-from multipos.commands.options import declare, export_options
+from multipos.commands.options import declare, options_of
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Exported, Target, self_test
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     exported = export(
         _loaded(arguments.calibration),
         arguments.to,
-        **export_options(arguments),
+        **options_of(arguments, "export options"),
         correct=arguments.correct,
         nominal=arguments.nominal,
     )
@@ -108,7 +108,7 @@ def check_targets(arguments: argparse.Namespace) -> None:
     strange = [name for name in arguments.to if named_target(name) is None]
     if strange:
         raise UsageError(f"--to takes {names}, got '{strange[0]}'.")
-    for option, value in export_options(arguments).items():
+    for option, value in options_of(arguments, "export options").items():
         if value not in (None, False):
             _require_owner(option, arguments.to)
     if arguments.to and arguments.output in (None, STDOUT):
@@ -145,7 +145,7 @@ def make_exports(
         assert target is not None
         try:
             made[beside(path, target)] = export(
-                calibration, name, **_own(target, export_options(arguments))
+                calibration, name, **_own(target, options_of(arguments, "export options"))
             )
         except UsageError:
             raise

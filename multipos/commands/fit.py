@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
@@ -21,8 +21,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
-    calibration = fit(arguments.readings, **options)
+    calibration = fit(arguments.readings, **options_of(arguments, "fit"))
     return Answer(
         sentence=lambda: calibration_sentence(calibration),
         text=lambda: parameter_text(calibration),

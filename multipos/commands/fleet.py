@@ -8,7 +8,7 @@ from pathlib import Path
 from shutil import rmtree
 
 from multipos.commands.answers import Answer, Output, same_file
-from multipos.commands.options import declare, progress_bar
+from multipos.commands.options import declare, options_of, progress_bar
 from multipos.errors import MultiposError, UsageError
 from multipos.files.trees import to_json
 from multipos.files.whole import no_folder
@@ -38,7 +38,6 @@ OUTPUT = Output(
     required=True,
     beside=lambda arguments: _written(Path(arguments.output)),
 )
-_OWN = ("tables", "json", "output")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +49,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     folder = Path(arguments.output)
     _check_place(folder, arguments.tables)
-    options = {name: value for name, value in vars(arguments).items() if name not in _OWN}
+    options = options_of(arguments, "fleet")
     with progress_bar("units", 0) as advance, _kept_if_stopped(folder) as kept:
         found = fleet(*arguments.tables, progress_folder=kept, progress=advance, **options)
         content = fleet_content(found.to_dict())

@@ -119,6 +119,22 @@ def _keywords(row: Mapping[str, str], words: Mapping[str, str]) -> dict[str, Any
     return found
 
 
+def options_of(
+    arguments: argparse.Namespace, group: str, but: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return what the options of a group hold, by name, but some."""
+    given = vars(arguments)
+    return {name: given[name] for name in _names_of(group) if name in given and name not in but}
+
+
+def _names_of(group: str) -> Iterator[str]:
+    for row in _rows()[group]:
+        if row["option"].startswith("@"):
+            yield from _names_of(row["option"][1:])
+        elif row["option"].startswith("--"):
+            yield row["option"][2:].replace("-", "_")
+
+
 def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
     """Let an option take ``-2,2`` as its value: argparse knows negative numbers, not lists."""
     parser._negative_number_matcher = re.compile(r"^-(\d|\.\d)[\d.,eE+-]*$")
@@ -126,8 +142,7 @@ def accept_negative_lists(parser: argparse.ArgumentParser) -> None:
 
 def setting_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what the groups model and setting hold, as schemes and their figures take it."""
-    names = ("model", "inputs", "unknown_orientation", "orientation_sd", "reading_sd")
-    return {name: getattr(arguments, name) for name in names}
+    return options_of(arguments, "model", ["axes"]) | options_of(arguments, "setting")
 
 
 _HEADS = {"error": "not fit for use", "warning": "warning", "note": "note"}
@@ -159,17 +174,9 @@ def take_full_scale(arguments: argparse.Namespace) -> None:
     arguments.nominal = [0.0, 2.0 ** (bits - 1) / full]
 
 
-def export_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of the group export options, as `export` takes them."""
-    asked = ("name", "float", "fixed", "allow_lossy", "force")
-    own = ("output_unit", "instance", "device_id", "stability", "tilt")
-    return {name: getattr(arguments, name) for name in (*asked, *own)}
-
-
 def asks_export(arguments: argparse.Namespace) -> bool:
     """Tell whether a target is asked for, or an option that some of them have."""
-    options = export_options(arguments)
-    del options["name"]  # has a default
+    options = options_of(arguments, "export options", ["name"])  # which has a default
     return bool(arguments.to) or any(value not in (None, False) for value in options.values())
 
 

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.files.tables import Source
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
@@ -24,7 +24,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("data", "json", "output")}
+    options = options_of(arguments, "regress")
     data: Source
     if len(arguments.data) > 1:
         data, options["run"] = join_runs(arguments.data, options["run"])

@@ -5,7 +5,7 @@ import argparse
 from multipos.bias_stability.analysis import stability
 from multipos.bias_stability.stability_result import stability_sentence, stability_text
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, file_progress
+from multipos.commands.options import declare, file_progress, options_of
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
@@ -22,9 +22,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("logs", "json", "output")}
     with file_progress(arguments.logs, "reading") as progress:
-        found = stability(*arguments.logs, progress=progress, **options)
+        found = stability(*arguments.logs, progress=progress, **options_of(arguments, "stability"))
     return Answer(
         sentence=lambda: stability_sentence(found),
         text=lambda: stability_text(found),

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
@@ -20,8 +20,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    options = {k: v for k, v in vars(arguments).items() if k not in ("readings", "json", "output")}
-    found = tumble(arguments.readings, **options)
+    found = tumble(arguments.readings, **options_of(arguments, "tumble"))
     return Answer(
         sentence=lambda: tumble_sentence(found),
         text=lambda: tumbles_text(found) if isinstance(found, Tumbles) else tumble_text(found),

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Verification
 from multipos.exports.targets import verify_export
@@ -20,12 +20,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = verify_export(
-        arguments.file,
-        load_parts(arguments.calibration),
-        data=arguments.data,
-        run_foreign_code=arguments.run_foreign_code,
-    )
+    parts = load_parts(arguments.calibration)
+    found = verify_export(arguments.file, parts, **options_of(arguments, "verify-export"))
     return Answer(
         sentence=lambda: found.sentence,
         text=lambda: found.in_short if isinstance(found, Verification) else str(found),

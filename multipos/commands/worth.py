@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
+from multipos.commands.options import declare, options_of
 from multipos.designs.prospects import worth, worth_sentence, worth_text
 from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
@@ -21,12 +21,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     calibration = load(arguments.calibration)
     towards = "field" if calibration.field.magnetic else "up"
-    found = worth(
-        calibration,
-        candidates=arguments.candidates,
-        parameter=arguments.parameter,
-        target=arguments.target,
-    )
+    found = worth(calibration, **options_of(arguments, "worth"))
     return Answer(
         sentence=lambda: worth_sentence(found, towards),
         text=lambda: worth_text(found, towards),
