@@ -1,8 +1,8 @@
 """The command line: find the command, parse, settle its files, call, deliver.
 
-Every command lives in `multipos.commands` as a module with ``INPUTS``, ``OUTPUT``,
-``add_options(parser)`` and ``run(arguments)``, which returns an answer, a thin layer over the
-function of the same name; only the one that is asked for is imported. Results go to stdout once
+Every command lives in `multipos.commands` as a module with ``INPUTS``, ``OUTPUT`` and
+``run(arguments)``, which returns an answer, a thin layer over the function of the same name, and
+has its options in ``options.csv``; only the one asked for is imported. Results go to stdout once
 everything has succeeded, messages to stderr; exit status 1 means the data or the fit is at fault,
 2 the command line, and then stderr ends in one line that begins ``multipos: error:``; 3 that all
 is written and printed, and the verdict is negative.

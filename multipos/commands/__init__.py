@@ -1,4 +1,4 @@
-"""The commands of ``multipos``, one module each: ``add_options(parser)`` and ``run(arguments)``.
+"""The commands of ``multipos``, one module each with ``run(arguments)``; options in a table.
 
 Open `fit` first, a whole command; `answers` delivers what every command gives.
 """

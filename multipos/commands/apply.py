@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, file_progress
+from multipos.commands.options import file_progress
 from multipos.compensation.applying import apply_log, digits_written
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
@@ -19,11 +19,6 @@ from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "data", "beside")
 OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("parquet", "json", "text"))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "apply")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema, to_json
 from multipos.finding import Findings, errors_of
@@ -23,11 +23,6 @@ OUTPUT = Output(
     "text",
     ("json", "figure", "table"),
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "check")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
@@ -20,11 +20,6 @@ from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "compare")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of, progress_bar, setting_of
+from multipos.commands.options import options_of, progress_bar, setting_of
 from multipos.designs.designing import (
     Design,
     design,
@@ -21,11 +21,6 @@ INPUTS = ("candidates", "include", "region")
 OUTPUT = Output(
     "SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "figure", "text")
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "design")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

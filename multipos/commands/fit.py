@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
@@ -12,11 +12,6 @@ from multipos.sensor.calibration import Calibration
 
 INPUTS = ("readings", "scheme", "budget")
 OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text", "figure"))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "fit")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

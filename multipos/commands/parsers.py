@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from multipos.commands.answers import print_out
-from multipos.commands.options import accept_negative_lists
+from multipos.commands.options import accept_negative_lists, declare
 from multipos.errors import UsageError
 from multipos.files.spelling import near
 
@@ -50,7 +50,10 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     add("-v", "--verbose", action="store_true", help="print notes and all that explains")
     add("-q", "--quiet", action="store_true", help="print no findings")
     module = command(name)
-    module.add_options(parser)
+    if hasattr(module, "add_options"):
+        module.add_options(parser)
+    else:
+        declare(parser, name)
     module.OUTPUT.add_to(parser)
     return parser
 

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.files.tables import Source
 from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
@@ -15,11 +15,6 @@ INPUTS = ("data",)
 OUTPUT = Output(
     "REGRESSION.json", "write the result to REGRESSION.json", "json", ("figure", "text")
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "regress")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, progress_bar
+from multipos.commands.options import progress_bar
 from multipos.errors import UsageError
 from multipos.files.pipes import is_folder
 from multipos.files.trees import read_schema, to_json
@@ -41,11 +41,6 @@ OUTPUT = Output(
     ("paper", "markdown", "text", "certificate"),
     required=True,
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "report")
 
 
 def _of_fleet(arguments: argparse.Namespace) -> Answer:

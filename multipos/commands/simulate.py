@@ -3,7 +3,6 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json
@@ -17,11 +16,6 @@ OUTPUT = Output("READINGS.csv", "file to write instead of stdout", "table", ("js
 _BOTH = ("orientation_sd", "temperature", "seed")
 _READINGS = {"reading_sd": 0.0}
 _LOG = {"rate": 100.0, "rest": 5.0, "turn": 2.0, "sample_sd": 0.0, "correlation_time": 0.0}
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "simulate")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

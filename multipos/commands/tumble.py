@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
@@ -11,11 +11,6 @@ from multipos.verification.tumbling import Tumbles, tumble
 
 INPUTS = ("readings", "scheme")
 OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "text"))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "tumble")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Verification
 from multipos.exports.targets import verify_export
@@ -11,11 +11,6 @@ from multipos.files.trees import to_json
 
 INPUTS = ("file", "calibration", "data")
 OUTPUT = Output("OUT", "write the result to OUT as well", "text", ("json",))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "verify-export")
 
 
 def run(arguments: argparse.Namespace) -> Answer:

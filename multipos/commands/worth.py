@@ -3,18 +3,13 @@
 import argparse
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import declare, options_of
+from multipos.commands.options import options_of
 from multipos.designs.prospects import worth, worth_sentence, worth_text
 from multipos.files.trees import to_json
 from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "candidates")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    declare(parser, "worth")
 
 
 def run(arguments: argparse.Namespace) -> Answer:
