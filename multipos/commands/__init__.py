@@ -1,4 +1,4 @@
-"""The commands of ``multipos``, one module each with ``run(arguments)``; options in ``options.csv``.
+"""The commands of ``multipos``, a module each with ``run(arguments)``; options in ``options.csv``.
 
 Open `fit` first, a whole command; `answers` delivers what every command gives.
 """
