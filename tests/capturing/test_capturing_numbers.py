@@ -60,12 +60,12 @@ def test_an_easy_direction_is_taken_where_it_is_nearly_the_best(share, fine, mon
         return np.linspace(0.1, share if len(up) < 26 else 1.0, len(up))
 
     monkeypatch.setattr(poses, "_score", scored)
-    found = best_pose(MODEL, None, TAKEN, {}, unknown_orientation=False)
+    found = best_pose(MODEL, None, TAKEN, {})
     assert_allclose(found.direction, seen[1][-1] if fine else seen[0][-1])
     for up in seen:
         assert (up @ TAKEN.T).max() < math.cos(math.radians(20.0))
     every = mp.read_scheme("fibonacci-2000").up
-    assert best_pose(MODEL, None, every, {}, unknown_orientation=False) is None
+    assert best_pose(MODEL, None, every, {}) is None
 
 
 @pytest.mark.parametrize(

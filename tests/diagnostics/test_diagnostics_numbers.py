@@ -212,6 +212,18 @@ def test_misfits_of_a_field_are_freed_of_what_a_calibration_takes():
     assert design.shape == (60, 9)
 
 
+def test_what_is_mostly_one_reading_s_is_no_iron_that_moved():
+    """Of what the squares fall by in six rows a share in one, just below and above the limit."""
+    u, step = np.tile([1.0, 0.0, 0.0], (10, 1)), np.array([0.5, 0.0, 0.0])
+    nothing = np.zeros((10, 1))
+    for share in (magnetic._OF_ONE_ROW * 0.98, magnetic._OF_ONE_ROW * 1.02):
+        left = np.zeros(10)  # a row falls by 2 left .5 − .25
+        rest = (1.0 - share) / 5.0
+        left[3:9] = np.array([share, *[rest] * 5]) + 0.25
+        found = magnetic._of_one_row(u, nothing, left, slice(3, 9), step)
+        assert found is (share > magnetic._OF_ONE_ROW)
+
+
 @pytest.mark.parametrize(("gained", "end"), [(0.9, 60), (0.9, 50), (0.02, 60)])
 def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monkeypatch):
     """Three numbers of 80 rows that are worth 40: the part is one of 45."""
@@ -223,9 +235,11 @@ def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monk
     monkeypatch.setattr(magnetic, "_left", lambda c, readings: found)
     monkeypatch.setattr(magnetic, "_sums", lambda *_: None)
     monkeypatch.setattr(magnetic, "_likeliest", lambda sums: (20, end, gained * 0.8))
-    monkeypatch.setattr(
-        magnetic, "_refined", lambda sums, start, stop: (21, stop + 20 * (stop == 60), 0.03)
-    )
+    refined = 21, end + 20 * (end == 60)
+    step = np.array([[0.018, 0.0, -0.024]])
+    monkeypatch.setattr(magnetic, "_refined", lambda sums, start, end: refined)
+    monkeypatch.setattr(magnetic, "_moved", lambda sums, start, end: (step, None))
+    monkeypatch.setattr(magnetic, "_of_one_row", lambda *_: False)
     f = gained * 0.8 / 3.0 / 2.0 / ((1.0 - gained) * 0.8 / (80 - 12))
     p = 45 * fisher.sf(f, 3, 28)
     said = moving_iron(c)
