@@ -18,12 +18,11 @@ which a sensor is calibrated stays below that.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from multipos.diagnostics.repairs import listed_reference
-from multipos.files.spelling import quoted
+from multipos.files.spelling import listed, quoted
 from multipos.finding import Finding
 from multipos.numerics.arrays import (
     COMPONENTS,
@@ -229,7 +228,7 @@ def repeated_rows(c: Calibration) -> Finding | None:
         if reference is not None and float(np.abs(reference[row] - reference[origin]).max()) > 1e-6
     ]
     text = (
-        f"positions {_some(stale)} have identical readings although they differ: one was not "
+        f"positions {listed(stale, 6)} have identical readings although they differ: one was not "
         "measured anew"
         if stale
         else f"{len(copies)} of {len(labels)} rows are exact copies of others; U is too small"
@@ -245,7 +244,3 @@ def _shows_noise(c: Calibration) -> bool:
     left = max(1.0 - len(c.parameters) / outputs / n, 1e-3)
     scatter = float(median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
     return resolution(c.readings.values) < scatter / 2.0
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")

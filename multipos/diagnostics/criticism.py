@@ -33,6 +33,7 @@ from multipos.estimation.known import ZERO_NORM
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
+from multipos.numerics.selection import criteria
 from multipos.numerics.terms import Term
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
@@ -135,10 +136,8 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
 
 def aicc(rss: float, n: int, terms: int) -> float:
     """Return Akaike's criterion for few data; NaN where n − k − 1 is not positive."""
-    k = terms + 1
-    if n - k - 1 <= 0 or not rss > 0.0:
-        return math.nan
-    return n * math.log(rss / n) + 2.0 * k + 2.0 * k * (k + 1) / (n - k - 1)
+    value = criteria(rss, n, terms)[0]
+    return value if math.isfinite(value) else math.nan
 
 
 def find_influence(calibration: Calibration) -> Influence:

@@ -46,7 +46,7 @@ from multipos.diagnostics.scales import (
     turned,
     unit,
 )
-from multipos.files.spelling import quoted
+from multipos.files.spelling import listed, quoted
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.quantiles import f_tail
@@ -281,7 +281,7 @@ def _faces(view: View, expected: Array) -> float:
 def _in_words(c: Calibration, repair: Repair) -> Finding:
     labels = c.readings.labels
     rows = tuple(labels[row] for row in repair.rows)
-    named = _positions(rows)
+    named = f"position{'' if len(rows) == 1 else 's'} {listed(rows, 12)}"
     outputs = tuple(c.outputs[i] for i in repair.outputs)
     after = f"rms is {repair.view.left_over:.2g} g"
     if c.rms < _OF_USE:
@@ -321,8 +321,7 @@ def _cells(c: Calibration, repair: Repair) -> str:
     added, named = _added(c, repair), []
     for i in repair.outputs:
         rows = [c.readings.labels[row] for row in np.flatnonzero(added[:, i])]
-        more = f" and {len(rows) - _CELLS} more" if len(rows) > _CELLS else ""
-        named.append(f"{', '.join(rows[:_CELLS])}{more} of {c.outputs[i]}")
+        named.append(f"{listed(rows, _CELLS)} of {c.outputs[i]}")
     return "; ".join(named)
 
 
@@ -336,11 +335,6 @@ def _unwrap(c: Calibration, repair: Repair) -> str:
     }
     way = ways.get((bool((added > 0.0).any()), bool((added < 0.0).any())))
     return f"{way}, or measure again in a wider range."
-
-
-def _positions(rows: tuple[str, ...]) -> str:
-    named = f"{', '.join(rows[:12])}" + (f" and {len(rows) - 12} more" if len(rows) > 12 else "")
-    return f"position {named}" if len(rows) == 1 else f"positions {named}"
 
 
 def _no_signal(c: Calibration, view: View) -> Finding | None:

@@ -39,6 +39,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import listed
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.positions.order import lay_out
 from multipos.positions.readings import Readings
@@ -549,7 +550,7 @@ def explain_failure(error: MultiposError, readings: Readings) -> MultiposError:
     rows, factor = rows_in_another_unit(readings)
     if not rows:
         return error
-    some = ", ".join(rows[:_SHOWN]) + (f" and {len(rows) - _SHOWN} more" if rows[_SHOWN:] else "")
+    some = listed(rows, _SHOWN)
     named = f"position {some} looks" if len(rows) == 1 else f"positions {some} look"
     return MultiposError(
         f"{readings.source or 'the readings'}: {named} to be in another unit, {factor:.4g} times "

@@ -45,7 +45,7 @@ Biometrics 51 (3).
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -58,6 +58,7 @@ from multipos.estimation.known import REJECTED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.files.numbers import p_in_words
+from multipos.files.spelling import listed
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, resolution
 from multipos.numerics.factoring import cofactors_of
@@ -436,11 +437,8 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     labels = [c.readings.labels[row] for row in found.rows.tolist()]
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH
-    pairs = list(zip(labels, off, strict=True))
-    said = ", ".join(f"{label} ({size})" for label, size in pairs[:_SHOWN])
-    more = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
-    one = len(pairs) == 1
-    said = f"position {said} deviates" if one else f"positions {said}{more} deviate"
+    said = listed([f"{label} ({size})" for label, size in zip(labels, off, strict=True)], _SHOWN)
+    said = f"position {said} deviates" if len(off) == 1 else f"positions {said} deviate"
     named = ",".join(dict.fromkeys(labels))
     lost = _signs_lost(c, found)
     if lost:
@@ -509,13 +507,10 @@ def lack_of_fit(c: Calibration) -> Finding | None:
 
 def effective_number(c: Calibration) -> Finding | None:
     """Find rows that count as fewer, of whose correlation U follows."""
-    return _effective_number(c, c.effective_rows) if c.effective_rows else None
-
-
-def _effective_number(c: Calibration, effective: Mapping[str, float]) -> Finding:
-    """Return the finding about rows whose correlation U follows from."""
+    if not c.effective_rows:
+        return None
     n = len(c.residuals)
-    fewer = {output: rows for output, rows in effective.items() if rows < n}
+    fewer = {output: rows for output, rows in c.effective_rows.items() if rows < n}
     said = ", ".join(f"{output} {max(rows, 1.0):.2g}" for output, rows in fewer.items())
     return Finding(
         "time-correlated",
@@ -785,14 +780,8 @@ def _separable(c: Calibration) -> bool:
 
 def _is_triad(c: Calibration) -> bool:
     """Tell whether three outputs along three axes, in gravity alone, sense a rotation."""
-    return (
-        sorted(c.model.axes) == list(COMPONENTS)
-        and not isinstance(c.model, ExpressionModel)
-        and not c.readings.forced.any()
-        and int(np.linalg.matrix_rank(_linear_part(c))) == len(COMPONENTS)
-    )
-
-
-def _linear_part(c: Calibration) -> Array:
-    """Return the scale factors and cross terms (M, 3)."""
-    return c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
+    three = sorted(c.model.axes) == list(COMPONENTS) and not c.readings.forced.any()
+    if not three or isinstance(c.model, ExpressionModel):
+        return False
+    linear = c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
+    return int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)

@@ -43,7 +43,7 @@ from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.identifiability import formal_only
 from multipos.estimation.problem import Solution
-from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, take_stated
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
@@ -494,13 +494,8 @@ def estimate_known(
     """
     if not stated:
         return _estimates(shared, np.stack(list(values)), None, pool)
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
-    parts = []
-    for first in range(0, count, step):
-        y, u, u_dof = ([a[first : first + step] for a in each] for each in (values, stated, dof))
-        parts.append(_estimates(shared, np.stack(y), take_stated(u, u_dof), pool))
-    return join_estimates(parts)
+    blocks = taken_by_blocks(values, stated, dof, _AT_ONCE)
+    return join_estimates([_estimates(shared, *block, pool) for block in blocks])
 
 
 def _estimates(

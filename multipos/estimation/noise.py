@@ -274,21 +274,16 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
     sd = np.where(tied, problem.orientation_sd, 0.0)[:, None, None]
     spread = sd * normal.jacobian * np.where(problem.rolled[:, None, None], [0.0, 1.0], 1.0)
+    plain = problem.precision.ndim == 2
+    variance = 1.0 / problem.precision if plain else _covariances(problem)
     blocks = []
     free = np.where(problem.unknown, 2, np.where(problem.rolled, 1, 0))
     for count in (0, 1, 2):
         rows = free == count
         if rows.any():
-            variance = _variances(problem, rows)
-            block = (error[rows], design[rows], spread[rows], variance)
+            block = (error[rows], design[rows], spread[rows], variance[rows])
             blocks.append(_without_free(*block, normal.jacobian[rows, :, :count]))
     return _identifiable(problem, state.theta, tuple(blocks))
-
-
-def _variances(problem: Problem, rows: Mask) -> Array:
-    if problem.precision.ndim == 2:
-        return np.asarray(1.0 / problem.precision[rows])
-    return _covariances(problem)[rows]
 
 
 def _without_free(
@@ -468,7 +463,7 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
 
 
 def _information(problem: Problem, optimum: Optimum) -> Array:
-    plain = linearise(replace(problem, robust=None), optimum.state, optimum.point)
+    plain = linearise(problem.plain, optimum.state, optimum.point)
     return reduced_information(plain.information, len(optimum.state.theta))
 
 

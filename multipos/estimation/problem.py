@@ -353,6 +353,12 @@ class Optimum:
     last_step: float
     gradient: float
 
+    @property
+    def status(self) -> Status:
+        """How the search ended, for the result."""
+        said = f"converged in {self.iterations} iterations"
+        return Status(self.converged, self.iterations, said, self.last_step, self.gradient)
+
 
 DIRECT = Status(True, 0, "solved directly")
 

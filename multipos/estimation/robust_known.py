@@ -47,6 +47,7 @@ from multipos.estimation.robustness import (
     aside_finding,
     huber_factors,
 )
+from multipos.estimation.stated_uncertainty import taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
 from multipos.numerics.arrays import Array, Mask, Places, median
@@ -250,34 +251,20 @@ class _Units:
 
     def of(self, part: slice) -> "_Units":
         """Return some of the units, one after another."""
-        linear = self.linear
-        return _Units(
-            Linear(linear.design, linear.plain[part], linear.residuals[part]),
-            self.variance[part],
-            self.kept[part],
-            self.moves[part],
-            self.residuals[part],
-            self.converged[part],
-            self.iterations[part],
-            self.last_step[part],
-            self.decrement[part],
-            [
-                (unit - part.start, row, misfit)
-                for unit, row, misfit in self.aside
-                if part.start <= unit < part.stop
-            ],
-        )
+        linear, found = self.linear, dict(vars(self))
+        arrays = found.keys() - {"linear", "aside"}
+        found |= {name: found[name][part] for name in arrays}
+        found["linear"] = Linear(linear.design, linear.plain[part], linear.residuals[part])
+        inside = [each for each in self.aside if part.start <= each[0] < part.stop]
+        found["aside"] = [(unit - part.start, row, misfit) for unit, row, misfit in inside]
+        return _Units(**found)
 
     def search(self, units: Places, name: Loss) -> None:
         """Search on from where units are."""
         ended = search_linear(self.linear, self.moves, self.variance, units, name)
         self.moves, self.residuals = ended.moves, ended.residuals
-        for mine, new in (
-            (self.converged, ended.converged),
-            (self.last_step, ended.last_step),
-            (self.decrement, ended.decrement),
-        ):
-            mine[units] = new[units]
+        for each in ("converged", "last_step", "decrement"):
+            getattr(self, each)[units] = getattr(ended, each)[units]
         self.iterations[units] += ended.iterations[units]
 
 
@@ -312,16 +299,16 @@ class RobustFits(NamedTuple):
 
 
 def fit_outputs(
-    shared: SharedDesign, values: Sequence[Array], stated: Sequence[Array] | None, name: Loss
+    shared: SharedDesign, values: Array, stated: Array | None, name: Loss
 ) -> list[RobustFits]:
     """Fit every output of B units under a loss, those of one design as so many more units.
 
     Parameters
     ----------
     shared : SharedDesign
-    values : sequence of M arrays (B, n)
+    values : (M, B, n) array
         Readings.
-    stated : sequence of M arrays (B, n), optional
+    stated : (M, B, n) array, optional
         Stated variances.
     name : str
         Of the loss.
@@ -329,21 +316,13 @@ def fit_outputs(
     count = len(values[0])
     found: dict[int, RobustFits] = {}
     for design in shared.groups:
-        y = np.concatenate([values[i] for i in design.outputs])
-        noise = None if stated is None else np.concatenate([stated[i] for i in design.outputs])
+        y = values[design.outputs].reshape(-1, values.shape[2])
+        noise = None if stated is None else stated[design.outputs].reshape(y.shape)
         fits = _fit(design, y, noise, name, alone=count == 1)
         for place, output in enumerate(design.outputs):
             part = slice(place * count, (place + 1) * count)
-            found[output] = RobustFits(
-                fits.parameters[part],
-                fits.cofactors[part],
-                fits.factor[part],
-                fits.dof[part],
-                fits.weight[part],
-                fits.rejected[part],
-                fits.plain[part],
-                fits.units.of(part),
-            )
+            arrays = (each[part] for each in fits[:-1])
+            found[output] = RobustFits._make([*arrays, fits.units.of(part)])
     return [found[output] for output in range(len(values))]
 
 
@@ -458,17 +437,12 @@ def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -
     name : str
         Of the loss.
     """
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
+    blocks = taken_by_blocks(values, (), (), _AT_ONCE)
     with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-        parts = [
-            _estimate(shared, [y[first : first + step] for y in values], name)
-            for first in range(0, count, step)
-        ]
-    return join_estimates(parts)
+        return join_estimates([_estimate(shared, y, name) for y, _ in blocks])
 
 
-def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
+def _estimate(shared: SharedDesign, values: Array, name: Loss) -> Estimates:
     found = fit_outputs(shared, values, None, name)
     parameters = np.concatenate([each.parameters for each in found], axis=1)
     u = np.concatenate([_standard_uncertainty(each) for each in found], axis=1)
@@ -477,7 +451,7 @@ def _estimate(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Esti
     )
     residuals = np.stack([each.units.residuals for each in found])
     rms, inverted = rms_of(
-        shared.model, shared.environment, shared.reference, parameters, np.stack(values), residuals
+        shared.model, shared.environment, shared.reference, parameters, values, residuals
     )
     sound = inverted.sound & (np.abs(parameters).max(axis=1) <= LARGEST)
     sound &= np.all([each.units.converged & each.units.kept.all(axis=1) for each in found], axis=0)
@@ -515,9 +489,9 @@ def solve_robust_known(
         return None
     if not shared.well_posed or not np.ptp(values, axis=0).all():
         return None
-    variances = None if noise is None else [*noise.reshape(n, m).T[:, None]]
+    variances = None if noise is None else noise.reshape(n, m).T[:, None]
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        found = fit_outputs(shared, [*values.T[:, None]], variances, name)
+        found = fit_outputs(shared, values.T[:, None], variances, name)
     return _solution(shared, readings, found)
 
 

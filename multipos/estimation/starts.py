@@ -15,7 +15,7 @@ The end of a search is refused, with positions that would help,
   noise of variance σ² seem to have an information of up to 2 n/σ², from lever arms of length σ.
 """
 
-from collections.abc import Callable, Set
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -51,8 +51,7 @@ from multipos.estimation.unknown_orientations import (
 )
 from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.least_squares import solve
-from multipos.numerics.rotations import align
-from multipos.numerics.terms import Term
+from multipos.numerics.rotations import align, directions
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
 
@@ -147,9 +146,7 @@ def _listed_state(problem: Problem, theta: Array) -> State:
     if problem.listed.all():
         return start_state(problem, theta)
     force = invert(problem.model, theta, problem.values, problem.environment)
-    length = np.linalg.norm(force, axis=1)
-    seen = length > 0.0  # not NaN: a force explains the reading
-    direction = np.where(seen[:, None], force / np.where(seen, length, 1.0)[:, None], [1.0, 0, 0])
+    direction = directions(force)
     return start_state(problem, theta, direction, _turns(problem, direction))
 
 
@@ -273,7 +270,8 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
             found = _positive(problem, found)
         if best is None or _is_better(found, best[1]):
             best = state, found
-        if best[1].converged and not wide and not _several(problem):
+        # starts of a user-defined model may have several ends
+        if best[1].converged and not wide and not isinstance(problem.model, ExpressionModel):
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
@@ -289,11 +287,6 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
 def _is_better(found: Optimum, best: Optimum) -> bool:
     """Return whether an optimum has converged where the best has not, or fits better."""
     return (found.converged, -found.point.objective) > (best.converged, -best.point.objective)
-
-
-def _several(problem: Problem) -> bool:
-    """Return whether all starts are tried; those of a user-defined model may have several ends."""
-    return isinstance(problem.model, ExpressionModel)
 
 
 def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
@@ -388,7 +381,8 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
         mirrored = axes.keys() - mirrored
     if not mirrored:
         return optimum
-    odd = np.array([_is_odd(term, mirrored) for _, term in model.keys])
+    bent = [sum(f.is_odd for f in t.factors if f.variable in mirrored) for _, t in model.keys]
+    odd = np.array(bent) % 2 == 1
     mirror = np.array([-1.0 if axis in mirrored else 1.0 for axis in COMPONENTS])
     # Exact under the lower gauge; under the symmetric one only near, hence the search again.
     theta = np.where(odd, -state.theta, state.theta)
@@ -402,11 +396,6 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
             state.turns * mirror[:, None] if problem.groups else state.turns,
         ),
     )
-
-
-def _is_odd(term: Term, axes: Set[str]) -> bool:
-    """Return whether a term changes its sign where these components do."""
-    return sum(f.is_odd for f in term.factors if f.variable in axes) % 2 == 1
 
 
 def _require_information(problem: Problem, optimum: Optimum) -> FisherInformation:
@@ -487,12 +476,7 @@ def too_few(problem: Problem) -> RankError:
     centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
     half = np.maximum((values.max(axis=0) - values.min(axis=0)) / 2.0, 1e-300)
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
-    direction = ((values - centre) / half)[:, order]
-    length = np.linalg.norm(direction, axis=1)
-    seen = length > 0.0
-    direction = np.where(
-        seen[:, None], direction / np.where(seen, length, 1.0)[:, None], [1.0, 0.0, 0.0]
-    )
+    direction = directions(((values - centre) / half)[:, order])
     theta = np.zeros(p)
     theta[list(model.own_scales)] = 1.0
     unit = replace(problem, precision=np.ones_like(values), reference=direction, robust=None)

@@ -42,7 +42,7 @@ References
 .. [1] G. K. Smyth, Stat. Appl. Genet. Mol. Biol. 3 (2004), article 3, section 6.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -131,6 +131,24 @@ def take_stated(stated: Sequence[Array], stated_dof: Sequence[Array]) -> StatedN
     sound &= ((dof >= 1.0) & np.isfinite(dof)).all(axis=(1, 2))
     u, dof = (np.where(sound[:, None, None], each, 1.0) for each in (u, dof))
     return StatedNoise(shrunk(u, dof), dof, sound)
+
+
+def taken_by_blocks(
+    values: Sequence[Array], stated: Sequence[Array], stated_dof: Sequence[Array], readings: int
+) -> Iterator[tuple[Array, StatedNoise | None]]:
+    """Yield values (M, B, n) of so many readings of an output at a time, and their stated noise.
+
+    Parameters
+    ----------
+    values, stated, stated_dof
+        M arrays (B, n) each; of the last two there may be none.
+    """
+    count, n = values[0].shape
+    step = max(1, readings // n)
+    for first in range(0, count, step):
+        rows = slice(first, first + step)
+        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, stated_dof))
+        yield np.stack(y), take_stated(u, dof) if u else None
 
 
 def shrunk(u: Array, dof: Array) -> Array:

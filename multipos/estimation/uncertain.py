@@ -42,7 +42,6 @@ from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import StatedOrientations, across
 from multipos.positions.readings import Readings, select_outputs
-from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
 from multipos.sensor.found import FoundOrientations, VarianceComponents
@@ -322,7 +321,7 @@ def _solution(
             *at_bounds(model, state.theta),
             *_scale_bias(problem, state.theta, u, residual_sd, magnitude),
         ),
-        status=_status(optimum),
+        status=optimum.status,
         orientation_sd=noise.orientation_sd,
         variance_components=noise.components,
         orientations=_found_orientations(problem, optimum, readings),
@@ -390,13 +389,3 @@ def _labels(readings: Readings, number: Places) -> list[str]:
     """Return the labels of groups in the order of their numbers (n,), −1 for none."""
     pairs = zip(readings.group or (), number.tolist(), strict=False)
     return list(dict.fromkeys(label for label, own in pairs if own >= 0))
-
-
-def _status(optimum: Optimum) -> Status:
-    return Status(
-        optimum.converged,
-        optimum.iterations,
-        f"converged in {optimum.iterations} iterations",
-        optimum.last_step,
-        optimum.gradient,
-    )

@@ -33,16 +33,15 @@ from multipos.estimation.orientation_variance import (
     contrasts,
     find_both,
     find_excess,
-    harmonic_mean,
     least_variance,
 )
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
-from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
-from multipos.estimation.unknown_orientations import Place, combined
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
+from multipos.estimation.unknown_orientations import Place, SearchedUnits, combined, search
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
-from multipos.numerics.levenberg_marquardt import Rules, descend
+from multipos.numerics.levenberg_marquardt import Rules
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.results import frozen
@@ -264,53 +263,26 @@ class UncertainSearch:
         return Linear((Block(np.moveaxis(error, 0, 2), design, spread, variance),))
 
 
-def search(start: UncertainSearch, place: Place) -> tuple[Place, Mask]:
-    """Return where the searches of units end, and of which they do."""
-    largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
-    found, ended = descend(start, place, _RULES, largest)
-    return found, ended.converged
-
-
-class _Units:
-    """Units at the end of their searches, whose noise is estimated."""
-
-    def __init__(self, stated: UncertainSearch, search: UncertainSearch, place: Place) -> None:
-        self.stated, self.search, self.found = stated, search, place
-
+class _Units(SearchedUnits):
     @classmethod
     def under_stated(cls, stated: UncertainSearch, place: Place) -> Self:
         """Return units under the stated noise, which changes from here on."""
         sd, variance = stated.orientation_sd.copy(), stated.variance.copy()
         return cls(stated, replace(stated, variance=variance, orientation_sd=sd), place)
 
-    @property
-    def size(self) -> Array:
-        return harmonic_mean(np.moveaxis(self.stated.variance, 0, 2))
-
-    def of(self, units: Places) -> "_Units":
-        return _Units(self.stated.of(units), self.search.of(units), self.found.of(units))
-
-    def put(self, units: Places, other: "_Units") -> None:
-        self.search.variance[:, units] = other.search.variance
+    def put(self, units: Places, other: Self) -> None:
+        super().put(units, other)
         self.search.orientation_sd[units] = other.search.orientation_sd
-        self.found.put(units, other.found)
 
     def linear(self) -> Linear:
-        return self.stated.linear(self.found)
+        found: Linear = self.stated.linear(self.found)
+        return found
 
-    def squares(self) -> tuple[Array, Array]:
-        residuals = self.found.residuals
-        return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
-
-    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", Mask]:
-        stated = self.stated
-        sd = stated.orientation_sd
+    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
+        sd = self.stated.orientation_sd
         if factor is not None:
             sd = sd * np.sqrt(factor)[:, None]
-        variance = stated.variance + excess[:, None]
-        following = replace(stated, variance=variance, orientation_sd=sd)
-        place, ended = search(following, following.under_noise(self.found))
-        return _Units(stated, following, place), ended
+        return self.under(variance=self.stated.variance + excess[:, None], orientation_sd=sd)
 
 
 _AT_ONCE = 1500  # readings of an output, so that what they need stays small
@@ -411,15 +383,10 @@ def estimate_uncertain(
     stated_dof : sequence of 3 arrays (B, n), or of none
         Degrees of freedom of those.
     """
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
     parts, carried = [], []
-    for first in range(0, count, step):
-        rows = slice(first, first + step)
-        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, stated_dof))
-        noise = take_stated(u, dof) if u else None
+    for y, noise in taken_by_blocks(values, stated, stated_dof, _AT_ONCE):
         with np.errstate(all="ignore"):  # a unit may run away, and is then left out
-            part, scatter = _estimate(shared, np.stack(y), noise)
+            part, scatter = _estimate(shared, y, noise)
             own = part.dof[:, 0]
             carried.append(own if noise is None else combined_jointly(own, noise, scatter))
         parts.append(part)

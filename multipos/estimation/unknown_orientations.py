@@ -50,7 +50,7 @@ from multipos.estimation.known import REJECTED, ROUNDING
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
 from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import Point, Problem, State
-from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, take_stated
+from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.factoring import cofactors_of
@@ -166,6 +166,7 @@ class UnknownSearch:
     variance: Array
     robust: Loss | None = None
     degrees: Array = field(default_factory=lambda: np.ones(1))
+    rules = Rules()
 
     @staticmethod
     def fits(problem: Problem) -> bool:
@@ -302,41 +303,53 @@ class UnknownSearch:
         return phi.T.reshape(-1, count, n)
 
 
-def search(start: UnknownSearch, place: Place) -> tuple[Place, Mask]:
-    """Return where the searches of units end, and of which they do."""
+def search(start: Any, place: Place) -> tuple[Place, Mask]:
+    """Return where the searches of units end, unknown or uncertain, and of which they do."""
     largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
-    found, ended = descend(start, place, Rules(), largest)
+    found, ended = descend(start, place, start.rules, largest)
     return found, ended.converged
 
 
-class _Units:
-    """Units at the end of their searches, whose noise is estimated."""
+class SearchedUnits:
+    """Units at the end of their searches, whose noise is estimated: with the stated one first."""
 
-    def __init__(self, search: UnknownSearch, stated: Array, place: Place) -> None:
-        self.search, self.stated, self.found = search, stated, place
+    def __init__(self, stated: Any, search: Any, place: Place) -> None:
+        """Take the searches under the stated noise, and under the present one."""
+        self.stated, self.search, self.found = stated, search, place
 
     @property
     def size(self) -> Array:
-        return harmonic_mean(np.moveaxis(self.stated, 0, 2))
+        """Harmonic mean (B,) of the stated variances."""
+        return harmonic_mean(np.moveaxis(self.stated.variance, 0, 2))
 
-    def of(self, units: Places) -> "_Units":
-        return _Units(self.search.of(units), self.stated[:, units], self.found.of(units))
+    def of(self, units: Places) -> Self:
+        """Return some of the units."""
+        return type(self)(self.stated.of(units), self.search.of(units), self.found.of(units))
 
-    def put(self, units: Places, other: "_Units") -> None:
+    def put(self, units: Places, other: Self) -> None:
+        """Put other units in places of these."""
         self.search.variance[:, units] = other.search.variance
         self.found.put(units, other.found)
 
-    def linear(self) -> Linear:
-        return self.search.linear(self.found, self.stated)
-
     def squares(self) -> tuple[Array, Array]:
+        """Return F under the present noise, and the sum of squared residuals, (B,) each."""
         residuals = self.found.residuals
         return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple["_Units", Mask]:
-        following = replace(self.search, variance=self.stated + excess[:, None])
+    def under(self, **noise: Array) -> tuple[Self, Mask]:
+        """Return the units under another noise, searched on from here, and which have ended."""
+        following = replace(self.stated, **noise)
         place, ended = search(following, following.under_noise(self.found))
-        return _Units(following, self.stated, place), ended
+        return type(self)(self.stated, following, place), ended
+
+
+class _Units(SearchedUnits):
+    def linear(self) -> Linear:
+        found: Linear = self.search.linear(self.found, self.stated.variance)
+        return found
+
+    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
+        return self.under(variance=self.stated.variance + excess[:, None])
 
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
@@ -376,14 +389,10 @@ def estimate_unknown(
     stated, stated_dof : 3 arrays (B, n), or none
         Their standard uncertainties, and the degrees of freedom of those.
     """
-    count, n = values[0].shape
-    step = max(1, _AT_ONCE // n)
     parts = []
-    for first in range(0, count, step):
-        rows = slice(first, first + step)
-        y, u, dof = ([each[rows] for each in arrays] for arrays in (values, stated, stated_dof))
+    for y, noise in taken_by_blocks(values, stated, stated_dof, _AT_ONCE):
         with np.errstate(all="ignore"):  # a trial may run away, and is then left out
-            parts.append(_estimate(shared, np.stack(y), take_stated(u, dof) if u else None))
+            parts.append(_estimate(shared, y, noise))
     return join_estimates(parts)
 
 
@@ -442,10 +451,10 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
 
 def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:
     """Return the solutions with the excess variance of readings whose noise is stated."""
-    stated = start.variance.copy()
+    stated = replace(start, variance=start.variance.copy())
     n, p = start.values.shape[2], len(start.shared.model.keys)
     rejected = np.flatnonzero(place.objective > chi2_quantile(REJECTED, float(n - p)))
-    units = _Units(start, stated, place)
+    units = _Units(stated, start, place)
     try:
         found = find_excess(units, valid & noise.sound, p, float(n - p))
     except np.linalg.LinAlgError:  # some unit is as good as singular
@@ -457,7 +466,7 @@ def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: 
     if rejected.size:
         from multipos.estimation.unequal_axes import allow_for_axes
 
-        excess = np.maximum(units.search.variance - stated, 0.0)
+        excess = np.maximum(units.search.variance - stated.variance, 0.0)
         unstated = np.moveaxis(surface.normal**2 * excess, 0, 1)
         known = (surface.rows, surface.height, unstated, inverse.matrix)
         wider = allow_for_axes(*(each[rejected] for each in known))

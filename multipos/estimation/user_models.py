@@ -53,7 +53,6 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.rotations import cross_matrix
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.calibration import Status
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Block, Gauge, Model
@@ -233,32 +232,32 @@ def solve_own_known(
     ConvergenceError
         No start led to a minimum.
     """
-    how = {"pool": pool, "tested": tested}
+
+    def about(theta: Array, residuals: Array, blocks: tuple[Block, ...]) -> Solution:
+        """Return the least squares of the model (2) about parameters."""
+        reached = [slopes @ theta[places] for places, slopes in blocks]
+        design = np.concatenate([slopes.T for _, slopes in blocks]).T
+        tangent = design, residuals + np.array(reached).T
+        return solve_known(model, reference, readings, tangent=tangent, pool=pool, tested=tested)
+
     if model.all_linear:
         start = np.zeros(len(model.keys))
         outputs, blocks = model.respond(start, reference, readings.environment)
-        return _tangent(model, start, readings.values - outputs, blocks, reference, readings, how)
+        return about(start, readings.values - outputs, blocks)
     problem, best = _searched(model, reference, readings)
-    solution = _about(model, best, reference, readings, how)
+    solution = about(best.state.theta, best.point.residuals, best.point.blocks)
     noise = readings.noise
     if noise is not None and np.ptp(noise.reshape(readings.values.shape), axis=0).any():
         for _ in range(_ROUNDS):  # excess variance changes weights
             before = best.state.theta
             variance = noise.reshape(readings.values.shape) + _excess(solution)
             best = resume(replace(problem, precision=1.0 / variance), best)
-            solution = _about(model, best, reference, readings, how)
+            solution = about(best.state.theta, best.point.residuals, best.point.blocks)
             moved = np.abs(best.state.theta - before)
             if (moved <= _CONVERGED * np.sqrt(np.diag(solution.covariance))).all():
                 break
-    status = Status(
-        best.converged,
-        best.iterations,
-        f"converged in {best.iterations} iterations",
-        best.last_step,
-        best.gradient,
-    )
     said = _curvature_bias(model, best, reference, readings, solution)
-    return replace(solution, status=status, findings=(*solution.findings, *said))
+    return replace(solution, status=best.status, findings=(*solution.findings, *said))
 
 
 def _excess(solution: Solution) -> Array:
@@ -267,34 +266,6 @@ def _excess(solution: Solution) -> Array:
     if found is None or found.rest_to_rest is None:
         return np.zeros(len(solution.model.outputs))
     return np.array([found.rest_to_rest[o].value ** 2 for o in solution.model.outputs])
-
-
-def _about(
-    model: ExpressionModel,
-    best: Optimum,
-    reference: Array,
-    readings: Readings,
-    how: Mapping[str, bool],
-) -> Solution:
-    """Return the least squares of the model (2) about where the search ended."""
-    theta, point = best.state.theta, best.point
-    return _tangent(model, theta, point.residuals, point.blocks, reference, readings, how)
-
-
-def _tangent(
-    model: ExpressionModel,
-    theta: Array,
-    residuals: Array,
-    blocks: tuple[Block, ...],
-    reference: Array,
-    readings: Readings,
-    how: Mapping[str, bool],
-) -> Solution:
-    """Return the least squares of the model (2) about parameters."""
-    reached = [slopes @ theta[places] for places, slopes in blocks]
-    design = np.concatenate([slopes.T for _, slopes in blocks]).T
-    tangent = design, residuals + np.array(reached).T
-    return solve_known(model, reference, readings, tangent=tangent, **how)
 
 
 def _curvature_bias(

@@ -35,7 +35,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
-from multipos.sensor.gravity import FieldKind, StatedBench
+from multipos.sensor.gravity import FieldKind
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
@@ -50,6 +50,12 @@ _NEAR = 0.15
 _EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
 _CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
+# Options of `average`, the first four of the fit as well.
+_AVERAGING = (
+    *("convention", "exclude", "field", "unit", "outputs", "columns", "time_column", "time_unit"),
+    *("rate", "min_duration", "threshold", "sections", "label_column", "only", "signed"),
+    *("drop_bad", "accept_faults", "scheme", "order", "progress"),
+)
 
 
 def calibrate(
@@ -140,54 +146,10 @@ def calibrate(
     >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
     unknown-orientation 26 True
     """
-    bench = StatedBench(
-        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
-    )
-    found = rests_or_rows(
-        *logs,
-        exclude=exclude,
-        field=field,
-        unit=unit,
-        outputs=outputs,
-        columns=columns,
-        time_column=time_column,
-        time_unit=time_unit,
-        rate=rate,
-        min_duration=min_duration,
-        threshold=threshold,
-        sections=sections,
-        label_column=label_column,
-        only=only,
-        signed=signed,
-        drop_bad=drop_bad,
-        accept_faults=accept_faults,
-        scheme=scheme,
-        order=order,
-        convention=convention,
-        progress=progress,
-    )
-    return fit_rests(
-        found,
-        model,
-        convention=convention,
-        axes=axes,
-        inputs=inputs,
-        closed_form=closed_form,
-        unknown_orientation=unknown_orientation,
-        orientation_sd=orientation_sd,
-        gauge=gauge,
-        robust=robust,
-        pool=pool,
-        stepwise=stepwise,
-        exclude=exclude,
-        drift=drift,
-        reading_sd=reading_sd,
-        level_sd=level_sd,
-        budget=budget,
-        unit=unit,
-        nominal=nominal,
-        **vars(bench),
-    )
+    given = dict(locals())
+    fitted = FitOptions.__annotations__.keys() - {"model", *_AVERAGING[4:]}
+    found = rests_or_rows(*logs, **{name: given[name] for name in _AVERAGING})
+    return fit_rests(found, model, **{name: given[name] for name in fitted})
 
 
 def rests_or_rows(

@@ -11,6 +11,7 @@ from multipos.estimation.gains import gravity_effect
 from multipos.estimation.problem import Solution
 from multipos.files.records import LARGEST as LARGEST_IN_FILES
 from multipos.files.whole import now
+from multipos.finding import Finding
 from multipos.numerics.arrays import Array, count_different, row_keys
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, stated_sd
@@ -74,6 +75,11 @@ def complete(
         robust_weight=solution.robust_weight,
     )
     return _with_size(calibration)
+
+
+def add_findings(c: Calibration, *said: Finding) -> Calibration:
+    """Return a calibration with what more there is to say of it."""
+    return replace(c, diagnostics=replace(c.diagnostics, findings=(*c.diagnostics.findings, *said)))
 
 
 def _with_size(c: Calibration) -> Calibration:

@@ -15,7 +15,7 @@ Where every output falls as what it is said to sense rises, the other convention
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Literal, TypedDict
 
 import numpy as np
@@ -39,7 +39,7 @@ from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
-from multipos.fitting.completion import complete
+from multipos.fitting.completion import add_findings, complete
 from multipos.fitting.options import Options, choose_estimator, criterion_in_words
 from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
@@ -125,8 +125,7 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
         f"{other}"
     )
     found = Finding("convention", "warning", text, f"Fit with --convention {other}.")
-    diagnostics = replace(c.diagnostics, findings=(*c.diagnostics.findings, found))
-    return replace(c, diagnostics=diagnostics)
+    return add_findings(c, found)
 
 
 def _own_scales(c: Calibration) -> list[tuple[str, float]]:
@@ -148,7 +147,9 @@ def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
             "--axes with a minus needs --gauge lower, and a model of terms, where orientations are "
             "unknown."
         )
-    sign = np.array([_parity(term, down) for term in terms])
+    # what a term is multiplied by where components change their sign; a modulus is even
+    odd = [sum(f.power for f in term.factors if f.variable in down) for term in terms]
+    sign = np.where(np.array(odd) % 2 == 1, -1.0, 1.0)
     mirror = np.array([-1.0 if axis in down else 1.0 for axis in COMPONENTS])
     return replace(
         calibration,
@@ -156,12 +157,6 @@ def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
         covariance=np.outer(sign, sign) * calibration.covariance,
         reference=calibration.reference * mirror + 0.0,
     )
-
-
-def _parity(term: Term, axes: set[str]) -> float:
-    """Return what a term is multiplied by where components change their sign; a modulus is even."""
-    odd = sum(factor.power for factor in term.factors if factor.variable in axes)
-    return -1.0 if odd % 2 else 1.0
 
 
 _TIED = "the listed directions fix the orientation of the case"
@@ -336,22 +331,10 @@ def fit(
     >>> print(f"{bias.value:.5f} {bias.unit}, U = {bias.U:.4f}, dof {bias.dof:g}")
     -0.00053 V, U = 0.0018, dof 2
     """
-    bench = StatedBench(
-        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
-    )
-    options = Options(
-        convention=convention,
-        gauge=gauge,
-        robust=robust,
-        confidence=confidence,
-        closed_form=closed_form,
-        unknown_orientation=unknown_orientation,
-        pool=pool,
-        stepwise=stepwise,
-        drift=drift,
-        orientation_sd=orientation_sd,
-        level_sd=level_sd,
-    )
+    given = dict(locals())
+    bench = StatedBench(**{each.name: given[each.name] for each in fields(StatedBench)})
+    asked = {each.name: given[each.name] for each in fields(Options) if each.name in given}
+    options = Options(**asked)
     stated = None if budget is None else read_budget(budget)
     if stated is not None and (grid := stated.quantities.get("resolution")) is not None:
         options = replace(options, resolution=grid.u)
@@ -521,12 +504,10 @@ def with_excluded(
     pairs = zip(rows.labels, off.tolist(), strict=True)
     excluded = tuple(Excluded(label, each, calibration.field.unit) for label, each in pairs)
     calibration = replace(calibration, excluded=excluded)
-    found = calibration.diagnostics
     labels = tuple(each.label for each in excluded)
     note = Finding("excluded", "note", calibration.set_aside, rows=labels)
     moved = moving_iron(calibration, readings) if calibration.field.magnetic else None
-    more = (note,) if moved is None else (note, moved)
-    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, *more)))
+    return add_findings(calibration, *((note,) if moved is None else (note, moved)))
 
 
 _WITHIN = 1e6  # degrees of freedom of a rounding
@@ -705,11 +686,7 @@ def _with_rolls(calibration: Calibration) -> Calibration:
         return calibration
     from multipos.uncertainty.turntable import find_in_rolls
 
-    said = find_in_rolls(calibration)
-    if not said:
-        return calibration
-    found = calibration.diagnostics
-    return replace(calibration, diagnostics=replace(found, findings=(*found.findings, *said)))
+    return add_findings(calibration, *find_in_rolls(calibration))
 
 
 def _columns_named(model: str | Expression | ParsedModel) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from multipos.estimation.known import solve_known
 from multipos.finding import Finding
+from multipos.fitting.completion import add_findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Selection, Thresholds, compress, select_stepwise
 from multipos.numerics.terms import CONSTANT, linear_term
@@ -80,12 +81,7 @@ def select_terms(
 
 def with_selection(calibration: Calibration, record: dict[str, Chosen]) -> Calibration:
     """Return a calibration that carries how its terms were chosen, and says what that means."""
-    diagnostics = calibration.diagnostics
-    return replace(
-        calibration,
-        selection=record,
-        diagnostics=replace(diagnostics, findings=(*diagnostics.findings, OPTIMISTIC)),
-    )
+    return add_findings(replace(calibration, selection=record), OPTIMISTIC)
 
 
 def _weights(readings: Readings) -> Array:

@@ -488,11 +488,12 @@ def fit_units(
         units = _solve(rows, grouped, given, executor, folder, report)
         trials = find_trials(rows, grouped) if study else None
         if trials is None:
-            return _with_failed(units, rows)
+            return units
+        rows = replace(rows, failed=())
         each = _solve(rows, trials.grouped, given, executor, folder, lambda done: None)
     usable = ~each.failed & ~each.unfit & (each.names == units.names)
     study_found = gather_study(trials, each.parameters, usable)
-    return _with_failed(replace(units, study=study_found), rows)
+    return replace(units, study=study_found)
 
 
 def averaging_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -516,9 +517,13 @@ def _solve(
     folder: Path | None,
     report: Callable[[int], object],
 ) -> Units:
-    """Return the numbers of units, piece by piece."""
-    known = Known(options)
-    found, times = UnitsFound(len(grouped)), np.full(len(grouped), np.nan)
+    """Return the numbers of units, piece by piece, and behind them files that cannot be read."""
+    known, more = Known(options), len(rows.failed)
+    found, times = UnitsFound(len(grouped) + more), np.full(len(grouped) + more, np.nan)
+    unit = grouped.unit
+    if more:
+        names, found.reasons[len(grouped) :] = zip(*rows.failed, strict=True)
+        unit = joined_labels([unit, Labels(np.arange(more, dtype=np.int32), names)])
     stations = _in_order_of_coming(grouped.station.codes)
     with cut_rows(rows, grouped, folder) as cuts:
         for cut in cuts:
@@ -529,50 +534,18 @@ def _solve(
             times[mine] = piece.times()
             del cut, piece  # before the next one is read
     return Units(
-        unit=grouped.unit,
-        station=tuple(grouped.station),
+        unit=unit,
+        station=(*grouped.station, *[""] * more),
         model=known.model,
-        names=found.names,
-        parameters=found.parameters,
-        u=found.u,
-        dof=found.dof,
-        rms=found.rms,
-        findings=found.findings,
-        why_unfit=found.why_unfit,
-        reasons=found.reasons,
-        first=grouped.firsts,
+        **vars(found),
+        first=np.append(grouped.firsts, rows.count + np.arange(more)),
         time=times,
-        fixtures=tuple(found.fixtures),
         confidence=float(options.get("confidence", 0.95)),
         gravity_u=known.gravity_u,
         sources=tuple((table.source, table.sha256) for table in rows.tables),
-        counted=rows.counted,
+        counted=rows.counted and not more,
         key=rows.unit_column,
         notes=rows.findings,
-    )
-
-
-def _with_failed(units: Units, rows: Rows) -> Units:
-    """Return units with those whose files cannot be read, which failed, after them."""
-    more = len(rows.failed)
-    if not more:
-        return units
-    names, reasons = zip(*rows.failed, strict=True)
-    numbers = np.full((more, units.parameters.shape[1]), np.nan)
-    return replace(
-        units,
-        unit=joined_labels([units.unit, Labels(np.arange(more, dtype=np.int32), names)]),
-        station=(*units.station, *[""] * more),
-        parameters=np.concatenate([units.parameters, numbers]),
-        u=np.concatenate([units.u, numbers]),
-        dof=np.concatenate([units.dof, numbers]),
-        rms=np.append(units.rms, [np.nan] * more),
-        findings=np.append(units.findings, np.full(more, "", dtype=np.object_)),
-        why_unfit=np.append(units.why_unfit, np.full(more, "", dtype=np.object_)),
-        reasons=np.append(units.reasons, np.array(reasons, dtype=np.object_)),
-        first=np.append(units.first, rows.count + np.arange(more)),
-        time=np.append(units.time, [np.nan] * more),
-        counted=False,
     )
 
 

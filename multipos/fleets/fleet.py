@@ -36,7 +36,6 @@ from multipos.fleets.pictures import charts, histogram
 from multipos.fleets.quality import (
     PASS,
     VERDICTS,
-    Verdicts,
     column,
     describe,
     judge_units,
@@ -292,7 +291,7 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
     counted = ~units.failed & ~unfit
     failed = int(units.failed.sum())
     passed = int(np.sum(judged.verdict == PASS))
-    total = len(units)
+    total, verdicts = len(units), judged.verdict.tolist()
     stations = describe_stations(units, counted)
     summary = {
         "input": [
@@ -303,8 +302,8 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "fitted": total - failed,
         "failed": failed,
         "counted": int(counted.sum()),
-        "yield": proportion(passed, total).to_dict(),
-        "verdicts": {name: int(np.sum(judged.verdict == name)) for name in _order(judged)},
+        "yield": proportion(passed, total)._asdict(),
+        "verdicts": {name: count for name in VERDICTS if (count := verdicts.count(name))},
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
         "unfit": [
             {"unit": units.unit[i], "station": units.station[i], "reason": units.why_unfit[i]}
@@ -319,14 +318,9 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
     off = [found for station in stations for found in read_findings(station)]
     found = in_order((*_find_failed(units), *off, *units.notes))
     summary["findings"] = [each.to_dict() for each in found]
-    verdicts = Columns(
-        {
-            "unit": units.unit_column,
-            "verdict": judged.verdict,
-            "reasons": judged.reasons,
-        }
-    )
-    return Fleet(_settled(summary), units.columns(), verdicts, units.time, now(), __version__)
+    by_unit = {"unit": units.unit_column, "verdict": judged.verdict, "reasons": judged.reasons}
+    tables = units.columns(), Columns(by_unit)
+    return Fleet(_settled(summary), *tables, units.time, now(), __version__)
 
 
 def _find_failed(units: Units) -> Findings:
@@ -370,10 +364,6 @@ def _settled(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _settled(each) for key, each in value.items()}
     return tuple(map(_settled, value)) if isinstance(value, list) else value
-
-
-def _order(judged: Verdicts) -> list[str]:
-    return sorted(set(judged.verdict.tolist()), key=VERDICTS.index)
 
 
 def _parameters(

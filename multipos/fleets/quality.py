@@ -60,10 +60,6 @@ class CoveredFigure(NamedTuple):
     low: float
     high: float
 
-    def to_dict(self) -> dict[str, float]:
-        """Return it with its keys."""
-        return self._asdict()
-
 
 def proportion(successes: int, trials: int, confidence: float = 0.95) -> CoveredFigure:
     """Return a proportion with the interval of Clopper and Pearson."""
@@ -185,7 +181,7 @@ def _against_limits(
     }
     for key, which in (("cpk", "within"), ("ppk", "sd"), ("ppk_true", "true")):
         found = capability(spread, lsl, usl, which, confidence)
-        said[key] = None if found is None else found.to_dict()
+        said[key] = None if found is None else found._asdict()
     limited = said["lsl"] is not None or said["usl"] is not None
     said["risk"] = wrong_verdicts(spread, u, lsl, usl) if limited else None
     return said

@@ -122,7 +122,7 @@ class UnitsFound:
         self.findings: Texts = np.full(count, "", dtype=np.object_)
         self.reasons: Texts = np.full(count, "", dtype=np.object_)
         self.why_unfit: Texts = np.full(count, "", dtype=np.object_)
-        self.fixtures: list[FixtureSums] = []
+        self.fixtures: tuple[FixtureSums, ...] = ()
 
     def take(self, solved: Solved) -> None:
         """Take up what a task found."""
@@ -138,8 +138,6 @@ class UnitsFound:
         self.findings[units] = np.array(solved.findings, dtype=np.object_)[good]
         self.why_unfit[units] = np.array(solved.unfit, dtype=np.object_)[good]
         if len(units):
-            self.parameters[units] = solved.parameters[good]
-            self.u[units] = solved.u[good]
-            self.dof[units] = solved.dof[good]
-            self.rms[units] = solved.rms[good]
+            for name in ("parameters", "u", "dof", "rms"):
+                getattr(self, name)[units] = getattr(solved, name)[good]
         self.fixtures += solved.fixtures

@@ -166,31 +166,22 @@ def _said(value: Any) -> str:
     return repr(value)
 
 
+_WORDS, _OF_FIXTURE = ("names", "findings", "reasons", "unfit"), ("station", "labels", "units")
+_ARRAYS = ("units", "parameters", "u", "dof", "rms")
+_ARRAYS_OF_FIXTURE = ("up", "identifiable", "total", "square")
+
+
 def _packed(solved: Solved) -> bytes:
     """Return what a task found as the bytes of a file."""
     stream = io.BytesIO()
-    words = {
-        "names": solved.names,
-        "findings": solved.findings,
-        "reasons": solved.reasons,
-        "unfit": solved.unfit,
-        "fixtures": [[each.station, each.labels, each.units] for each in solved.fixtures],
-    }
-    arrays: dict[str, Any] = {
-        f"{name}{i}": getattr(each, name)
-        for i, each in enumerate(solved.fixtures)
-        for name in ("up", "identifiable", "total", "square")
-    }
-    np.savez(
-        stream,
-        words=np.frombuffer(json.dumps(words).encode(), dtype=np.uint8),
-        units=solved.units,
-        parameters=solved.parameters,
-        u=solved.u,
-        dof=solved.dof,
-        rms=solved.rms,
-        **arrays,
-    )
+    words = {name: getattr(solved, name) for name in _WORDS}
+    words["fixtures"] = [
+        {name: getattr(each, name) for name in _OF_FIXTURE} for each in solved.fixtures
+    ]
+    arrays = {name: getattr(solved, name) for name in _ARRAYS}
+    for i, each in enumerate(solved.fixtures):
+        arrays |= {f"{name}{i}": getattr(each, name) for name in _ARRAYS_OF_FIXTURE}
+    np.savez(stream, words=np.frombuffer(json.dumps(words).encode(), dtype=np.uint8), **arrays)
     return stream.getvalue()
 
 
@@ -203,27 +194,12 @@ def _load(path: Path) -> Solved | None:
             words = json.loads(kept["words"].tobytes())
             fixtures = tuple(
                 FixtureSums(
-                    station,
-                    tuple(labels),
-                    kept[f"up{i}"],
-                    kept[f"identifiable{i}"],
-                    count,
-                    kept[f"total{i}"],
-                    kept[f"square{i}"],
+                    **{**each, "labels": tuple(each["labels"])},
+                    **{name: kept[f"{name}{i}"] for name in _ARRAYS_OF_FIXTURE},
                 )
-                for i, (station, labels, count) in enumerate(words["fixtures"])
+                for i, each in enumerate(words["fixtures"])
             )
-            return Solved(
-                kept["units"],
-                tuple(words["names"]),
-                kept["parameters"],
-                kept["u"],
-                kept["dof"],
-                kept["rms"],
-                words["findings"],
-                words["reasons"],
-                words["unfit"],
-                fixtures,
-            )
+            words |= {"names": tuple(words["names"]), "fixtures": fixtures}
+            return Solved(**words, **{name: kept[name] for name in _ARRAYS})
     except (OSError, ValueError, KeyError, BadZipFile):
         return None

@@ -76,18 +76,17 @@ _PRODUCTS = 250_000  # of one matrix product, below which BLAS starts no threads
 class Covariance:
     """V as unit matrix, variances or full; what whitens with it and colours again.
 
-    Variances are (n,) of one problem, (G, n) of a stack of them; `a`, `s`, `y`, `X` and `b` are the
-    matrices of one or of a stack. A full covariance is of one problem, or of a stack of one.
+    `a`, `s`, `y`, `X` and `b` are the matrices of one problem, or of a stack of one.
     """
 
-    def __init__(self, covariance: ArrayLike | None, n: int, *, stacked: bool = False) -> None:
+    def __init__(self, covariance: ArrayLike | None, n: int) -> None:
         self.sd: Array | None = None
         self.full: Array | None = None
         self.variances: Array | None = None
         if covariance is None:
             return
         V = np.asarray(covariance, dtype=np.float64)
-        if V.shape == (n,) or stacked:
+        if V.shape == (n,):
             if not (np.isfinite(V).all() and (V > 0.0).all()):
                 raise MultiposError("`covariance` must be positive and finite in every row.")
             self.variances = V
@@ -134,12 +133,6 @@ class Covariance:
             coefficients = np.concatenate((multiplier, b), axis=-2)
             return residual(y, both, coefficients, np.zeros_like(y))
         return residual(y, X, b, multiplier, self.variances)
-
-    def of(self, problem: int) -> Covariance:
-        """V of one problem of a stack."""
-        if self.variances is None or self.variances.ndim == 1:
-            return self
-        return Covariance(self.variances[problem], self.variances.shape[-1])
 
 
 def factor(V: Covariance, X: Array) -> tuple[Array, Array]:

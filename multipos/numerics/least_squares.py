@@ -37,7 +37,7 @@ its iterative refinement). The NIST StRD linear sets, which judge the result in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -145,50 +145,21 @@ def solve(
     """
     X, y = _checked(design, response)
     V = Covariance(covariance, len(X))
-    factored = _factored(X[np.newaxis], V, least_norm, [names], rows)
-    (found,) = factored.fits(y.reshape(1, len(X), -1))
-    if y.ndim == 2:
-        return found
-    assert isinstance(found.rss, np.ndarray)
-    return replace(
-        found,
-        coefficients=found.coefficients[:, 0],
-        residuals=found.residuals[:, 0],
-        rss=float(found.rss[0]),
+    found = _factored(X[np.newaxis], V, least_norm, [names], rows)
+    b, s = _refined(
+        found.design, y.reshape(1, len(X), -1), V, found.Q, found.inverse, column_norms(found.R)
     )
-
-
-def solve_alike(
-    designs: Array,
-    responses: Array,
-    *,
-    variances: Array | None = None,
-    least_norm: float = 0.0,
-    names: Sequence[Sequence[str] | None],
-    rows: str = "positions",
-) -> list[LinearFit]:
-    """Fit several problems of one size as `solve` does each, in a fraction of the time.
-
-    Parameters
-    ----------
-    designs : (G, n, p) array
-    responses : (G, n, k) array
-    variances : (G, n) array, optional
-        Of the rows of each problem.
-    least_norm, rows
-        As in `solve`.
-    names : G sequences of p str
-        Names of the coefficients of each problem, for messages.
-
-    Raises
-    ------
-    RankError, MultiposError
-        As in `solve`; of columns that depend on each other it is a `DependentColumnsError`.
-    """
-    _require_finite(responses, "response")
-    return factor_alike(
-        designs, variances=variances, least_norm=least_norm, names=names, rows=rows
-    ).fits(responses)
+    rss = np.einsum("nk,nk->k", s[0], s[0])
+    one = (0, ..., 0) if y.ndim == 1 else 0
+    return LinearFit(
+        coefficients=b[one],
+        cofactor=found.cofactors[0],
+        residuals=V.coloured(s)[one],
+        rss=rss if y.ndim == 2 else float(rss[0]),
+        dof=len(X) - X.shape[1],
+        leverage=found.leverage[0],
+        condition=found.conditions[0],
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -198,8 +169,6 @@ class Factored:
     Attributes
     ----------
     design, Q : (G, n, p) arrays
-    covariance : Covariance
-        V.
     R, inverse : (G, p, p) arrays
         R and R⁻¹.
     cofactors : (G, p, p) array
@@ -209,7 +178,6 @@ class Factored:
     """
 
     design: Array
-    covariance: Covariance
     Q: Array
     R: Array
     inverse: Array
@@ -221,41 +189,28 @@ class Factored:
         """The diagonals of Q Q' (G, n)."""
         return np.asarray(np.einsum("gij,gij->gi", self.Q, self.Q))
 
-    def fits(self, responses: Array) -> list[LinearFit]:
-        """Return the fits of responses (G, n, k)."""
-        n, p = self.design.shape[1:]
-        b, s = _refined(
-            self.design, responses, self.covariance, self.Q, self.inverse, column_norms(self.R)
-        )
-        residuals, rss = self.covariance.coloured(s), np.einsum("gnk,gnk->gk", s, s)
-        leverage = self.leverage
-        return [
-            LinearFit(
-                coefficients=b[i],
-                cofactor=self.cofactors[i],
-                residuals=residuals[i],
-                rss=rss[i],
-                dof=n - p,
-                leverage=leverage[i],
-                condition=condition,
-            )
-            for i, condition in enumerate(self.conditions)
-        ]
-
 
 def factor_alike(
-    designs: Array,
-    *,
-    variances: Array | None = None,
-    least_norm: float = 0.0,
-    names: Sequence[Sequence[str] | None],
-    rows: str = "positions",
+    designs: Array, *, least_norm: float = 0.0, names: Sequence[Sequence[str] | None]
 ) -> Factored:
-    """Factor several designs of one size; parameters and errors as in `solve_alike`."""
+    """Factor several designs of one size (G, n, p), as `solve` does each, in less time.
+
+    Parameters
+    ----------
+    designs : (G, n, p) array
+    least_norm : float
+        As in `solve`.
+    names : G sequences of p str
+        Names of the coefficients of each problem, for messages.
+
+    Raises
+    ------
+    MultiposError
+        As in `solve`; of columns that depend on each other it is a `DependentColumnsError`.
+    """
     design_matrix(designs[0])  # refuses one without columns
     _require_finite(designs, "design")
-    V = Covariance(variances, designs.shape[1], stacked=True)
-    return _factored(designs, V, least_norm, names, rows)
+    return _factored(designs, Covariance(None, 0), least_norm, names, "positions")
 
 
 def _factored(
@@ -278,14 +233,14 @@ def _factored(
         dependent |= column_norms(X).min(axis=1) <= least_norm
     if dependent.any():
         first = int(np.argmax(dependent))
-        _refuse(X[first], V.of(first), least_norm, names[first], rows, first)
+        _refuse(X[first], V, least_norm, names[first], rows, first)
     conditions = (singular[:, 0] / singular[:, -1]).tolist()
     T: Array = np.asarray(np.linalg.inv(R), dtype=np.float64)  # triangular: back substitution
     cofactors = T @ T.transpose(0, 2, 1)
     for i, condition in enumerate(conditions):
         if condition > _REFINE_COFACTOR:
-            cofactors[i] = _precise_cofactor(X[i], V.of(i), T[i])
-    return Factored(X, V, Q, R, T, cofactors, conditions)
+            cofactors[i] = _precise_cofactor(X[i], V, T[i])
+    return Factored(X, Q, R, T, cofactors, conditions)
 
 
 def _refined(

@@ -558,15 +558,9 @@ def _search(
     guard: Guard,
 ) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
     needed = requires if plan.hierarchy else None
-    if plan.method == "stepwise":
-        found = select_stepwise(
-            triangle, names, plan.limits, forced=forced, requires=needed, guard=guard
-        )
-        return found, ()
-    if plan.method == "backward":
-        found = select_backward(
-            triangle, names, plan.limits, forced=forced, requires=needed, guard=guard
-        )
+    if plan.method != "subsets":
+        select = select_stepwise if plan.method == "stepwise" else select_backward
+        found = select(triangle, names, plan.limits, forced=forced, requires=needed, guard=guard)
         return found, ()
     subsets = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
     named = tuple((tuple(names[j] for j in subset.columns), subset) for subset in subsets)

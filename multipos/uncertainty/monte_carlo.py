@@ -289,29 +289,14 @@ class MonteCarlo(Result, Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
+        keys = ("mean", "u", "symmetric", "shortest", "tolerance", "valid")
+        figures = zip(*(getattr(self, key).tolist() for key in keys), strict=True)
         return {
             "trials": self.trials,
             "stable": self.stable,
             "parameters": [
-                {
-                    "name": name,
-                    "mean": mean,
-                    "u": u,
-                    "symmetric": symmetric,
-                    "shortest": shortest,
-                    "tolerance": tolerance,
-                    "valid": bool(valid),
-                }
-                for name, mean, u, symmetric, shortest, tolerance, valid in zip(
-                    self.names,
-                    self.mean,
-                    self.u,
-                    self.symmetric,
-                    self.shortest,
-                    self.tolerance,
-                    self.valid,
-                    strict=True,
-                )
+                {"name": name, **dict(zip(keys, mine, strict=True))}
+                for name, mine in zip(self.names, figures, strict=True)
             ],
         }
 
