@@ -252,7 +252,9 @@ def _repair(c: Calibration, view: View) -> Finding | None:
     ]
     if not sound:
         return None
-    best = max(as_good_as_best(sound, view), key=lambda each: _faces(each.view, expected))
+    as_good = as_good_as_best(sound, view)
+    own = [np.round(cosines(each.view.sensitivity, expected).min(), 2) for each in as_good]
+    best = as_good[int(np.argmax(own))]
     return _in_words(c, best)
 
 
@@ -271,11 +273,6 @@ def _is_slight(c: Calibration) -> bool:
     if not (c.residual_sd < _SUSPICIOUS * size).all() or not left.min() > _ROUNDING:
         return False
     return bool((np.abs(c.residuals) / left < 0.5 * min(_BY_ROWS.values()) * size).all())
-
-
-def _faces(view: View, expected: Array) -> float:
-    """Return how well outputs face their own axes, the worst of them."""
-    return float(np.round(cosines(view.sensitivity, expected).min(), 2))
 
 
 def _in_words(c: Calibration, repair: Repair) -> Finding:

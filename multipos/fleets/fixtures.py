@@ -110,7 +110,8 @@ def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[
     if not usable.any():
         return ()
     usable &= rms <= _WILD * median(rms[usable])
-    angles = _angles(fixture, found)
+    left = np.moveaxis(found.residuals, 0, 2) @ found.inverse.transpose(0, 2, 1)
+    angles = left.reshape(len(left), -1) @ fixture.inverse.T  # δ̂_u (B, 3 n) of every unit
     n = len(fixture.labels)
     sums = []
     for station in np.unique(stations[usable]).tolist():
@@ -129,9 +130,3 @@ def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[
             )
         )
     return tuple(sums)
-
-
-def _angles(fixture: Fixture, found: Estimates) -> Array:
-    """Return δ̂_u (B, 3 n) of every unit."""
-    left = np.moveaxis(found.residuals, 0, 2) @ found.inverse.transpose(0, 2, 1)
-    return np.asarray(left.reshape(len(left), -1) @ fixture.inverse.T)

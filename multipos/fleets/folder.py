@@ -72,8 +72,11 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     place = Path(folder)
     make_folder(place)
     corrections: Files = dict(_corrections(fleet, place / STATIONS))
+    table: Pieces = _csv_pieces(fleet.calibrations)
+    if has_parquet():
+        table = to_parquet(_parts(fleet.calibrations))
     files: Files = {
-        place / (PARQUET if has_parquet() else CSV): _table_of(fleet),
+        place / (PARQUET if has_parquet() else CSV): table,
         place / UNITS: _csv_pieces(fleet.verdicts),
         place / SUMMARY: to_json(fleet.to_dict()),
         place / (PAGE if has_page() else TEXT): page,
@@ -130,12 +133,6 @@ def _file_name(station: str, taken: set[str]) -> str:
 def has_corrections(fleet: Fleet) -> bool:
     """Tell whether there is a correction for any station."""
     return any(station["correction"] is not None for station in fleet["stations"])
-
-
-def _table_of(fleet: Fleet) -> Pieces:
-    return (
-        to_parquet(_parts(fleet.calibrations)) if has_parquet() else _csv_pieces(fleet.calibrations)
-    )
 
 
 def _parts(columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

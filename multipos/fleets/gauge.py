@@ -144,9 +144,11 @@ def describe_gauge(
         name: {
             "sd": max(sum(share * pooled[each] for each, share in shares.items()), 0.0) ** 0.5,
             "variance_anova": sum(share * found[each].value for each, share in shares.items()),
-            **_bounds(interval_of(shares, found, confidence)),
+            "low": low**0.5,
+            "high": high**0.5,
         }
         for name, shares in coefficients(*values.shape).items()
+        for low, high in [interval_of(shares, found, confidence)]
     }
     gauge, units = components["gauge"]["sd"], components["units"]["sd"]
     total = float(np.hypot(gauge, units))
@@ -157,11 +159,6 @@ def describe_gauge(
         "distinct": int(min(_CATEGORIES * units / gauge, _MOST)) if gauge > 0.0 else None,
         "tolerance": None if width is None else 6.0 * gauge / width,
     }
-
-
-def _bounds(variances: tuple[float, float]) -> dict[str, float]:
-    low, high = (variance**0.5 for variance in variances)
-    return {"low": low, "high": high}
 
 
 def _line(found: Mapping[str, MeanSquare], name: str) -> dict[str, Any]:

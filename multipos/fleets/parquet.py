@@ -5,7 +5,6 @@ are in the file, a dictionary and numbers. A column stays in its file until rows
 for; what a file gives only together is a row group.
 """
 
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.csv_columns import FileBytes
 from multipos.files.handed import require_extra
 from multipos.files.tables import Column, Table
 from multipos.fleets.labels import Labels, joined_labels
@@ -102,7 +102,7 @@ def read_parquet(
     except (pa.ArrowException, OSError) as error:
         raise _unreadable(path, error) from None
     rows = max(map(len, columns.values()), default=0)
-    return Table(str(path), columns, rows, sha256=_sha256(path))
+    return Table(str(path), columns, rows, sha256=FileBytes(path, "table").sha256())
 
 
 def spread_parquet(
@@ -246,8 +246,3 @@ def _labels(part: Any) -> Labels:
         indices = indices.fill_null(len(names))
         names.append("")
     return Labels(indices.to_numpy(zero_copy_only=False).astype(np.int32), names)
-
-
-def _sha256(path: str | os.PathLike[str]) -> str:
-    with Path(path).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

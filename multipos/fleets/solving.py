@@ -291,7 +291,9 @@ def find_pattern(
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
     kinds = () if c.robust_weight is None else lacking_in_batch(c)
-    return Pattern(shared, fixture, c.gravity, _common(c), asked, tests, kinds, timed)
+    return Pattern(
+        shared, fixture, c.gravity, _in_order(_codes(c) - _OF_UNITS), asked, tests, kinds, timed
+    )
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -345,12 +347,6 @@ _CODES = (
     *("settling", "hysteresis", "vibration", "level", "table", _OVERSTATED),
 )
 _OF_UNITS = frozenset((*_CODES[4:], _POOR))
-
-
-def _common(calibration: Calibration) -> str:
-    """Return what every unit at these positions is found of."""
-    # what depends on the unit is found of each by itself
-    return _in_order(_codes(calibration) - _OF_UNITS)
 
 
 def _codes(calibration: Calibration) -> set[str]:

@@ -118,11 +118,9 @@ class Rows:
 
     def select(self, rows: Sequence[int]) -> Table:
         """Return some rows as a table; messages still name file and line where it is one file."""
-        places = np.searchsorted(self.starts, rows, side="right") - 1
+        places, row = np.searchsorted(self.starts, rows, side="right") - 1, np.asarray(rows)
         parts = [
-            self.tables[place].select(
-                [row - self.starts[place] for row in _at(rows, places, place)]
-            )
+            self.tables[place].select((row[places == place] - self.starts[place]).tolist())
             for place in dict.fromkeys(places.tolist())
         ]
         if len(parts) == 1:
@@ -182,10 +180,6 @@ def _loaded(table: Table, low: int, high: int) -> Table:
 
 def _part(column: Column, low: int, high: int) -> Column:
     return column.part(low, high) if isinstance(column, Cells) else column[low:high]
-
-
-def _at(rows: Sequence[int], places: Any, place: int) -> list[int]:
-    return [row for row, at in zip(rows, places.tolist(), strict=True) if at == place]
 
 
 def read_rows(
@@ -471,7 +465,8 @@ def _files(source: str | os.PathLike[str], endings: Sequence[str]) -> Sequence[S
     """Return the files that a path, a folder or a pattern stands for."""
     name = os.fspath(source)
     if is_folder(name):
-        files = [path for path in sorted(Path(name).iterdir()) if _ends(path, endings)]
+        every = sorted(Path(name).iterdir())
+        files = [path for path in every if _unpacked(path).suffix.casefold() in endings]
         if not files:
             raise MultiposError(f"{name}: the folder has no {' or '.join(endings)} files.")
         return files
@@ -481,10 +476,6 @@ def _files(source: str | os.PathLike[str], endings: Sequence[str]) -> Sequence[S
             raise MultiposError(f"{name}: no file fits the pattern; check the path.")
         return fitting
     return [rereadable(source)]
-
-
-def _ends(path: Path, endings: Sequence[str]) -> bool:
-    return _unpacked(path).suffix.casefold() in endings
 
 
 def _unpacked(path: Path) -> Path:

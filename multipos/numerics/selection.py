@@ -621,7 +621,8 @@ def all_subsets(
         )
         for i in index.tolist()
     ]
-    return tuple(sorted(found, key=lambda s: _badness(s, criterion)))
+    sign = -1.0 if criterion == "adjusted_r2" else 1.0
+    return tuple(sorted(found, key=lambda s: sign * getattr(s, criterion)))
 
 
 def _stand_on_theirs(
@@ -633,10 +634,6 @@ def _stand_on_theirs(
         for needed in requires[j].difference(forced):
             result &= ~member[:, place] | member[:, free.index(needed)]
     return result
-
-
-def _badness(subset: Subset, criterion: str) -> float:
-    return -subset.adjusted_r2 if criterion == "adjusted_r2" else float(getattr(subset, criterion))
 
 
 def _describe(columns: tuple[int, ...], rss: float, total: float, n: int, always: int) -> Subset:

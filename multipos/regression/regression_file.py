@@ -206,7 +206,11 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         F=(_F if c["significant"] else FIGURE).read(c["F"]),
         runner_up=None if found is None else _ANOTHER.read({"action": "add", **found}),
         F_to_enter=math.nan if found is None else FIGURE.read(found["F_to_enter"]),
-        subsets=tuple(_subset(one) for one in c.get("subsets", ())),
+        subsets=tuple(
+            (tuple(names), Subset(tuple(range(len(names))), **_SUBSET.read(one)))
+            for one in c.get("subsets", ())
+            for names in [one["terms"]]
+        ),
         robust=_robust(c) if "robust" in c else None,
         between=_between(c["between_runs"], terms) if c.get("between_runs") else None,
         region=region,
@@ -254,10 +258,6 @@ def _between(c: Mapping[str, Any], terms: tuple[Term, ...]) -> Between:
         raise ValueError("'between_runs' of a segment does not fit its terms")
     require_covariance(found.covariance, np.sqrt(np.diag(found.covariance)))
     return found
-
-
-def _subset(c: Mapping[str, Any]) -> tuple[tuple[str, ...], Subset]:
-    return tuple(c["terms"]), Subset(tuple(range(len(c["terms"]))), **_SUBSET.read(c))
 
 
 def _numbers(value: Any) -> Array:

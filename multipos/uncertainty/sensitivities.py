@@ -175,15 +175,11 @@ def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:
     return np.asarray(_attitudes(calibration, quantity)[:, :, :2].transpose(0, 2, 1))
 
 
-def _force_jacobian(c: Calibration) -> Array:
-    """Return J = dh/df (n, M, 3) at the positions."""
-    return c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
-
-
 def _turned(c: Calibration, axes: Array) -> Array:
     """Return the change of the readings (n, M, q) per degree of turn about axes (n, q, 3)."""
     change = np.cross(axes, c.reference[:, None, :])
-    return np.asarray(np.radians(np.einsum("nmi,nqi->nmq", _force_jacobian(c), change)))
+    J = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
+    return np.asarray(np.radians(np.einsum("nmi,nqi->nmq", J, change)))
 
 
 def _attitudes(c: Calibration, quantity: Quantity) -> Array:
