@@ -578,14 +578,12 @@ def all_subsets(
     Raises
     ------
     UsageError
-        More than 20 free columns, or an unknown criterion.
+        More than 20 free columns.
     MultiposError
         No subset leaves a row over.
     """
     p = triangle.R.shape[1] - 1
     free = [j for j in range(p) if j not in forced]
-    if criterion not in CRITERIA:
-        raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
     if len(free) > MOST_TERMS:
         raise UsageError(
             f"{len(free)} terms have {2 ** len(free)} subsets; all subsets are for {MOST_TERMS} "
