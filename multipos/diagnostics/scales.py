@@ -153,7 +153,9 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
         for output, axis in zip(c.outputs, face.text.split(","), strict=True)
     )
     if is_triad(c):
-        vector = _nearest_rotation(sensitivity, expected)
+        # nearest to K, from the axes that the outputs should have
+        unit = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
+        vector = rotation_vector(align(expected, unit))
         if math.cos(float(np.linalg.norm(vector))) > _SLANTED:
             return None  # axes that are not square, and no turn of the whole
         how = f"{_rotation_in_words(vector)}: {how}"
@@ -164,12 +166,6 @@ def turned(c: Calibration, sensitivity: Array) -> Finding | None:
         words,
         outputs=c.outputs,
     )
-
-
-def _nearest_rotation(sensitivity: Array, expected: Array) -> Array:
-    """Return the rotation vector nearest to K, from the axes that the outputs should have."""
-    unit = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
-    return rotation_vector(align(expected, unit))
 
 
 def _rotation_in_words(vector: Array) -> str:
@@ -303,13 +299,9 @@ def _stands_apart(ratio: float, *, lone: bool) -> bool:
 
 
 def _times(ratio: float) -> str:
-    known = _nearest(ratio, FACTORS)
+    known = min(FACTORS, key=lambda each: abs(math.log(ratio / each)))
     looks = f", as by a factor {factor_in_words(known)}" if _is_near(ratio, known) else ""
     return f"{ratio:.3g} times{looks}"
-
-
-def _nearest(value: float, known: Sequence[float]) -> float:
-    return min(known, key=lambda each: abs(math.log(value / each)))
 
 
 def _is_near(value: float, known: float, within: float = _NAMED) -> bool:

@@ -274,7 +274,9 @@ def estimator_gain(calibration: Calibration) -> Array:
         return _solved(R, Q.T @ whitener)
     sd = np.ones(n * m) if noise is None else np.sqrt(noise)
     if isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any()):
-        return _tied_gain(c, design, np.tile(c.residual_sd, n) if noise is None else sd)
+        # priors or shared parameters tie the outputs
+        weighted = design / (np.tile(c.residual_sd, n) if noise is None else sd)[:, None] ** 2
+        return _solved(weighted.T @ design + np.diag(c.model.beliefs), weighted.T)
     result = np.zeros((design.shape[1], n * m))
     for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent
         Q, R = np.linalg.qr(design[output::m, part] / sd[output::m, None])
@@ -290,13 +292,6 @@ def _solved(matrix: Array, right: Array) -> Array:
             "the positions of this calibration do not determine its parameters, so that nothing "
             "follows from its readings; fit again."
         ) from None
-
-
-def _tied_gain(c: Calibration, design: Array, sd: Array) -> Array:
-    """Return G of eq. (1) where priors or shared parameters tie the outputs."""
-    weighted = design / sd[:, None] ** 2
-    information = weighted.T @ design + np.diag(c.model.beliefs)
-    return _solved(information, weighted.T)
 
 
 def gravity_effect(calibration: Calibration) -> Array:

@@ -21,6 +21,11 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import add_gravity
 from multipos.sensor.model import Model
 
+_CARRIED = (  # from a solution as they are
+    *("model", "parameters", "covariance", "parameter_dof", "dof", "residuals", "residual_sd"),
+    *("reference", "status", "variance_components", "orientations", "robust_weight"),
+)
+
 
 def complete(
     solution: Solution,
@@ -49,30 +54,18 @@ def complete(
     MultiposError
         A parameter is too large a number for any file.
     """
-    model, reference = solution.model, solution.reference
     _require_in_files(solution)
     calibration = Calibration(
-        model=model,
-        parameters=solution.parameters,
-        covariance=solution.covariance,
-        parameter_dof=solution.parameter_dof,
-        dof=solution.dof,
-        residuals=solution.residuals,
-        residual_sd=solution.residual_sd,
-        reference=reference,
+        **{name: getattr(solution, name) for name in _CARRIED},
         readings=readings,
         convention=convention,
         estimator=estimator,
         criterion=criterion,
         confidence=confidence,
         diagnostics=_diagnose(solution, readings, estimator),
-        status=solution.status,
         created=now(),
         version=__version__,
-        cross_check=closed_form_difference(model, listed, readings),
-        variance_components=solution.variance_components,
-        orientations=solution.orientations,
-        robust_weight=solution.robust_weight,
+        cross_check=closed_form_difference(solution.model, listed, readings),
     )
     return _with_size(calibration)
 

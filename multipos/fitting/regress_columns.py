@@ -667,7 +667,13 @@ def _check_options(
     cluster: str | None,
     run: str | None,
 ) -> None:
-    _check_columns_named(response, branches, cluster, run)
+    if cluster is not None and run is not None:
+        raise UsageError(
+            "--cluster changes the tests alone, --run what is uncertain too; give one of them."
+        )
+    for option, name in (("--branches", branches), ("--cluster", cluster), ("--run", run)):
+        if name == response:
+            raise UsageError(f"{option} names the response '{response}'; give another column.")
     if criterion not in CRITERIA:
         raise UsageError(f"--criterion takes {', '.join(CRITERIA)}, got '{criterion}'.")
     if criterion != CRITERIA[0] and method != "subsets":
@@ -677,18 +683,6 @@ def _check_options(
     check_confidence(confidence)
     if blocks is not None and blocks < 2:
         raise UsageError(f"--cross-validate takes 2 blocks or more, got {blocks}.")
-
-
-def _check_columns_named(
-    response: str, branches: str | None, cluster: str | None, run: str | None
-) -> None:
-    if cluster is not None and run is not None:
-        raise UsageError(
-            "--cluster changes the tests alone, --run what is uncertain too; give one of them."
-        )
-    for option, name in (("--branches", branches), ("--cluster", cluster), ("--run", run)):
-        if name == response:
-            raise UsageError(f"{option} names the response '{response}'; give another column.")
 
 
 def _require_bending(plan: Plan, cut: Cut) -> None:

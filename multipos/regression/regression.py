@@ -164,12 +164,10 @@ class Regression(Result, Tabular):
             At least `needed`.
         """
         given = {name: np.asarray(column, dtype=np.float64) for name, column in columns.items()}
-        place = self.segment_of(given)
-        predicted = np.empty(len(place))
-        for i, segment in enumerate(self.segments):
-            rows = np.flatnonzero(place == i)
-            predicted[rows] = segment.design(given, rows) @ segment.values
-        return predicted
+        # Imported here, for that module is about regressions and so imports this one.
+        from multipos.regression.prediction import predict_rows
+
+        return predict_rows(self, given, self.segment_of(given))
 
     def columns(self) -> dict[str, Any]:
         """Return the terms: segment, term, value, u, t, p."""
