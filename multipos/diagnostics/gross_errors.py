@@ -278,7 +278,7 @@ def _is_slight(c: Calibration) -> bool:
 def _in_words(c: Calibration, repair: Repair) -> Finding:
     labels = c.readings.labels
     rows = tuple(labels[row] for row in repair.rows)
-    named = f"position{'' if len(rows) == 1 else 's'} {listed(rows, 12)}"
+    named = _positions(rows)
     outputs = tuple(c.outputs[i] for i in repair.outputs)
     after = f"rms is {repair.view.left_over:.2g} g"
     if c.rms < _OF_USE:
@@ -332,6 +332,11 @@ def _unwrap(c: Calibration, repair: Repair) -> str:
     }
     way = ways.get((bool((added > 0.0).any()), bool((added < 0.0).any())))
     return f"{way}, or measure again in a wider range."
+
+
+def _positions(rows: tuple[str, ...]) -> str:
+    named = listed(rows, 12)
+    return f"position {named}" if len(rows) == 1 else f"positions {named}"
 
 
 def _no_signal(c: Calibration, view: View) -> Finding | None:

@@ -58,7 +58,6 @@ from multipos.estimation.known import REJECTED
 from multipos.estimation.likelihood import weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.files.numbers import p_in_words
-from multipos.files.spelling import listed
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, resolution
 from multipos.numerics.factoring import cofactors_of
@@ -437,8 +436,11 @@ def _outlying(c: Calibration, found: Outlying) -> Finding:
     labels = [c.readings.labels[row] for row in found.rows.tolist()]
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH
-    said = listed([f"{label} ({size})" for label, size in zip(labels, off, strict=True)], _SHOWN)
-    said = f"position {said} deviates" if len(off) == 1 else f"positions {said} deviate"
+    pairs = list(zip(labels, off, strict=True))
+    said = ", ".join(f"{label} ({size})" for label, size in pairs[:_SHOWN])
+    more = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
+    one = len(pairs) == 1
+    said = f"position {said} deviates" if one else f"positions {said}{more} deviate"
     named = ",".join(dict.fromkeys(labels))
     lost = _signs_lost(c, found)
     if lost:

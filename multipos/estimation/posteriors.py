@@ -163,7 +163,7 @@ def integrate(
     for _ in range(_NARROWED):
         x = np.linspace(low, high, count // 2, axis=1)
         log = evaluate(_nodes(x, size), whole=False).log
-        probable = _probable(log)
+        probable = log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0
         first, last = _ends(x, probable)
         low, high = np.where(searched, first, low), np.where(searched, last, high)
         searched &= 4 * probable.sum(axis=1) <= count // 2
@@ -184,11 +184,6 @@ def integrate(
 
 def _nodes(x: Array, size: Array) -> Array:
     return np.asarray(np.maximum(np.exp(x) - size[:, None], 0.0))
-
-
-def _probable(log: Array) -> Mask:
-    """Return which nodes (B, G) are probable, by the logarithm of the density."""
-    return np.asarray(log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0)
 
 
 def _ends(x: Array, probable: Mask) -> tuple[Array, Array]:
@@ -345,8 +340,8 @@ def integrate_grid(
         )
         found = evaluate(np.exp(y), tau2, whole=side == _FINE)
         log = found.log.reshape(count, side + 1, side)
-        x_ends = _ends(x, _probable(log[:, 1:].max(axis=2)))
-        y_ends = _ends(y, _probable(log.max(axis=1)))
+        x_ends = _probable(x, log[:, 1:].max(axis=2))
+        y_ends = _probable(y, log.max(axis=1))
     dx, dy = (each[:, 1] - each[:, 0] for each in (x, y))
     weights = np.exp(log - log.max(axis=(1, 2), keepdims=True)) * dx[:, None, None]
     weights[:, [1, -1]] /= 2.0
@@ -359,3 +354,8 @@ def integrate_grid(
     nodes = np.repeat(tau2, side, axis=1)
     posterior = Posterior(nodes, weights.reshape(count, -1), found.moves, found.variances, size)
     return Both(posterior, np.exp(y), weights.sum(axis=1))
+
+
+def _probable(x: Array, log: Array) -> tuple[Array, Array]:
+    """Return the ranges (B,) of nodes where something is probable, and one more to either side."""
+    return _ends(x, log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0)

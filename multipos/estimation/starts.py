@@ -327,9 +327,17 @@ def _require_above_noise(problem: Problem, start: State, optimum: Optimum) -> No
             "the readings differ by little more than their noise. Turn the sensor to different "
             "positions and hold it still."
         )
-    said = f"{rank} of {len(limit)} parameters can be separated from the noise"
-    missing = least_determined(relative, rank)
-    raise _out_of_reach(said, problem, start.theta, information, missing, rank)
+    missing = [model.names[i] for i in sorted(least_determined(relative, rank))]
+    best = CANDIDATES[
+        helpful_positions(information, _candidate_gains(problem, start.theta), len(missing))
+    ]
+    raise RankError(
+        f"{rank} of {len(limit)} parameters can be separated from the noise: "
+        f"{', '.join(f'`{name}`' for name in missing)} out of reach; add positions such as "
+        f"{position_words(best)}, or drop those terms.",
+        rank=rank,
+        parameters=len(limit),
+    )
 
 
 def _require_sphere(problem: Problem, optimum: Optimum) -> None:
@@ -476,21 +484,12 @@ def too_few(problem: Problem) -> RankError:
     marginal = linearise(unit, state, evaluate(unit, state)).marginal
     jacobian = parameter_jacobian(model, theta, direction, problem.environment)
     information = np.einsum("nmp,nmk,nkq->pq", jacobian, marginal, jacobian)
-    missing = least_determined(information, equations)
-    return _out_of_reach(said, unit, theta, information, missing, equations)
-
-
-def _out_of_reach(
-    said: str, problem: Problem, theta: Array, information: Array, missing: list[int], rank: int
-) -> RankError:
-    """Return the error of missing parameters, with as many positions as would determine them."""
-    names = problem.model.names
-    gains = _candidate_gains(problem, theta)
-    best = CANDIDATES[helpful_positions(information, gains, len(names) - rank)]
-    listed = ", ".join(f"`{names[i]}`" for i in sorted(missing))
+    missing = [model.names[i] for i in sorted(least_determined(information, equations))]
+    gains = _candidate_gains(unit, theta)
+    best = CANDIDATES[helpful_positions(information, gains, p - equations)]
     return RankError(
-        f"{said}: {listed} out of reach; add positions such as {position_words(best)}, or drop "
-        "those terms.",
-        rank=rank,
-        parameters=len(names),
+        f"{said}: {', '.join(f'`{name}`' for name in missing)} out of reach; add positions "
+        f"such as {position_words(best)}, or drop those terms.",
+        rank=equations,
+        parameters=p,
     )

@@ -36,7 +36,7 @@ import numpy as np
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import p_in_words
-from multipos.files.spelling import Names, listed, split_names, split_numbers, visible
+from multipos.files.spelling import Names, split_names, split_numbers, visible
 from multipos.files.tables import Source, read_table
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order, repeated_files
@@ -187,7 +187,9 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
         text = f"{where} is not significant: F = {segment.F:.3g} is below {segment.F_critical:.3g}"
         said.append(Finding("not-significant", "warning", text, p=segment.p))
     if segment.left_out:
-        names = listed([one.term for one in segment.left_out], _MOST_NAMED)
+        names = ", ".join(one.term for one in segment.left_out[:_MOST_NAMED])
+        more = len(segment.left_out) - _MOST_NAMED
+        names += f" and {more} more" if more > 0 else ""
         text = f"{where}: {names} omitted, as the columns hardly vary there, or cancel"
         said.append(Finding("left-out", "note", text))
     if segment.collinear:
