@@ -211,18 +211,22 @@ def drift_rows(found: Mapping[str, Any]) -> Rows:
 
 
 def fleet_sentence(found: Mapping[str, Any]) -> str:
-    """Return the yield, the units by verdict, the largest reasons and the stations that are off."""
+    """Return the yield, units by verdict, the largest reasons, stations that are off, outliers."""
     good = found["yield"]
     low, high = (f"{100.0 * good[side]:.2f}" for side in ("low", "high"))
     counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
     reasons = [f"{cause} {count}" for cause, count in found["causes"].items()]
     off = [each["station"] for each in found["stations"] if each.get("findings")]
-    why = [f"why: {', '.join(reasons[:_REASONS])}"] if reasons else []
-    named = f"stations off: {', '.join(off[:_REASONS])}" if any(off) else "fixture off"
-    where = [named] if off else []
-    more = [f"{len(off) - _REASONS} more"] if len(off) > _REASONS else []
-    said = "; ".join([counts, *why, ", ".join(where + more)]).removesuffix("; ")
+    where = "fixture off" if off and not any(off) else _first("stations off", off)
+    outliers = _first("outliers", [str(each["unit"]) for each in found["outliers"]])
+    said = "; ".join(filter(None, [counts, _first("why", reasons), where, outliers]))
     return (
         f"Yield {100.0 * good['value']:.2f} % ({low} to {high} % with 95 % confidence) of "
         f"{found['units']} units: {said}."
     )
+
+
+def _first(what: str, names: list[str]) -> str:
+    """Return what is said of the first names, and how many more there are."""
+    more = [f"{len(names) - _REASONS} more"] if len(names) > _REASONS else []
+    return f"{what}: {', '.join([*names[:_REASONS], *more])}" if names else ""

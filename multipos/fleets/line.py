@@ -29,11 +29,20 @@ the median, repeated until they stay the same, scaled so that as many as expecte
 hundredth of bad ones does not widen it. Of many units some are far by chance; those are named of
 which at most one in a hundred is so (false discovery rate of Benjamini and Hochberg).
 
+Fewer than 3 (p + 1) units do not give S. There each number is judged alone: the farthest units are
+taken away one after another, up to a quarter of all, and with m and s of the k that are left
+
+    t² = (x_j − m)²/(s² (1 + 1/k) + D_jj) ~ F(1, k − 1).                                    (4)
+
+All are named up to the last whose chance, times the units and numbers that are looked at, is below
+a hundredth, so that two that are off do not hide each other.
+
 Sources: H. Hotelling 1931, Ann. Math. Statist. 2. P. J. Rousseeuw, K. Van Driessen, Technometrics
-41, 1999 (concentration steps). Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57, 1995.
+41, 1999 (concentration steps). Y. Benjamini, Y. Hochberg, J. R. Stat. Soc. B 57, 1995. B. Rosner,
+Technometrics 25, 1983, 165–172 (few units).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -47,9 +56,12 @@ from multipos.numerics.quantiles import chi2_quantile, f_tail, normal_quantiles
 RATE = 0.01  # of false discoveries
 _KEPT = 0.975  # share of a normal law that S is taken from
 _STEPS = 10
-_FEW = 3  # times as many units as parameters are needed
+_FEW = 3  # times as many units as parameters give their covariance
+_PART = 4  # of few units one in so many may be off
 _SHOWN = 3  # parameters that are named of a unit
 _ROWS = 50_000  # units that are worked on at once
+
+_Excess = Callable[[Places], Array]  # D of eq. (3), of rows
 
 
 def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
@@ -64,7 +76,7 @@ def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
     mine = np.flatnonzero(counted & np.isfinite(units.parameters).all(axis=1))
     mine = mine[np.isfinite(units.rms[mine])]
     n, p = len(mine), len(units.names) + 1
-    if p == 1 or n < _FEW * (p + 1):
+    if p == 1 or n < _PART:
         return []
     theta = np.empty((n, p))  # column by column, as there may be millions of rows
     for place in range(p - 1):
@@ -77,21 +89,8 @@ def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
     if not (scale > 0.0).all():
         return []  # as many units are exactly alike, nothing tells how units differ
     theta /= scale
-    covariance = _concentrated(theta)
-    distance = _squared(theta, covariance)
-    p_values = _tail(distance, n, p)
-    near = np.flatnonzero(p_values < RATE)
-    excess = np.zeros((len(near), p))
-    for place in range(p - 1):
-        u2 = (units.u[mine, place] / scale[place]) ** 2
-        excess[:, place] = np.maximum(u2[near] - median(u2), 0.0)
-    for place, row in enumerate(near.tolist()):
-        if excess[place].any():
-            worse = covariance + np.diag(excess[place])
-            distance[row] = float(theta[row] @ np.linalg.solve(worse, theta[row]))
-    p_values[near] = _tail(distance[near], n, p)
-    found = discoveries(p_values)
-    sd = np.sqrt(np.diag(covariance))
+    judged = _each_alone if n < _FEW * (p + 1) else _together
+    found, distance, p_values, sd = judged(theta, lambda rows: _excess(units, mine, rows, scale))
     return [
         {
             "unit": units.unit[mine[row]],
@@ -102,6 +101,56 @@ def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
         }
         for row in sorted(found.tolist(), key=lambda row: -distance[row])
     ]
+
+
+def _excess(units: Units, mine: Places, rows: Places, scale: Array) -> Array:
+    """Return D (k, p) of eq. (3) of some rows, on the scale of the numbers."""
+    excess = np.zeros((len(rows), len(scale)))
+    for place in range(len(scale) - 1):
+        u2 = (units.u[mine, place] / scale[place]) ** 2
+        excess[:, place] = np.maximum(u2[rows] - median(u2), 0.0)
+    return excess
+
+
+def _together(theta: Array, excess: _Excess) -> tuple[Places, Array, Array, Array]:
+    """Return the units that are far in all numbers together, T² and p (n,), and sds (p,)."""
+    covariance = _concentrated(theta)
+    distance = _squared(theta, covariance)
+    p_values = _tail(distance, *theta.shape)
+    near = np.flatnonzero(p_values < RATE)
+    for row, added in zip(near.tolist(), excess(near), strict=True):
+        if added.any():
+            worse = covariance + np.diag(added)
+            distance[row] = float(theta[row] @ np.linalg.solve(worse, theta[row]))
+    p_values[near] = _tail(distance[near], *theta.shape)
+    return discoveries(p_values), distance, p_values, np.sqrt(np.diag(covariance))
+
+
+def _each_alone(theta: Array, excess: _Excess) -> tuple[Places, Array, Array, Array]:
+    """Return the units that are far in a number, its t² and p (n,), and sds (p,), eq. (4)."""
+    n, p = theta.shape
+    distance, p_values, sd = np.zeros(n), np.ones(n), np.empty(p)
+    for place, (x, added) in enumerate(zip(theta.T, excess(np.arange(n)).T, strict=True)):
+        kept, away, named = np.ones(n, dtype=np.bool_), [], 0
+        for _ in range(n // _PART):
+            row = int(np.argmax(np.where(kept, np.abs(x - x[kept].mean()), -1.0)))
+            kept[row] = False
+            away.append(row)
+            if p * (n - len(away) + 1) * _alone(x[kept], x[row], added[row])[1] < RATE:
+                named = len(away)
+        kept[away[named:]] = True
+        sd[place] = x[kept].std(ddof=1)
+        for row in away[:named]:
+            t2, chance = _alone(x[kept], x[row], added[row])
+            distance[row] = max(distance[row], t2)
+            p_values[row] = min(p_values[row], n * p * chance)
+    return np.flatnonzero(p_values < RATE), distance, p_values, sd
+
+
+def _alone(kept: Array, x: float, added: float) -> tuple[float, float]:
+    """Return t² of eq. (4), and its chance."""
+    t2 = (x - kept.mean()) ** 2 / (kept.var(ddof=1) * (1.0 + 1.0 / len(kept)) + added)
+    return float(t2), f_tail(float(t2), 1.0, len(kept) - 1.0)
 
 
 def _concentrated(theta: Array) -> Array:

@@ -314,6 +314,48 @@ def test_a_unit_that_was_measured_worse_is_nearer():
         assert away["deviation"] == pytest.approx(theta[7, 0] / np.sqrt(S[0, 0]))
 
 
+def test_two_of_eight_units_that_are_off_by_hand():
+    """Grubbs's statistic of the one that was added last, beside the six that are left."""
+    # eq. (4) of fleets.line
+    value = np.array([1.2, -0.7, 0.3, 40.0, -1.1, 0.4, 43.0, -0.2])
+    units = SimpleNamespace(
+        names=("a",),
+        parameters=value[:, None],
+        u=np.where(value == 43.0, 5.0, 0.1)[:, None],
+        rms=1.0 + 0.1 * np.arange(8) % 0.3,
+        unit=list("abcdefgh"),
+        station=["S"] * 8,
+    )
+    found = {each["unit"]: each for each in find_outliers(units, np.ones(8, dtype=bool))}
+    left = value[np.abs(value) < 2.0]
+    s2 = left.var(ddof=1)
+    for unit, x, added in (("d", 40.0, 0.0), ("g", 43.0, 5.0**2 - 0.1**2)):
+        t2 = (x - left.mean()) ** 2 / (s2 * (1.0 + 1.0 / 6.0) + added)
+        assert found[unit]["statistic"] == pytest.approx(t2, rel=1e-9)
+        p = 8 * 2 * stats.f.sf(t2, 1, 5)
+        assert found[unit]["p"] == pytest.approx(p, rel=1e-6)
+        away = found[unit]["parameters"][0]
+        assert away["deviation"] == pytest.approx((x - np.median(value)) / np.sqrt(s2))
+    assert set(found) == {"d", "g"}
+
+
+def test_few_units_alike_are_seldom_called_off():
+    """Of fleets of twelve units alike 1 % has one that is called off, binomial at 1e-3."""
+    rng = np.random.default_rng(31)
+    named = 0
+    for _ in range(400):
+        units = SimpleNamespace(
+            names=("a", "b", "c"),
+            parameters=rng.normal(size=(12, 3)),
+            u=np.full((12, 3), 0.1),
+            rms=np.sqrt(rng.chisquare(14, size=12) / 14),
+            unit=list(range(12)),
+            station=["S"] * 12,
+        )
+        named += bool(find_outliers(units, np.ones(12, dtype=bool)))
+    assert named <= stats.binom.isf(1e-3, 400, 0.01)
+
+
 def test_values_far_from_the_median_of_their_station_by_hand():
     """Half of −2 … 2 and one far is within 1.5 of .5: six times 1.4826 of that are 13.3."""
     values = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 13.5, 7.0, 7.0, 7.0, 8.0, 9.0])
