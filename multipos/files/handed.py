@@ -87,7 +87,8 @@ def workbook_text(path: str | os.PathLike[str]) -> str:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         if "[Content_Types].xml" in reason:  # which every archive that is a workbook has
             raise MultiposError(
-                f"{path}: the archive is no workbook; unpack it, or give a log to multipos calibrate."
+                f"{path}: the archive is no workbook; unpack it, or give a log to multipos "
+                "calibrate."
             ) from None
         raise MultiposError(
             f"{path}: cannot read the workbook: {reason}; save it again as .xlsx or CSV."
