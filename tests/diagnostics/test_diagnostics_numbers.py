@@ -1,6 +1,7 @@
 """Numbers behind findings by hand or by a second route, at points without symmetry."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,16 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.diagnostics import examination, gross_errors, magnetic, residuals, row_order
+from multipos.diagnostics import (
+    examination,
+    gross_errors,
+    magnetic,
+    projections,
+    residuals,
+    row_order,
+    scales,
+    score_tests,
+)
 from multipos.diagnostics.columns import (
     _clipped,
     _has_common_ends,
@@ -673,3 +683,332 @@ def test_the_gain_of_correlated_rows_by_dense_covariances(beside):
         square = np.einsum("nmb,nk,kmb->mb", e, P, e) / np.einsum("nmb,nmb->mb", e, e)
         wanted = np.maximum(wanted, -nu * np.log(square).sum(axis=0) - 2.0 * det)
     assert_allclose(row_order._slow_gains(plan, e), wanted, rtol=1e-8)
+
+
+# --- causes by the order of rows
+
+
+def test_steps_of_a_change_are_judged_by_their_ratio_to_chance(monkeypatch):
+    """Apart by Fisher's sum over F of each output, together by one F; S of eq. (3)."""
+    # eq. (3) of diagnostics.row_order
+    place, ranks = np.array([1, 0, 1]), np.array([2.0, 3.0])
+    explained = np.array([[0.7, 0.6, 0.1], [0.5, 0.8, 0.05]])
+    gain = np.array([40.0, 50.0, 3.0])
+    plan = SimpleNamespace(nu=17.0, freedom=31.0, codes=4)
+    test = SimpleNamespace(ranks=ranks, tried=6, family=SimpleNamespace(apart=True))
+    at, p, score = row_order._judge(plan, test, np.zeros((9, 2, 3)), None, place, explained, gain)
+    for k, q in enumerate(ranks[place]):
+        delta = explained[:, k]
+        tails = fisher.sf(delta / (1.0 - delta) * (17.0 - q) / q, q, 17.0 - q)
+        wanted = min(1.0, 24.0 * chi2.sf(-2.0 * np.log(tails).sum(), 4))
+        assert p[k] == pytest.approx(wanted, rel=1e-6)
+        S = gain[k] - 2.0 * q * math.log(31.0) - 2.0 * math.log(6.0)
+        assert score[k] == (pytest.approx(S) if wanted < 0.01 else -math.inf)
+    assert np.isinf(score).tolist() == [False, False, True]
+    test.family.apart = False
+    refined = np.array([0, 1, 1]), gain + 0.3
+    monkeypatch.setattr(row_order, "_refined", lambda *_: refined)
+    at, p, score = row_order._judge(plan, test, np.zeros((9, 2, 3)), None, place, None, gain)
+    assert at.tolist() == [0, 1, 1]
+    for k, q in enumerate(ranks[place]):
+        ratio = (math.exp(gain[k] / 31.0) - 1.0) * (31.0 - q) / q
+        wanted = min(1.0, 24.0 * fisher.sf(ratio, q, 31.0 - q))
+        assert p[k] == pytest.approx(wanted, rel=1e-6)
+        S = gain[k] + 0.3 - q * math.log(31.0) - 2.0 * math.log(6.0)
+        assert score[k] == (pytest.approx(S) if wanted < 0.01 else -math.inf)
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_the_step_of_a_change_is_where_most_is_left_above_its_limit(apart):
+    rng = np.random.default_rng(8)
+    limits, m, nu, count = np.array([3.0, 1.0, 4.0, 0.5]), 3, 11.0, 40
+    shares = rng.uniform(0.1, 0.5, (4, m if apart else 1, count))
+    roots = np.sqrt(shares / 2.0)  # of two columns each
+    parts = [
+        SimpleNamespace(outputs=np.array(mine), seen=lambda e, mine=mine: np.stack(
+            [roots[:, mine[int(e.flat[0])]] if apart else roots[:, 0]] * 2, axis=1))
+        for mine in (([0, 2], [1]) if apart else ([0, 1, 2],))
+    ]  # fmt: skip
+    # what a part sees names which of its outputs it is asked of
+    e = np.zeros((5, m, count))
+    e[:, 2] = 1.0
+    test = SimpleNamespace(limits=limits, family=SimpleNamespace(apart=apart), parts=parts)
+    place, gain, there = row_order._best_steps(test, e, np.zeros((3, 5, count)), nu)
+    whole = shares if apart else np.repeat(shares / m, m, axis=1)
+    Lambda = -nu * np.log(1.0 - whole).sum(axis=1)
+    best = np.argmax(Lambda - limits[:, None], axis=0)
+    assert len(set(best.tolist())) > 2
+    assert place.tolist() == best.tolist()
+    units = np.arange(count)
+    assert_allclose(gain, Lambda[best, units])
+    assert_allclose(there, whole[best, :, units].T)
+
+
+class Rows(SimpleNamespace):
+    def __len__(self):
+        return len(self.values)
+
+
+def test_columns_of_causes_by_hand():
+    """Rows in the order of time: 4, 0, 6, 2, 1, 5, 3 of seven, of two terms an output."""
+    rng = np.random.default_rng(5)
+    time = np.array([2.0, 11.0, 7.5, 19.0, 0.5, 13.0, 3.5])
+    order = np.argsort(time)
+    f, phi, rotation = rng.normal(size=(7, 3)), rng.normal(size=(7, 2)), rng.normal(size=(7, 3, 3))
+    approach = np.array([1.0, -1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    sd = np.full((7, 2), 0.3)
+    sd[2] = 0.3 * 2.01
+    readings = Rows(
+        values=f, environment={"time": time, "approach": approach}, sd=sd, rotation=rotation,
+        up=None,
+    )  # fmt: skip
+    c = SimpleNamespace(readings=readings, reference=f, model=SimpleNamespace(basis=lambda *_: phi))
+    families = row_order._families(c, 2)
+    assert [(each.code, each.steps.tolist()) for each in families] == [
+        ("drift", [0]), ("replaced", [2, 3, 4]), ("slipped", [2, 3, 4]), ("replaced", [3]),
+        ("settling", [0]), ("hysteresis", [0]), ("vibration", [0]), ("level", [0]),
+    ]  # fmt: skip
+    drift, one, slipped, every, settling, by_approach, vibration, level = (x.base for x in families)
+    assert_allclose(drift[:, 0], time[order] - time.mean())
+    assert (one == 1.0).all()
+    K, omega = rng.normal(size=(2, 3)), rng.normal(size=3)
+    for k, row in enumerate(order):
+        assert_allclose(K @ slipped[k] @ omega, K @ np.cross(omega, f[row]))
+        held = f[order[max(k - 1, 0)]] - f[row]
+        assert_allclose(settling[k, :, 0], held)
+    assert_allclose(every, phi[order])
+    assert_allclose(by_approach[:, 0], approach[order])
+    assert_allclose(vibration[:, 0], 2.0 * sd[order, 0] ** 2)
+    assert_allclose(level, rotation[order][:, :, :2])
+    sd[2] = 0.3 * 1.99
+    assert "vibration" not in [each.code for each in row_order._families(c, 2)]
+    assert [each.wholly for each in row_order._families(c, 3)].count(True) == 0
+
+
+def test_slopes_of_a_plan_are_rounded_and_weighed_by_powers_of_two():
+    """To a twentieth of each response; of responses over sd relative to their mean."""
+    S = np.array([[1.0, 0.13, -0.06], [0.2, 7.0, 0.0], [0.01, 0.0, 2.1]])
+    sd, noise = np.array([0.02, 0.05, 0.003]), np.tile([4e-4, 25e-4, 9e-6], 5)
+    c = SimpleNamespace(
+        noise=None, sensitivity=S, residual_sd=sd, readings=range(5), residuals=np.zeros((5, 3))
+    )
+    own = np.linalg.norm(S, axis=1)
+    ratio = own / sd / np.mean(own / sd)
+    weight = 2.0 ** np.round(np.log2(ratio))
+    assert weight.tolist() == [0.125, 0.5, 2.0]
+    wanted = np.round(S / own[:, None] * 20.0) / 20.0 * weight[:, None]
+    found = row_order._Setting(c)
+    assert_allclose(found.slopes, wanted, atol=1e-12)
+    assert found.weight is None
+    c.noise = noise  # the same in all rows
+    assert row_order._Setting(c).weight is None
+    c.noise = noise * np.repeat([1.0, 1.3, 1.0, 0.7, 1.0], 3)
+    assert_allclose(row_order._Setting(c).weight, 1.0 / np.sqrt(c.noise).reshape(5, 3))
+
+
+# --- terms that a model lacks
+
+
+def linear(u=None, seed=3):
+    values = readings(seed, sd=0.004) + 0.05 * np.sin(np.arange(42.0)).reshape(14, 3)
+    return mp.fit(mp.Readings(values, up=UP, unit="g", u=u))
+
+
+@pytest.mark.parametrize("name", ["own^2", "own*other"])
+def test_the_size_of_a_tested_term_is_that_of_a_fit_with_it(name):
+    c = linear()
+    (kind,) = [kind for kind in projections.lacking(c) if kind.name == name]
+    response = np.array([2.0, 1.5, 0.7])
+    found, wanted = projections._tested(c, kind, response), []
+    for i in range(3):
+        others = [k for k in range(3) if k != i]
+        Z = UP[:, [i]] ** 2 if name == "own^2" else UP[:, [i]] * UP[:, others]
+        X = np.column_stack([np.ones(14), UP, Z])
+        b, rss = np.linalg.lstsq(X, c.readings.values[:, i], rcond=None)[:2]
+        C = np.linalg.inv(X.T @ X) * rss / (14 - X.shape[1])
+        wanted += ((b[4:] ** 2 + np.diag(C)[4:]) / response[i] ** 2).tolist()
+    assert_allclose(found, wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_sums_of_scores_at_known_positions_by_dense_matrices(stated):
+    """Z'MZ and Z'Me of terms in one output, away from the solution, weighed."""
+    u = np.random.default_rng(1).uniform(0.5, 2.0, (14, 3)) if stated else None
+    c = linear(u)
+    c = replace(c, parameters=c.parameters + 0.01 * np.arange(1.0, 13.0))
+    kinds = tuple(k for k in projections.lacking(c) if k.name in ("own^2", "own*other"))
+    found = score_tests._sums_at_known(c, kinds)
+    Z, output_of, kind_of = projections.terms_of(kinds, c.reference, {})
+    X = np.column_stack([np.ones(14), UP])
+    R = len(Z)
+    gram, score, size, whole = np.zeros((R, R)), np.zeros(R), np.zeros(R), 0.0
+    for i in range(3):
+        variances = c.noise.reshape(14, 3)[:, i] if stated else np.full(14, c.residual_sd[i] ** 2)
+        W = np.diag(1.0 / variances)
+        M = W - W @ X @ np.linalg.inv(X.T @ W @ X) @ X.T @ W
+        e = c.readings.values[:, i] - X @ c.parameters.reshape(3, 4)[i]
+        mine = np.flatnonzero(output_of == i)
+        gram[np.ix_(mine, mine)] = Z[mine] @ M @ Z[mine].T
+        score[mine], size[mine] = Z[mine] @ M @ e, np.diag(Z[mine] @ W @ Z[mine].T)
+        whole += e @ W @ e
+        own = np.arange(4) + 4 * i
+        assert_allclose(found.information[np.ix_(own, own)], X.T @ W @ X, rtol=1e-9, atol=1e-9)
+    assert_allclose(found.gram, gram, rtol=1e-8, atol=1e-8 * gram.max())
+    assert_allclose(found.score, score, rtol=1e-8, atol=1e-8 * np.abs(score).max())
+    assert_allclose(found.size, size)
+    assert (found.whole, found.left) == (pytest.approx(whole), 42.0 - 12.0)
+    assert found.kind_of.tolist() == kind_of.tolist()
+
+
+def test_the_score_of_the_best_of_significant_terms(monkeypatch):
+    """Its gain and two a column, less ln N a column and twice ln of the tests."""
+    best = SimpleNamespace(gain=31.0, dofs=((2.0, 9.0), (1.0, 8.0), (2.0, 9.0)))
+    monkeypatch.setattr(score_tests, "significant", lambda tests: (best,))
+    c = SimpleNamespace(
+        estimator=Estimator.LINEAR, residuals=np.zeros((9, 3)), parameters=np.zeros(6)
+    )
+    tests = (best,) * 7
+    S = 31.0 + 5.0 * (2.0 - math.log(21.0)) - 2.0 * math.log(7.0)
+    assert score_tests.score_of_term(c, tests) == pytest.approx(S)
+    c.estimator = Estimator.UNKNOWN
+    S = 31.0 + 5.0 * (2.0 - math.log(3.0)) - 2.0 * math.log(7.0)
+    assert score_tests.score_of_term(c, tests) == pytest.approx(S)
+
+
+# --- orientation errors
+
+
+def test_residuals_of_rows_at_their_listed_positions():
+    c = linear()
+    kept, sd = np.arange(14) % 5 != 2, np.linspace(0.01, 0.04, 14)
+    c = SimpleNamespace(
+        sign=-1.0, reference=UP * np.linspace(0.9, 1.2, 14)[:, None], readings=c.readings,
+        model=c.model, parameters=c.parameters, residuals=c.residuals,
+    )  # fmt: skip
+    found = residuals._at_listed(c, kept, UP, sd)
+    force = -UP[kept] * np.linspace(0.9, 1.2, 14)[kept, None]
+    X = np.column_stack([np.ones(kept.sum()), force])
+    y = c.readings.values[kept]
+    assert_allclose(found.error[0], y - X @ np.linalg.lstsq(X, y, rcond=None)[0], atol=1e-12)
+    assert_allclose(found.force, force)
+    relative = sd[kept] / math.sqrt(np.mean(sd[kept] ** 2))
+    K = c.parameters.reshape(3, 4)[:, 1:]
+    assert_allclose(found.slopes[0], relative[:, None, None] * K)
+    assert not found.stated.any()
+    few = np.arange(14) < 4
+    assert residuals._at_listed(c, few, UP, sd) is None
+
+
+@pytest.mark.parametrize(
+    ("found", "gain", "contrasts", "every", "said"),
+    [(0.031, 5.5, 1, 0.0, 0.031), (0.029, 5.5, 1, 0.0, None), (0.031, 5.3, 1, 0.0, None),
+     (0.031, 5.5, 0, 0.0, None), (0.031, 5.5, 1, 0.0619, 0.0619), (0.031, 5.5, 1, 0.0621, 0.031)],
+)  # fmt: skip
+def test_stated_orientations_are_too_small_by_chi_square(
+    found, gain, contrasts, every, said, monkeypatch
+):
+    """Of half a χ², 5.41 at 1 %; all rows say it unless one of them doubles it."""
+    sd, labels = np.array([0.05, 0.03, 0.04, 9.0, math.sqrt(4e-4)]), tuple("abcde")
+    sd[:3] = np.sqrt([5e-4, 12e-4, 15e-4])  # with 4e-4 the mean square is .03²
+    c = SimpleNamespace(
+        estimator=Estimator.UNCERTAIN, robust_weight=None,
+        diagnostics=SimpleNamespace(findings=(SimpleNamespace(code="set-aside", rows=("d",)),),
+                                    outliers=()),
+        readings=SimpleNamespace(labels=labels, orientation_sd=sd, up=np.zeros((5, 3))),
+    )  # fmt: skip
+    asked = []
+
+    def at_listed(c, kept, up, sd):
+        asked.append(kept.tolist())
+        return SimpleNamespace(contrasts=contrasts, every=kept.all())
+
+    def explain(of):
+        size = (every or found) if of.every else found
+        return Explained(np.array([[7.0, size**2]]), np.array([-20.0]))
+
+    monkeypatch.setattr(residuals, "_is_triad", lambda c: True)
+    monkeypatch.setattr(residuals, "_at_listed", at_listed)
+    monkeypatch.setattr(residuals, "explain_orientations", explain)
+    monkeypatch.setattr(
+        residuals, "_least_deviance",
+        lambda of, s2: gain - 20.0 if s2 == pytest.approx(9e-4) else math.nan,
+    )  # fmt: skip
+    finding = residuals.understated_orientations(c)
+    assert asked[0] == [True, True, True, False, True]
+    assert (finding is None) == (said is None)
+    if said:
+        assert f"errors of {math.degrees(said):.2g} degrees" in finding.text
+        assert f"the stated {math.degrees(0.03):.2g};" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("contrasts", "deviances", "said", "action"),
+    [
+        (6, (50.0, 40.0, 41.0), "orientation errors of 1.7 degrees", "--orientation-sd auto."),
+        (5, (50.0, 40.0, 41.0), "1.7 degrees or variation from", "--orientation-sd 1.7."),
+        (6, (50.0, 40.0, 39.0), "unequal in the outputs (a 0.2, b 0.3, c 0.5 V)", "each output"),
+        (6, (50.0, 45.0, 45.5), "variation from rest to rest", "larger --reading-sd."),
+        (0, (50.0, 45.0, 39.0), "cannot be separated", "Add --orientation-sd 4.9 if"),
+    ],
+)
+def test_the_cause_of_noise_beyond_the_stated_one(contrasts, deviances, said, action, monkeypatch):
+    """The likeliest of three at 1 %: 5.41 of orientations, 9.21 of two more variances."""
+    equal, moved, unequal = (np.array([each]) for each in deviances)
+    of = SimpleNamespace(contrasts=contrasts)
+    monkeypatch.setattr(residuals, "residuals_of", lambda c: of)
+    variances = np.array([[0.04, 0.09, 0.25]])
+    same = Explained(np.array([[0.02]]), equal)
+    monkeypatch.setattr(residuals, "explain_equal", lambda of: same)
+    monkeypatch.setattr(residuals, "explain_unequal", lambda of: Explained(variances, unequal))
+    turned = Explained(np.array([[0.1, 9e-4]]), moved)
+    monkeypatch.setattr(residuals, "explain_orientations", lambda of: turned)
+    monkeypatch.setattr(residuals, "hints_at_orientations", lambda of, equal: [True])
+    monkeypatch.setattr(residuals, "_separable", lambda c: True)
+    K = np.array([[2.0, 1.0, 0.0], [0.0, 1.5, 2.0], [1.0, 0.0, 3.0]])
+    assert math.degrees(math.sqrt(1.5 * 0.02 * np.mean(1 / np.sum(K**2, axis=1)))) == (
+        pytest.approx(3.9, abs=0.05))  # fmt: skip
+    c = SimpleNamespace(
+        readings=SimpleNamespace(noise=np.ones(9)), robust_weight=None, sensitivity=K,
+        outputs="abc", model=SimpleNamespace(unit="V"),
+    )  # fmt: skip
+    text, way = residuals._cause_at_known(c)
+    assert said in text
+    assert (action if contrasts else "Add --orientation-sd 3.9 if") in way
+
+
+# --- outputs that do not respond
+
+
+@pytest.mark.parametrize(
+    ("axes", "own", "lost", "silent"),
+    [("xyz", 0.74, False, True), ("xyz", 0.76, False, False), ("xyz", 0.76, True, True),
+     ("xx", 0.19, False, True), ("xx", 0.21, False, False)],
+)  # fmt: skip
+def test_outputs_that_do_not_respond_to_their_own_axis(axes, own, lost, silent, monkeypatch):
+    """Of a triad that is skew by 41°, of others below a fifth, or as well as the scale is known."""
+    sensitivity = np.eye(3)[: len(axes)] * 2.0
+    sensitivity[1] = 2.0 * np.array([math.sqrt(1 - own**2), -own, 0.0])
+    monkeypatch.setattr(gross_errors, "expected_directions", lambda c: np.eye(3)[: len(axes)])
+    monkeypatch.setattr(
+        gross_errors,
+        "_known_to",
+        lambda c: np.where(np.arange(len(axes)) == 1, 2.01 if lost else 1.99, 0),
+    )
+    monkeypatch.setattr(gross_errors, "is_triad", lambda c: len(axes) == 3)
+    c = SimpleNamespace(outputs="abc"[: len(axes)], model=SimpleNamespace(axes=tuple(axes)))
+    found = gross_errors._no_response(c, sensitivity)
+    assert (found is not None) is silent
+    if silent:
+        assert found.outputs == ("b",)
+        assert found.text.endswith(f"listed for them: b to {axes[1]}")
+
+
+def test_outputs_in_a_unit_of_their_own_are_named(monkeypatch):
+    monkeypatch.setattr(scales, "is_triad", lambda c: True)
+    c = SimpleNamespace(outputs=("a", "b", "c"), model=SimpleNamespace(unit="count"))
+    found = scales.output_unit(c, np.diag([20.0, 21.0, 206.0]))
+    assert found.outputs == ("c",)
+    assert "c 9.81 times, as by a factor 9.807 (m/s^2 for g)" in found.text
+    assert scales.output_unit(c, np.diag([20.0, 21.0, 30.0])) is None
+    assert scales.output_unit(c, np.diag([20.0, 21.0, 0.0])) is None
+    assert scales.output_unit(c, np.diag([20.0, 206.0, 1.0])[:1]) is None

@@ -11,7 +11,16 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2, ortho_group
 
 import multipos as mp
-from multipos.logs import faults, joining, opening
+from multipos.logs import (
+    faults,
+    joining,
+    log_columns,
+    opening,
+    rest_means,
+    rests,
+    text_logs,
+    waved,
+)
 from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.faults import find_stuck, find_wrapped
 from multipos.logs.joining import _alike, _from_lines, _match_rows
@@ -28,6 +37,7 @@ from multipos.logs.rest_means import (
 from multipos.logs.rests import (
     Finder,
     Grid,
+    Limits,
     Rest,
     Run,
     Spikes,
@@ -572,3 +582,321 @@ def test_what_is_common_to_rests_raises_their_u():
         each, np.ones(2, dtype=bool), np.array([0.25, 0.16]), np.array([0.3, 70.0])
     )
     assert_allclose(found.dof, [1.0, 5.0])
+
+
+def test_rests_begin_and_end_where_their_middle_changes(monkeypatch):
+    """Of blocks of 5 a fourth of a run at each end may be motion, eight blocks at the most."""
+    changes, asked, moved = [], [], iter([7, 3, None, 40, None, None, None, 2, 9])
+
+    def change(samples, reach, limits):
+        changes.append((*samples[0, [0, -1]].tolist(), reach))
+        return next(moved)
+
+    def read(regions):
+        asked.extend((start, end) for start, end in regions)
+        return [np.arange(start, end)[None] for start, end in regions]
+
+    monkeypatch.setattr(rests, "_change", change)
+    runs = [Run(40, 160), Run(170, 230, begins=False), Run(240, 313, ends=True)]
+    found = rests.find_edges(runs, 315, Grid(5, 10), Limits(0.1), read)
+    assert asked == [(25, 130), (70, 175), (155, 215), (185, 245), (225, 298), (255, 315)]
+    assert changes == [
+        (129, 25, 60), (70, 174, 60), (185, 244, 30), (297, 225, 43), (255, 314, 43)]  # fmt: skip
+    # what begins behind the end of the one before; one row short of a block is at rest
+    assert found == [Rest(63, 133), Rest(170, 230), Rest(230, 315)]
+    asked.clear()
+    runs = [Run(3, 18), Run(1000, 1600)]
+    found = rests.find_edges(runs, 1605, Grid(5, 10), Limits(0.1), read, after=6)
+    assert asked == [(0, 13), (8, 33), (985, 1120), (1480, 1605)]
+    assert found == [Rest(6, 18), Rest(1038, 1569)]
+
+
+@pytest.mark.parametrize(("walk", "size", "amplitude"), [(0, 0.6, 9.0), (1, 1.0, 2.0), (0, 1.1, 0)])
+def test_the_law_that_cosines_make_likeliest(walk, size, amplitude):
+    """χ² of one about α + A λ^(1 + walk) φ_k; A as its mean and sd say, by its likelihood."""
+    rng = np.random.default_rng(2)
+    length = rng.uniform(0.5, 2.0, 9)
+    shapes = joining._shapes()
+    grown = np.outer(length ** (1 + walk), shapes[walk])
+    rows = (size + amplitude * grown) * rng.chisquare(1.0, (9, joining.COSINES))
+    wanted = []
+    for kind, phi in enumerate(shapes):
+        for free in (0, 1):
+            logs, sizes = [], []
+            for ratio in joining._RATIOS:
+                m = 1.0 + ratio * np.outer(length ** (1 + kind), phi)
+                alpha = min(1.0, np.mean(rows / m)) if free else 1.0
+                logs.append(-0.5 * np.sum(np.log(alpha * m) + rows / (alpha * m)))
+                sizes.append(alpha)
+            best = int(np.argmax(logs))
+            A = np.array(sizes) * joining._RATIOS
+            weight = np.exp(np.array(logs) - max(logs)) * joining._RATIOS
+            mean = np.average(A, weights=weight)
+            sd = math.sqrt(np.average((A - mean) ** 2, weights=weight))
+            law = (bool(kind), sizes[best], A[best], max(sd, joining._STEP * A[best]))
+            wanted.append((max(logs) - free * joining._LOWER - kind * joining._WALK, law))
+    score, law = max(wanted)
+    found, likelihood = joining._most_likely(rows, length)
+    assert_allclose(found, law, rtol=1e-6)
+    assert likelihood == pytest.approx(score)
+
+
+def test_what_the_samples_of_rests_say(monkeypatch):
+    """Mean and sd by NumPy; u of what is common to white noise and the spectrum; a line's rise."""
+    rng = np.random.default_rng(6)
+    samples = [np.array([[3.0], [-7.0]]) + rng.normal(size=(2, n)) for n in (12, 9)]
+    samples[1][1] = 5.3  # never changes
+    sums = [rest_means.RestSum(x.shape[1], 2) for x in samples]
+    for each, x in zip(sums, samples, strict=True):
+        each.feed(x)
+    density, around = np.array([[9.0, 0.3], [2.0, 0.0]]), np.array([[0.7, 0.4], [0.2, 0.9]])
+    dof, factor = np.array([[4.0, 99.0], [6.0, 3.0]]), np.array([[1.5, 1.0], [1.0, 1.0]])
+    seen = {}
+
+    def drifting(phases, count, square, dof):
+        seen.update(square=square, dof=dof.copy(), phases=phases, count=count)
+        return 4.0 * square, np.array([[0.3, 99.0], [6.0, 8.0]]), factor
+
+    def edge(phases, count, around):
+        return around + 1.0
+
+    def cosines(phases, count, white):
+        return np.repeat(white[..., None], 8, axis=2)
+
+    monkeypatch.setattr(rest_means, "_densities", lambda *_: ((density, around), (dof, None)))
+    monkeypatch.setattr(rest_means, "_drifting", drifting)
+    monkeypatch.setattr(rest_means, "_edge", edge)
+    monkeypatch.setattr(rest_means, "_cosines", cosines)
+    found = rest_means.rest_means(sums)
+    n = np.array([[12], [9]])
+    variance = np.array([x.var(axis=1, ddof=1) for x in samples])
+    variance[1, 1] = 0.0
+    square = np.maximum(variance / n, density / n * (variance > 0.0))
+    assert_allclose(seen["square"], square)
+    assert seen["dof"].tolist() == [[4.0, 99.0], [6.0, 8.0]]
+    assert seen["count"].tolist() == [12, 9]
+    for i, (each, x) in enumerate(zip(found, samples, strict=True)):
+        count = x.shape[1]
+        left = x - x.mean(axis=1, keepdims=True)
+        assert_allclose(seen["phases"][i, :, 1 : count + 1], left.cumsum(axis=1), atol=1e-12)
+        assert_allclose(each.mean, x.mean(axis=1))
+        assert_allclose(each.sd, np.sqrt(variance[i]))
+        assert_allclose(each.u, np.sqrt(4.0 * square[i]))
+        assert_allclose(each.drift, count * np.polyfit(np.arange(count), x.T, 1)[0], atol=1e-12)
+        assert_allclose(each.drift_u, np.sqrt(12.0 * around[i] / count))
+        assert_allclose(each.edge, around[i] + 1.0)
+        assert_allclose(each.cosines[:, 3], variance[i] / count)
+        assert (each.low.tolist(), each.high.tolist()) == (
+            x.min(axis=1).tolist(), x.max(axis=1).tolist())  # fmt: skip
+        assert each.drift_factor.tolist() == factor[i].tolist()
+    assert (found[0].dof.tolist(), found[1].dof.tolist()) == ([1.0, 11.0], [6.0, 8.0])
+    assert (found[1].at_low.tolist(), found[1].at_high.tolist()) == ([1, 9], [1, 9])
+
+
+def test_means_that_drift_by_the_slopes_of_their_allan_variances(monkeypatch):
+    """Beyond −.45 without a memory, beyond .6 with one: then u² is twice the end of the line."""
+    slope = np.array([[-0.44, -0.46], [0.61, 0.59], [-0.4, -0.4]])
+    end, spread = np.log([[0.7, 0.7], [0.9, 0.9], [0.3, 0.0001]]), np.array([0.25, 0.4, 0.2])
+    rise = {130: [0.09, 0.09], 300: [0.11, 0.11], 140: [0.0, 0.0]}
+    calls = []
+
+    def line(phases, lengths, weights, end_at):
+        calls.append((lengths.tolist(), weights.tolist()))
+        if len(end_at) == 3:
+            assert phases[:, 0, 0].tolist() == [0.0, 2.0, 4.0]
+            return slope, end, spread
+        return np.array([rise[int(end_at[0])]]), None, None
+
+    monkeypatch.setattr(rest_means, "_allan_line", line)
+    square = np.array([[0.5, 0.5], [0.5, 0.5], [0.5, 0.5], [0.0, 0.0], [0.5, 0.5]])
+    dof = np.arange(10.0).reshape(5, 2) + 20.0
+    phases = np.arange(5.0)[:, None, None] * np.ones((5, 2, 501))
+    found, left, factor = rest_means._drifting(
+        phases, np.array([130, 127, 300, 500, 140]), square, dof
+    )
+    wanted = square.copy()
+    wanted[0, 0], wanted[2, 0], wanted[4, 0] = 1.4, 1.8, 0.6
+    assert_allclose(found, wanted)
+    assert_allclose(factor[[0, 2, 4], 0], np.sqrt([2.8, 3.6, 1.2]))
+    assert (np.delete(factor, [0, 4, 8]) == 1.0).all()
+    wanted_dof = dof.copy()
+    wanted_dof[[0, 2, 4], 0] = 4.0, 2.5, 5.0
+    assert_allclose(left, wanted_dof)
+    assert calls[0][0][:2] == [[2, 4, 8, 16, 32], [4, 9, 18, 37, 75]]
+    assert calls[2] == ([[1, 2, 4]], [1.0, 0.5, 0.25])
+
+
+@pytest.mark.parametrize(
+    ("given", "codes"),
+    [
+        ({}, []),
+        ({"longest": 24}, ["stuck"]),
+        ({"longest": 22}, []),
+        ({"longest": 24, "sd": 0.29}, []),
+        ({"longest": 22, "n": 150}, ["stuck"]),
+        ({"longest": 19, "n": 150}, []),
+        ({"longest": 230, "sd": 0.0}, ["quantized"]),
+        ({"longest": 229, "sd": 0.0}, []),
+        ({"sd": 0.74}, []),
+        ({"sd": 0.76}, ["unsteady"]),
+        ({"drift": -1.05}, ["slow-drift"]),
+        ({"drift": 0.95}, []),
+        ({"drift": 0.95, "edge": 5.1}, ["motion-at-edge"]),
+        ({"drift": 1.05, "edge": 5.1}, ["slow-drift"]),
+        ({"drift": 0.95, "edge": 4.9}, []),
+    ],
+)
+def test_faults_of_an_output_in_a_rest(given, codes, monkeypatch):
+    """20 samples or a tenth equal beyond 1.5 steps of .2; three times the usual .25; 5 u of .2."""
+    monkeypatch.setattr(faults, "_settled", lambda *_: [])
+    fields = {"longest": 3, "sd": 0.31, "drift": 0.1, "drift_u": 0.2, "edge": 0.4} | given
+    n = fields.pop("n", 230)
+    each = mean_of(n, **{name: np.array([7.0, value]) for name, value in fields.items()})
+    found = faults._output_faults("a", 1, each, 0.25, 0.2)
+    assert [finding.code for finding in found] == codes
+    if codes == ["unsteady"]:
+        assert "3.0 times" in found[0].text
+        assert faults._output_faults("a", 1, each, 0.0, 0.2) == []
+    if codes == ["quantized"]:
+        assert [f.code for f in faults._output_faults("a", 1, each, 0.25, 0.0)] == ["stuck"]
+
+
+@pytest.mark.parametrize(("off", "named"), [(0.99, True), (1.01, False)])
+def test_rests_within_two_degrees_are_named(off, named):
+    """Of half the widest range, 1.5 here; the same label is a repeat that was meant."""
+    near = off * math.radians(2.0) * 1.5
+    means = [[1.5, 0.2, 0.1], [-1.5, 0.3, 0.4], [1.5, 0.2, 0.1 - near], [0.2, -0.6, 0.9]]
+    found = faults._twins([mean_of(mean=np.array(m)) for m in means], ["A", "B", "C", "D"])
+    assert bool(found) is named
+    if named:
+        assert "of each other: A and C; such" in found[0].text
+    same = faults._twins([mean_of(mean=np.array(m)) for m in means], ["A", "B", "A", "D"])
+    assert same == []
+    two = [mean_of(mean=np.array(m[:2])) for m in means]
+    assert faults._twins(two, "ABCD") == []
+    many = [mean_of(mean=np.array(m)) for m in [*[means[0]] * 5, means[1]]]
+    assert "and 4 more pairs; such" in faults._twins(many, "abcdef")[0].text
+    assert faults._twins(many[:2], "ab") == []
+
+
+@pytest.mark.parametrize(
+    ("last", "cut"),
+    [("5,6", True), ("5,6.5,z\n", False), ("5,6.x,z", True), ("5,6.x,z\n", False), ("5,,z", False)],
+)
+def test_a_last_row_that_is_cut_off(last, cut, tmp_path):
+    layout = SimpleNamespace(delimiter=",", width=3, numeric=(True, True, False))
+    path = tmp_path / "log.csv"
+    for above in ("a,b,c\n1,2,x\n", "a,b,c\n" + "1,2,x\n" * 12_000):
+        path.write_text(above + last)
+        end, found = text_logs._cut_row(path, layout)
+        assert end == len(above) + (0 if cut else len(last))
+        assert bool(found) is cut
+    path.write_text("a,b,c\n5,6")  # nothing is a row above it
+    assert text_logs._cut_row(path, layout).end == 9
+    for width in (40, 41):
+        path.write_text("a,b,c\n1,2,x\n" + "7" * width)
+        shown = "7" * 40 + "…" * (width > 40)
+        assert f"'{shown}'" in text_logs._cut_row(path, layout).found[0].text
+
+
+def test_a_log_is_read_in_whole_lines(tmp_path, monkeypatch):
+    """Blocks of seven bytes, each up to its last line end, which are made line feeds."""
+    monkeypatch.setattr(text_logs, "_PIECE", 7)
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"head\n1,2\r\n3,4\r\n5,6\r7,89")
+    for end in (22, 23):
+        text = SimpleNamespace(path=path, begin=5, end=end, layout=SimpleNamespace(first=2))
+        blocks = list(text_logs._blocks(text))
+        assert b"".join(each.content for each in blocks) == b"1,2\n3,4\n5,6\n7,89"[: end - 7]
+        line = 2
+        for each in blocks:
+            assert each.line == line
+            line += each.content.count(b"\n")
+        done = [min(5 + 7 * k, end) / end for k in (1, 2, 3)]
+        assert [each.done for each in blocks] == [*done[: len(blocks) - 1], 1.0]
+
+
+def test_lines_that_are_no_rows_are_left_out_with_their_numbers():
+    def kept(*lines):
+        found = text_logs._without_comments(list(lines), 7, "\n".join(lines), 2)
+        return found.lines, list(found.numbers), found.quotes
+
+    assert kept("1,2", "3,4") == (["1,2", "3,4"], [7, 8], False)
+    assert kept("1,2", "", "3,4") == (["1,2", "3,4"], [7, 9], False)
+    assert kept("1,2", "   ", "3,4") == (["1,2", "3,4"], [7, 9], False)
+    assert kept("# note", "1,2", "3,4") == (["1,2", "3,4"], [8, 9], False)
+    assert kept('"1,2', '"3",4')[2]
+    assert not kept('"1",2', '"3",4')[2]
+
+
+def test_rows_by_numpy_have_as_many_cells_as_columns():
+    def fast(mark, lines, index, delimiters=None, quotes=False):
+        text = SimpleNamespace(layout=SimpleNamespace(delimiter=mark), columns=("a", "b", "c"))
+        rows = text_logs.Rows(lines, range(len(lines)), delimiters, quotes)
+        return text_logs._fast(text, rows, index).tolist()
+
+    assert fast(";", ["1,5;2;3,25", "4;5;6"], [2, 0]) == [[3.25, 6.0], [1.5, 4.0]]
+    assert fast("", ["1.5 2  3.25", "4 5 6"], [2, 0]) == [[3.25, 6.0], [1.5, 4.0]]
+    assert fast(",", ["1,2,3", "4,5,6"], [2], 4) == [[3.0, 6.0]]
+    ragged = ["1,2", "3,4,5,6"]
+    for mark, lines, index, count in (
+        (",", ragged, [0], 4), (",", ragged, [0, 2], 4), ("", ["1 2 3 4"], [0], None),
+    ):  # fmt: skip
+        with pytest.raises(ValueError):  # noqa: PT011  # any sends the rows to the careful reader
+            fast(mark, lines, index, count)
+    with pytest.raises(ValueError):  # noqa: PT011
+        fast(",", ["1,2,3"], [2], 2, quotes=True)
+
+
+@pytest.mark.parametrize(
+    ("best", "rival", "blocks", "shown"),
+    [(0.14, 0.43, 14, True), (0.14, 0.41, 14, False), (0.16, 9.0, 14, False),
+     (0.14, 0.43, 12, True), (0.14, 0.43, 11, False)],
+)  # fmt: skip
+def test_columns_that_show_gravity_vary_least_at_rest(best, rival, blocks, shown, monkeypatch):
+    """Over the third of the blocks that moves least, and three times less than the next triad."""
+    noise = np.random.default_rng(1).permutation(blocks) + 1.0
+    wiggle = np.tile([1.0, -1.0], 16)
+    columns = {}
+    for i, name in enumerate("abcdefgh"):
+        column = (10.0 * i + 0.01 * np.arange(blocks)[:, None] + (i + 1.0) * np.outer(noise, wiggle)
+        ).ravel()  # fmt: skip
+        columns[name] = np.concatenate([[np.nan], column[:40], [1e16], column[40:], [3.0]])
+    varies = {0: rival, 1: 5.0, 2: 1.2 * best, 3: best, 4: 1.1 * best, 5: 9.0}
+
+    def variation(quiet):
+        places = np.rint((quiet[0] % 10.0) / 0.01).astype(int)
+        assert (noise[places] <= np.quantile(noise, 1.0 / 3.0)).all()
+        assert len(places) == np.sum(noise <= np.quantile(noise, 1.0 / 3.0))
+        return varies[int(quiet[0, 0] // 10)]
+
+    monkeypatch.setattr(log_columns, "_variation", variation)
+    log = SimpleNamespace(
+        read=lambda *_, lenient: iter([SimpleNamespace(table=SimpleNamespace(columns=columns))])
+    )
+    found = log_columns.triad_of_gravity(log, tuple("abcdefgh"))
+    assert found == (("d", "e", "f") if shown else None)
+
+
+def test_rows_until_noise_is_forgotten():
+    """The first lag, a quarter longer each, at which a tenth of the correlation is left."""
+    rng = np.random.default_rng(9)
+    misfit = np.zeros(400)
+    for i in range(1, 400):
+        misfit[i] = 0.93 * misfit[i - 1] + rng.normal()
+    along = rng.normal(size=(400, 3)) * 0.2 + [0.6, 0.0, 0.8]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    lag = 1
+    while lag < 100:
+        pairs = [(along[i] @ along[i + lag], misfit[i] * misfit[i + lag]) for i in range(400 - lag)]
+        slope = sum(p * m for p, m in pairs) / sum(p * p for p, _ in pairs)
+        if slope < 0.1 * np.mean(misfit**2):
+            break
+        lag = max(lag + 1, round(1.25 * lag))
+    assert 3 < lag < 60
+    assert waved._stride(misfit, along) == lag
+    assert waved._stride(0.0 * misfit, along) == 1
+    slow = np.cos(np.arange(400) / 900.0)
+    assert (
+        waved._stride(slow, np.tile([0.6, 0.0, 0.8], (400, 1))) == 118
+    )  # 75, 94, 118: beyond a fourth
