@@ -11,7 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 from multipos.numerics.terms import parse_terms
-from multipos.regression import region
+from multipos.regression import region, segmentation, variation
 from multipos.regression.correlation import (
     _autoregression,
     _filtered,
@@ -331,3 +331,75 @@ def test_leverage_of_many_rows_is_worked_out_in_pieces(monkeypatch):
     values = np.stack([np.ones(7), t_])
     found = Region(terms, factor, 1.0).leverage({"t": t_}, 7)
     assert_allclose(found, np.sum((factor @ values) ** 2, axis=0))
+
+
+# --- cuts
+
+
+def least_squares(X, y):
+    return np.linalg.lstsq(X, y, rcond=None)[1][0]
+
+
+def test_an_edge_is_polished_among_finer_cuts():
+    """One after the other, between its bins and the fewest rows, by the sum of both sides."""
+    rng = np.random.default_rng(6)
+    n, minimum = 48, 5
+    v = np.sort(rng.uniform(0.0, 9.0, n))
+    X = np.column_stack([np.ones(n), v])
+    y = np.where(v < v[19], 1.3 * v, 4.0 - v) + np.where(v < v[33], 0.0, 3.0)
+    y = y + 0.05 * rng.normal(size=n)
+    cuts = [0, 6, 13, 22, 30, 37, 48]
+    data = segmentation._Sorted(v, X, y, cuts)
+    for start, end in ((0, 6), (3, 20), (14, 21), (6, 37), (14, 48)):
+        found = segmentation.residual_sum(data.triangle(start, end))
+        assert found == pytest.approx(least_squares(X[start:end], y[start:end]))
+    cost, edges = segmentation._polish(data, (3, 4), minimum)
+    wanted, first, second = [22, 30], [*range(13, 31)], [*range(22, 38)]
+    for i, fine in enumerate((first, second)):
+        start, end = (0, wanted[1]) if i == 0 else (wanted[0], n)
+        fine = [j for j in fine if start + minimum <= j <= end - minimum]
+        sums = [
+            least_squares(X[start:j], y[start:j]) + least_squares(X[j:end], y[j:end]) for j in fine
+        ]
+        wanted[i] = fine[int(np.argmin(sums))]
+    assert edges == tuple(wanted) == (19, 33)
+    parts = ((0, 19), (19, 33), (33, 48))
+    assert cost == pytest.approx(sum(least_squares(X[a:b], y[a:b]) for a, b in parts))
+
+
+def test_terms_about_the_means_of_their_variables():
+    """A sum of products of what variables are about their means is the term again."""
+    rng = np.random.default_rng(2)
+    columns = {"u": rng.normal(size=9) + 2.0, "v": rng.normal(size=9) * 3.0 - 1.5}
+    sizes = variation.Contributions(columns, 7.0)
+    about = {name: column - column.mean() for name, column in columns.items()}
+    for term in parse_terms("u^3*v^2 + |u|*v^2 + v"):
+        total = sum(
+            weight * variation._evaluate(product, about, columns)
+            for product, weight in sizes._expanded(term).items()
+        )
+        assert_allclose(total, term.evaluate(columns))
+    terms = parse_terms("v^2 + v")
+    # about its mean m v² is (v − m)² + 2 m (v − m) and a constant; 2 spans for the second degree
+    m, w = columns["v"].mean(), np.abs(about["v"]).max()
+    for b, a in ((0.9, -1.8 * m), (1.1, -2.2 * m)):
+        largest = abs(b) * np.abs(about["v"] ** 2).max()
+        span = variation.Contributions(columns, largest / 2.0 * 1.01)
+        assert not span.cancel(terms, np.array([b, a]))
+        span = variation.Contributions(columns, largest / 2.0 * 0.99)
+        assert span.cancel(terms, np.array([b, a]))
+    only = [terms[1]]
+    assert variation.Contributions(columns, 0.99 * 2.5 * w).cancel(only, np.array([-2.5]))
+    assert not variation.Contributions(columns, 1.01 * 2.5 * w).cancel(only, np.array([-2.5]))
+
+
+def test_the_rounding_of_a_leverage():
+    """2 unit Σ |G x| (|G| |x|), whose square h is."""
+    rng = np.random.default_rng(3)
+    G, x = rng.normal(size=(2, 3)), rng.normal(size=5)
+    terms = tuple(parse_terms("1 + v + v^2"))
+    found = Region(terms, G, 1.0).rounding({"v": x}, 5, 1e-3)
+    for h, value in zip(found, x, strict=True):
+        row = np.array([1.0, value, value**2])
+        wanted = sum(abs(g @ row) * (np.abs(g) @ np.abs(row)) for g in G)
+        assert h == pytest.approx(2e-3 * wanted)

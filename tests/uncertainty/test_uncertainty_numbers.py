@@ -12,7 +12,7 @@ from scipy.stats import t
 import multipos as mp
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
-from multipos.uncertainty import monte_carlo, sensitivities, turntable, validity
+from multipos.uncertainty import monte_carlo, propagation, sensitivities, turntable, validity
 from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
 from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
@@ -384,3 +384,102 @@ def test_how_force_follows_parameters_at_the_mean_temperature():
     for f, found in zip(((0.6, -0.8), (0.1, 0.2)), slopes, strict=True):
         X = np.kron(np.eye(2), [1.0, *f, 20.0])
         assert_allclose(found, -np.linalg.inv(K) @ X, rtol=1e-9)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("stated", [True, False])
+def test_an_index_error_turns_the_case_by_its_waves(axis, stated):
+    """The angle runs from the first to the second of the other axes; three orders share u."""
+    along = "xyz".index(axis)
+    first, second = (i for i in range(3) if i != along)
+    angle = np.array([0.3, 1.1, 2.6, 4.0, 5.9])
+    up = np.zeros((5, 3))
+    up[:, first], up[:, second] = np.cos(angle), np.sin(angle)
+    settings = {"harmonics": (0, 1, 3)} | ({"axis": axis} if stated else {})
+    rotation = np.random.default_rng(1).normal(size=(5, 3, 3))
+    rotation[:, :, 0] = np.eye(3)[along] * np.array([1.0, -1.0, 1.0, 1.0, -1.0])[:, None]
+    readings = type("Rows", (), {"rotation": rotation, "__len__": lambda self: 5})()
+    c = SimpleNamespace(readings=readings, reference=-1.2 * up, sign=-1.0)
+    turns = sensitivities._index_turns(c, SimpleNamespace(name="index", settings=settings))
+    waves = [np.cos(0 * angle), np.cos(angle), np.sin(angle), np.cos(3 * angle), np.sin(3 * angle)]
+    assert turns.shape == (5, 5, 3)
+    for q, wave in enumerate(waves):
+        turned = up + 1e-6 * np.cross(turns[:, q], up)
+        moved = np.arctan2(turned[:, second], turned[:, first]) - angle
+        moved = np.remainder(moved + np.pi, 2 * np.pi) - np.pi
+        assert_allclose(moved, 1e-6 * wave / math.sqrt(3.0), atol=1e-10)
+        assert_allclose(np.linalg.norm(turns[:, q], axis=1), np.abs(wave) / math.sqrt(3.0))
+    if not stated:
+        rotation[2, :, 0] = math.cos(1e-2) * np.eye(3)[along] + math.sin(1e-2) * np.eye(3)[first]
+        with pytest.raises(mp.MultiposError, match="do not turn about one case axis"):
+            sensitivities._index_turns(c, SimpleNamespace(name="index", settings=settings))
+
+
+def test_what_a_degree_does_to_readings():
+    """By the model's terms of the second degree, or by stated coefficients of zero and scale."""
+    force, T = np.array([[0.2, 0.5, -0.7], [0.9, -0.1, 0.3]]), np.array([21.0, 34.0])
+    K = np.array([[2.0, 0.3, 0.1], [0.2, 3.0, -0.4]])
+
+    def predict(parameters, reference, environment):
+        t = environment["temperature"][:, None]
+        return 0.4 + reference @ K.T * (1.0 + 0.01 * t) + 0.002 * t**2
+
+    model = SimpleNamespace(predict=predict, environment=("temperature",))
+    c = SimpleNamespace(
+        model=model, parameters=None, reference=force,
+        readings=SimpleNamespace(environment={"temperature": T}),
+    )  # fmt: skip
+    found = sensitivities._temperature_moves(c, SimpleNamespace(settings={}))
+    assert_allclose(found, 0.01 * force @ K.T + 0.004 * T[:, None], rtol=1e-6)
+    model.environment = ()
+    signal = force @ K.T * (1.0 + 0.01 * T[:, None])
+    for settings, wanted in (
+        ({"bias_per_degC": 0.03, "scale_per_degC": -2e-4}, 0.03 - 2e-4 * signal),
+        ({"scale_per_degC": 5e-4}, 5e-4 * signal),
+        ({"bias_per_degC": 0.02}, 0.02 + 0.0 * signal),
+    ):
+        found = sensitivities._temperature_moves(c, SimpleNamespace(settings=settings))
+        assert_allclose(found, wanted, atol=1e-12)
+    with pytest.raises(mp.MultiposError, match="no temperature terms"):
+        sensitivities._temperature_moves(c, SimpleNamespace(settings={}))
+
+
+@pytest.mark.parametrize(("off", "count"), [(0.9e-3, 2), (1.1e-3, 3)])
+def test_rows_of_a_roll_belong_to_mountings_by_their_sense(off, count):
+    """Two meet where .3 + h is 1.2 − h: such rows go with their neighbours, the following first."""
+    head = np.array([0.05, 1.0, 0.45, 2.0, 2.9, 0.45, 0.1, 0.45, 0.9, 2.2, 5.0])
+    sense = np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0])
+    angle = np.remainder(np.where(sense > 0, 0.3, 1.2) + sense * head, 2 * np.pi)
+    angle[4] += off
+    found = turntable._mountings(SimpleNamespace(angle=angle), head)
+    rows = [each.tolist() for _, each in found]
+    if count == 2:
+        assert [each for each, _ in found] == [1.0, -1.0]
+        assert rows == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9, 10]]
+    else:
+        assert len(rows) == 3
+        assert [4] in rows
+    many = np.random.default_rng(2).uniform(0.0, 6.0, (2, 30))
+    roll = SimpleNamespace(angle=many[0])
+    ((single, one),) = turntable._mountings(roll, many[1])
+    assert (single, one.shape) == (1.0, (1,))
+    roll.angle = many[0, :24]
+    assert len(turntable._mountings(roll, many[1, :24])) == 24
+
+
+@pytest.mark.parametrize(
+    ("used", "law"), [(2e-4, ("rectangular", 7.0)), (3e-4, ("normal", math.inf)), (0.0, None)]
+)
+def test_gravity_of_a_budget_is_as_it_was_used(used, law):
+    """With the law that is stated where it is the one that was stated; none is none."""
+    stated = {
+        "gravity": SimpleNamespace(name="gravity", u=2e-4, distribution="rectangular", dof=7.0),
+        "gain": SimpleNamespace(name="gain"),
+        "third_order": SimpleNamespace(name="third_order"),
+    }
+    c = SimpleNamespace(gravity=SimpleNamespace(u=used, size_unit="m/s^2"))
+    found = propagation._quantities(c, SimpleNamespace(quantities=stated))
+    assert [each.name for each in found] == (["gravity", "gain"] if law else ["gain"])
+    if law:
+        own = found[0]
+        assert (own.u, own.unit, own.distribution, own.dof) == (used, "m/s^2", *law)

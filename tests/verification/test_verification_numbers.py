@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
-from scipy.stats import norm, t
+from scipy.stats import chi2, linregress, norm, t
+from scipy.stats import f as fisher
 
 import multipos as mp
 from multipos.sensor.found import RestToRest, VarianceComponents
@@ -18,6 +19,8 @@ from multipos.verification import (
     agreement,
     checks,
     combining,
+    comparison,
+    consistency,
     regressions,
     repeat_findings,
     verdicts,
@@ -539,3 +542,71 @@ def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
     whole = np.zeros((3, 3))
     whole[:2, :2], whole[2, 2] = C[0], 0.25
     assert_allclose(found.root @ found.root.T, whole)
+
+
+@pytest.mark.parametrize(("third", "level", "count"), [(0.0, 0.01, 1), (9.0, 0.02, 2)])
+def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monkeypatch):
+    """F of a pooled scatter, χ² of a known one; what is unequal by Bartlett at 1 % is said."""
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(4, 3))
+    values[2] += [14.0, 0.3, third]
+    K, known = (np.array([definite(n, 5 * n + r) for r in range(4)]) for n in (2, 1))
+    variances, dof = np.array([0.3, 0.02, 0.5, 0.9]), np.array([7.0, 9.0, 8.0, 12.0])
+    families = [
+        consistency._Family(np.array([0, 2]), "a", K, variances, dof),
+        consistency._Family(np.array([1]), "b", known, np.ones(4), np.full(4, np.inf)),
+    ]
+    outcome = []
+
+    def together(found, words):
+        outcome.extend(found)
+        return 5.5, 4.0, 0.012, "test"
+
+    monkeypatch.setattr(consistency, "_families", lambda found: families)
+    monkeypatch.setattr(consistency, "judge_together", together)
+    found = consistency.judge_repeats([SimpleNamespace(names=("p", "q", "r"))], values, level)
+    pooled = dof @ variances / dof.sum()
+    Q, p = np.empty(3), np.empty(3)
+    for i, v in ((0, pooled * K[:, 0, 0]), (2, pooled * K[:, 1, 1]), (1, known[:, 0, 0])):
+        Q[i] = np.sum((values[:, i] - np.average(values[:, i], weights=1 / v)) ** 2 / v)
+        p[i] = chi2.sf(Q[i], 3) if i == 1 else fisher.sf(Q[i] / 3.0, 3.0, 36.0)
+    assert_allclose(found.chi2, Q)
+    assert_allclose(found.p, p, rtol=1e-6)
+    assert_allclose(found.scatter_dof, [36.0, np.inf, 36.0])
+    assert found.dof.tolist() == [3.0] * 3
+    assert outcome[0][0] == pytest.approx(_quadratic(values[:, [0, 2]], pooled * K))
+    assert [each[1:] for each in outcome] == [(6.0, 36.0), (3.0, math.inf)]
+    assert outcome[1][0] == pytest.approx(Q[1])
+    order, moved = np.argsort(p), []
+    while len(moved) < 3 and p[order[len(moved)]] < level / (3 - len(moved)):
+        moved.append(order[len(moved)])
+    assert len(moved) == count
+    assert found.moved == tuple("pqr"[i] for i in sorted(moved))
+    assert found.consistent is (level < 0.012)
+    rss = variances * dof
+    statistic = (36.0 * math.log(rss.sum() / 36.0) - dof @ np.log(variances)) / (
+        1.0 + (np.sum(1.0 / dof) - 1.0 / 36.0) / 9.0)  # fmt: skip
+    (said,) = found.findings
+    assert said.p == pytest.approx(chi2.sf(statistic, 3), rel=1e-6)
+    assert "noise of a differs" in said.text
+    families[0] = replace(families[0], variances=np.array([0.3, 0.2, 0.5, 0.9]))
+    found = consistency.judge_repeats([SimpleNamespace(names=("p", "q", "r"))], values, level)
+    assert found.findings == ()
+
+
+def test_drift_of_repeats_is_the_slope_of_a_line(monkeypatch):
+    at = np.array([2.0, 3.5, 9.0, 11.0])
+    values = np.random.default_rng(4).normal(size=(4, 2)) + np.outer(at, [0.4, -3.0])
+    monkeypatch.setattr(comparison, "_clock", lambda found: (at, comparison.GIVEN))
+    found = comparison.find_drift([], values)
+    lines = [linregress(at, column) for column in values.T]
+    assert_allclose(found.slope, [line.slope for line in lines])
+    assert_allclose(found.u, [line.stderr for line in lines])
+    assert_allclose(found.p, [line.pvalue for line in lines], rtol=1e-6)
+    assert found.per == "run"
+    at = at[:2]
+    found = comparison.find_drift([], values[:2])
+    assert_allclose(found.slope, (values[1] - values[0]) / 1.5)
+    assert np.isnan([found.u, found.p]).all()
+    at = np.array([2.0, 3.5, 9.0])
+    assert np.isfinite(comparison.find_drift([], values[:3]).p).all()
