@@ -1,6 +1,7 @@
 """Numbers of a session by hand or by a second route, at points without symmetry."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import poses
+from multipos.capturing import evaluation, poses, streams
 from multipos.capturing.poses import _find_frame, _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
 from multipos.sensor.model import build_model
@@ -84,3 +85,156 @@ def test_a_frame_without_a_centre_is_of_a_known_g(size, found):
     assert_allclose(frame.centre, [3.0, -2.0, 1.0], atol=1e-9)
     assert (frame.size, frame.sign) == (pytest.approx(7.0), 1.0)
     assert _find_frame(many[:, :2], (0, 1), "force", None) is None
+
+
+def test_angles_between_directions_near_and_far():
+    rng = np.random.default_rng(2)
+    up = rng.normal(size=(5, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    up[3] = up[0] + 1e-9 * np.cross(up[0], up[1]) / np.linalg.norm(np.cross(up[0], up[1]))
+    by_hand = np.degrees(np.arccos(up[[1, 2, 4]] @ up[0]))
+    assert_allclose(poses.apart_deg(up, up[0])[[1, 2, 4]], by_hand)
+    assert poses.apart_deg(up, up[0])[3] == pytest.approx(math.degrees(1e-9))
+    assert poses.apart_deg(-up[:1] * (1.0 + 1e-12), up[0])[0] == pytest.approx(180.0)
+
+
+def of_plan(scheme=None, targets=None, order="scheme", **fitting):
+    return SimpleNamespace(scheme=scheme, targets=targets or {}, order=order, fitting=fitting)
+
+
+@pytest.mark.parametrize(
+    ("asked", "terms"),
+    [("1 + own", 6), ("own-quadratic", 15), ("1 + x + y + z + temperature", 12), ("own.toml", 12),
+     ("a = b*x", 12), (len, 12)],
+)  # fmt: skip
+def test_the_model_by_which_poses_are_chosen(asked, terms):
+    """The one asked for, or the linear one; without a scheme less the rotations of the case."""
+    outputs = ("az", "ax", "ay")
+    scheme = mp.read_scheme("fibonacci-9")
+    model = evaluation.model_of(of_plan(scheme, model=asked), outputs, "g")
+    assert (len(model.names), model.axes, model.gauge) == (terms, ("z", "x", "y"), None)
+    assert model.environment == ()
+    free = evaluation.model_of(of_plan(model=asked, axes=["y", "z", "x"]), outputs, "g")
+    assert (free.axes, free.gauge) == (("y", "z", "x"), "lower")
+    assert len(free.names) == (6 if terms == 6 else terms - 3)
+
+
+class Fitted(SimpleNamespace):
+    def __getitem__(self, name):
+        return next(entry for entry in self.entries if entry.name == name)
+
+
+def a_calibration(n, U=0.02, gauge=None):
+    entries = [SimpleNamespace(name=name, value=0.5, U=U, unit="g") for name in MODEL.names]
+    model = SimpleNamespace(gauge=gauge, names=MODEL.names, outputs=MODEL.outputs, keys=MODEL.keys)
+    return Fitted(
+        entries=entries, names=MODEL.names, model=model, reference=np.zeros((n, 3)),
+        outputs=MODEL.outputs, parameters=np.zeros(12),
+    )  # fmt: skip
+
+
+def test_degrees_of_freedom_and_targets_that_are_met(monkeypatch):
+    """3 n − 12, n − 12 of unknown orientation; a target is met twice on six at least."""
+    assert evaluation._dof(a_calibration(9)) == 15.0
+    assert evaluation._dof(a_calibration(17, gauge="lower")) == 5.0
+    monkeypatch.setattr(evaluation, "spread_targets", lambda targets, model: targets)
+    plan = of_plan(targets={"bias_ax": 0.0201, "scale_ay": 0.0199})
+    for n, before, met in (
+        (6, a_calibration(6), True), (5, a_calibration(6), False), (6, a_calibration(5), False),
+        (6, a_calibration(6, U=0.021), False), (6, None, False),
+    ):  # fmt: skip
+        last = None if before is None else SimpleNamespace(calibration=before)
+        said = {each.name: each for each in evaluation._progress(plan, a_calibration(n), last)}
+        assert (said["bias_ax"].met, said["scale_ay"].met) == (met, False)
+        assert (said["bias_ay"].met, said["bias_ay"].target) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "n", "said"), [(0.999, 9, False), (1.001, 9, True), (1.7, 6, True), (1.7, 5, False)]
+)
+def test_targets_out_of_reach_by_the_noise_that_the_fit_finds(ratio, n, said, monkeypatch):
+    monkeypatch.setattr(evaluation, "spread_targets", lambda targets, model: targets)
+    seen = []
+
+    def expected(calibration, targets, further):
+        seen.append(further)
+        return np.array([0.4, ratio]), 0 if further is not None and not len(further) else 7
+
+    monkeypatch.setattr(evaluation, "expected", expected)
+    scheme = mp.read_scheme("fibonacci-9")
+    taken = [SimpleNamespace(position=label) for label in scheme.names[:4]]
+    targets = {"scale_ay": 0.1, "bias_ax": 0.2}
+    for plan, done, where in (
+        (of_plan(targets=targets), taken, "after 7 more poses all over"),
+        (of_plan(scheme, targets), taken, "after the last 7 positions of the scheme"),
+        (of_plan(scheme, targets), [SimpleNamespace(position=x) for x in scheme.names], "its end"),
+    ):
+        found = evaluation._unreachable(plan, a_calibration(n), done)
+        assert bool(found) is said
+        if said:
+            assert f"target of scale_ay is out of reach: U would be {ratio:.2g}" in found[0].text
+            assert where in found[0].text
+    if said:
+        assert_allclose(seen[1], scheme.up[4:])
+    assert evaluation._unreachable(of_plan(), a_calibration(9), taken) == ()
+    assert evaluation._unreachable(of_plan(targets=targets), None, taken) == ()
+
+
+@pytest.mark.parametrize("order", ["scheme", "travel"])
+def test_the_next_position_of_a_scheme(order, monkeypatch):
+    scheme = mp.read_scheme("fibonacci-9")
+    given = []
+    monkeypatch.setattr(evaluation, "gain_at", lambda *those: given.append(those) or 0.7)
+    taken = [SimpleNamespace(position=scheme.names[i]) for i in (3, 0)]
+    plan, found = of_plan(scheme, order=order), SimpleNamespace(calibration="c")
+    pose = evaluation._next_of_scheme(plan, scheme, MODEL, found, taken)
+    left = [i for i in range(9) if i not in (0, 3)]
+    nearest = left[int(np.argmax(scheme.up[left] @ scheme.up[0]))]
+    i = left[0] if order == "scheme" else nearest
+    assert (pose.label, pose.gain) == (scheme.names[i], 0.7)
+    assert_allclose(given[0][2], scheme.up[[3, 0]])
+    assert_allclose(given[0][4], scheme.up[i])
+    first = evaluation._next_of_scheme(plan, scheme, MODEL, found, [])
+    assert first.label in scheme.names
+    assert given[1][2].shape == (0, 3)
+    every = [SimpleNamespace(position=name) for name in scheme.names]
+    assert evaluation._next_of_scheme(plan, scheme, MODEL, found, every) is None
+
+
+def test_rows_are_counted_for_their_rate_from_the_first_look_on(monkeypatch):
+    """Eleven lines waited; 31 more in 3.1 s are ten a second, and before 3 s nothing is said."""
+    clock = iter([100.0, 102.99, 103.1])
+    monkeypatch.setattr(streams.time, "monotonic", lambda: next(clock))
+    head = SimpleNamespace(_begun=None, _lines=["x"] * 11, _rate=None)
+    assert not streams._Head._is_counted(head)
+    head._lines = ["x"] * 42
+    assert not streams._Head._is_counted(head)
+    assert head._rate is None
+    assert streams._Head._is_counted(head)
+    assert head._rate == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("speed", "rate", "rows"), [(2.0, 100.0, 10), (3.0, 4.0, 1), (0.0, 9.0, 0)]
+)
+def test_a_replay_sends_rows_when_they_would_have_come(speed, rate, rows, monkeypatch):
+    """So many in .05 s, at least one; the clock of the test goes as far as it is slept."""
+    clock, table = [50.0], np.arange(33.0)
+    monkeypatch.setattr(streams.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(streams.time, "sleep", lambda s: clock.__setitem__(0, clock[0] + s))
+    piece = SimpleNamespace(table=SimpleNamespace(columns={"a": table, "b": -table}))
+    log = SimpleNamespace(numeric=("a", "b"), source="log", read=lambda *a, **k: iter([piece]))
+    monkeypatch.setattr(streams, "open_log", lambda path, columns: log)
+    source = SimpleNamespace(path="log", rate=rate)
+    head, *arrivals = streams._replay(source, None, speed)
+    assert head.columns.shape == (2, 33)
+    sent, waits = 0, 0
+    for arrival in arrivals:
+        waits += not arrival.columns.shape[1]
+        sent += arrival.columns.shape[1]
+        assert arrival.columns.shape[1] in (0, rows or 33, 33 % (rows or 34))
+    assert sent == 33
+    last = 33 // rows * rows if rows and 33 % rows else 33 - rows if rows else 0
+    assert clock[0] - 50.0 == pytest.approx(last / (rate * speed) if speed else 0.0)
+    if speed:
+        assert waits >= last / (rate * speed) / 0.05 - 1e-6

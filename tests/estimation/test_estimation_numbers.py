@@ -1,23 +1,41 @@
 """Numbers of estimation by hand or by a second route, at points without symmetry."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
+from scipy.special import betainc, betaln
 from scipy.stats import chi2, t
 
 import multipos as mp
-from multipos.estimation import correlated_rows, known, posteriors, stated_uncertainty
+from multipos.estimation import (
+    correlated_rows,
+    known,
+    noise,
+    outliers,
+    posteriors,
+    robustness,
+    starts,
+    stated_uncertainty,
+)
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
-from multipos.estimation.known import fit_output
+from multipos.estimation.identifiability import CANDIDATES, least_determined
+from multipos.estimation.known import REJECTED, fit_output
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
 from multipos.estimation.posteriors import _dof_of_tail, _probable
-from multipos.estimation.problem import OpenRolls, eliminate_free, turn_to_axes
+from multipos.estimation.problem import (
+    OpenRolls,
+    eliminate_free,
+    state_problem,
+    turn_to_axes,
+)
 from multipos.estimation.robustness import _middle
+from multipos.estimation.starts import search
 from multipos.estimation.stated_uncertainty import (
     add_reference_noise,
     combined_dof,
@@ -27,6 +45,9 @@ from multipos.estimation.uncertain import _scale_bias
 from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from multipos.estimation.unknown_orientations import fit_ellipsoids
 from multipos.estimation.user_models import _moved_by_rotations
+from multipos.fitting.options import Options
+from multipos.numerics.losses import EFFICIENCY, counted, loss_slope, loss_weight
+from multipos.positions.orientations import orient, place, without_orientation
 from multipos.sensor.fit_diagnostics import bartlett
 from multipos.sensor.model import build_model
 
@@ -470,3 +491,366 @@ def test_outputs_that_share_a_scatter_by_bartlett_s_test(times, found):
     assert known._of_noise(shared, one, False) == ()
     shared.dof[0] = 0.0
     assert len(known._of_noise(shared, one, True)) == 1
+
+
+# --- several outliers
+
+
+def test_what_is_beyond_chance_by_the_incomplete_beta_function():
+    """A bound of ln I_x(a, b), near where that is small; a set by its part that is least so."""
+    # eq. (1) of estimation.outliers
+    for x, a, b in ((0.02, 4.5, 1.5), (0.3, 9.0, 0.5), (0.1, 6.0, 3.0), (0.05, 2.5, 2.0)):
+        exact = math.log(betainc(a, b, x))
+        slope = a - max(b - 1.0, 0.0) * x / (1.0 - x)
+        by_hand = a * math.log(x) + (b - 1.0) * math.log(1.0 - x) - math.log(slope) - betaln(a, b)
+        found = outliers._log_beta_tail(x, a, b)
+        assert found == pytest.approx(by_hand)
+        assert exact <= found + 1e-12 < exact + 0.3
+    assert outliers._log_beta_tail(0.9, 2.0, 9.0) == 0.0
+    assert outliers._log_beta_tail(-1e-9, 2.0, 9.0) == -math.inf
+    assert outliers._log_choices(23, 5) == pytest.approx(math.log(math.comb(23, 5)))
+    n, i, j, most = 23, 5, 2, 7
+    view = [SimpleNamespace(values=np.zeros((m, n)), dof=dof) for m, dof in ((2, 18), (1, 16))]
+    limit = math.log(0.0075 / most / 3) - math.log(math.comb(n - j, i - j))
+
+    def root(dof):
+        log = lambda x: outliers._log_beta_tail(x, 0.5 * (dof - i), 0.5 * (i - j))  # noqa: E731
+        return brentq(lambda x: log(x) - limit, 1e-6, 0.4)
+
+    first, last = root(18), root(16)
+    x = np.array([[0.9, first * 0.999, 0.9], [first * 1.001, 0.9, last * 1.001],
+                  [0.9, 0.9, last * 0.999]])  # fmt: skip
+    found = outliers._are_beyond(view, x, [i] * 3, [j] * 3, most)
+    assert found.tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize(("ratio", "weighted"), [(1.19, False), (1.21, True)])
+def test_readings_of_like_noise_are_looked_at_once(ratio, weighted):
+    rng = np.random.default_rng(2)
+    variance = 0.3 * np.linspace(1.0, ratio**2, 9)[:, None] ** np.array([0.5, 1.0])
+    X, y = rng.normal(size=(9, 2)), rng.normal(size=(9, 2))
+    views = outliers._views([X, X], y, variance)
+    assert len(views) == 1 + weighted
+    left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+    assert_allclose(views[-1][0].values, left.T, atol=1e-12)
+
+
+@pytest.mark.parametrize(("ratio", "explained"), [(3.95, True), (4.05, False)])
+def test_terms_that_explain_nearly_what_rows_do(ratio, explained):
+    """Variance with a term up to four times that without three rows, of every output."""
+    rng = np.random.default_rng(7)
+    X = rng.normal(size=(14, 3))
+    y, kept = rng.normal(size=(14, 2)), np.ones(14, dtype=bool)
+    kept[[2, 5, 11]] = False
+    (view,) = [view_of([X, X], y)]
+    e = y[kept] - X[kept] @ np.linalg.lstsq(X[kept], y[kept], rcond=None)[0]
+    least = (e**2).sum(axis=0) / (14 - 3 - 3)
+    more = np.column_stack([X, rng.normal(size=(14, 2))])
+    basis = np.linalg.qr(more)[0]
+    rest = rng.normal(size=(14, 2))
+    rest -= basis @ (basis.T @ rest)
+    rest *= np.sqrt(least * 9.0 / (rest**2).sum(axis=0))  # as large as without the rows
+    rest[:, 1] *= math.sqrt(ratio)
+    assert outliers._is_explained(view, kept, rest, [[more, more]]) is explained
+
+
+# --- robust fits
+
+
+def test_the_factor_of_a_robust_fit_is_the_spread_of_its_equations():
+    # eq. (1) of estimation.robustness
+    rng = np.random.default_rng(3)
+    q, weight = rng.chisquare(2.0, 9), rng.uniform(0.4, 1.0, 9)
+    slope, degrees = rng.uniform(0.2, 1.0, 9), rng.choice([1.0, 3.0], 9)
+    nu, mean = 11.0, slope.mean()
+    used = 1.0 - nu / degrees.sum()  # p/N
+    K = 1.0 + used * np.mean((slope - mean) ** 2) / mean**2
+    wanted = K**2 * np.sum(weight**2 * q) / nu / mean**2
+    found = robustness.huber_factors(q, degrees, weight, slope, np.array(nu))
+    assert found == pytest.approx(wanted)
+    low = robustness.huber_factors(q, degrees, weight, 0.0 * slope + 0.04, np.array(nu))
+    assert low == pytest.approx(np.sum(weight**2 * q) / nu / 0.05**2)
+
+
+def a_problem(off=(), sd=0.0, n=20, size=0.98, stated=1e-3, robust="huber"):
+    """A triad at listed directions, some readings of which are off."""
+    rng = np.random.default_rng(5)
+    up = size * mp.read_scheme(f"fibonacci-{n}").up
+    K = np.array([[2.0, 0.05, -0.02], [0.03, 1.3, 0.04], [0.01, -0.06, 0.9]])
+    values = np.array([0.3, -0.2, 0.1]) + up @ K.T + 2e-3 * rng.normal(size=(n, 3))
+    for row, by in off:
+        values[row] += by
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
+    u = np.full((n, 3), stated)
+    given = mp.Readings(values, up=up / size, outputs=("a", "b", "c"), unit="g", u=u)
+    up_stated = place(orient(given, None), size, **Options(orientation_sd=sd).spread)
+    return state_problem(model, given, up_stated, robust), K
+
+
+def found_of(problem):
+    return search(problem)[0]
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_a_robust_fit_sets_aside_what_is_beyond_doubt_by_the_median(loss):
+    """Of 20 positions two are off by .1; the others' median misfit is that of χ² on three."""
+    problem, _ = a_problem([(4, [0.1, 0.0, 0.0]), (13, [0.0, -0.1, 0.05])])
+    names = [f"p{i}" for i in range(20)]
+    after, optimum, noise = robustness.judge_robustly(
+        problem, found_of(problem), loss, names, stated=False
+    )
+    assert after.robust == loss
+    assert sorted(f.rows[0] for f in noise.findings) == ["p13", "p4"]
+    kept = np.delete(np.arange(20), [4, 13])
+    assert_allclose(after.weight[[4, 13]], 1e-12)
+    q = optimum.point.q[kept]
+    ratio = np.median(q) / chi2.ppf(0.5, 3) * 54.0 / (54.0 - 12.0)
+    assert ratio == pytest.approx(1.0, rel=2e-4 if loss == "huber" else 0.3)
+    weight, slope = loss_weight(loss, q, np.full(18, 3.0)), loss_slope(loss, q, np.full(18, 3.0))
+    nu = float(counted(loss, np.insert(weight, [4, 12], 0.0), np.full(20, 3.0))) - 12.0
+    wanted = robustness.huber_factors(q, np.full(18, 3.0), weight, slope, np.array(nu))
+    assert noise.dof == pytest.approx(nu)
+    assert noise.factor == pytest.approx(float(wanted))
+    assert noise.claim is None
+    assert noise.weight[[4, 13]].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("stated", "denied"), [(1e-3, True), (2.2e-3, False)])
+def test_a_robust_fit_of_a_stated_noise_asks_it(stated, denied):
+    problem, _ = a_problem(stated=stated)
+    _, optimum, noise = robustness.judge_robustly(
+        problem, found_of(problem), "huber", [""] * 20, stated=True
+    )
+    weight = loss_weight("huber", optimum.point.q, np.full(20, 3.0))
+    statistic = np.sum(optimum.point.q * weight**2)
+    assert bool(statistic > chi2.ppf(REJECTED, 48.0)) is denied
+    if denied:
+        assert (noise.claim.chi2, noise.claim.dof) == (pytest.approx(statistic), 48.0)
+    else:
+        assert (noise.factor, noise.dof) == (pytest.approx(1.0 / EFFICIENCY), math.inf)
+
+
+def test_what_readings_show_of_their_noise_beside_orientation_errors():
+    """r'Σ⁻¹r, tr Σ W and Σ t − tr S⁻¹ Σ A'W Σ W A, by dense matrices."""
+    # eq. (2) of estimation.robustness
+    problem, K = a_problem(sd=0.3, stated=4e-3)
+    optimum = found_of(problem)
+    own = robustness._of_readings(problem, optimum)
+    Sigma, s = 16e-6 * np.eye(3), math.radians(0.3)
+    S, taken, degrees, misfits = np.zeros((12, 12)), np.zeros((12, 12)), [], []
+    K = optimum.state.theta.reshape(3, 4)[:, 1:]
+    for force, r in zip(optimum.point.force, optimum.point.residuals, strict=True):
+        J = K @ (np.linalg.norm(force) ** 2 * np.eye(3) - np.outer(force, force)) @ K.T
+        W = np.linalg.inv(Sigma + s**2 * J)
+        A = np.kron(np.eye(3), np.append(1.0, force))
+        S += A.T @ W @ A
+        taken += A.T @ W @ Sigma @ W @ A
+        degrees.append(np.trace(Sigma @ W))
+        misfits.append(r @ r / 16e-6)
+    assert_allclose(own.misfits, misfits, rtol=1e-9)
+    assert_allclose(own.degrees, degrees, rtol=1e-6)
+    assert own.lost == pytest.approx(np.trace(np.linalg.solve(S, taken)), rel=1e-5)
+
+
+# --- starts
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.4])
+def test_what_a_candidate_position_would_add(sd):
+    """X' (Σ + s² K (f²1 − ff') K')⁻¹ X at the mean precision."""
+    problem, K = a_problem(sd=sd, stated=4e-3)
+    theta = np.column_stack([[0.3, -0.2, 0.1], K]).ravel()
+    precision = problem.precision * np.array([1.0, 2.0, 3.0]) * np.linspace(0.5, 2.0, 20)[:, None]
+    gains = starts._candidate_gains(replace(problem, precision=precision), theta)
+    Sigma, s = np.diag(1.0 / precision.mean(axis=0)), math.radians(sd)
+    for up, found in zip(CANDIDATES, gains, strict=True):
+        force = 0.98 * up
+        J = K @ (0.98**2 * np.eye(3) - np.outer(force, force)) @ K.T
+        X = np.kron(np.eye(3), np.append(1.0, force))
+        assert_allclose(found, X.T @ np.linalg.inv(Sigma + s**2 * J) @ X, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("robust", [None, "huber"])
+def test_an_ellipsoid_is_turned_to_the_listed_directions(mirror, robust):
+    """Outputs in any order; of a robust start one position is far off."""
+    up = mirror * mp.read_scheme("fibonacci-24").up
+    K = np.array([[2.0, 0.05, -0.02], [0.03, 1.3, 0.04], [0.01, -0.06, 0.9]])
+    values = np.array([0.3, -0.2, 0.1]) + 0.98 * up @ K.T
+    if robust:
+        values[7] += 0.4 * (values[7] - [0.3, -0.2, 0.1])
+    order = [2, 0, 1]
+    model = build_model("linear", ("c", "a", "b"), ("z", "x", "y"))
+    given = mp.Readings(values[:, order], up=mirror * up, outputs=("c", "a", "b"), unit="g")
+    stated = place(orient(given, None), 0.98, **Options(orientation_sd=3.0).spread)
+    seen = starts._on_ellipsoid(state_problem(model, given, stated, robust))
+    whole = np.column_stack([[0.3, -0.2, 0.1], mirror * K])[order]
+    assert_allclose(seen.linear, whole, atol=1e-6)
+    assert_allclose(seen.direction, mirror * up, atol=1e-6)
+
+
+@pytest.mark.parametrize(("by", "refused"), [(0.995, False), (1.005, True)])
+def test_readings_that_are_far_from_their_ellipsoid_are_refused(by, refused):
+    """Median residual/.6745 √(n/ν) over size times scale, above a fifth."""
+    model = SimpleNamespace(own_scales=(1, 2, 0))
+    residuals = np.random.default_rng(2).normal(size=(9, 3))
+    scale, size, nu = (0.7 + 1.1 + 1.9) / 3.0, 1.7, 9.0 - 4.0
+    spread = np.median(np.linalg.norm(residuals, axis=1)) / 0.6745 * math.sqrt(9 / nu)
+    residuals *= 0.2 * scale * size / spread * by
+    problem = SimpleNamespace(
+        model=model, orientation_sd=np.full(9, math.inf), degrees=np.ones(9), unknowns=4,
+        values=residuals, reference=np.full((9, 3), 1.7 / math.sqrt(3.0)),
+    )  # fmt: skip
+    optimum = SimpleNamespace(
+        state=SimpleNamespace(theta=np.array([0.7, -1.1, 1.9])),
+        point=SimpleNamespace(residuals=residuals),
+    )
+    if refused:
+        with pytest.raises(mp.MultiposError, match="deviate by 20 %"):
+            starts._require_sphere(problem, optimum)
+    else:
+        starts._require_sphere(problem, optimum)
+    problem.orientation_sd[2] = 1.0
+    starts._require_sphere(problem, optimum)
+
+
+def test_too_few_positions_name_what_they_leave_open():
+    """Seven of a triad with nine parameters, never tilted about one axis: y sees little."""
+    rng = np.random.default_rng(2)
+    angle = rng.uniform(0.0, 6.0, 7)
+    up = np.column_stack([np.cos(angle), 0.1 * np.sin(3.0 * angle), np.sin(angle)])
+    values = np.array([3.0, -2.0, 1.0]) + up * [2.0, 1.5, 1.1]
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z")).with_gauge("lower")
+    given = mp.Readings(values, outputs=("a", "b", "c"), unit="g")
+    up_stated = place(without_orientation(given, None), 1.0, **Options().spread)
+    problem = state_problem(model, given, up_stated, None)
+    error = starts.too_few(problem)
+    assert (error.rank, error.parameters) == (7, 9)
+    assert str(error).startswith("7 positions give 7 equations for 9 parameters: ")
+    centre = (values.max(axis=0) + values.min(axis=0)) / 2.0
+    seen = (values - centre) / ((values.max(axis=0) - values.min(axis=0)) / 2.0)
+    f = seen / np.linalg.norm(seen, axis=1)[:, None]
+    rows = [np.concatenate([f[k, i] * np.append(1.0, f[k, : i + 1]) for i in range(3)])
+            for k in range(7)]  # fmt: skip
+    missing = least_determined(np.array(rows).T @ rows, 7)
+    assert all(f"`{model.names[i]}`" in str(error) for i in missing)
+    assert str(error).count("`") == 2 * len(missing) == 4
+
+
+# --- noise of tied outputs and of likelihoods
+
+
+class Tied:
+    """Outputs that share two parameters, with a prior on one of them."""
+
+    def __init__(self):
+        rng = np.random.default_rng(6)
+        self.slopes = rng.normal(size=(7, 2, 3))
+        self.precision = np.tile([4.0, 0.7], (7, 1))
+        self.prior = np.diag([0.0, 3.0, 0.0])
+        weighted = self.slopes * self.precision[:, :, None]
+        self.information = np.einsum("nmp,nmq->pq", self.slopes, weighted) + self.prior
+        self.values = rng.normal(size=(7, 2))
+        self.residuals = 0.3 * rng.normal(size=(7, 2))
+        self.problem = SimpleNamespace(
+            values=self.values, exact=np.ones(7, dtype=bool), model=None, environment={},
+            precision=self.precision, degrees=np.full(7, 2.0), unknowns=3,
+        )  # fmt: skip
+        point = SimpleNamespace(force=None, residuals=self.residuals)
+        self.optimum = SimpleNamespace(state=SimpleNamespace(theta=np.zeros(3)), point=point)
+
+
+def test_degrees_of_freedom_of_outputs_that_share_parameters(monkeypatch):
+    """n − tr of each output's hat matrix; of a parameter as its variance comes from the outputs."""
+    tied = Tied()
+    monkeypatch.setattr(noise, "_information", lambda problem, optimum: tied.information)
+    monkeypatch.setattr(noise, "parameter_jacobian", lambda *given: tied.slopes)
+    inverse = np.linalg.inv(tied.information)
+    dof = [
+        7.0 - np.trace(tied.slopes[:, m] @ inverse @ tied.slopes[:, m].T) * w
+        for m, w in enumerate((4.0, 0.7))
+    ]
+    assert_allclose(noise._degrees(tied.problem, tied.optimum), dof)
+    covariance = 1.2 * inverse
+
+    @dataclass
+    class Of:
+        covariance: np.ndarray
+        parameter_dof: object = None
+        dof: object = None
+
+    found = noise.with_degrees(Of(covariance), tied.problem, tied.optimum, np.array(dof))
+    parts = np.array([
+        np.diag(inverse @ tied.slopes[:, m].T @ tied.slopes[:, m] @ inverse) * w
+        for m, w in enumerate((4.0, 0.7))
+    ])  # fmt: skip
+    total = parts.sum(axis=0)
+    own = total**2 / (parts[0] ** 2 / dof[0] + parts[1] ** 2 / dof[1])
+    assert_allclose(found.parameter_dof, own * (np.diag(covariance) / total) ** 2)
+    assert found.dof.tolist() == dof
+    same = Of(covariance)
+    assert noise.with_degrees(same, tied.problem, tied.optimum, np.array([3.0, 0.0])) is same
+    tied.problem.exact[3] = False
+    assert noise.with_degrees(same, tied.problem, tied.optimum, np.array([3.0, 2.0])) is same
+    beliefs = np.array([0.0, 3.0, 0.0])
+    tied.problem.model = SimpleNamespace(beliefs=beliefs)
+    together = 14.0 - 3.0 + inverse[1, 1] * 3.0
+    assert_allclose(noise._degrees(tied.problem, tied.optimum), [together] * 2)
+
+
+def test_precisions_and_covariances_of_an_excess():
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 3, 5))
+    whole = root @ root.transpose(0, 2, 1)
+    plain = rng.uniform(1.0, 3.0, (4, 3))
+    of = lambda precision: SimpleNamespace(precision=precision, values=np.zeros((4, 3)))  # noqa: E731
+    assert_allclose(noise._covariances(of(plain))[2], np.diag(1.0 / plain[2]))
+    assert_allclose(noise._covariances(of(whole)), np.linalg.inv(whole))
+    assert_allclose(noise._precision(of(plain), 0.7), 1.0 / (1.0 / plain + 0.7))
+    wanted = np.linalg.inv(np.linalg.inv(whole) + 0.7 * np.eye(3))
+    assert_allclose(noise._precision(of(whole), 0.7), wanted)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("kind", ["alike", "unlike", "correlated"])
+def test_combinations_that_free_angles_do_not_move(count, kind):
+    """What is left of readings of three outputs keeps information about everything else."""
+    rng = np.random.default_rng(9)
+    error, design, spread = rng.normal(size=(4, 3)), rng.normal(size=(4, 3, 5)), np.zeros((4, 3, 2))
+    free = rng.normal(size=(4, 3, count))
+    root = rng.normal(size=(4, 3, 6))
+    full = {
+        "alike": np.full((4, 3), 0.7), "unlike": rng.uniform(0.5, 2.0, (4, 3)),
+        "correlated": root @ root.transpose(0, 2, 1),
+    }[kind]  # fmt: skip
+    block = noise._without_free(error, design, spread, full, free)
+    for k in range(4):
+        V = full[k] if kind == "correlated" else np.diag(full[k])
+        P = np.linalg.inv(V)
+        F = free[k]
+        P = P - P @ F @ np.linalg.inv(F.T @ P @ F) @ F.T @ P
+        v = block.variance[0, k]
+        inner = np.linalg.inv(v) if v.ndim == 2 else np.diag(1.0 / v)
+        X = np.column_stack([design[k], error[k]])
+        Y = np.column_stack([block.design[0, k], block.error[0, k]])
+        assert_allclose(Y.T @ inner @ Y, X.T @ P @ X, atol=1e-9)
+
+
+def test_the_noise_of_variance_components_in_numbers():
+    model = SimpleNamespace(keys=(1, 2, 3), outputs=("a", "b"))
+    problem = SimpleNamespace(
+        model=model, precision=np.array([[4.0, 2.0], [3.0, 7.0]]), has_parameter_prior=False
+    )
+    found = SimpleNamespace(
+        dof=np.array([7.3]), excess=np.array([0.09]), u=np.array([0.04]),
+        U=np.array([[0.5, 0.7, 0.2]]), tails=None,
+    )  # fmt: skip
+    stated = noise._noise_of(problem, found, stated=True)
+    assert stated.components.rest_to_rest["b"].value == pytest.approx(0.3)
+    assert stated.components.rest_to_rest["a"].u == 0.04
+    assert (stated.factor, stated.dof) == (1.0, 7.3)
+    assert_allclose(stated.u, found.U[0] / t.ppf(0.975, 7.3), rtol=1e-6)
+    own = noise._noise_of(problem, found, stated=False)
+    assert own.components.reading_sd.value == pytest.approx(0.5)
+    assert noise._noise_in_words(own) == "reading noise of 0.5 (uncertain by 8 %)"
+    assert_allclose(own.parameter_dof, 7.3)

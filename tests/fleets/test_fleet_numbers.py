@@ -1,14 +1,32 @@
 """Numbers of fleets by hand or by a second route, at points without symmetry."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, f
 
-from multipos.fleets import line, stations
-from multipos.fleets.unit_findings import _one_row
-from multipos.numerics.rotations import rotation_matrix
+import multipos as mp
+from multipos.diagnostics.model_error import columns_of
+from multipos.estimation.known import share_design
+from multipos.fleets import line, stations, unit_findings
+from multipos.fleets.fixtures import FixtureSums
+from multipos.fleets.grouping import find_trials, group_rows
+from multipos.fleets.labels import Labels
+from multipos.fleets.solving import _ends_repeat, _with_gravity, find_suspects
+from multipos.fleets.unit_findings import (
+    _lack_of_fit,
+    _missing_terms,
+    _one_row,
+    _outliers,
+    follow_temperature,
+    unit_tests,
+)
+from multipos.numerics.rotations import directions, rotation_matrix
+from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, largest_square
+from multipos.sensor.model import build_model
 
 
 @pytest.mark.parametrize("kind", ["trend", "step"])
@@ -99,3 +117,357 @@ def test_a_fixture_is_corrected_by_its_mean_angles():
     assert stations._correction([part], mean, u, stations.FEWEST) is not None
     other = SimpleNamespace(**{**vars(part), "up": -up})
     assert stations._correction([part, other], mean, u, 12) is None
+
+
+LINEAR = build_model("linear", ("a", "b", "c"), ("x", "y", "z"), unit="g")
+
+
+def a_batch(count=14, n=17, seed=2):
+    """Units of a linear triad near 1 g/g, read at one set of positions, and what a batch finds."""
+    rng = np.random.default_rng(seed)
+    up = directions(rng.normal(size=(n, 3)))
+    matrix = np.tile(np.diag([1.05, 0.95, 1.01]), (count, 1, 1))
+    values = tuple(up @ matrix[0].T[:, [i]] @ np.ones((1, count)) for i in range(3))
+    values = tuple((each + 1e-4 * rng.normal(size=each.shape)).T for each in values)
+    residuals = np.stack([1e-4 * rng.normal(size=(count, n)) for _ in range(3)])
+    found = SimpleNamespace(sensitivity=matrix, rms=np.full(count, 1e-4), residuals=residuals)
+    return up, values, found
+
+
+def test_which_units_are_looked_at_in_full_by_their_limits():
+    """Half a percent of a g, .8 % of one reading, cosine .97, a fifth of the sensitivity."""
+    _, values, found = a_batch()
+    found.rms[:3] = 0.00499, 0.00501, np.nan
+    for unit, cosine in ((3, 0.9705), (4, 0.9695)):
+        found.sensitivity[unit, 1] = [0.0, 0.95 * cosine, 0.95 * math.sqrt(1.0 - cosine**2)]
+    for unit, ratio in ((5, 1.199), (6, 1.201), (7, 1.0 / 1.199), (8, 1.0 / 1.201)):
+        found.sensitivity[unit, 2] *= ratio
+    found.residuals[0, 9, 4], found.residuals[0, 10, 4] = -0.00799 * 1.05, -0.00801 * 1.05
+    found.sensitivity[11, 0] *= -1.0
+    for column in values:
+        column[12, 7] = column[12, 2]
+    top = values[1][13].argsort()[-2:]
+    values[1][13, top] = values[1][13].max()
+    suspect = find_suspects(LINEAR, values, found)
+    assert np.flatnonzero(suspect).tolist() == [1, 2, 4, 6, 8, 10, 11, 12]
+    suspect = find_suspects(LINEAR, values, found, uncertain_orientation=True)
+    assert np.flatnonzero(suspect).tolist() == [1, 2, 4, 6, 8, 10, 11, 12, 13]
+    for size, every in ((0.405, False), (0.395, True), (2.49, False), (2.51, True)):
+        _, own, alike = a_batch()  # 1 g/g, a fifth and a factor of three from it
+        alike.sensitivity[:, 1, 1] = size
+        assert find_suspects(LINEAR, own, alike).all() == every
+    values[0][2], values[2][2, 3] = values[0][2] - 4.0, values[0][2].min()
+    assert _ends_repeat(values)[[2, 3]].tolist() == [False, False]
+    values[2][2, 3] = values[0][2].min() - 4.0
+    values[0][2, 1] = values[2][2].min()
+    assert _ends_repeat(values)[2]
+
+
+def test_a_unit_that_is_far_in_a_number_of_few():
+    """t² with m and s of the others; of 9 units two at most are taken away."""
+    rng = np.random.default_rng(4)
+    theta = rng.normal(size=(9, 2))
+    theta[3, 1], theta[6, 1] = 14.0, -11.0
+    excess = np.zeros((9, 2))
+    excess[3, 1] = 0.7
+    found, distance, p_values, sd = line._each_alone(theta, lambda rows: excess[rows])
+    assert found.tolist() == [3, 6]
+    x = np.delete(theta[:, 1], [3, 6])
+    for unit in (3, 6):
+        t2 = (theta[unit, 1] - x.mean()) ** 2 / (x.var(ddof=1) * (1 + 1 / 7) + excess[unit, 1])
+        assert distance[unit] == pytest.approx(t2)
+        assert p_values[unit] == pytest.approx(9 * 2 * f.sf(t2, 1, 6), rel=1e-6)
+    assert distance[[0, 1, 2, 4, 5, 7, 8]].tolist() == [0.0] * 7
+    np.testing.assert_allclose(sd, [theta[:, 0].std(ddof=1), x.std(ddof=1)])
+
+
+def test_what_a_unit_was_measured_worse_than_others():
+    u = np.array([[0.3, 9.0], [0.4, 2.0], [0.9, 4.0], [0.2, 7.0], [0.5, 5.0]])
+    mine, rows = np.array([0, 1, 2, 4]), np.array([2, 3])
+    scale = np.array([2.0, 0.5, 3.0])
+    found = line._excess(SimpleNamespace(u=u), mine, rows, scale)
+    own = u[mine] ** 2 / scale[:2] ** 2
+    wanted = np.maximum(own[rows] - np.median(own, axis=0), 0.0)
+    np.testing.assert_allclose(found, np.column_stack([wanted, [0.0, 0.0]]))
+    covariance = np.array([[1.3, 0.4], [0.4, 0.8]])
+    theta = np.array([[0.1, -0.2]] * 30)
+    theta[4], theta[7] = [6.0, -3.0], [4.0, 3.5]
+    line_of = pytest.MonkeyPatch()
+    with line_of.context() as patch:
+        patch.setattr(line, "_concentrated", lambda theta: covariance.copy())
+        worse = np.where(np.arange(30)[:, None] == 7, [[9.0, 4.0]], 0.0)
+        found, distance, p_values, sd = line._together(theta, lambda rows: worse[rows])
+    for unit, added in ((4, 0.0), (7, np.diag([9.0, 4.0])), (0, 0.0)):
+        t2 = theta[unit] @ np.linalg.inv(covariance + added) @ theta[unit]
+        assert distance[unit] == pytest.approx(t2)
+        assert p_values[unit] == pytest.approx(f.sf(t2 * 28 / (2 * 29), 2, 28), rel=1e-6)
+    assert found.tolist() == [4]
+    np.testing.assert_allclose(sd, np.sqrt([1.3, 0.8]))
+
+
+def fitted(up, values):
+    c = mp.fit(mp.Readings(values, up=up, outputs=("a", "b", "c"), unit="g"))
+    return c, share_design(c.model, c.reference, c.readings.environment)
+
+
+def left_by(X, y):
+    return y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+
+
+@pytest.mark.parametrize("stated", [False, True])
+@pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+def test_terms_that_units_lack_by_regression(stated, monkeypatch):
+    """F of each output with the columns added; ln p of all, and S of the best."""
+    up, values, _ = a_batch(6, 23, 5)
+    for unit in range(6):
+        values[1][unit] += unit * 4e-5 * up[:, 1] ** 2
+    c, shared = fitted(up, np.column_stack([each[0] for each in values]))
+    X = np.column_stack([np.ones(23), up])
+    error = np.stack([left_by(X, each.T).T for each in values])
+    if stated:
+        error = error / 1.1e-4
+    tests = replace(unit_tests(c, shared), stated=stated)
+    significant, score = _missing_terms(tests, values, error)
+    names = tests.projection.names
+    explained, q = np.zeros((6, len(names), 3)), np.zeros((len(names), 3))
+    for place, name in enumerate(names):
+        kinds = [kind for kind in tests.kinds if kind.name == name]
+        for i in range(3):
+            added = columns_of(kinds, i, c.reference, {})
+            both = np.column_stack([X, added])
+            q[place, i] = np.linalg.matrix_rank(both) - 4
+            whole = (error[i] ** 2).sum(axis=1)
+            explained[:, place, i] = whole - (left_by(both, error[i].T) ** 2).sum(axis=0)
+    whole = (error**2).sum(axis=2).T[:, None]
+    left = np.full(3, 19.0)
+    if stated:
+        explained, whole = explained.sum(axis=2, keepdims=True), whole.sum(axis=2, keepdims=True)
+        q, left = q.sum(axis=1, keepdims=True), left.sum(keepdims=True)
+    F = explained / np.where(q > 0, q, 1.0) / ((whole - explained) / (left - q))
+    logs = np.where(q > 0, f.logsf(F, np.where(q > 0, q, 1.0), left - q), 0.0)
+    level = 1.0 - 0.99 ** (1.0 / len(names))
+    used = (q > 0).sum(axis=1)
+    limit = np.where(used > 1, -0.5 * chi2.isf(level, 2.0 * np.maximum(used, 1)), math.log(level))
+    wanted = logs.sum(axis=2) < limit
+    assert significant.tolist() == wanted.tolist()
+    assert 0 < wanted.any(axis=1).sum() < 6
+    total = logs.sum(axis=2)
+
+    def score_of(unit, limits):
+        best = int(np.argmin(np.where(total[unit] < limits, total[unit] - limits, np.inf)))
+        gain = left * np.log(whole / (whole - explained))[unit, best]
+        S = np.where(q[best] > 0, gain, 0.0).sum() - q[best].sum() * math.log(3 * 19.0)
+        return S - 2.0 * math.log(len(names))
+
+    for unit in np.flatnonzero(wanted.any(axis=1)):
+        assert score[unit] == pytest.approx(score_of(unit, limit), rel=1e-6)
+    # near a limit quick tails, here of too large a p, are as good as exact ones
+    near = total + np.random.default_rng(3).uniform(0.002, 0.019, total.shape)
+    quick, share = unit_findings.f_log_tails, 0.02 / logs.shape[2]
+    monkeypatch.setattr(unit_findings, "_limits", lambda used: near)
+    monkeypatch.setattr(unit_findings, "f_log_tails", lambda *given: quick(*given) + share)
+    significant, score = _missing_terms(tests, values, error)
+    assert significant.all()
+    np.testing.assert_allclose(score, [score_of(unit, near[unit]) for unit in range(6)], rtol=1e-6)
+    nothing, none = _missing_terms(replace(tests, projection=None), values, error)
+    assert (nothing.shape, none.tolist()) == ((6, 0), [-math.inf] * 6)
+
+
+def test_units_whose_residuals_follow_their_temperatures():
+    """F of the first order, alone and times the axis, joined over the outputs."""
+    rng = np.random.default_rng(8)
+    up, values, _ = a_batch(60, 13, 7)
+    _, shared = fitted(up, np.column_stack([each[0] for each in values]))
+    X = np.column_stack([np.ones(13), up])
+    warmth = 20.0 + rng.normal(size=(60, 13))
+    residuals = np.empty((3, 60, 13))
+    for unit in range(60):
+        for i in range(3):
+            y = rng.normal(size=13) + unit % 10 * 0.2 * warmth[unit] * up[:, i] ** (unit > 29)
+            residuals[i, unit] = left_by(X, y)
+    kinds = (SimpleNamespace(name="own^2"),) * 5
+    tests = SimpleNamespace(kinds=kinds)
+    follows = follow_temperature(tests, shared, warmth, SimpleNamespace(residuals=residuals))
+    wanted = []
+    for unit in range(60):
+        worst = 0.0
+        for own in (False, True):
+            log = 0.0
+            for i in range(3):
+                t = warmth[unit] - warmth[unit, 0]
+                e = residuals[i, unit]
+                rest = left_by(np.column_stack([X, t * up[:, i] if own else t]), e)
+                F = (e @ e - rest @ rest) / (rest @ rest) * 8.0
+                log += f.logsf(F, 1, 8)
+            worst = min(worst, log)
+        wanted.append(worst)
+    limit = -0.5 * chi2.isf(1.0 - 0.99 ** (1.0 / 7.0), 6)  # five kinds and these two
+    sure = np.abs(np.array(wanted) - limit) > 0.05  # what the quick tail leaves open
+    assert follows[sure].tolist() == (np.array(wanted) < limit)[sure].tolist()
+    assert 15 < follows.sum() < 45
+    assert sure.sum() > 55
+    assert np.sum(np.abs(np.array(wanted) - limit) < 0.6) > 2
+
+
+def test_lack_of_fit_by_the_means_of_repeats():
+    rng = np.random.default_rng(2)
+    up = np.repeat(directions(rng.normal(size=(7, 3))), [3, 2, 2, 1, 2, 2, 1], axis=0)
+    place = np.repeat(np.arange(7), [3, 2, 2, 1, 2, 2, 1])
+    X = np.column_stack([np.ones(13), up])
+    size = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 9.0])
+    values, residuals = [], []
+    for i in range(2):
+        y = 1e-3 * rng.normal(size=(8, 13)) + size[:, None] * 1e-3 * rng.normal(size=7)[place]
+        y += up[:, i]
+        values.append(y)
+        residuals.append(left_by(X, y.T).T)
+    shared = SimpleNamespace(designs=[X, X], dof=np.array([9.0, 9.0]))
+    tests = SimpleNamespace(repeats=place)
+    found, score = _lack_of_fit(tests, shared, values, np.stack(residuals))
+    wanted, S = np.zeros(8, dtype=bool), np.zeros(8)
+    for y, e in zip(values, residuals, strict=True):
+        means = np.array([[row[place == k].mean() for k in range(7)] for row in y])
+        pure = ((y - means[:, place]) ** 2).sum(axis=1)
+        whole = (e**2).sum(axis=1)
+        F = (whole - pure) / 3 / (pure / 6)
+        wanted |= f.sf(F, 3, 6) < 0.01 / 2
+        S += 9 * np.log(whole / pure) - 3 * math.log(18.0)
+    assert found.tolist() == wanted.tolist()
+    assert 0 < wanted.sum() < 8
+    np.testing.assert_allclose(score, S, rtol=1e-6)
+    for step, said in ((0.9, True), (1.1, False)):  # repeats that agree as they are rounded
+        sd = math.sqrt(residuals[0][7] @ residuals[0][7] / 9.0)
+        coarse = [np.round(y / (step * sd)) * step * sd for y in values]
+        alone = SimpleNamespace(designs=[X], dof=np.array([9.0]))
+        assert _lack_of_fit(tests, alone, coarse[:1], residuals[0][None])[0][7] == said
+
+
+def test_rows_that_are_off_and_whether_a_second_one_is():
+    """Studentised squares beyond the limit; a second one of a quarter of the first is as far."""
+    m, count, n = 2, 4, 30
+    error = 0.5 * np.random.default_rng(3).choice([-1.0, 1.0], size=(m, count, n))
+    r2 = np.full((m, count, n), 0.9)
+    shared = SimpleNamespace(dof=np.array([5.0, 5.0]))  # of too few to ask for noisy rows
+    tests = SimpleNamespace(leverage=np.full((m, n), 0.2), nearest=0.05)
+    limit = largest_square(5.0, m * n)
+    r2[1, :, 4] = np.array([0.99, 1.01, 1.01, 1.01]) * limit
+    sensitivity = np.tile(np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0]]), (count, 1, 1))
+    residuals = np.full((m, count, n), 1e-4)
+    for unit, (first, second) in enumerate([(0.1, 0.09), (0.1, 0.049), (0.1, 0.051), (0.03, 0.02)]):
+        residuals[1, unit, 4], residuals[0, unit, 9] = first, second * 2.5
+    found, singly = _outliers(tests, shared, sensitivity, residuals, error, r2)
+    assert found.tolist() == [False, True, True, True]
+    # off by r/(1 − h)/size: .0625 and half of it, and .01875, which no interchange makes
+    assert singly.tolist() == [False, False, True, False]
+
+
+def test_the_part_of_gravity_and_what_comes_of_single_fits():
+    # u = √(u² + (k u_g/g θ)²) of a parameter of degree k in the force, ν by the fourth power
+    degrees = LINEAR.force_degrees
+    parameters = np.random.default_rng(1).uniform(0.5, 2.0, (3, 12))
+    u, dof = 1e-3 * parameters[::-1], np.full((3, 1), 11.0)
+    pattern = SimpleNamespace(
+        gravity=SimpleNamespace(u=0.02, value=9.7),
+        shared=SimpleNamespace(model=SimpleNamespace(force_degrees=degrees)),
+    )
+    found = SimpleNamespace(u=u, dof=dof, parameters=parameters)
+    whole, freedom = _with_gravity(pattern, found)
+    wanted = np.sqrt(u**2 + (degrees * 0.02 / 9.7 * parameters) ** 2)
+    np.testing.assert_allclose(whole, wanted)
+    np.testing.assert_allclose(freedom, 11.0 * (wanted / u) ** 4)
+    pattern.gravity.u = 0.0
+    assert _with_gravity(pattern, found)[0] is u
+
+
+def test_trials_are_of_what_all_units_were_at():
+    """Three stations; u2 was at two of them, u3 has fewer repeats, u4 repeats one label alone."""
+    visits = [
+        ("u1", "A", "pqpqpq"), ("u2", "A", "qpqp"), ("u1", "B", "ppqq"), ("u2", "B", "pqpqpq"),
+        ("u3", "A", "pqqp"), ("u3", "B", "qpqp"), ("u3", "C", "pqpq"), ("u4", "A", "ppq"),
+        ("u4", "B", "pqpq"), ("u5", "A", "pq"), ("u5", "B", "pq"),
+    ]  # fmt: skip
+    rows = [(unit, station, label) for unit, station, labels in visits for label in labels]
+    unit, station, label = (labels_from(column) for column in zip(*rows, strict=True))
+    table = SimpleNamespace(
+        unit=unit, station=station, columns=("position",), conditions=lambda name: label
+    )
+    grouped = group_rows(table)
+    trials = find_trials(table, grouped)
+    assert (trials.units, trials.stations, trials.repeats) == (("u1", "u2", "u3"), ("A", "B"), 2)
+    heads = np.cumsum([0, *(len(labels) for *_, labels in visits)])
+    wanted = []
+    for name in trials.units:
+        for place in trials.stations:
+            at = next(i for i, each in enumerate(visits) if each[:2] == (name, place))
+            mine = visits[at][2]
+            for trial in range(2):
+                seen = [[i for i, x in enumerate(mine) if x == y][trial] for y in "pq"]
+                wanted.append(sorted(heads[at] + i for i in seen))
+    assert [trials.grouped.rows(k).tolist() for k in range(len(trials.grouped))] == wanted
+    assert list(trials.grouped.unit) == [u for u in trials.units for _ in range(4)]
+    assert list(trials.grouped.station) == ["A", "A", "B", "B"] * 3
+    table.columns = ("group",)
+    assert find_trials(table, grouped) is None
+
+
+def labels_from(column):
+    names = tuple(dict.fromkeys(column))
+    return Labels(np.array([names.index(each) for each in column], dtype=np.int32), names)
+
+
+def test_angles_of_a_fixture_over_its_units():
+    """The mean of 3 + 4 units, and its u by what they vary."""
+    rng = np.random.default_rng(5)
+    angles = 1e-3 * (rng.normal(size=(7, 2, 3)) + rng.normal(size=(2, 3)))
+    parts = [
+        FixtureSums(0, ("p", "q"), np.eye(3)[:2], np.array([True, False]), len(some),
+                    some.sum(axis=0), (some**2).sum(axis=0))
+        for some in (angles[:3], angles[3:])
+    ]  # fmt: skip
+    other = FixtureSums(0, ("r",), np.eye(3)[:1], np.array([True]), 6, np.ones((1, 3)), np.ones(1))
+    found = stations.describe_fixtures([other, *parts, other._replace(station=2, units=1)])
+    first, second = found[0]["positions_deg"]
+    assert (first["position"], second["position"], second["x"]) == ("p", "q", None)
+    mean = np.degrees(angles.mean(axis=0)[0])
+    u = np.degrees(angles.std(axis=0)[0] / math.sqrt(6))
+    for i, axis in enumerate("xyz"):
+        assert first[axis] == {"value": pytest.approx(mean[i]), "u": pytest.approx(u[i])}
+    assert found[2]["positions_deg"][0]["y"] is None  # of one unit
+
+
+def test_stations_that_are_off_are_taken_out_one_by_one():
+    def described(values, us):
+        return [
+            {"level_deg": {"x": {"value": v, "u": u}}, "shift": None}
+            for v, u in zip(values, us, strict=True)
+        ]
+
+    # of −.9 first; without it the others are off by −.2, .2 and 0, then by .1 and −.1
+    values, us, off = [-0.9, 0.1, 0.5, 0.3], [0.1, 0.06, 0.07, 0.2], {("level_deg", "x")}
+    assert stations._beyond(described(values, us), 3.3) == [off, off, set(), set()]
+    assert stations._beyond(described(values, us), 3.4) == [off, set(), set(), set()]
+    assert stations._beyond(described(values, us), 1.4) == [off, off, off, set()]
+    pair = described([0.31, -0.29], [0.1, 0.1])
+    assert stations._beyond(pair, 3.0) == [{("level_deg", "x")}, set()]
+
+
+@pytest.mark.parametrize(
+    ("dof", "outputs", "p", "found"),
+    [(44.0, 2, 0.99, True), (44.0, 2, 1.01, False), (44.0, 2, math.nan, True),
+     (44.0, 1, 1.01, True), (ROWS_NAMED, 2, 1.01, False), (ROWS_NAMED - 1, 2, 1.01, True)],
+)  # fmt: skip
+def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
+    """By a p of their own, of as many readings as there are, where there are outputs to compare."""
+    n = 50
+    r2 = np.full((outputs, 1, n), 0.9)
+    r2[0, 0, 7] = 1.01 * largest_square(float(dof), outputs * n)
+    each = np.full((1, n, outputs), 0.5)
+    each[0, 7, 0] = p * OUTLIER_LEVEL / (outputs * n)
+    monkeypatch.setattr(unit_findings, "p_values_of_units", lambda *given: each)
+    shared = SimpleNamespace(
+        dof=np.full(outputs, float(dof)), by_output=[SimpleNamespace(Q=None)] * outputs
+    )
+    tests = SimpleNamespace(leverage=np.full((outputs, n), 0.1), nearest=0.05)
+    error, sensitivity = np.ones((outputs, 1, n)), np.ones((1, outputs, 3))
+    outlying, _ = _outliers(tests, shared, sensitivity, 0.01 * error, error, r2)
+    assert outlying.tolist() == [found]
