@@ -15,17 +15,22 @@ from scipy.stats import chi2, t
 import multipos as mp
 from multipos.estimation import (
     correlated_rows,
+    excess_variance,
     known,
     noise,
+    orientation_variance,
     outliers,
     posteriors,
     robustness,
     starts,
     stated_uncertainty,
+    uncertain,
 )
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
+from multipos.estimation.gains import information_at
 from multipos.estimation.identifiability import CANDIDATES, least_determined
 from multipos.estimation.known import REJECTED, fit_output
+from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
 from multipos.estimation.posteriors import _dof_of_tail, _probable
 from multipos.estimation.problem import (
@@ -854,3 +859,165 @@ def test_the_noise_of_variance_components_in_numbers():
     assert own.components.reading_sd.value == pytest.approx(0.5)
     assert noise._noise_in_words(own) == "reading noise of 0.5 (uncertain by 8 %)"
     assert_allclose(own.parameter_dof, 7.3)
+
+
+@pytest.mark.parametrize("kind", ["equal", "unequal", "correlated"])
+@pytest.mark.parametrize("outputs", [3, 2])
+def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
+    """−½ (ln|V| + ln|S| + q) of V = Σ + F s²JJ' + τ², Jeffreys' prior, and the parameters."""
+    rng = np.random.default_rng(5)
+    n, P, size = 6, 4, 0.6
+    error, design = rng.normal(size=(1, n, outputs)), rng.normal(size=(1, n, outputs, P))
+    spread = 0.8 * rng.normal(size=(1, n, outputs, 2))
+    if kind == "equal":
+        variance = np.repeat(rng.uniform(0.3, 1.0, (1, n, 1)), outputs, axis=2)
+        full = variance[0, :, :, None] * np.eye(outputs)
+    elif kind == "unequal":
+        variance = rng.uniform(0.3, 1.0, (1, n, outputs))
+        full = variance[0, :, :, None] * np.eye(outputs)
+    else:
+        root = rng.normal(size=(n, outputs, 5))
+        full = root @ root.transpose(0, 2, 1) / 5.0
+        variance = full[None]
+    prior, gradient = np.diag([0.0, 0.7, 0.0, 1.3]), np.array([0.0, 0.4, 0.0, -0.2])
+    linear = orientation_variance.Linear(
+        (orientation_variance.Block(error, design, spread, variance),), prior, gradient, 0.9
+    )
+    evaluator = orientation_variance._Evaluator(linear, np.array([size]))
+    factors, nodes = np.array([[0.4, 1.7, 3.0]]), np.array([[0.2, 2.5]])
+    both = evaluator.at_both(factors, nodes, whole=True)
+    alone = evaluator.at_excess(nodes, whole=True)
+
+    def by_hand(F, tau2, alone):
+        S, b, log, q, traces = prior.copy(), gradient.copy(), 0.0, 0.9, np.zeros(3)
+        for k in range(n):
+            B = spread[0, k] @ spread[0, k].T
+            V = full[k] + F * B + tau2 * np.eye(outputs)
+            W, X, e = np.linalg.inv(V), design[0, k], error[0, k]
+            S, b, q = S + X.T @ W @ X, b + X.T @ W @ e, q + e @ W @ e
+            log -= 0.5 * np.linalg.slogdet(V)[1]
+            traces += [np.trace(W @ W), np.trace(W @ W @ B), np.trace(W @ B @ W @ B)]
+        log -= 0.5 * (np.linalg.slogdet(S)[1] + q - b @ np.linalg.solve(S, b))
+        jeffreys = traces[0] if alone else (traces[0] * traces[2] - traces[1] ** 2) * F**2
+        log += 0.5 * math.log(jeffreys) + math.log(tau2 + size)
+        return log, np.linalg.solve(S, b), np.diag(np.linalg.inv(S))
+
+    pairs = [(F, tau2, False) for tau2 in nodes[0] for F in factors[0]]
+    for found, cases in ((both, pairs), (alone, [(1.0, tau2, True) for tau2 in nodes[0]])):
+        for node, case in enumerate(cases):
+            log, moves, variances = by_hand(*case)
+            assert found.log[0, node] == pytest.approx(log, rel=1e-8)
+            assert_allclose(found.moves[0, node], moves, rtol=1e-7)
+            assert_allclose(found.variances[0, node], variances, rtol=1e-7)
+
+
+@pytest.mark.parametrize("robust", [None, "huber"])
+@pytest.mark.parametrize(("dof", "factor"), [(9.3, 1.7), (math.inf, 1.0)])
+def test_a_solution_has_the_inverse_of_its_information_and_what_noise_makes_of_it(
+    robust, dof, factor, monkeypatch
+):
+    # S = Σ A' (Σ + s² K (f²1 − ff') K')⁻¹ A, by dense matrices
+    problem, _ = a_problem(sd=0.3, stated=4e-3, robust=robust)
+    optimum = found_of(problem)
+    S, K = np.zeros((12, 12)), optimum.state.theta.reshape(3, 4)[:, 1:]
+    for force in optimum.point.force:
+        J = K @ (0.98**2 * np.eye(3) - np.outer(force, force)) @ K.T
+        A = np.kron(np.eye(3), np.append(1.0, force))
+        S += A.T @ np.linalg.inv(16e-6 * np.eye(3) + math.radians(0.3) ** 2 * J) @ A
+    weight = np.where(np.arange(20) == 7, 1e-12, 1.0)
+    asked = replace(problem, weight=weight, precision=problem.precision * weight[:, None])
+    given = SimpleNamespace(labels=tuple("abcdefghijklmnopqrst"), group=None, values=problem.values)
+    seen = []
+    monkeypatch.setattr(
+        uncertain, "find_outlying_positions", lambda *those, **more: seen.append(those) or ()
+    )
+    fisher = information_at(problem.plain, optimum.state, optimum.point)
+    found = uncertain._solution(asked, optimum, fisher, given, 48.0, NoiseEstimate(factor, dof), 1)
+    assert_allclose(found.covariance, factor * np.linalg.inv(S), rtol=1e-4, atol=1e-12)
+    assert_allclose(found.inflation, math.sqrt(factor))
+    assert_allclose(seen[0][0], optimum.point.q / weight / factor)
+    assert seen[0][2] == (dof if robust else 48.0)
+    sd = 4e-3 * (1.0 if robust else math.sqrt(factor))
+    if not robust and math.isinf(dof):
+        sd *= math.sqrt(optimum.point.objective / 48.0)
+    assert_allclose(found.residual_sd, sd, rtol=1e-9)
+    own = np.linspace(1.0, 3.0, 12) * 1e-3
+    stated = uncertain._solution(
+        asked, optimum, fisher, given, 48.0, NoiseEstimate(factor, dof, u=own), 1
+    )
+    formal = np.sqrt(np.diag(np.linalg.inv(S)))
+    assert_allclose(np.sqrt(np.diag(stated.covariance)), own, rtol=1e-9)
+    assert_allclose(stated.inflation, own / formal, rtol=1e-4)
+    off = np.arccos(np.sum(problem.reference * optimum.point.force, axis=1) / 0.98**2)
+    assert_allclose(found.orientations.orientation_error_deg, np.degrees(off), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("terms", ["linear", "1 + own"])
+def test_correlated_outputs_are_fitted_as_one_problem(terms):
+    """Generalised least squares of 27 readings; what is left is asked for more."""
+    rng = np.random.default_rng(4)
+    up = mp.read_scheme("fibonacci-9").up
+    root = 1e-3 * rng.normal(size=(27, 40)) / math.sqrt(40.0)
+    noise_of = root @ root.T
+    y = up + (np.linalg.cholesky(noise_of) @ rng.normal(size=27)).reshape(9, 3)
+    model = build_model(terms, ("a", "b", "c"), ("x", "y", "z"))
+    given = mp.Readings(y, up=up, outputs=("a", "b", "c"), unit="g", covariance=noise_of)
+    shared = known.share_design(model, up, {})
+    found = known._solve_jointly(shared, y, given, False)
+    X = np.zeros((27, len(model.names)))
+    for i, (where, design) in enumerate(zip(model.slices, shared.designs, strict=True)):
+        X[i::3, where] = design
+    V = noise_of + np.diag(np.tile(found.excess.variance[0], 9))
+    W = np.linalg.inv(V)
+    C = np.linalg.inv(X.T @ W @ X)
+    assert_allclose(found.parameters, C @ X.T @ W @ y.ravel(), atol=1e-9)
+    assert_allclose(found.cofactor, C, rtol=1e-6, atol=1e-15)
+    assert_allclose(found.residuals.ravel(), y.ravel() - X @ found.parameters, atol=1e-12)
+    assert_allclose(found.sd.ravel(), np.sqrt(np.diag(V)))
+    W = np.linalg.inv(noise_of)
+    first = y.ravel() - X @ np.linalg.solve(X.T @ W @ X, X.T @ W @ y.ravel())
+    assert found.chi2 == pytest.approx(first @ W @ first, rel=1e-6)
+    assert (found.inflation > 0.9).all()
+    assert np.isfinite(found.dof).all()
+
+
+def test_what_weights_make_of_outputs_of_one_design():
+    rng = np.random.default_rng(6)
+    up = mp.read_scheme("fibonacci-9").up
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
+    shared = known.share_design(model, up, {})
+    (group,) = shared.groups
+    X = shared.designs[0]
+    y, variance = rng.normal(size=(3, 9)), rng.uniform(0.2, 3.0, (3, 9))
+    variance[1] *= np.where(np.arange(9) == 4, 1e9, 1.0)  # too unlike for the short way
+    plain = np.array([np.linalg.lstsq(X, each, rcond=None)[0] for each in y])
+    b, r = known._weigh_group(shared, group, y, plain, y - plain @ X.T, variance)
+    for own, left, values, v in zip(b, r, y, variance, strict=True):
+        root = np.sqrt(v)
+        wanted = np.linalg.lstsq(X / root[:, None], values / root, rcond=None)[0]
+        assert_allclose(own, wanted, rtol=1e-7)
+        assert_allclose(left, values - X @ wanted, atol=1e-7)
+
+
+@pytest.mark.parametrize(("ratio", "equal"), [(1.2, True), (60.0, False)])
+def test_outputs_share_an_excess_variance_unless_they_are_unequal(ratio, equal):
+    """Of one unit in two here; where it is refused each output has its own, as alone."""
+    rng = np.random.default_rng(8)
+    X = np.column_stack([np.ones(12), rng.normal(size=(12, 2))])
+    e = rng.normal(size=(2, 12, 2)) * np.sqrt([1.0, 1.0])
+    e[1, :, 1] *= math.sqrt(ratio)
+    e -= X @ np.linalg.lstsq(X, e.transpose(1, 0, 2).reshape(12, 4), rcond=None)[0].reshape(
+        3, 2, 2
+    ).transpose(1, 0, 2)
+    stated = np.full((2, 12, 2), 0.2)
+    found = excess_variance.estimate_excess([X, X], e, stated)
+    pooled = excess_variance.estimate_excess([X, X], e, stated, pool=True)
+    assert_allclose(found.variance[0], pooled.variance[0])
+    assert pooled.variance[1, 0] == pooled.variance[1, 1]
+    if equal:
+        assert_allclose(found.variance, pooled.variance)
+    else:
+        for i in range(2):
+            one = excess_variance.estimate_excess([X], e[:, :, [i]], stated[:, :, [i]])
+            assert_allclose(found.variance[1, i], one.variance[1, 0])
+            assert_allclose(found.dof[1, i], one.dof[1, 0])

@@ -163,22 +163,28 @@ def test_which_units_are_looked_at_in_full_by_their_limits():
     assert _ends_repeat(values)[2]
 
 
-def test_a_unit_that_is_far_in_a_number_of_few():
-    """t² with m and s of the others; of 9 units two at most are taken away."""
-    rng = np.random.default_rng(4)
-    theta = rng.normal(size=(9, 2))
-    theta[3, 1], theta[6, 1] = 14.0, -11.0
+@pytest.mark.parametrize(("times", "named"), [(0.98, True), (1.02, False)])
+def test_a_unit_that_is_far_in_a_number_of_few(times, named):
+    """t² with m and s of the others; of 9 units two at most are taken away, by p (n − k + 1)."""
+    theta = 0.01 * np.random.default_rng(4).normal(size=(9, 2)) + [0.7, 0.4]
+    others = np.delete(theta[:, 1], [3, 6])
+    added = np.array([3e-5, 1e-5])
+    variance = others.var(ddof=1) * (1 + 1 / 7) + added
+    t2 = np.array([900.0, f.isf(times * 0.01 / (2 * (9 - 2 + 1)), 1, 6)])
+    theta[[3, 6], 1] = others.mean() + np.sqrt(t2 * variance) * [1.0, -1.0]
     excess = np.zeros((9, 2))
-    excess[3, 1] = 0.7
+    excess[[3, 6], 1] = added
     found, distance, p_values, sd = line._each_alone(theta, lambda rows: excess[rows])
-    assert found.tolist() == [3, 6]
-    x = np.delete(theta[:, 1], [3, 6])
-    for unit in (3, 6):
-        t2 = (theta[unit, 1] - x.mean()) ** 2 / (x.var(ddof=1) * (1 + 1 / 7) + excess[unit, 1])
-        assert distance[unit] == pytest.approx(t2)
-        assert p_values[unit] == pytest.approx(9 * 2 * f.sf(t2, 1, 6), rel=1e-6)
+    kept = others if named else np.delete(theta[:, 1], 3)
+    if not named:
+        variance = kept.var(ddof=1) * (1 + 1 / 8) + added
+        t2 = (theta[[3, 6], 1] - kept.mean()) ** 2 / variance * [1.0, 0.0]
+    np.testing.assert_allclose(distance[[3, 6]], t2, rtol=1e-9)
+    chance = 9 * 2 * f.sf(t2[0], 1, len(kept) - 1)
+    assert p_values[3] == pytest.approx(chance, rel=1e-6)
+    assert found.tolist() == ([3] if chance < 0.01 else [])
     assert distance[[0, 1, 2, 4, 5, 7, 8]].tolist() == [0.0] * 7
-    np.testing.assert_allclose(sd, [theta[:, 0].std(ddof=1), x.std(ddof=1)])
+    np.testing.assert_allclose(sd, [theta[:, 0].std(ddof=1), kept.std(ddof=1)])
 
 
 def test_what_a_unit_was_measured_worse_than_others():
@@ -382,7 +388,7 @@ def test_the_part_of_gravity_and_what_comes_of_single_fits():
 def test_trials_are_of_what_all_units_were_at():
     """Three stations; u2 was at two of them, u3 has fewer repeats, u4 repeats one label alone."""
     visits = [
-        ("u1", "A", "pqpqpq"), ("u2", "A", "qpqp"), ("u1", "B", "ppqq"), ("u2", "B", "pqpqpq"),
+        ("u1", "A", "pqpqpq"), ("u2", "A", "qpqp"), ("u1", "B", "ppqq"), ("u2", "B", "ppp"),
         ("u3", "A", "pqqp"), ("u3", "B", "qpqp"), ("u3", "C", "pqpq"), ("u4", "A", "ppq"),
         ("u4", "B", "pqpq"), ("u5", "A", "pq"), ("u5", "B", "pq"),
     ]  # fmt: skip
@@ -401,7 +407,7 @@ def test_trials_are_of_what_all_units_were_at():
             at = next(i for i, each in enumerate(visits) if each[:2] == (name, place))
             mine = visits[at][2]
             for trial in range(2):
-                seen = [[i for i, x in enumerate(mine) if x == y][trial] for y in "pq"]
+                seen = [[i for i, x in enumerate(mine) if x == y][trial] for y in set(mine)]
                 wanted.append(sorted(heads[at] + i for i in seen))
     assert [trials.grouped.rows(k).tolist() for k in range(len(trials.grouped))] == wanted
     assert list(trials.grouped.unit) == [u for u in trials.units for _ in range(4)]
@@ -447,8 +453,8 @@ def test_stations_that_are_off_are_taken_out_one_by_one():
     assert stations._beyond(described(values, us), 3.3) == [off, off, set(), set()]
     assert stations._beyond(described(values, us), 3.4) == [off, set(), set(), set()]
     assert stations._beyond(described(values, us), 1.4) == [off, off, off, set()]
-    pair = described([0.31, -0.29], [0.1, 0.1])
-    assert stations._beyond(pair, 3.0) == [{("level_deg", "x")}, set()]
+    for second, said in ((-0.29, set()), (-0.305, off)):
+        assert stations._beyond(described([0.31, second], [0.1, 0.1]), 3.0) == [off, said]
 
 
 @pytest.mark.parametrize(
