@@ -46,7 +46,6 @@ from numpy.typing import ArrayLike
 from multipos.errors import ConvergenceError, MultiposError
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
-from multipos.estimation.known import chi_squares
 from multipos.estimation.likelihood import linearise, moved, recentred
 from multipos.estimation.starts import reduced_information
 from multipos.numerics.arrays import Array
@@ -347,6 +346,24 @@ def _known_problem(c: Calibration, index: int) -> tuple[Callable[[Array], Array]
 
     # a factor for each output moves the best parameters where outputs are correlated
     return residuals, fit_residuals(residuals, best) if full else best
+
+
+def chi_squares(residuals: Array, noise: Array | None) -> Array:
+    """Return r'V⁻¹r of each output by itself (M,), V as `Readings.noise` has it; 1 where None.
+
+    Parameters
+    ----------
+    residuals : (n, M) array
+    noise : (n M,) or (n M, n M) array, optional
+    """
+    n, m = residuals.shape
+    if noise is None or noise.ndim == 1:
+        variances = np.ones((n, m)) if noise is None else noise.reshape(n, m)
+        return np.asarray(np.sum(residuals**2 / variances, axis=0))
+    blocks = noise.reshape(n, m, n, m)
+    return np.array(
+        [residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]) for i in range(m)]
+    )
 
 
 def _variance_factor(c: Calibration, chi2: Array) -> Array:

@@ -661,7 +661,7 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
         moves, (dof,) = (found.coefficients - first.coefficients)[None], excess.dof
         u = excess.standard_uncertainty(moves, model.per_parameter(excess.dof))[0]
         inflation = u / np.sqrt(np.diag(found.cofactor))
-        chi2 = float(chi_squares(first.residuals.reshape(n, m), noise).sum())
+        chi2 = float(first.residuals @ np.linalg.solve(noise, first.residuals))
     return _One(
         parameters=found.coefficients,
         cofactor=found.cofactor,
@@ -725,24 +725,6 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
         add_variances(noise, np.maximum(more, 0.0)),
         model.outputs,
         readings.labels,
-    )
-
-
-def chi_squares(residuals: Array, noise: Array | None) -> Array:
-    """Return r'V⁻¹r of each output by itself (M,), V as `Readings.noise` has it; 1 where None.
-
-    Parameters
-    ----------
-    residuals : (n, M) array
-    noise : (n M,) or (n M, n M) array, optional
-    """
-    n, m = residuals.shape
-    if noise is None or noise.ndim == 1:
-        variances = np.ones((n, m)) if noise is None else noise.reshape(n, m)
-        return np.asarray(np.sum(residuals**2 / variances, axis=0))
-    blocks = noise.reshape(n, m, n, m)
-    return np.array(
-        [residuals[:, i] @ np.linalg.solve(blocks[:, i, :, i], residuals[:, i]) for i in range(m)]
     )
 
 
