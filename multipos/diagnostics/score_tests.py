@@ -274,12 +274,14 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
     plain = c.estimator.exact and c.robust_weight is None
     plain = plain and (c.noise is None or c.noise.ndim == 1)
     sums = (_sums_at_known if plain else _sums_of_likelihood)(c, kinds)
-    gram, score, left, kind_of = sums.gram, sums.score, sums.left, sums.kind_of
+    gram, score, kind_of = sums.gram, sums.score, sums.kind_of
+    whole, left = sums.whole, sums.left
     names = [kind.name for kind in kinds]
     for name in added:  # fitted beside the parameters
         T = _identifiable(gram, sums.size, kind_of == names.index(name))
-        score, gram = score - gram @ T @ (T.T @ score), gram - gram @ T @ (T.T @ gram)
-        left -= T.shape[1]
+        along = T.T @ score
+        score, gram = score - gram @ T @ along, gram - gram @ T @ (T.T @ gram)
+        whole, left = whole - float(along @ along), left - T.shape[1]
     explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
     asked = np.array([name not in added for name in names])
     explained, q = explained * asked, q * asked
@@ -290,7 +292,7 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
         shown = gram[some[:, None], some], sums.across[:, some], sums.information
         hidden = _hidden(c, [kinds[k] for k in faint], *shown)
     least_variance = np.full(1, sums.least_variance)
-    alone = explained[:, None], sums.whole, q[:, None], left, least_variance
+    alone = explained[:, None], whole, q[:, None], left, least_variance
     return Tested(_ratios(names, (), *alone), hidden)
 
 

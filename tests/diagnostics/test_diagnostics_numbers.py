@@ -15,7 +15,9 @@ from multipos.diagnostics import (
     examination,
     gross_errors,
     magnetic,
+    model_error,
     projections,
+    repairs,
     residuals,
     row_order,
     scales,
@@ -1012,3 +1014,199 @@ def test_outputs_in_a_unit_of_their_own_are_named(monkeypatch):
     assert scales.output_unit(c, np.diag([20.0, 21.0, 30.0])) is None
     assert scales.output_unit(c, np.diag([20.0, 21.0, 0.0])) is None
     assert scales.output_unit(c, np.diag([20.0, 206.0, 1.0])[:1]) is None
+
+
+# --- what competes, and what is tried
+
+
+@pytest.mark.parametrize(
+    ("codes", "scores", "best", "kept"),
+    [
+        (["outlier", "placement"], [3.0, 5.1], ("drift", 5.0), ["other", "placement"]),
+        (["outlier", "placement"], [3.0, 4.9], ("drift", 5.0), ["other", "drift"]),
+        (["outlier", "placement"], [5.2, 5.1], ("drift", 9.0), ["other", "drift"]),
+        (["outlier", "time-correlated"], [3.0, 5.1], ("time-correlated", 9.0),
+         ["other", "time-correlated"]),
+        ([], [], ("drift", -3.0), ["other", "drift"]),
+    ],
+)  # fmt: skip
+def test_one_of_the_causes_of_residuals_is_named(codes, scores, best, kept, monkeypatch):
+    """That of the largest S; ν is that of all readings, or one a row where nothing is known."""
+    causes = [SimpleNamespace(code="slipped", score=best[1] - 1.0),
+              SimpleNamespace(code=best[0], score=best[1])]  # fmt: skip
+    found = [SimpleNamespace(code=code, level="note") for code in ["other", *codes]]
+    freedom = []
+
+    def score(c, finding, nu, residuals):
+        freedom.append(nu)
+        return dict(zip(codes, scores, strict=True))[finding.code]
+
+    monkeypatch.setattr(examination, "asked", lambda c: True)
+    monkeypatch.setattr(examination, "search", lambda c: causes)
+    monkeypatch.setattr(examination, "_score", score)
+    monkeypatch.setattr(examination, "_describe", lambda c, cause: cause)
+    c = SimpleNamespace(
+        residuals=np.zeros((9, 3)), parameters=np.zeros(4), estimator=Estimator.LINEAR
+    )
+    assert [each.code for each in examination.compete(c, found, None)] == kept
+    c.estimator = Estimator.UNKNOWN
+    examination.compete(c, found, None)
+    assert freedom == [23.0] * len(codes) + [5.0] * len(codes)
+    for code, level in (("zero-per-soak", "note"), ("other", "error")):
+        wrong = [*found, SimpleNamespace(code=code, level=level)]
+        assert examination.compete(c, wrong, None) is wrong
+    causes.clear()
+    assert examination.compete(c, found, None) is found
+
+
+def test_terms_that_a_sensor_can_have_are_weighed_as_the_fit(monkeypatch):
+    """Their columns, and how large they may be: .05 of each response; not of temperature."""
+    u = np.random.default_rng(1).uniform(0.5, 2.0, (14, 3))
+    c, seen = linear(u), []
+    monkeypatch.setattr(model_error, "are_better_with", lambda *given: seen.append(given) or [True])
+    assert model_error._is_admissible(c, ("own^2", "own*other"))
+    (bases, added, largest, errors) = seen[0]
+    X = np.column_stack([np.ones(14), UP])
+    for i in range(3):
+        root = 1.0 / c.sd_of_readings[:, i]
+        others = [k for k in range(3) if k != i]
+        Q = np.linalg.qr(X * root[:, None])[0]
+        assert_allclose(bases[i] @ bases[i].T, Q @ Q.T, atol=1e-12)
+        Z = np.column_stack([UP[:, i] ** 2, UP[:, i][:, None] * UP[:, others]])
+        assert_allclose(added[i], Z * root[:, None])
+        assert_allclose(largest[i], np.full((3, 1), 0.05 * np.linalg.norm(c.sensitivity[i])))
+        assert_allclose(errors[i][:, 0], c.residuals[:, i] * root)
+    monkeypatch.setattr(model_error, "are_better_with", lambda *_: [False])
+    assert not model_error._is_admissible(c, ("own^2",))
+    assert model_error._is_admissible(replace(c, robust_weight=np.ones(14)), ("own^2",))
+    hidden = replace(c.diagnostics, hidden=("own^2",))
+    hidden = replace(c, diagnostics=hidden, robust_weight=np.ones(14))
+    assert not model_error._is_admissible(hidden, ("own*other", "own^2"))
+
+
+@pytest.mark.parametrize("added", [(), ("own*other",)])
+def test_rows_of_a_projection_span_what_a_fit_leaves_of_terms(added):
+    """Of each kind and output by a dense projector, terms that are taken as fitted in it."""
+    c = linear()
+    kinds = projections.lacking(c)
+    found = projections.project(projections.Setting(c, kinds, added))
+    X = np.column_stack([np.ones(14), UP])
+    ends = [*found.starts.tolist(), len(found.rows)]
+    blocks = {int(place): slice(*ends[k : k + 2]) for k, place in enumerate(found.place)}
+    assert set(found.names) == {kind.name for kind in kinds}
+    for k, kind in enumerate(kinds):
+        for i in range(3):
+            others = [UP[:, i] * UP[:, j] for j in range(3) if j != i]
+            design = np.column_stack([X, *others]) if added else X
+            assert found.left[i] == 14 - design.shape[1]
+            Z = projections.values_of([kind], UP, {})[0][:, i]
+            Z = Z[:, np.abs(Z).max(axis=0) > 0.0]
+            left = Z - design @ np.linalg.lstsq(design, Z, rcond=None)[0]
+            rank = 0 if kind.name in added else np.linalg.matrix_rank(left, tol=1e-6)
+            assert found.q[k, i] == rank
+            if rank:
+                rows = found.rows[blocks[k * 3 + i]]
+                assert (found.output[blocks[k * 3 + i]] == i).all()
+                U = np.linalg.svd(left)[0][:, :rank]
+                assert_allclose(rows.T @ rows, U @ U.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("added", [(), ("own^2",)])
+def test_terms_are_tested_alike_by_rows_and_by_sums(added):
+    """Stated noise, all outputs as one: the projection that is kept, and sums about the fit."""
+    c = linear(np.random.default_rng(1).uniform(0.02, 0.08, (14, 3)))
+    kinds = projections.lacking(c)
+    rows, sums = (ask(c, kinds, added) for ask in (score_tests._at_known, score_tests._as_one))
+    assert [test.term for test in sums.tests] == [test.term for test in rows.tests]
+    assert len(rows.tests) > 2
+    for one, other in zip(rows.tests, sums.tests, strict=True):
+        assert_allclose(other.ratios, one.ratios, rtol=1e-6)
+        assert_allclose(other.dofs, one.dofs)
+    assert rows.hidden == sums.hidden
+
+
+def test_terms_that_would_fit_as_well_are_named(monkeypatch):
+    """Within 6.6 of the best; what no sensor has is left out."""
+    tests = [
+        SimpleNamespace(term=term, gain=gain, p=1e-5, outputs=(), ratios=(), dofs=())
+        for term, gain in (("bad", 50.0), ("a", 40.0), ("b", 33.5), ("c", 33.3), ("d", 39.0))
+    ]
+    monkeypatch.setattr(model_error, "significant", lambda found: tuple(tests))
+    monkeypatch.setattr(model_error, "_is_admissible", lambda c, named: named != ("bad",))
+    monkeypatch.setattr(model_error, "_named", lambda c, best: (best[0].term, "d"))
+    monkeypatch.setattr(model_error, "_way_out", lambda c, named: "Fit.")
+    monkeypatch.setattr(model_error, "_showing", lambda first: ())
+    c = SimpleNamespace(diagnostics=SimpleNamespace(model_tests=()))
+    said = model_error.missing_term(c)
+    assert said.text.startswith("the model lacks a and d, which")
+    assert "; b would fit as well)" in said.text
+    del tests[1:]
+    assert model_error.missing_term(c) is None
+
+
+@pytest.mark.parametrize("slight", [True, False])
+def test_repairs_that_are_tried(slight, monkeypatch):
+    """Rows that fit worst, sixty at the most; of slight misfits only what may be so slight."""
+    asked = {}
+
+    def pairs(name, count):
+        return lambda view, rows: asked.update({name: rows}) or ([name], count)
+
+    for name, count in (("_interchanges", 100), ("_single_factors", 20), ("_single_flips", 3)):
+        monkeypatch.setattr(repairs, name, pairs(name, count))
+    for name in ("_other_order", "_many_factors", "_wrapped", "_radians"):
+        monkeypatch.setattr(repairs, name, lambda view, name=name: [name, name])
+    monkeypatch.setattr(repairs, "_many_flips", lambda view, guess: [guess])
+    residual = np.random.default_rng(4).normal(size=(70, 2))
+    response = np.array([3.0, 0.2])
+    view = SimpleNamespace(values=residual, residuals=residual, response=response)
+    found, tried = repairs.candidates(view, "guess", slight=slight)
+    size = np.sum((residual / response) ** 2, axis=1)
+    rows = np.sort(np.argsort(size)[10:])
+    assert asked["_interchanges"].tolist() == rows.tolist()
+    if slight:
+        assert found == ["_interchanges", "_radians", "_radians"]
+        assert tried == 100 + (len(repairs.FACTORS) + 1) * 60
+    else:
+        assert found[:3] == ["_interchanges", "_single_factors", "_single_flips"]
+        assert (len(found), tried, found[5]) == (12, 100 + 20 + 3 + 9, "guess")
+        assert asked["_single_flips"].tolist() == rows.tolist()
+
+
+@pytest.mark.parametrize(
+    ("share", "sd", "gross", "named"),
+    [((0.05, 0.1, 0.9), 0.05, True, ("c",)), ((0.7, 0.8, 0.9), 0.05, True, ()),
+     ((0.05, 0.1, 0.9), 0.03, True, None), ((0.05, 0.1, 0.9), 0.05, False, None)],
+)  # fmt: skip
+def test_residuals_as_large_as_the_signal(share, sd, gross, named, monkeypatch):
+    """Beyond a fiftieth of the response, 2 here; outputs whose misfit is gross are named."""
+    monkeypatch.setattr(gross_errors, "is_gross", lambda view, sd: gross)
+    response = np.array([2.0, 0.5, 3.0])
+    view = SimpleNamespace(
+        residuals=np.array([[0.6], [-0.8]]) * share * response * math.sqrt(7.0),
+        dof=7.0, response=response,
+    )  # fmt: skip
+    c = SimpleNamespace(
+        residual_sd=np.array([0.01, sd, 0.01]),
+        sensitivity=np.eye(3) * 2.0,
+        outputs=("a", "b", "c"),
+        readings=SimpleNamespace(orientation_sd=None),
+    )  # fmt: skip
+    found = gross_errors._no_signal(c, view)
+    assert (found.outputs if found else None) == named
+    if found:
+        assert "are 90 % of one g" in found.text
+
+
+def test_terms_beyond_the_linear_ones_that_are_large():
+    """A fifth of the response of their output, 2 here."""
+
+    def c(value, degree=2):
+        keys = (("a", SimpleNamespace(force_degree=1)), ("b", SimpleNamespace(force_degree=degree)))
+        model = SimpleNamespace(has_all_linear=True, keys=keys)
+        return SimpleNamespace(model=model, parameters=np.array([9.0, value]))
+
+    sizes = {"a": 30.0, "b": 2.0}
+    assert gross_errors._bends(c(-0.41), sizes)
+    assert not gross_errors._bends(c(-0.39), sizes)
+    assert not gross_errors._bends(c(-0.41, 1), sizes)

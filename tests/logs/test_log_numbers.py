@@ -14,6 +14,7 @@ import multipos as mp
 from multipos.logs import (
     faults,
     joining,
+    layout,
     log_columns,
     opening,
     rest_means,
@@ -46,7 +47,7 @@ from multipos.logs.rests import (
     is_long,
     long_enough,
 )
-from multipos.logs.samples import Samples, _turns, good_rows
+from multipos.logs.samples import Samples, Timing, _turns, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines, read_plain
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
@@ -900,3 +901,127 @@ def test_rows_until_noise_is_forgotten():
     assert (
         waved._stride(slow, np.tile([0.6, 0.0, 0.8], (400, 1))) == 118
     )  # 75, 94, 118: beyond a fourth
+
+
+# --- rows and columns
+
+
+def test_rows_of_a_rest_among_those_that_were_dropped():
+    """By a list of the rows that were kept."""
+    dropped = [2, 3, 7, 11, 12, 13, 19]
+    kept = [row for row in range(24) if row not in dropped]
+    for start in range(16):
+        for end in range(start + 1, 18):
+            found = rows_in_log(Rest(start, end), dropped)
+            assert found == Rest(kept[start], kept[end - 1] + 1), (start, end)
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "timing", "rate", "clock", "counter"),
+    [
+        ("time_ms", lambda i: 300 + 20 * i, Timing(), 50.0, ("time_ms", 1e-3), None),
+        ("time_ms", lambda i: 300 + 20 * i, Timing(rate=37.0), 37.0, None, None),
+        ("tick", lambda i: 300 + 20 * i, Timing("tick", "us"), 5e4, ("tick", 1e-6), None),
+        ("time_ms", lambda i: 300 - i, Timing(), None, None, None),
+        ("time", lambda i: 7 + i, Timing(), None, None, "time"),
+        ("time", lambda i: 7 + i, Timing(unit="s"), 1.0, ("time", 1.0), None),
+        ("step", lambda i: 300 + 20 * i, Timing(), None, None, None),
+    ],
+)
+def test_the_clock_of_a_log(header, cells, timing, rate, clock, counter):
+    """As it is named, or by a name of time and values that rise; what counts rows is none."""
+    angle = 0.02 * np.arange(90) + 0.3
+    rows = [f"{cells(i)},{math.cos(a):.5f},{math.sin(a):.5f}" for i, a in enumerate(angle)]
+    log = open_lines("live", [f"{header},ax,ay", *rows], None).log
+    with Samples(log, ("ax", "ay"), timing) as samples:
+        samples._read_clock(next(iter(log.read(("ax", "ay"), (header,), ()))).table)
+        assert samples.rate == (rate and pytest.approx(rate))
+        assert samples.counter == counter
+        assert samples.others == (() if clock else (header,))
+        if clock:
+            assert (samples.clock.column, samples.clock.seconds) == (clock[0], clock[1])
+            assert samples.step == pytest.approx(1.0 / rate)
+        else:
+            assert samples.clock is None
+
+
+def test_rows_of_a_sensor_that_is_waved():
+    """Two's complement of eight bits; what is no number goes, with its temperature."""
+    rng = np.random.default_rng(2)
+    raw = rng.integers(0, 256, (30, 2)).astype(float)
+    raw[4, 0], raw[0, 0], raw[1, 0] = np.nan, 128.0, 127.0
+    warm = rng.normal(size=30)
+
+    def log(first, end, numeric=("temperature",)):
+        columns = {"a": raw[first:end, 0], "b": raw[first:end, 1], "temperature": warm[first:end]}
+        piece = SimpleNamespace(table=SimpleNamespace(columns=columns))
+        return SimpleNamespace(source="s", numeric=numeric, read=lambda *_: [piece])
+
+    def rows(*logs, signed=None):
+        return waved.read_rows(logs, ("a", "b"), signed=signed, drop_bad=False)
+
+    values, environment = rows(log(0, 17), log(17, 30))
+    good = np.arange(30) != 4
+    assert_allclose(values, raw[good])
+    assert_allclose(environment["temperature"], warm[good])
+    values, environment = rows(log(0, 17), log(17, 30, ()), signed=8)
+    assert_allclose(values, np.where(raw >= 128, raw - 256, raw)[good])
+    assert environment == {}
+    assert len(rows(log(10, 22))[0]) == 12
+    with pytest.raises(mp.MultiposError, match="s: 11 rows, and"):
+        rows(log(10, 21))
+    raw[20, 1] = -1.1e40
+    with pytest.raises(mp.MultiposError, match=r"s: row 21, column 'b': -1\.1e"):
+        rows(log(0, 30))
+    raw[20, 1] = -0.9e40
+    assert len(rows(log(0, 30))[0]) == 29
+
+
+@pytest.mark.parametrize(
+    ("header", "outputs", "kind", "unit", "found"),
+    [
+        ("mx,my,mz", None, None, None, "mx,my,mz"),
+        ("ax,ay,az", None, None, None, None),
+        ("ax,ay,az,mx,my,mz", None, None, None, None),
+        ("ax,ay,az,mx,my,mz", None, "magnetic", None, "mx,my,mz"),
+        ("ax,ay,az,mx,my,mz", None, None, "uT", "mx,my,mz"),
+        ("ax,ay,az,mx,my,mz", None, None, "G", None),
+        ("x,y,z", None, None, "uT", "x,y,z"),
+        ("x,y,z", None, None, "G", "x,y,z"),
+        ("x,y,z", None, None, None, None),
+        ("x,y,z", None, "magnetic", None, "x,y,z"),
+        ("x [uT],y [uT],z [uT]", None, None, None, "x,y,z"),
+        ("ax,ay,az,mx,my,mz", ("mx", "my", "mz"), None, None, "mx,my,mz"),
+        ("ax,ay,az,mx,my,mz", ("ax", "ay", "az"), None, None, None),
+    ],
+)
+def test_outputs_of_a_magnetometer_by_name_unit_or_wish(header, outputs, kind, unit, found):
+    """Beside an accelerometer only where it is asked for; G may be meant for g."""
+    width = header.count(",") + 1
+    lines = [header, *(",".join(f"{i + k / 7:.3f}" for k in range(width)) for i in range(3))]
+    log = open_lines("live", lines, None).log
+    wanted = None if found is None else tuple(found.split(","))
+    assert log_columns.magnetic_outputs(log, outputs, kind, unit) == wanted
+
+
+def test_what_rows_of_a_text_have_in_common():
+    """The usual width, of as many the wider; numbers in a third; a last mark that ends rows."""
+    rows = [["1", "2", ""], ["x", "4", ""], ["y", "", ""], ["7", "8"]]
+    assert layout._shape(rows, ",") == (",", 3, True, (0, 1))
+    assert layout._shape([*rows[:3], ["z", "", ""]], ",").numbers == (1,)
+    assert layout._shape(rows[:1] + rows[3:], ",").cells == 3
+    assert not layout._shape([["1", "2", "3"], ["4", "5", ""]], ",").trailing
+    assert not layout._shape(rows, "").trailing
+    shape = layout._shape(rows, ",")
+    assert layout._names("t,a", shape, comment=False) == ("t", "a")
+    assert layout._names("t,a,", shape, comment=False) == ("t", "a")
+    assert layout._names("t,a,b", shape, comment=False) is None
+    assert layout._names("t;a", shape, comment=False) is None
+    assert layout._names("t;a", shape, comment=True) == ("t", "a")
+    assert layout._names("1.5,a", shape, comment=False) is None
+    three = shape._replace(cells=3, trailing=False)
+    assert layout._names("made by hand", three, comment=True) is None
+    assert layout._names("time x hand", three, comment=True) == ("time", "x", "hand")
+    assert shape.fits(["1", "", ""])
+    assert not shape.fits(["x", "", ""])
+    assert not shape.fits(["1", "x", ""])
