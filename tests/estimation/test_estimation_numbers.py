@@ -577,12 +577,12 @@ def test_the_factor_of_a_robust_fit_is_the_spread_of_its_equations():
     assert low == pytest.approx(np.sum(weight**2 * q) / nu / 0.05**2)
 
 
-def a_problem(off=(), sd=0.0, n=20, size=0.98, stated=1e-3, robust="huber"):
+def a_problem(off=(), sd=0.0, n=20, size=0.98, stated=1e-3, robust="huber", by=2e-3):
     """A triad at listed directions, some readings of which are off."""
     rng = np.random.default_rng(5)
     up = size * mp.read_scheme(f"fibonacci-{n}").up
     K = np.array([[2.0, 0.05, -0.02], [0.03, 1.3, 0.04], [0.01, -0.06, 0.9]])
-    values = np.array([0.3, -0.2, 0.1]) + up @ K.T + 2e-3 * rng.normal(size=(n, 3))
+    values = np.array([0.3, -0.2, 0.1]) + up @ K.T + by * rng.normal(size=(n, 3))
     for row, by in off:
         values[row] += by
     model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
@@ -598,26 +598,32 @@ def found_of(problem):
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_a_robust_fit_sets_aside_what_is_beyond_doubt_by_the_median(loss):
-    """Of 20 positions two are off by .1; the others' median misfit is that of χ² on three."""
-    problem, _ = a_problem([(4, [0.1, 0.0, 0.0]), (13, [0.0, -0.1, 0.05])])
+    """Of 20 positions five are off by .1; the others' median misfit is that of χ² on three."""
+    off = {2: [0.0, 0.0, 0.3], 4: [0.2, 0.0, 0.0], 9: [0.0, 0.25, 0.0],
+           13: [0.0, -0.2, 0.1], 16: [-0.2, 0.0, 0.2]}  # fmt: skip
+    problem, _ = a_problem(off.items())
     names = [f"p{i}" for i in range(20)]
-    after, optimum, noise = robustness.judge_robustly(
-        problem, found_of(problem), loss, names, stated=False
-    )
+    optimum = found_of(problem)
+    q = robustness._settle_noise(problem, optimum)[1].point.q
+    after, optimum, noise = robustness.judge_robustly(problem, optimum, loss, names, stated=False)
     assert after.robust == loss
-    assert sorted(f.rows[0] for f in noise.findings) == ["p13", "p4"]
-    kept = np.delete(np.arange(20), [4, 13])
-    assert_allclose(after.weight[[4, 13]], 1e-12)
-    q = optimum.point.q[kept]
-    ratio = np.median(q) / chi2.ppf(0.5, 3) * 54.0 / (54.0 - 12.0)
+    assert {f.rows[0] for f in noise.findings} == {names[i] for i in off}
+    assert f"{names[q.argmax()]} was set aside" in noise.findings[0].text
+    assert f"is {math.sqrt(q.max() / 3.0):.3g} times the noise" in noise.findings[0].text
+    kept = np.delete(np.arange(20), [*off])
+    assert_allclose(after.weight[[*off]], 1e-12)
+    q, three = optimum.point.q[kept], np.full(15, 3.0)
+    ratio = np.median(q) / chi2.ppf(0.5, 3) * 45.0 / (45.0 - 12.0)
     assert ratio == pytest.approx(1.0, rel=2e-4 if loss == "huber" else 0.3)
-    weight, slope = loss_weight(loss, q, np.full(18, 3.0)), loss_slope(loss, q, np.full(18, 3.0))
-    nu = float(counted(loss, np.insert(weight, [4, 12], 0.0), np.full(20, 3.0))) - 12.0
-    wanted = robustness.huber_factors(q, np.full(18, 3.0), weight, slope, np.array(nu))
+    weight, slope = loss_weight(loss, q, three), loss_slope(loss, q, three)
+    every = np.zeros(20)
+    every[kept] = weight
+    nu = float(counted(loss, every, np.full(20, 3.0))) - 12.0
+    wanted = robustness.huber_factors(q, three, weight, slope, np.array(nu))
     assert noise.dof == pytest.approx(nu)
     assert noise.factor == pytest.approx(float(wanted))
     assert noise.claim is None
-    assert noise.weight[[4, 13]].tolist() == [0.0, 0.0]
+    assert noise.weight[[*off]].tolist() == [0.0] * 5
 
 
 @pytest.mark.parametrize(("stated", "denied"), [(1e-3, True), (2.2e-3, False)])
@@ -633,6 +639,20 @@ def test_a_robust_fit_of_a_stated_noise_asks_it(stated, denied):
         assert (noise.claim.chi2, noise.claim.dof) == (pytest.approx(statistic), 48.0)
     else:
         assert (noise.factor, noise.dof) == (pytest.approx(1.0 / EFFICIENCY), math.inf)
+
+
+@pytest.mark.parametrize(("n", "refused"), [(12, True), (13, False)])
+def test_a_noise_that_vanishes_is_what_orientation_errors_leave_of_digits(n, refused):
+    """A millionth of .3° of the largest reading; n contrasts beside two angles each, p = 12."""
+    problem, _ = a_problem(sd=0.3, n=n, by=0.0)
+    optimum = found_of(problem)
+    if refused:
+        with pytest.raises(mp.MultiposError, match="may explain the residuals"):
+            robustness._settle_noise(problem, optimum)
+        return
+    after, _ = robustness._settle_noise(problem, optimum)
+    finest = (1e-15 + 1e-6 * math.radians(0.3)) * np.abs(problem.values).max()
+    assert_allclose(after.precision, finest**-2.0, rtol=1e-3)
 
 
 def test_what_readings_show_of_their_noise_beside_orientation_errors():
@@ -1021,3 +1041,83 @@ def test_outputs_share_an_excess_variance_unless_they_are_unequal(ratio, equal):
             one = excess_variance.estimate_excess([X], e[:, :, [i]], stated[:, :, [i]])
             assert_allclose(found.variance[1, i], one.variance[1, 0])
             assert_allclose(found.dof[1, i], one.dof[1, 0])
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_the_misfit_along_the_force_is_what_is_asked_for_correlation(timed, monkeypatch):
+    """n'e of M'n = f over its sd, and how parameters move it, by a solution for each row."""
+    rng = np.random.default_rng(7)
+    n = 15
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"))
+    M = np.array([[2.0, 0.1, -0.2], [0.3, -1.4, 0.2], [0.1, 0.2, 0.8]])
+    theta = np.column_stack([[0.1, 0.2, 0.3], M]).ravel()
+    force, residuals = rng.normal(size=(n, 3)), 0.1 * rng.normal(size=(n, 3))
+    sd = rng.uniform(0.5, 2.0, (n, 3))
+    order = rng.permutation(n) if timed else None
+    seen = {}
+    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd)
+    monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
+    monkeypatch.setattr(
+        correlated_rows, "_are_beyond_chance", lambda *those: seen.update(asked=those) or [True]
+    )
+    monkeypatch.setattr(correlated_rows, "_judge", lambda *those: seen.update(judged=those))
+    monkeypatch.setattr(
+        correlated_rows, "_judge_in_time", lambda *those: seen.update(judged=those) or (None,)
+    )
+    solution = SimpleNamespace(
+        model=model, parameters=theta, reference=force, residuals=residuals, covariance=None
+    )
+    given = mp.Readings(force @ M.T, outputs=("a", "b", "c"), unit="g")
+    (found,) = correlated_rows._unknown(solution, given, order)
+    assert found == ((0, 1, 2), slice(None), None)
+    normal = np.array([np.linalg.solve(M.T, f) for f in force])
+    normal /= np.linalg.norm(normal * sd, axis=1)[:, None]
+    A = np.array([np.kron(m, np.append(1.0, f)) for m, f in zip(normal, force, strict=True)])
+    e = np.sum(normal * residuals, axis=1)
+    sign = np.sign(np.linalg.det(M))
+    if timed:
+        (design,), (error,), along = seen["judged"]
+        assert_allclose(along, (normal * sd)[order] @ (normal * sd)[order].T, atol=1e-12)
+        A, e = A[order], e[order]
+    else:
+        design, error = seen["judged"]
+        assert_allclose(seen["asked"][0][0], error)
+        assert seen["asked"][2] == 15.0 - 12.0
+    assert_allclose(design * sign, A, atol=1e-12)
+    assert_allclose(error * sign, e, atol=1e-12)
+    solution.residuals = 0.5e-12 * np.abs(given.values).max() * np.sign(residuals)
+    assert correlated_rows._unknown(solution, given, order) is solution
+
+
+def test_rows_in_time_are_asked_by_their_own_noise(monkeypatch):
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("fibonacci-9").up
+    model = build_model("1 + own", ("a", "b", "c"), ("x", "y", "z"))
+    residuals, sd = 0.1 * rng.normal(size=(9, 3)), rng.uniform(0.5, 2.0, (9, 3))
+    order, seen = rng.permutation(9), {}
+    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd)
+    monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
+    monkeypatch.setattr(
+        correlated_rows, "_judge_in_time", lambda *those: seen.update(judged=those) or "xyz"
+    )
+    solution = SimpleNamespace(model=model, reference=up, residuals=residuals)
+    given = mp.Readings(up, up=up, outputs=("a", "b", "c"), unit="g")
+    found = correlated_rows._known_in_time(solution, given, order)
+    assert found == [((i,), model.slices[i], "xyz"[i]) for i in range(3)]
+    designs, errors, _ = seen["judged"]
+    for i in range(3):
+        X = np.column_stack([np.ones(9), up[:, i]]) / sd[:, [i]]
+        assert_allclose(designs[i], X[order])
+        assert_allclose(errors[i], (residuals[:, i] / sd[:, i])[order])
+    for size, asked in ((0.9e-12, False), (1.1e-12, True)):
+        solution.residuals = residuals.copy()
+        solution.residuals[:, 1] = size * np.abs(up[:, 1]).max()
+        assert (correlated_rows._known_in_time(solution, given, order) is solution) is not asked
+    few = SimpleNamespace(model=model, reference=up[:4], residuals=residuals[:4])
+    some = mp.Readings(up[:4], up=up[:4], outputs=("a", "b", "c"), unit="g")
+    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd[:4])
+    assert correlated_rows._known_in_time(few, some, np.arange(4)) is not few
+    few.residuals, few.reference = residuals[:3], up[:3]
+    some = mp.Readings(up[:3], up=up[:3], outputs=("a", "b", "c"), unit="g")
+    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd[:3])
+    assert correlated_rows._known_in_time(few, some, np.arange(3)) is few
