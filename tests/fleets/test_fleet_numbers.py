@@ -6,22 +6,24 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, f
+from scipy.stats import chi2, f, t
 
 import multipos as mp
+from multipos.diagnostics.examination import are_open
 from multipos.diagnostics.model_error import columns_of
 from multipos.estimation.known import share_design
 from multipos.fleets import line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import find_trials, group_rows
 from multipos.fleets.labels import Labels
-from multipos.fleets.solving import _ends_repeat, _with_gravity, find_suspects
+from multipos.fleets.solving import _ends_repeat, _findings, _with_gravity, find_suspects
 from multipos.fleets.unit_findings import (
     _lack_of_fit,
     _missing_terms,
     _one_row,
     _outliers,
     follow_temperature,
+    may_lack_terms,
     unit_tests,
 )
 from multipos.numerics.rotations import directions, rotation_matrix
@@ -477,3 +479,63 @@ def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
     error, sensitivity = np.ones((outputs, 1, n)), np.ones((1, outputs, 3))
     outlying, _ = _outliers(tests, shared, sensitivity, 0.01 * error, error, r2)
     assert outlying.tolist() == [found]
+
+
+def test_terms_that_robust_fits_may_lack_by_weighted_regression():
+    """F with the weights of each unit, on the most degrees of freedom that it may have."""
+    rng = np.random.default_rng(6)
+    up, values, _ = a_batch(12, 19, 5)
+    c, shared = fitted(up, np.column_stack([each[0] for each in values]))
+    kinds = unit_tests(c, shared).kinds
+    X = np.column_stack([np.ones(19), up])
+    e, weight = rng.normal(size=(3, 12, 19)), rng.uniform(0.4, 1.0, (12, 3, 19))
+    e[1] += np.linspace(0.0, 14.0, 12)[:, None] * up[:, 1] ** 2
+    found = may_lack_terms(kinds, shared, SimpleNamespace(residuals=e, weight=weight))
+    logs, used = np.zeros((12, len(kinds))), np.zeros((1, len(kinds)), dtype=int)
+    for place, kind in enumerate(kinds):
+        for i in range(3):
+            added = columns_of([kind], i, c.reference, {})
+            q = added.shape[1]
+            used[0, place] += q > 0
+            for unit in range(12 if q else 0):
+                root = np.sqrt(weight[unit, i])
+                y, P = root * e[i, unit], root[:, None] * X
+                whole = np.sum(left_by(P, y) ** 2)
+                rest = np.sum(left_by(np.column_stack([P, root[:, None] * added]), y) ** 2)
+                left = weight[unit, i].sum() - 4.0
+                F = (whole - rest) * (left - q) / (q * rest)
+                logs[unit, place] += f.logsf(F, q, 15.0 - q)
+    limit = unit_findings._limits(used)
+    margin = (logs - limit - 0.05).min(axis=1)
+    sure = np.abs(margin) > 0.02
+    assert found[sure].tolist() == (margin < 0.0)[sure].tolist()
+    assert 2 < found.sum() < 10
+    assert sure.sum() > 9
+
+
+def test_what_a_unit_is_said_to_be_found_of():
+    """χ² beyond its 99.9 % is a denied noise, below .1 % an overstated one; in one order."""
+    task = SimpleNamespace(
+        units=np.arange(4), values=(np.zeros((4, 7)),) * 3, options={"confidence": 0.9}
+    )
+    model = build_model("linear", ("a", "b", "c"), ("x", "y", "z"), unit="g")
+    shared = SimpleNamespace(model=model)
+    pattern = SimpleNamespace(shared=shared, findings="turned")
+    high, low = chi2.ppf(0.999, 9.0), chi2.ppf(0.001, 9.0)
+    parameters = np.tile(np.eye(3, 4, 1).ravel() + 1e-3, (4, 1))
+    of = SimpleNamespace(
+        parameters=parameters, chi2=np.array([high * 1.001, high * 0.999, low * 0.999, high * 2.0])
+    )
+    dof, u = np.full((4, 12), 9.0), np.full((4, 12), 1e-6)
+    named = {"outlier": np.arange(4) == 3, "lack-of-fit": np.arange(4) == 1}
+    assert _findings(task, pattern, of, u, dof, named) == [
+        "turned;denied-noise", "turned;lack-of-fit", "turned;overstated-noise", "turned;outlier",
+    ]  # fmt: skip
+    of.chi2 = None
+    u[2, 6] = 0.7 / t.ppf(0.95, 9.0)
+    said = _findings(task, pattern, of, u, dof, {})
+    k = t.ppf(0.95, 9.0)
+    wanted = are_open(model, parameters, k * u)
+    assert [("no-redundancy" in each) for each in said] == wanted.tolist()
+    assert wanted[2]
+    assert not wanted[0]

@@ -1,0 +1,58 @@
+"""Numbers of numerics by hand or by a second route, at points without symmetry."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import norm
+
+from multipos.numerics.levenberg_marquardt import _Going, _rise, _step
+from multipos.numerics.quantiles import chi2_quantile, chi2_tail
+
+
+@pytest.mark.parametrize("held", [(), (1,)])
+def test_a_damped_step_solves_equations_with_a_raised_diagonal(held):
+    """(S + λ diag S) d = g of the parameters that are not held; size against that of θ."""
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(3, 4, 7))
+    S, g, theta = root @ root.transpose(0, 2, 1), rng.normal(size=(3, 4)), rng.normal(size=(3, 3))
+    damping = np.array([0.3, 1e-4, 20.0])
+    found = _step(theta, SimpleNamespace(information=S, gradient=g), damping, held)
+    free = [i for i in range(4) if i not in held]
+    for k in range(3):
+        A = S[k][np.ix_(free, free)]
+        d = np.linalg.solve(A + damping[k] * np.diag(np.diag(A)), g[k, free])
+        assert_allclose(found[0][k, free], d)
+        assert found[1][k] == pytest.approx(g[k, free] @ d)
+        scale = np.sqrt(np.diag(S[k]))
+        if held:
+            scale[1] = 1.0
+        size = np.abs(theta[k] * scale[:3]).max()
+        assert found[2][k] == pytest.approx(np.abs(d * scale[free]).max() / size)
+    assert not held or not found[0][:, 1].any()
+
+
+def test_damping_after_steps_that_are_taken_refused_and_stuck():
+    going = _Going(np.array([0.4, 0.4, 3e11, 1e-12]), np.array([5.0, 6.0, 7.0, 8.0]), np.arange(4))
+    taken, flat = np.array([True, False, False, False]), np.array([False, True, False, False])
+    after, stuck = going.refused(taken, np.array([1.5, 2.5, 3.5, 4.5]), flat)
+    assert_allclose(after.damping, [0.04, 4.0, 3e12, 1e-10])
+    assert stuck.tolist() == [False, True, True, False]
+    assert after.before.tolist() == [1.5, 6.0, 7.0, 8.0]
+    assert after.iterations.tolist() == [1, 2, 3, 3]
+
+
+def test_how_far_rounding_lets_an_objective_rise():
+    """8 ε of the largest reading times the root, a part in 10¹² at least."""
+    eps = np.finfo(float).eps
+    found = _rise(np.array([7.0, 900.0]), np.array([400.0, 0.25]))
+    assert_allclose(found, [400.0e-12, 8.0 * eps * 900.0 * 0.5])
+
+
+@pytest.mark.parametrize("z", [-2.3, 0.7, 3.1])
+def test_chi_square_of_billions_of_degrees_of_freedom(z):
+    dof = 3e9
+    x = dof + z * np.sqrt(2.0 * dof)
+    assert chi2_tail(x, dof) == pytest.approx(norm.sf(z), rel=1e-3)
+    assert chi2_quantile(norm.cdf(z), dof) - dof == pytest.approx(x - dof, rel=1e-3)
