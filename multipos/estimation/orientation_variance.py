@@ -84,9 +84,26 @@ class Linear(NamedTuple):
         return self._replace(blocks=tuple(block.of(units) for block in self.blocks))
 
     @property
+    def flat(self) -> bool:
+        """Whether no parameter has a prior, and θ are the parameters."""
+        return self.outer is None and np.ndim(self.information) == 0
+
+    @property
     def spreads(self) -> Array:
         """Sum (B,) of what orientation errors of one sd do to readings, squared."""
         return sum_of_squares(*(block.spread for block in self.blocks))
+
+
+class _Unmoved(NamedTuple):
+    """Combinations of parameters that no orientation error moves: the same at any τ² and F."""
+
+    outer: Array  # parameters as combinations of those that are left, (B, p, P)
+    moves: Array  # what these combinations shift parameters by, (B, p)
+    variances: Array  # and add to their variances in units of a + τ², (B, p)
+
+    def of(self, units: slice) -> "_Unmoved":
+        """Return some of the units."""
+        return _Unmoved(*(each[units] for each in self))
 
 
 class _Rotated(NamedTuple):
@@ -97,11 +114,15 @@ class _Rotated(NamedTuple):
     moving: Array  # c, (B, N)
     number: Array  # how many each stands for, (N,)
     axes: tuple[Array, ...]  # of each block, (B, k, r, r)
+    unmoved: _Unmoved | None = None
 
     def of(self, units: slice) -> "_Rotated":
         """Return some of the units, for which the axes are no longer asked."""
         return self._replace(
-            products=self.products[units], fixed=self.fixed[units], moving=self.moving[units]
+            products=self.products[units],
+            fixed=self.fixed[units],
+            moving=self.moving[units],
+            unmoved=None if self.unmoved is None else self.unmoved.of(units),
         )
 
 
@@ -378,7 +399,8 @@ def _axes(block: Block) -> tuple[Array, Array, Array]:
 def _rotated(linear: Linear, *, joined: bool) -> _Rotated:
     """Return the linear models in the axes of eq. (2), at F = 1 where these depend on it.
 
-    Numbers of equal a that no orientation error moves have one weight, and are `joined`.
+    Numbers of equal a that no orientation error moves have one weight, and are `joined`. Of
+    parameters without a prior, no more are then left than numbers that are moved.
     """
     axes, fixed, moving = zip(*(_axes(block) for block in linear.blocks), strict=True)
     both = (
@@ -395,11 +417,38 @@ def _rotated(linear: Linear, *, joined: bool) -> _Rotated:
     if not (joined and still.sum() > 1) or np.ptp(a[:, still], axis=1).any():
         return _Rotated(whole[:, :, first] * whole[:, :, second], a, c, np.ones(a.shape[1]), axes)
     place, equal, others = np.flatnonzero(still)[:1], whole[:, still], whole[:, ~still]
+    count, unmoved = np.append(np.ones(others.shape[1]), float(still.sum())), None
+    if linear.flat and others.shape[1] < others.shape[2] - 1:
+        equal, others, unmoved = _without_unmoved(equal, others)
+        first, second = np.triu_indices(others.shape[2])
     gram = (equal.transpose(0, 2, 1) @ equal)[:, None, first, second]
     products = np.concatenate([others[:, :, first] * others[:, :, second], gram], axis=1)
     a, c = (np.concatenate([each[:, ~still], each[:, place]], axis=1) for each in (a, c))
-    count = np.append(np.ones(others.shape[1]), float(still.sum()))
-    return _Rotated(products, a, c, count, axes)
+    return _Rotated(products, a, c, count, axes, unmoved)
+
+
+def _without_unmoved(still: Array, moving: Array) -> tuple[Array, Array, _Unmoved]:
+    """Return rows (D, d) of both kinds without combinations of θ that no error moves, and those.
+
+    In axes Q of θ of which the first q have no part in rows that are `moving` (B, P − q, P + 1),
+    those that are `still`, of weight w = 1/(a + τ²), have the triangle ((T, K), (0, L)) for θ, d.
+    At any noise the first q follow the others, x, as T⁻¹(K_d − K_D x), with covariance (T'T)⁻¹/w
+    about that, and their part of det S is w^q but for a constant. L stands for still rows.
+    """
+    P = moving.shape[2] - 1
+    q = P - moving.shape[1]
+    scale = np.linalg.norm(np.concatenate([still, moving], axis=1)[:, :, :P], axis=1)[:, :, None]
+    basis = np.linalg.qr(np.swapaxes(moving[:, :, :P], 1, 2) / scale, mode="complete")[0]
+    basis = np.roll(basis, q, axis=2) / scale
+    rows = np.concatenate([still[:, :, :P] @ basis, still[:, :, P:]], axis=2)
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+    own = basis[:, :, :q] @ np.linalg.inv(triangle[:, :q, :q])
+    follows = own @ triangle[:, :q, q:]
+    unmoved = _Unmoved(
+        basis[:, :, q:] - follows[:, :, :-1], follows[:, :, -1], (own**2).sum(axis=2)
+    )
+    moving = np.concatenate([moving[:, :, :P] @ basis[:, :, q:], moving[:, :, P:]], axis=2)
+    return triangle[:, q:, q:], moving, unmoved
 
 
 class _Evaluator:
@@ -418,10 +467,11 @@ class _Evaluator:
             mine = rotated.of(units)
             tau2 = nodes[units, places]
             weight = 1.0 / ((mine.fixed + mine.moving)[:, None] + tau2[..., None])
-            log, R = self._likelihood(mine, weight)
-            log += 0.5 * np.log((weight * weight) @ mine.number)
-            parts.append((units, places, log + np.log(tau2 + self._size[units, None]), R))
-        return self._joined(nodes.shape, parts, whole=whole)
+            found = self._likelihood(mine, weight, whole=whole)
+            found.log[:] += 0.5 * np.log((weight * weight) @ mine.number)
+            found.log[:] += np.log(tau2 + self._size[units, None])
+            parts.append((units, places, found))
+        return _joined(nodes.shape, parts)
 
     def at_both(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
         """Return what is found at all pairs of τ² (B, G) and F (B, C), F running fastest.
@@ -440,11 +490,11 @@ class _Evaluator:
             weight += mine.fixed[:, None]
             weight += at[..., None]
             np.reciprocal(weight, out=weight)
-            log, R = self._likelihood(mine, weight)
+            found = self._likelihood(mine, weight, whole=whole)
             sums = np.moveaxis((weight * weight) @ powers[units], 2, 0)
-            log += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
-            parts.append((units, places, log, R))
-        return self._joined(tau2.shape, parts, whole=whole)
+            found.log[:] += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
+            parts.append((units, places, found))
+        return _joined(tau2.shape, parts)
 
     def _with_moving_axes(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
         """Return the same where axes depend on F: unit by unit, the values of F side by side."""
@@ -463,7 +513,7 @@ class _Evaluator:
             joined=False,
         )
         weight = 1.0 / ((rotated.fixed + rotated.moving)[:, None] + nodes[:, None])
-        log, R = self._likelihood(rotated, weight)
+        log, moves, variances = self._likelihood(rotated, weight, whole=whole)
         sums = np.zeros((3, C, G))
         first = 0
         for block, axes in zip(blocks, rotated.axes, strict=True):
@@ -479,12 +529,11 @@ class _Evaluator:
             first += k * r
         log += _prior_of_both(*sums) + np.log(factors[:, None] * (nodes + self._size[unit]))
         shape = (G * C,)
-        moves, variances = self._parameters(R) if whole else (np.empty((C, G, 0)),) * 2
         both = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
         return Found(log.T.reshape(shape), *both)
 
-    def _likelihood(self, rotated: _Rotated, weight: Array) -> tuple[Array, Array]:
-        """Return ln L (B, G), and the Cholesky factors R (P + 1, P + 1, B, G) of eq. (4)."""
+    def _likelihood(self, rotated: _Rotated, weight: Array, *, whole: bool) -> Found:
+        """Return ln L of eq. (4) in place of the density, of the parameters only if `whole`."""
         sums = np.swapaxes(rotated.products, 1, 2) @ np.swapaxes(weight, 1, 2)
         sums = np.moveaxis(sums, 1, 0)
         sums += np.reshape(self._prior, (-1, 1, 1))
@@ -492,31 +541,41 @@ class _Evaluator:
         sums[-1] += _TINY
         R = _triangles(sums)
         logs = np.log(np.einsum("ppbg->pbg", R[:-1, :-1])).sum(axis=0)
-        return 0.5 * (np.log(weight) @ rotated.number - R[-1, -1] ** 2) - logs, R
+        log = 0.5 * (np.log(weight) @ rotated.number - R[-1, -1] ** 2) - logs
+        unmoved, common = rotated.unmoved, weight[:, :, -1]
+        if unmoved is not None:  # its part of ln det S
+            p, P = unmoved.outer.shape[1:]
+            log -= 0.5 * (p - P) * np.log(common)
+        parameters = self._parameters(R, unmoved, common) if whole else np.empty((2, *log.shape, 0))
+        return Found(log, *parameters)
 
-    def _joined(
-        self,
-        shape: tuple[int, ...],
-        parts: list[tuple[slice, slice, Array, Array]],
-        *,
-        whole: bool,
-    ) -> Found:
-        outer = self._linear.outer
-        p = (len(outer) if outer is not None else len(parts[0][3]) - 1) if whole else 0
-        log, moves, variances = np.empty(shape), np.empty((*shape, p)), np.empty((*shape, p))
-        for units, places, mine, R in parts:
-            log[units, places] = mine
-            if whole:
-                moves[units, places], variances[units, places] = self._parameters(R)
-        return Found(log, moves, variances)
+    def _parameters(self, R: Array, unmoved: _Unmoved | None, weight: Array) -> tuple[Array, Array]:
+        """Return shifts and variances (B, G, p) of the parameters, eq. (4).
 
-    def _parameters(self, R: Array) -> tuple[Array, Array]:
-        """Return shifts and variances (B, G, p) of the parameters, eq. (4)."""
-        inverse = _inverted(R[:-1, :-1])  # (q, P, B, G), S⁻¹ = sum over q of its squares
-        if self._linear.outer is not None:
-            inverse = np.einsum("rp,qpbg->qrbg", self._linear.outer, inverse)
-        moves = np.einsum("qpbg,qbg->bgp", inverse, R[:-1, -1])
-        return moves, np.moveaxis(np.einsum("qpbg,qpbg->pbg", inverse, inverse), 0, 2)
+        From Cholesky factors R (P + 1, P + 1, B, G), and the weight (B, G) of numbers not moved.
+        """
+        # (B, P, q, G), S⁻¹ = sum over q of its squares
+        inverse = np.transpose(_inverted(R[:-1, :-1]), (2, 1, 0, 3))
+        outer = self._linear.outer if unmoved is None else unmoved.outer
+        if outer is not None:
+            B, P, q, G = inverse.shape
+            inverse = (outer @ inverse.reshape(B, P, q * G)).reshape(B, outer.shape[-2], q, G)
+        moves = np.einsum("bpqg,qbg->bgp", inverse, R[:-1, -1])
+        variances = np.einsum("bpqg,bpqg->bgp", inverse, inverse)
+        if unmoved is not None:
+            moves += unmoved.moves[:, None]
+            variances += unmoved.variances[:, None] / weight[:, :, None]
+        return moves, variances
+
+
+def _joined(shape: tuple[int, ...], parts: list[tuple[slice, slice, Found]]) -> Found:
+    """Return what is found of units and nodes (B, G) from that of some of them each."""
+    p = parts[0][2].moves.shape[2]
+    whole = Found(np.empty(shape), *np.empty((2, *shape, p)))
+    for units, places, found in parts:
+        for each, part in zip(whole, found, strict=True):
+            each[units, places] = part
+    return whole
 
 
 _ROUNDING = 1e-12  # of q, which it is computed to
@@ -525,7 +584,7 @@ _TINY = np.finfo(float).tiny
 
 def _prior_products(linear: Linear) -> Array | float:
     """Return what the prior adds to the sums of eq. (3), in the order of `_Rotated.products`."""
-    if linear.outer is None and np.ndim(linear.information) == 0:
+    if linear.flat:
         return 0.0
     P = linear.blocks[0].design.shape[3]
     whole = np.zeros((P + 1, P + 1))

@@ -23,15 +23,20 @@ FACTORS = np.array([1.0, 0.1, 3.0, 20.0])
 
 def a_solution(kind="uncertain", *, unequal=True):
     """Return a problem of every kind of position with residuals of both causes, as an optimum."""
-    problem, state = a_problem(kind.removeprefix("rolls, "))
+    problem, state = a_problem(kind.split(", ")[-1])
     n = len(problem.values)
     if kind.startswith("rolls"):
         rows = np.arange(n) % 3 == 0
         rolls = OpenRolls(np.where(rows, 2, -1), np.full(n, -1))
         problem = replace(problem, rolls=rolls)
+    few = kind.startswith("few")  # angles than parameters
+    if few:
+        few_sds = np.where(np.arange(n) < 4, problem.orientation_sd, 0.0)
+        problem = replace(problem, orientation_sd=few_sds)
+        state = replace(state, step=state.step * (few_sds > 0.0)[:, None])
     if not unequal:
-        precision = np.tile(problem.precision.mean(axis=1)[:, None], 3)
-        problem = replace(problem, precision=precision)
+        mean = problem.precision.mean(axis=None if few else 1, keepdims=True)
+        problem = replace(problem, precision=np.broadcast_to(mean, (n, 3)).copy())
     normal = linearise(problem, state, evaluate(problem, state))
     rng = np.random.default_rng(8)
     spread = np.where(np.isfinite(problem.orientation_sd), problem.orientation_sd, 0.5)
@@ -101,7 +106,7 @@ def by_definition(linear, tau2, factor):
 
 @pytest.mark.parametrize("unequal", [True, False], ids=["unequal", "equal"])
 @pytest.mark.parametrize("both", [False, True], ids=["placement stated", "both"])
-@pytest.mark.parametrize("kind", [*KINDS, "rolls, uncertain"])
+@pytest.mark.parametrize("kind", [*KINDS, "rolls, uncertain", "few, uncertain"])
 def test_posterior_is_its_definition(kind, both, unequal):
     """Up to a constant; the prior is taken out again, as Jeffreys' by its own formula."""
     # eqs. (1), (3), (4) of estimation.orientation_variance
