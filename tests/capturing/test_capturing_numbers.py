@@ -9,9 +9,11 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import evaluation, poses, streams
+from multipos.capturing import evaluation, live_rests, poses, streams
+from multipos.capturing import session as session_module
 from multipos.capturing.poses import _find_frame, _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
+from multipos.logs.rests import Rest
 from multipos.sensor.model import build_model
 
 MODEL = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
@@ -238,3 +240,57 @@ def test_a_replay_sends_rows_when_they_would_have_come(speed, rate, rows, monkey
     assert clock[0] - 50.0 == pytest.approx(last / (rate * speed) if speed else 0.0)
     if speed:
         assert waits >= last / (rate * speed) / 0.05 - 1e-6
+
+
+def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
+    """Five are bad, of which two are forgotten; of the others 40 and 41 come before the rest."""
+    rows = SimpleNamespace(bad=5, _left_out=[40, 41, 57], rate=8.0)
+    found = live_rests.LiveRows.in_log(rows, Rest(41, 58))
+    assert (found.start, found.end) == (41 + 4, 58 + 5)
+    assert live_rests.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
+
+
+@pytest.mark.parametrize(
+    ("drift", "threshold", "refused"),
+    [(0.31, 0.3, True), (0.29, 0.3, False), (-0.31, 0.3, True), (9.0, None, False)],
+)
+def test_a_rest_that_drifts_by_more_than_stillness_is_refused(drift, threshold, refused):
+    found = SimpleNamespace(
+        n=9, sd=np.array([0.1, 0.2]), low=np.array([1.0, 2.0]), drift=np.array([0.02, drift]),
+        drift_u=np.array([0.001, abs(drift) / (poses._SIGNIFICANT * 1.01)]),
+    )  # fmt: skip
+    still = SimpleNamespace(found=found, saturated=())
+    said = poses.refuse_rest(still, ("a", "b"), threshold)
+    assert (said is not None) is refused
+    found.drift_u[1] = abs(drift) / (poses._SIGNIFICANT * 0.99)
+    assert poses.refuse_rest(still, ("a", "b"), threshold) is None
+    found.sd[0] = 0.0
+    assert "stuck" in poses.refuse_rest(still, ("a", "b"), threshold)
+    found.sd[1] = 0.0  # no output varies: the log is of so few digits
+    assert poses.refuse_rest(still, ("a", "b"), threshold) is None
+    found.sd[:] = 0.0, 0.2
+    found.n = 1
+    assert poses.refuse_rest(still, ("a", "b"), threshold) is None
+
+
+def test_poses_are_offered_anew_where_rests_moved_or_the_threshold_is_fixed():
+    def session(kept, threshold=None, fixed=False, enough=9):
+        made = SimpleNamespace(
+            rests=SimpleNamespace(settled=[SimpleNamespace(rows=r) for r in ("p", "q", "r")]),
+            poses=[SimpleNamespace(still=SimpleNamespace(rows=r)) for r in kept],
+            threshold=threshold, _is_fixed=fixed, _known=None, judged=[], told=[],
+        )  # fmt: skip
+        made._judge = lambda still, number: (
+            made.judged.append((still.rows, number)) or (SimpleNamespace(still=still))
+        )
+        made._evaluate = lambda: setattr(made, "is_enough", len(made.poses) >= enough)
+        made._tell = lambda still: made.told.append(still.rows)
+        made.is_enough = False
+        session_module.Session._offer_settled(made)
+        return made
+
+    assert session("p").judged == [("q", "2"), ("r", "3")]
+    assert session("x").judged == [("p", "1"), ("q", "2"), ("r", "3")]
+    assert session("p", threshold=0.1).told == ["p", "q", "r"]
+    assert session("p", threshold=0.1, fixed=True).told == ["q", "r"]
+    assert session("p", enough=2).told == ["q"]
