@@ -1121,3 +1121,12 @@ def test_rows_in_time_are_asked_by_their_own_noise(monkeypatch):
     some = mp.Readings(up[:3], up=up[:3], outputs=("a", "b", "c"), unit="g")
     monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd[:3])
     assert correlated_rows._known_in_time(few, some, np.arange(3)) is few
+
+
+def test_which_weights_the_short_way_has_digits_for():
+    worst = known._WORST
+    variance = 0.2 * np.array([[1.0, 0.99 * worst, 3.0], [1.0, 1.01 * worst, 3.0]])
+    for condition, fine in ((0.99 * worst, True), (1.01 * worst, False)):
+        group = SimpleNamespace(condition=condition)
+        assert known._are_regular(group, variance).tolist() == [fine, False]
+        assert known._are_regular(group, 1e-9 * variance).tolist() == [fine, False]
