@@ -1025,3 +1025,55 @@ def test_what_rows_of_a_text_have_in_common():
     assert shape.fits(["1", "", ""])
     assert not shape.fits(["x", "", ""])
     assert not shape.fits(["1", "x", ""])
+
+
+def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):
+    """Cosines over the median memory of usable rests; u² by the law, times memory and white."""
+    rng = np.random.default_rng(3)
+    n, lengths = np.array([100, 81, 64, 63]), np.array([5.0, 4.0, 3.5, 3.1])
+    sd, u, factor = (rng.uniform(0.5, 2.0, (4, 2)) * size for size in (3.0, 0.4, 1.0))
+    sd[1, 1] = 0.0
+    cosines = rng.chisquare(1.0, (4, 2, 8))
+    found = [
+        mean_of(int(n[i]), sd=sd[i], u=u[i], drift_factor=factor[i], cosines=cosines[i],
+                dof=np.full(2, 50.0), common=np.ones(2))
+        for i in range(4)
+    ]  # fmt: skip
+    usable = np.array([[True, True], [True, False], [True, True], [False, False]])
+    white = sd**2 / n[:, None]
+    memory = np.array([
+        np.median([(u[i, j] / factor[i, j]) ** 2 / white[i, j] for i in range(4) if usable[i, j]])
+        for j in range(2)
+    ])  # fmt: skip
+    rho = cosines / memory[:, None]
+    size = rho @ joining._WEIGHT
+    usual = np.array([True, True, False, True])
+    wide, nu = np.array([9.0, 0.01, 7.0, 5.0]), np.array([11.0, 12.0, 13.0, 14.0])
+    seen = []
+
+    def are_usual(shown, which):
+        medians = [np.median(size[usable[:, j], j]) for j in range(2)]
+        assert_allclose(shown, size / medians)
+        assert (which == usable).all()
+        return usual
+
+    def find_law(shown, which, length):
+        seen.append((shown, which, length))
+        return SimpleNamespace(square=lambda length: (wide, nu)) if len(seen) == 1 else None
+
+    monkeypatch.setattr(joining, "_are_usual", are_usual)
+    monkeypatch.setattr(joining, "_alike", lambda size, usable: [[1], [0]])
+    monkeypatch.setattr(joining, "find_law", find_law)
+    settled = joining.settle_together(found, lengths)
+    shown, which, length = seen[0]
+    assert_allclose(shown, rho[:, [1]])
+    assert which[:, 0].tolist() == (usable[:, 1] & usual).tolist()
+    assert_allclose(length, lengths / 3.75)
+    square = wide * memory[1] * white[:, 1]
+    raised = square > u[:, 1] ** 2
+    assert raised.tolist() == [True, False, True, False]
+    for i, each in enumerate(settled):
+        own = math.sqrt(square[i]) if raised[i] else u[i, 1]
+        assert_allclose(each.u, [u[i, 0], own])
+        assert each.dof.tolist() == [50.0, nu[i] if raised[i] else 50.0]
+    assert joining.settle_together(found[:1], lengths[:1]) == found[:1]
