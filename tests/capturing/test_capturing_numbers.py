@@ -294,3 +294,17 @@ def test_poses_are_offered_anew_where_rests_moved_or_the_threshold_is_fixed():
     assert session("p", threshold=0.1).told == ["p", "q", "r"]
     assert session("p", threshold=0.1, fixed=True).told == ["q", "r"]
     assert session("p", enough=2).told == ["q"]
+
+
+def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypatch):
+    monkeypatch.setattr(streams.time, "sleep", lambda seconds: None)
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"ax,ay,az\n1,2,3\n")
+    chunks = streams._growing(log)
+    assert [next(chunks), next(chunks)] == [b"ax,ay,az\n1,2,3\n", b""]
+    with log.open("ab") as stream:
+        stream.write(b"4,5,6\n")
+    assert next(chunks) == b"4,5,6\n"
+    log.write_bytes(b"7,8,9\n")
+    assert [next(chunks), next(chunks), next(chunks)] == [None, b"", b"7,8,9\n"]
+    chunks.close()

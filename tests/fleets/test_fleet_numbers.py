@@ -12,11 +12,13 @@ import multipos as mp
 from multipos.diagnostics.examination import are_open
 from multipos.diagnostics.model_error import columns_of
 from multipos.estimation.known import share_design
+from multipos.files.tables import Table
 from multipos.fleets import line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import find_trials, group_rows
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import _ends_repeat, _findings, _with_gravity, find_suspects
+from multipos.fleets.sources import _labelled
 from multipos.fleets.unit_findings import (
     _lack_of_fit,
     _missing_terms,
@@ -539,3 +541,14 @@ def test_what_a_unit_is_said_to_be_found_of():
     assert [("no-redundancy" in each) for each in said] == wanted.tolist()
     assert wanted[2]
     assert not wanted[0]
+
+
+def test_texts_in_columns_of_labels_become_labels():
+    """Numbers stay numbers, and a column that a table lacks is none."""
+    weight = np.array([3.0, 4.0, 5.0])
+    table = Table("lot.csv", {"unit": ["u", "v", "u"], "weight": weight, "ax": ["1", "2", "3"]}, 3)
+    found = _labelled(table, {"unit", "weight", "station"}, alone=False)
+    assert (list(found.columns["unit"]), found.columns["ax"]) == (["u", "v", "u"], ["1", "2", "3"])
+    assert found.columns["unit"].names == ("u", "v")
+    assert found.columns["weight"] is weight
+    assert list(found.columns) == ["unit", "weight", "ax"]
