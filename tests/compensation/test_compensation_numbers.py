@@ -161,3 +161,11 @@ def test_a_refusal_names_the_column_that_is_corrected_or_read(column, named, mon
     with pytest.raises(UsageError):
         mp.correct(found, table, column=column, outside="refuse")
     assert told == [named]
+
+
+@pytest.mark.parametrize(("beyond", "said"), [(3, "3 of 40 rows"), (40, "40 of 40 rows")])
+def test_rows_beyond_the_calibration_are_counted(beyond, said):
+    found = applying.found_applying(mp.demo().calibration, (), beyond, 40)
+    (outside,) = [each for each in found if each.code == "outside"]
+    assert outside.text.startswith(said)
+    assert ("unit" in outside.action) is (beyond == 40)

@@ -33,6 +33,7 @@ from multipos.regression.observations import (
 from multipos.regression.piecewise import _local, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
+from multipos.regression.regression import _segment_text
 from multipos.regression.robust import _by_law, _tested, robust_fit, within_runs
 from multipos.regression.segmentation import hinges
 
@@ -403,3 +404,9 @@ def test_the_rounding_of_a_leverage():
         row = np.array([1.0, value, value**2])
         wanted = sum(abs(g @ row) * (np.abs(g) @ np.abs(row)) for g in G)
         assert h == pytest.approx(2e-3 * wanted)
+
+
+def test_coefficients_of_a_segment_stand_with_their_u():
+    one = SimpleNamespace(term="v^2", value=-2.5, u=0.013, t=-192.3, p=0.04)
+    (text,) = _segment_text(SimpleNamespace(robust=None, coefficients=[one]))
+    assert text.splitlines()[-1].split() == ["v^2", "-2.500(13)", "-192.3", "0.040"]
