@@ -20,6 +20,7 @@ from multipos.regression.correlation import (
     _likelihoods,
     _long_run,
     bandwidth,
+    time_order,
 )
 from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import (
@@ -410,3 +411,11 @@ def test_coefficients_of_a_segment_stand_with_their_u():
     one = SimpleNamespace(term="v^2", value=-2.5, u=0.013, t=-192.3, p=0.04)
     (text,) = _segment_text(SimpleNamespace(robust=None, coefficients=[one]))
     assert text.splitlines()[-1].split() == ["v^2", "-2.500(13)", "-192.3", "0.040"]
+
+
+def test_a_gap_is_more_than_five_usual_steps():
+    """Steps of .4: 1.9 is none, 2.1 is one."""
+    t = np.cumsum([0.0, 0.4, 0.4, 1.9, 0.4, 2.1, 0.4, 0.4])
+    found = time_order(t[::-1])
+    assert found.order.tolist() == list(range(7, -1, -1))
+    assert found.run.tolist() == [0, 0, 0, 0, 0, 1, 1, 1]
