@@ -22,6 +22,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,6 +37,7 @@ from multipos.files.trees import read_json_value
 from multipos.files.whole import first_bytes, read_bytes, reading
 
 ZIP = b"PK\x03\x04"
+WORKBOOK = "xl/workbook.xml"  # the ending of a name in an archive that is one
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # of .xls, as phyphox and old programs write it
 
 
@@ -69,6 +71,16 @@ def broken(path: str | os.PathLike[str], error: ImportError) -> MultiposError:
     )
 
 
+def members(path: str | os.PathLike[str]) -> list[str]:
+    """Return the names in a zip archive, none where it cannot be read."""
+    from zipfile import BadZipFile, ZipFile
+
+    # ValueError: a name in it is no text
+    with suppress(BadZipFile, OSError, NotImplementedError, ValueError), ZipFile(path) as archive:
+        return archive.namelist()
+    return []
+
+
 def workbook_text(path: str | os.PathLike[str]) -> str:
     """Return a workbook's sheet as comma separated text.
 
@@ -85,11 +97,6 @@ def workbook_text(path: str | os.PathLike[str]) -> str:
         csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
     except Exception as error:  # of a damaged file whatever its library raises
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        if "[Content_Types].xml" in reason:  # which every archive that is a workbook has
-            raise MultiposError(
-                f"{path}: the archive is no workbook; unpack it, or give a log to multipos "
-                "calibrate."
-            ) from None
         raise MultiposError(
             f"{path}: cannot read the workbook: {reason}; save it again as .xlsx or CSV."
         ) from None

@@ -26,9 +26,11 @@ from multipos.files.csv_columns import Column as Column
 from multipos.files.handed import (
     ARROW,
     OLE,
+    WORKBOOK,
     ZIP,
     is_json,
     is_packed,
+    members,
     read_arrow,
     read_json_columns,
     require_extra,
@@ -275,6 +277,12 @@ def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     raw = read_bytes(path, what)
     sha256 = _sha256(raw)
     if raw.startswith((ZIP, OLE)):
+        names = members(path)
+        if names and not any(name.endswith(WORKBOOK) for name in names):
+            raise MultiposError(
+                f"{path}: the archive is no workbook; unpack it, or give a log to multipos "
+                "calibrate."
+            )
         raw = workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()

@@ -22,13 +22,23 @@ References
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.files.handed import OLE, XZ, ZIP, ZSTD, is_json, read_arrow, unpack, unpack_workbook
+from multipos.files.handed import (
+    OLE,
+    WORKBOOK,
+    XZ,
+    ZIP,
+    ZSTD,
+    is_json,
+    members,
+    read_arrow,
+    unpack,
+    unpack_workbook,
+)
 from multipos.files.pipes import GZIP, UTF_16, unpack_text
 from multipos.logs.array_logs import (
     load_hdf,
@@ -171,16 +181,7 @@ class Reader(NamedTuple):
         """Tell by its first bytes whether a file is of this kind."""
         if not head.startswith(self.magic) or not self.holds(head):
             return False
-        return not self.member or any(name.endswith(self.member) for name in _members(path))
-
-
-def _members(path: os.PathLike[str]) -> list[str]:
-    from zipfile import BadZipFile, ZipFile
-
-    # ValueError: a name in it is no text
-    with suppress(BadZipFile, OSError, NotImplementedError, ValueError), ZipFile(path) as archive:
-        return archive.namelist()
-    return []
+        return not self.member or any(name.endswith(self.member) for name in members(path))
 
 
 _read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", load_hdf)
@@ -202,7 +203,7 @@ READERS = (
     Reader("text in UTF-16", (), UTF_16[0], None, unpack_text),
     Reader("text in UTF-16, big-endian", (), UTF_16[1], None, unpack_text),
     Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
-    Reader(".xlsx", (".xlsx",), ZIP, None, unpack_workbook, "xl/workbook.xml"),
+    Reader(".xlsx", (".xlsx",), ZIP, None, unpack_workbook, WORKBOOK),
     Reader(".xls", (".xls",), OLE, None, unpack_workbook),
     Reader(".zip of a phone", (".zip",), ZIP, None, unpack_phone, ".csv"),
     Reader(".npz", (".npz",), ZIP, read_npz),

@@ -164,9 +164,19 @@ ARRAY_COMMANDS = {
 
 def _arrays(rng: random.Random, valid: Files) -> Case:
     name = f"log{rng.choice(tuple(arrays.WRITERS))}"
-    command = rng.choices(list(ARRAY_COMMANDS), ARRAY_COMMANDS.values())[0]
-    words = command.format(name).split()
-    return _case(_with_options(rng, words), valid, {name: arrays.draw(rng, name[3:])})
+    return _read_by(ARRAY_COMMANDS, rng, valid, name, lambda: arrays.draw(rng, name[3:]))
+
+
+def _read_by(
+    commands: dict[str, float],
+    rng: random.Random,
+    valid: Files,
+    name: str,
+    draw: Callable[[], bytes],
+) -> Case:
+    """A file that is drawn after the command that reads it."""
+    words = rng.choices(list(commands), commands.values())[0].format(name).split()
+    return _case(_with_options(rng, words), valid, {name: draw()})
 
 
 RECORDING_COMMANDS = {
@@ -184,9 +194,7 @@ RECORDING_COMMANDS = {
 
 def _recordings(rng: random.Random, valid: Files) -> Case:
     name = rng.choice(recordings.NAMES)
-    command = rng.choices(list(RECORDING_COMMANDS), RECORDING_COMMANDS.values())[0]
-    words = command.format(name).split()
-    return _case(_with_options(rng, words), valid, {name: recordings.draw(rng, name)})
+    return _read_by(RECORDING_COMMANDS, rng, valid, name, lambda: recordings.draw(rng, name))
 
 
 def _visits(rng: random.Random, valid: Files) -> Case:

@@ -369,7 +369,6 @@ def test_old_excel_without_its_library_names_the_extra(tmp_path, monkeypatch):
 
 
 def test_readings_in_an_archive_are_no_workbook(tmp_path):
-    pytest.importorskip("openpyxl")
     path = archive(tmp_path / "phone.zip", {"Accelerometer.csv": "ax,ay,az\n0,0,1\n"})
     with pytest.raises(mp.MultiposError, match="no workbook; unpack it, or give a log"):
         mp.read_readings(path)
