@@ -14,6 +14,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TypeGuard
 
@@ -86,6 +87,7 @@ and the way out. Here are all, with … for numbers and names, by the part of th
 them. What a result says about itself is among the [messages](messages.md).
 """
 _SENTENCE = 3  # words
+_MAKING = re.compile(r"\b(?:Finding|add)\(|\b_SAID\b|\b_OF_RESTS\b")
 KEPT = ("meanings.toml", "examples.toml")  # what the program's sentences do not say themselves
 SECTION = re.compile(r"^(\w[\w ]*)\n-{3,}$", re.MULTILINE)
 
@@ -293,19 +295,31 @@ class Message:
 def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
     """Yield every finding that is made in files, something put in for numbers and names."""
     for path in files:
-        tree = ast.parse(path.read_text("utf-8"))
-        nodes = list(ast.walk(tree))
-        functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
-        yield from _said(tree, functions, put_in)
-        yield from _of_rests(tree, put_in)
-        lines = [node.lineno for node in nodes if _is_made(node)]
-        seen: set[int] = set()
-        for part in (*_around(lines, functions), tree) if lines else ():
-            made = [node for node in ast.walk(part) if _is_made(node) and id(node) not in seen]
-            seen |= {id(node) for node in made}
-            names = assigned(part) if made else {}
-            for node in made:
-                yield from _message(node, _at(node.lineno, part, names), put_in)
+        if _MAKING.search(path.read_text("utf-8")):  # most files make none
+            yield from _messages_in(path, put_in)
+
+
+def _messages_in(path: Path, put_in: str) -> Iterator[Message]:
+    tree, nodes = parsed(path)
+    functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
+    yield from _said(tree, functions, put_in)
+    yield from _of_rests(tree, put_in)
+    every = [node for node in nodes if _is_made(node)]
+    seen: set[int] = set()
+    for part in (*_around([node.lineno for node in every], functions), tree):
+        within = every if part is tree else [n for n in ast.walk(part) if _is_made(n)]
+        made = [node for node in within if id(node) not in seen]
+        seen |= {id(node) for node in made}
+        names = assigned(part) if made else {}
+        for node in made:
+            yield from _message(node, _at(node.lineno, part, names), put_in)
+
+
+@cache
+def parsed(path: Path) -> tuple[ast.Module, list[ast.AST]]:
+    """Return the tree of a file and all its nodes, walked once."""
+    tree = ast.parse(path.read_text("utf-8"))
+    return tree, list(ast.walk(tree))
 
 
 def _around(lines: list[int], functions: list[ast.FunctionDef]) -> list[ast.FunctionDef]:
@@ -429,7 +443,9 @@ def errors_page() -> str:
     parts: dict[str, set[str]] = {}
     for path in sorted(package.glob("*/**/*.py")):
         room = path.relative_to(package).parts[0].replace("_", " ")
-        parts.setdefault(room, set()).update(_raised(ast.parse(path.read_text("utf-8"))))
+        said = parts.setdefault(room, set())
+        if "raise " in path.read_text("utf-8"):
+            said.update(_raised(*parsed(path)))
     sections = [
         "\n".join([f"## {room.capitalize()}", "", *(f"- {escaped(text)}" for text in sorted(said))])
         for room, said in parts.items()
@@ -438,11 +454,10 @@ def errors_page() -> str:
     return "\n\n".join([ERRORS_HEAD.rstrip("\n"), *sections]) + "\n"
 
 
-def _raised(tree: ast.Module) -> Iterator[str]:
+def _raised(tree: ast.Module, nodes: list[ast.AST]) -> Iterator[str]:
     """Yield the texts of what a module raises, where they are sentences."""
     constants = [node for node in tree.body if isinstance(node, ast.Assign)]
     kept = assigned(ast.Module(constants, []))
-    nodes = list(ast.walk(tree))
     lines = [node.lineno for node in nodes if isinstance(node, ast.Raise)]
     for function in _around(lines, [each for each in nodes if isinstance(each, ast.FunctionDef)]):
         names = kept | assigned(function)

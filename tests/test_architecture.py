@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from docs_programs import load
+
 PACKAGE = Path(__file__).resolve().parents[1] / "multipos"
 
 # The rooms, read downward the flow of a calibration. A file imports from its own room and from the
@@ -53,9 +55,12 @@ PAGES += sorted(
 )
 
 
-@cache
 def parse(name: str) -> ast.Module:
-    return ast.parse((PACKAGE / name).read_text(encoding="utf-8"), name)
+    return load("generated").parsed(PACKAGE / name)[0]
+
+
+def nodes(name: str) -> list[ast.AST]:
+    return load("generated").parsed(PACKAGE / name)[1]
 
 
 def imported(node: ast.AST) -> Iterator[str]:
@@ -69,7 +74,7 @@ def imported(node: ast.AST) -> Iterator[str]:
 
 @cache
 def all_imports(name: str) -> list[tuple[int, str]]:
-    return [(node.lineno, target) for node in ast.walk(parse(name)) for target in imported(node)]
+    return [(node.lineno, target) for node in nodes(name) for target in imported(node)]
 
 
 def start_up_imports(body: list[ast.stmt]) -> Iterator[tuple[int, str]]:
@@ -210,7 +215,7 @@ def test_types_and_names_at_run_time_agree():
 def calls(name: str) -> list[tuple[int, str]]:
     return [
         (node.lineno, node.func.id)
-        for node in ast.walk(parse(name))
+        for node in nodes(name)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     ]
 
@@ -259,7 +264,7 @@ def test_data_with_arrays_are_not_compared_field_by_field():
     wrong = [
         f"{name}:{node.lineno} {node.name} lacks eq=False"
         for name in EXISTING
-        for node in ast.walk(parse(name))
+        for node in nodes(name)
         if isinstance(node, ast.ClassDef)
         and any(
             "dataclass" in (text := ast.unparse(each)) and "eq=False" not in text
@@ -318,11 +323,11 @@ PUBLIC = {"capturing/running.py": {"told"}, "designs/prospects.py": {"floor"}}
 THIRD_PARTY = {"plots/svg.py": {"floor"}, "plots/style.py": {"floor"}}
 
 
-def words_of(tree: ast.Module) -> set[str]:
+def words_of(name: str) -> set[str]:
     """Return the words in the names and in the docstrings, examples apart, that a file gives."""
-    found = set()
+    found = set(re.split(r"[/._]", name))
     documented = (ast.Module, ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    for node in ast.walk(tree):
+    for node in nodes(name):
         if isinstance(node, documented):
             prose = re.sub(r">>>(.+\n?)+", "", ast.get_docstring(node) or "")
             found |= set(re.findall(r"in turn|[^\W_]+", prose.lower()))
@@ -333,9 +338,5 @@ def words_of(tree: ast.Module) -> set[str]:
 
 def test_names_and_docstrings_use_the_words_of_the_field():
     kept = {**PUBLIC, **THIRD_PARTY}
-    found = {
-        name: (words_of(parse(name)) | set(re.split(r"[/._]", name)))
-        & set(PLAIN_WORDS) - kept.get(name, set())
-        for name in EXISTING
-    }
+    found = {name: words_of(name) & set(PLAIN_WORDS) - kept.get(name, set()) for name in EXISTING}
     assert not {name: {w: PLAIN_WORDS[w] for w in words} for name, words in found.items() if words}

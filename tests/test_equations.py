@@ -8,6 +8,8 @@ import ast
 import re
 from pathlib import Path
 
+from docs_programs import load
+
 _NUMBERED = re.compile(r"\S.*\s{2,}\((\d+[a-z]?)\)$")  # at the end of a line of its own
 _MARK = re.compile(r"# eqs?\. ((?:\(\w+\)(?:, )?)+) of ([a-z_]+(?:\.[a-z_]+)+)")
 
@@ -22,7 +24,7 @@ def _equations() -> set[tuple[str, str]]:
     found = set()
     for path in Path("multipos").rglob("*.py"):
         module = ".".join(path.relative_to("multipos").with_suffix("").parts)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in load("generated").parsed(path.resolve())[1]:
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 lines = (ast.get_docstring(node) or "").splitlines()
                 numbers = [_NUMBERED.match(line.strip()) for line in lines if line[:4] == "    "]

@@ -166,7 +166,7 @@ RESULTS = {
     "Calibration with uncertain orientations": lambda: mp.fit(
         session(), orientation_sd=0.1, **TWICE
     ),
-    "Calibration, robust": lambda: mp.fit(session(), robust="huber", orientation_sd=0.1, **TWICE),
+    "Calibration, robust": lambda: mp.fit(session(), robust="huber", **TWICE),
     "Calibration without degrees of freedom": lambda: mp.fit(
         mp.Readings([[1.01, 0.01], [-0.99, 0.02], [0.02, 1.02]], unit="g"),
         scheme={"direction": ["U-N-W", "D-S-W", "S-U-W"]},

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import log_bench
 import pytest
+from docs_programs import load
 
 import multipos as mp
 from multipos.capturing.running import make_plan, make_reading
@@ -14,6 +15,7 @@ from multipos.capturing.session import Session, chinese, state_of
 from multipos.capturing.streams import open_source
 
 PACKAGE = Path(mp.__file__).parent
+PARSED = load("generated").parsed
 ERRORS = {"MultiposError", "RankError", "ConvergenceError"}
 # Parts of sentences that are put together before they are said.
 PARTS = {
@@ -48,7 +50,7 @@ def text_of(node, parts):
 
 def raised(name, parts):
     """Return what the errors of a file say, but those about options."""
-    for node in ast.walk(ast.parse((PACKAGE / name).read_text(encoding="utf-8"))):
+    for node in PARSED(PACKAGE / name)[1]:
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ERRORS:
             text = text_of(node.args[0], parts)
             if text is not None and "--" not in text.partition(";")[0]:
@@ -57,7 +59,7 @@ def raised(name, parts):
 
 def returned(name, functions, parts):
     """Return the sentences in functions of a file."""
-    for function in ast.walk(ast.parse((PACKAGE / name).read_text(encoding="utf-8"))):
+    for function in PARSED(PACKAGE / name)[1]:
         if not isinstance(function, ast.FunctionDef) or function.name not in functions:
             continue
         body = [node for part in function.body[1:] for node in ast.walk(part)]

@@ -115,7 +115,7 @@ def sentences() -> dict[str, str]:
     """Return every text of the program with a space in it that is no docstring, by its place."""
     found = {}
     for path in sorted((ROOT / "multipos").rglob("*.py")):
-        nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+        nodes = PROGRAM.parsed(path)[1]
         apart: set[int] = set()
         for node in nodes:
             if isinstance(node, ast.JoinedStr):

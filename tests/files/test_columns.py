@@ -55,7 +55,7 @@ def told(path):
     return said
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(content=texts(), piece=st.sampled_from([1, 7, 40]))
 def test_long_and_short_tables_say_the_same(content, piece, tmp_path_factory):
     path = tmp_path_factory.mktemp("tables") / "t.csv"
