@@ -327,8 +327,8 @@ class _Writer:
             if len(factors) > 1:
                 names[term] = f"t{len(names)}"
                 lines.append(f"{indent}const {self._kind} {names[term]} = {' * '.join(factors)};")
-            elif factors:
-                names[term] = factors[0]
+            else:  # no factor is left of a power of 0
+                names[term] = "".join(factors)
         lines.append(f"{indent}p{k} = {self._sum(s.values.tolist(), [names[t] for t in s.terms])};")
         return lines + self._leverage(s.region, [names[t] for t in every], indent)
 

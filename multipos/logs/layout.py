@@ -375,6 +375,8 @@ def _refuse_other_width(source: str, line: Line, shape: _Shape) -> None:
 
 
 def _rises(cells: Sequence[str], mark: str) -> bool:
-    steps = np.diff(np.array([number_of(cell, mark) for cell in cells], dtype=np.float64))
+    values = np.array([number_of(cell, mark) for cell in cells], dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # between infinities
+        steps = np.diff(values)
     rising = len(steps) > 1 and (steps >= 0.0).all() and steps.any()
     return bool(rising and (steps != 1.0).any())

@@ -437,9 +437,9 @@ def good_rows(data: Array, outputs: int, *, timed: bool, usual: Array | None = N
 
 
 def usual_size(data: Array) -> Array:
-    """Return the median size of what is a number in each column (k,), 0 where nothing is."""
-    there = [np.abs(row[np.isfinite(row)]) for row in data]
-    return np.array([median(row) if len(row) else 0.0 for row in there])
+    """Return the median size of what may be a time in each column (k,), 0 where nothing is."""
+    there = [size[size <= _LATEST] for size in np.abs(data)]  # no NaN, and no product overflows
+    return np.array([median(size) if len(size) else 0.0 for size in there])
 
 
 def _rises(table: Table, name: str) -> bool:

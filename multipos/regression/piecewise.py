@@ -246,7 +246,9 @@ def _regions(
     beyond = evaluate_terms(left_out, data.columns, len(data))
     found = []
     for terms, L, rows, span in parts:
-        region = Region((*terms, *left_out), region_factor(kept, beyond, shortest, L), np.inf)
+        G = region_factor(kept, beyond, shortest, L)
+        _check_size("factor of the region", np.abs(G).max(axis=0), (*terms, *left_out))
+        region = Region((*terms, *left_out), G, np.inf)
         columns = {name: column[rows] for name, column in data.columns.items()}
         for edge in span if len(rows) else ():
             next_to = int(np.argmin(np.abs(columns[variable] - edge)))
@@ -459,7 +461,11 @@ def _fit(
             )
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
-        _check_size(found.coefficients, [names[j] for j in columns])
+        dof = found.dof - lost
+        s2 = float(found.rss) / dof if dof else np.nan
+        u = np.sqrt(np.diag(found.cofactor) * s2)
+        sizes = np.fmax(np.abs(found.coefficients), u)
+        _check_size("coefficient", sizes, [names[j] for j in columns])
     except RankError as error:
         said = "; ".join(error.combinations) or str(error)
         raise RankError(
@@ -470,8 +476,6 @@ def _fit(
         ) from None
     except MultiposError as error:
         raise MultiposError(f"{where}: {error}") from None
-    dof = found.dof - lost
-    s2 = float(found.rss) / dof if dof else np.nan
     return _Fit(
         selection,
         subsets,
@@ -493,13 +497,12 @@ def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
         )
 
 
-def _check_size(coefficients: Array, names: Sequence[str]) -> None:
-    """Refuse a coefficient that could not be read back from a file."""
-    far = int(np.argmax(np.abs(coefficients)))
-    largest = float(coefficients[far])
-    if not abs(largest) <= LARGEST:
+def _check_size(what: str, sizes: Array, terms: Sequence[object]) -> None:
+    """Refuse a number of a term that could not be read back from a file."""
+    far = int(np.argmax(sizes))
+    if not sizes[far] <= LARGEST:
         raise MultiposError(
-            f"the coefficient of '{names[far]}' is {largest:g}, which no file takes; "
+            f"the {what} of '{terms[far]}' is {sizes[far]:g}, which no file takes; "
             "give the variables in a smaller unit, or the response in a larger one."
         )
 

@@ -197,6 +197,8 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
     covariance = _square(c, "covariance")
     require_covariance(covariance, _numbers([entry["u"] for entry in c["terms"]]))
     _check_limits(c, terms if region is None else (*terms, *region.terms))
+    if region is not None and region.terms[: len(terms)] != terms:
+        raise ValueError("the terms of a segment's region do not begin with its own")
     found = c["runner_up"]
     return Segment(
         **_FIGURES.read(c),

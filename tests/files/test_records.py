@@ -216,6 +216,12 @@ REMOVED = object()
             [["q", 1, False]],
             "a segment lacks the limits of a variable of its terms",
         ),
+        (
+            "reg",
+            ["segments", 0, "region", "terms", 1],
+            [["t", 2, False]],
+            "the terms of a segment's region do not begin with its own",
+        ),
         ("reg", ["segments", 0, "limits", "t"], [2.0, 1.0], "limits end before they begin"),
         ("reg", ["segments", 0, "limits", "t"], [2.0], "segments[0].limits.t is a list of 1"),
         ("reg", ["segments", 0, "covariance"], [[1.0]], "of a segment has shape (1, 1)"),

@@ -457,6 +457,7 @@ def test_rows_that_sensors_cannot_have_read_are_left_out():
     middle = np.array([2.5, 5.0, 7.0, 4.0])
     own = good_rows(data, 2, timed=True)
     assert own.tolist() == good_rows(data, 2, timed=True, usual=middle).tolist()
+    assert not good_rows(np.full((3, 4), 1e308), 2, timed=True).any()  # their median's product
 
 
 def test_batch_means_of_rests_side_by_side():

@@ -94,6 +94,7 @@ def test_where_the_table_begins_is_said(log, tmp_path):
         (["# ax was turned by hand", "1 2 3 4 5", "6 7 8 9 0"], 2, None),  # a sentence
         (["# ax ay az", "1 2 3", "6 7 8"], 2, ("ax", "ay", "az")),
         (["a,b", "", "# c", "1,2", "3,4"], 4, ("a", "b")),
+        (["inf,1", "inf,2", "1e308,3", "-1e308,4"], 1, None),  # steps that are no numbers
         (["k,v", "a;b", "1,5;2,5", "3,5;4,5"], 3, ("a", "b")),
     ],
 )

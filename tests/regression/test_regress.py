@@ -539,6 +539,12 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
             1,
             "the table: the coefficient of 't^3' is ",
         ),
+        (  # all noise: the coefficient is its u, and G of the region larger still
+            {"t": 1e-150 * GOOD["t"], "y": 1e-150 * GOOD["y"]},
+            [*REGRESS, "--variables", "t"],
+            1,
+            "the factor of the region of 't' is ",
+        ),
         ({"v": GOOD["t"]}, REGRESS, 1, "columns 't' and 'v' are the same"),
         ({"v": 1.8 * GOOD["t"] + 32}, REGRESS, 1, "columns 't' and 'v' are the same"),
         ({}, [*REGRESS, "--segment", "t:-37", "--free"], 1, "rows for 3 terms"),
