@@ -79,7 +79,7 @@ from multipos.sensor.model import Model
 
 _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
 _OPEN = 0.2  # likewise of an own scale factor, where the positions are known
-_ILL_CONDITIONED = 1e4
+ILL_CONDITIONED = 1e4
 _TYPICAL = 1e-3  # [g], noise of a reading of which nothing is stated
 _ABSORBED = 0.2  # share of a drift from which on it is said
 _BEYOND = 0.1  # standard deviations of a linear term in scale factors, beyond any sensor
@@ -133,7 +133,7 @@ def _moved_by_noise(c: Calibration) -> tuple[str, float]:
 
 def poorly_determined(c: Calibration) -> Finding | None:
     """Find positions that are much alike, and own scale factors that U leaves open, if not zero."""
-    if c.diagnostics.condition > _ILL_CONDITIONED:
+    if c.diagnostics.condition > ILL_CONDITIONED:
         return Finding(
             "no-redundancy",
             "warning",

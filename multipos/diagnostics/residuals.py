@@ -387,9 +387,9 @@ def outlier(c: Calibration, *, sought: bool = False) -> Finding | None:
 
     Rows that are outliers may have been sought before the fit, and none be there.
     """
-    rows = None if sought else outlying_rows(c)
-    if rows is not None:
-        return _outlying(c, rows)
+    of_rows = None if sought else outlier_of_rows(c)
+    if of_rows is not None:
+        return of_rows
     found = c.diagnostics.outliers
     noise = c.residual_sd > _ROUNDING * np.linalg.norm(c.sensitivity, axis=1) if found else ()
     if not found or not np.any(noise):
@@ -432,7 +432,11 @@ def outlying_rows(c: Calibration) -> Outlying | None:
     return find_outlying_rows(c.model, readings, reference, sd)
 
 
-def _outlying(c: Calibration, found: Outlying) -> Finding:
+def outlier_of_rows(c: Calibration) -> Finding | None:
+    """Find rows that are off the fit of the others, by the readings and positions alone."""
+    found = outlying_rows(c)
+    if found is None:
+        return None
     labels = [c.readings.labels[row] for row in found.rows.tolist()]
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH

@@ -38,7 +38,9 @@ class Estimates(NamedTuple):
     variance : (B, M) array or None
         Of a reading, stated and in excess, where it is equal in all readings of an output.
     weight : (B, M, n) array or None
-        Of readings under a robust loss.
+        Of readings under a robust loss, 0 where one is set aside.
+    outlying : (B,) array of bool or None
+        Of which a reading is beyond chance under that loss.
     """
 
     parameters: Array
@@ -52,6 +54,7 @@ class Estimates(NamedTuple):
     chi2: Array | None = None
     variance: Array | None = None
     weight: Array | None = None
+    outlying: NDArray[np.bool_] | None = None
 
 
 def rms_of(
@@ -101,6 +104,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         None if parts[0].chi2 is None else joined("chi2"),
         None if any(part.variance is None for part in parts) else joined("variance"),
         None if parts[0].weight is None else joined("weight"),
+        None if parts[0].outlying is None else joined("outlying"),
     )
 
 

@@ -52,7 +52,7 @@ from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
 from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope, loss_weight
-from multipos.numerics.quantiles import chi2_quantile, f_quantile
+from multipos.numerics.quantiles import chi2_quantile, f_quantile, f_tail
 from multipos.positions.readings import Readings
 from multipos.results import frozen
 from multipos.sensor.calibration import Status
@@ -427,7 +427,7 @@ def _settle_noise(on: _Units, units: Places, finest: Array) -> None:
 
 
 def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
-    """Fit B units under a robust loss; one with a row that is far off is left to the fit of one.
+    """Fit B units under a robust loss.
 
     Parameters
     ----------
@@ -454,15 +454,42 @@ def _estimate(shared: SharedDesign, values: Array, name: Loss) -> Estimates:
         shared.model, shared.environment, shared.reference, parameters, values, residuals
     )
     sound = inverted.sound & (np.abs(parameters).max(axis=1) <= LARGEST)
-    sound &= np.all([each.units.converged & each.units.kept.all(axis=1) for each in found], axis=0)
-    # of the most degrees of freedom tails are shortest: of no other unit a row is beyond chance
+    sound &= np.all([each.units.converged for each in found], axis=0)
     level = OUTLIER_LEVEL / (len(values) * values[0].shape[1])
-    for each in found:
-        limit = f_quantile(1.0 - level, 1.0, float(np.nanmax(each.dof)))
-        sound &= each.units.q.max(axis=1) <= limit * each.factor
-    plain = np.stack([each.plain for each in found])
-    weight = np.stack([each.weight for each in found], axis=1)
-    return Estimates(parameters, u, dof, rms, plain, *inverted[:2], sound, weight=weight)
+    return Estimates(
+        parameters,
+        u,
+        dof,
+        rms,
+        np.stack([each.plain for each in found]),
+        *inverted[:2],
+        sound,
+        variance=np.stack([_variance(each.units) for each in found], axis=1),
+        weight=np.stack([each.weight for each in found], axis=1),
+        outlying=np.any([_are_outlying(each, level) for each in found], axis=0),
+    )
+
+
+def _variance(on: _Units) -> Array:
+    """Return the mean variance (B,) of the readings that are kept."""
+    return np.asarray(np.mean(on.variance, axis=1, where=on.kept))
+
+
+def _misfits(found: RobustFits) -> Array:
+    """Return squared misfits (B, n) in units of the noise that was found."""
+    on, sized = found.units, np.isfinite(found.factor) & (found.factor > 0.0)
+    factor = np.where(sized, found.factor, 1.0)  # 0 where every residual is
+    return np.asarray(on.q / np.where(on.kept, 1.0, ASIDE) / factor[:, None])
+
+
+def _are_outlying(found: RobustFits, level: float) -> Mask:
+    """Return of which units (B,) a reading is beyond chance, by `find_outlying_positions`."""
+    largest = _misfits(found).max(axis=1)
+    # of the most degrees of freedom tails are shortest: no other can be beyond
+    beyond = ~(largest <= f_quantile(1.0 - level, 1.0, float(np.nanmax(found.dof))))
+    for unit in np.flatnonzero(beyond).tolist():
+        beyond[unit] = f_tail(float(largest[unit]), 1.0, float(found.dof[unit])) < level
+    return np.asarray(beyond)
 
 
 def _standard_uncertainty(found: RobustFits) -> Array:
@@ -511,8 +538,6 @@ def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits])
         if np.isfinite(each.rejected[0])
     ]
     weight = np.concatenate([each.weight for each in found]).T
-    variance = np.concatenate([each.variance for each in units])
-    kept = np.concatenate([each.kept for each in units])
     return Solution(
         model=model,
         reference=shared.reference,
@@ -522,7 +547,7 @@ def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits])
         inflation=np.sqrt(model.per_parameter(factor)),
         dof=dof,
         residuals=np.concatenate([each.residuals for each in units]).T,
-        residual_sd=np.sqrt(np.mean(variance, axis=1, where=kept)),
+        residual_sd=np.sqrt(np.concatenate([_variance(each) for each in units])),
         leverage=np.stack([_leverage(each) for each in found], axis=1),
         outliers=tuple(text for each in texts for text in each.outliers),
         condition=max(condition(each.linear.information(1.0 / each.variance)[0]) for each in units),
@@ -545,11 +570,10 @@ class _Texts(NamedTuple):
 def _texts(shared: SharedDesign, readings: Readings, output: int, found: RobustFits) -> _Texts:
     """Return the outliers, unidentifiable parameters and findings of an output."""
     model, on, labels = shared.model, found.units, readings.labels
-    m, name, factor = len(model.outputs), model.outputs[output], float(found.factor[0])
-    sized = np.isfinite(factor) and factor > 0.0  # 0 where every residual is
-    misfit = on.q[0] / np.where(on.kept[0], 1.0, ASIDE) / (factor if sized else 1.0)
+    m, name = len(model.outputs), model.outputs[output]
     dof, degrees = float(found.dof[0]), on.linear.degrees
-    outliers = find_outlying_positions(misfit, degrees, dof, labels, robust=True, parts=m)
+    misfits = _misfits(found)[0]
+    outliers = find_outlying_positions(misfits, degrees, dof, labels, robust=True, parts=m)
     magnitude = float(np.linalg.norm(shared.reference, axis=1).mean())
     u = _standard_uncertainty(found)[0]
     unidentifiable = formal_only(model.only(name), found.parameters[0], u, magnitude)

@@ -60,6 +60,7 @@ from multipos.fitting.options import Options
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.fleets.unit_findings import (
     UnitTests,
+    find_aside,
     find_in_units,
     follow_temperature,
     lacking_in_batch,
@@ -198,6 +199,8 @@ class Pattern:
         Of the residuals at known orientations.
     kinds : tuple of Kind
         Terms that robust fits may lack.
+    robust : Calibration or None
+        The unit that was fitted, of robust fits.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
     """
@@ -209,6 +212,7 @@ class Pattern:
     asked: bool
     tests: UnitTests | None = None
     kinds: tuple[Kind, ...] = ()
+    robust: Calibration | None = None
     timed: bool = False
 
 
@@ -290,10 +294,9 @@ def find_pattern(
         tests = unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
-    kinds = () if c.robust_weight is None else lacking_in_batch(c)
-    return Pattern(
-        shared, fixture, c.gravity, _in_order(_codes(c) - _OF_UNITS), asked, tests, kinds, timed
-    )
+    codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
+    kinds = () if robust is None else lacking_in_batch(c)
+    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -344,7 +347,7 @@ _POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noi
 _CODES = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
     *("lack-of-fit", _REJECTED, "placement", "time-correlated", "drift", "slipped", "replaced"),
-    *("settling", "hysteresis", "vibration", "level", "table", _OVERSTATED),
+    *("settling", "hysteresis", "vibration", "level", "table", _OVERSTATED, "set-aside"),
 )
 _OF_UNITS = frozenset((*_CODES[4:], _POOR))
 
@@ -418,7 +421,9 @@ def solve_task(task: Task) -> Solved:
         named, looked_at = tested.found, looked_at | tested.singly
         for temperature in task.temperature:
             looked_at |= follow_temperature(task.pattern.tests, shared, temperature, found)
-    if task.pattern.kinds and isinstance(shared, SharedDesign):
+    if task.pattern.robust is not None and isinstance(shared, SharedDesign):
+        tested = find_aside(task.pattern.robust, shared, task.values, found)
+        named, looked_at = tested.found, looked_at | tested.singly
         looked_at |= may_lack_terms(task.pattern.kinds, shared, found)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(

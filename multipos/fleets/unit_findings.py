@@ -17,12 +17,14 @@ Readings state no noise, or one that is equal in all readings of an output.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
 from multipos.diagnostics.projections import (
     IDENTIFIABLE,
@@ -39,14 +41,17 @@ from multipos.diagnostics.residuals import (
     explain_equal,
     explain_orientations,
     explain_unequal,
+    outlier_of_rows,
     prefers_orientations,
 )
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
+from multipos.estimation.identifiability import condition
 from multipos.estimation.known import SharedDesign
+from multipos.estimation.robustness import ASIDE
 from multipos.fleets.grouping import ONE_TEMPERATURE
-from multipos.numerics.arrays import COMPONENTS, Array, resolution, row_keys
+from multipos.numerics.arrays import COMPONENTS, Array, coarse_steps, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
@@ -67,6 +72,7 @@ _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
 _CLOSE = 1.0  # of S, within which causes are as good
+_FEW = 6.0  # degrees of freedom of an output
 _MOST = 1000  # positions of which the nearest two are looked for
 
 
@@ -328,7 +334,7 @@ def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates
     logs, used = np.zeros((count, len(kinds))), np.zeros((count, len(kinds)), dtype=np.intp)
     for i, X in enumerate(shared.designs):
         terms = [columns_of([kind], i, shared.reference, shared.environment) for kind in kinds]
-        p, e, weight = X.shape[1], found.residuals[i], found.weight[:, i]
+        p, e, weight = X.shape[1], found.residuals[i], np.maximum(found.weight[:, i], ASIDE)
         A = np.concatenate([shared.by_output[i].Q, *terms], axis=1)
         k = A.shape[1]
         G = (weight @ (A[:, :, None] * A[:, None]).reshape(n, -1)).reshape(count, k, k)
@@ -348,10 +354,38 @@ def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates
             inverse = np.linalg.pinv(V[:, mine, mine], rcond=IDENTIFIABLE, hermitian=True)
             explained = np.einsum("bq,bqr,br->b", along[:, mine, 0], inverse, along[:, mine, 0])
             rest = np.maximum(whole - explained, _LEAST)
-            ratio = explained * np.maximum(left - q, 1.0) / (q * rest)
+            ratio = np.maximum(explained, 0.0) * np.maximum(left - q, 1.0) / (q * rest)
             logs[:, place] += f_log_tails(ratio, q, n - p - q)
             used[:, place] += 1
     return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
+
+
+def find_aside(
+    like: Calibration, shared: SharedDesign, values: tuple[Array, ...], found: Estimates
+) -> UnitFindings:
+    """Return of which units (B,) of a robust fit rows are set aside, or are outliers.
+
+    Without these rows `fit` may find positions poor, or readings coarse: it is asked then, as it is
+    where an outlier is an error or a lost sign. Of few degrees of freedom weights hide outliers.
+    """
+    assert found.weight is not None
+    assert found.variance is not None
+    assert found.outlying is not None
+    kept, outlying = found.weight > 0.0, found.outlying.copy()
+    aside: Mask = np.asarray(~kept.all(axis=(1, 2)))
+    singly: Mask = np.zeros_like(aside)
+    few = np.min(found.dof, axis=-1) < _FEW
+    for unit in np.flatnonzero(aside | outlying | few).tolist():
+        y = np.column_stack([each[unit] for each in values])
+        said = outlier_of_rows(replace(like, readings=replace(like.readings, values=y)))
+        own = (X[rows] for X, rows in zip(shared.designs, kept[unit], strict=True))
+        singly[unit] = (
+            coarse_steps(y, np.sqrt(found.variance[unit])).any()
+            or max(condition(X.T @ X) for X in own) > ILL_CONDITIONED
+            or (said is not None and (said.code, said.level) != ("outlier", "warning"))
+        )
+        outlying[unit] |= said is not None
+    return UnitFindings({"outlier": outlying, "set-aside": aside}, singly)
 
 
 def follow_temperature(
