@@ -435,8 +435,10 @@ def outlying_rows(c: Calibration) -> Outlying | None:
 def outlier_of_rows(c: Calibration) -> Finding | None:
     """Find rows that are off the fit of the others, by the readings and positions alone."""
     found = outlying_rows(c)
-    if found is None:
-        return None
+    return None if found is None else _outlying(c, found)
+
+
+def _outlying(c: Calibration, found: Outlying) -> Finding:
     labels = [c.readings.labels[row] for row in found.rows.tolist()]
     off = [f"{1e3 * size:.3g} mg" for size in found.off.tolist()]
     gross = found.ratio > _GROSS and found.dof >= _ENOUGH
