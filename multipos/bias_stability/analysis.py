@@ -31,7 +31,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.bias_stability.allan import degrees_of_freedom, octaves, starts
+from multipos.bias_stability import allan, trends
 from multipos.bias_stability.stability_result import (
     Estimate,
     OutputStability,
@@ -42,15 +42,6 @@ from multipos.bias_stability.stability_result import (
     WarmUp,
 )
 from multipos.bias_stability.static_records import RawRecord, RecordOptions, read_record
-from multipos.bias_stability.trends import (
-    DRIFT,
-    TEMPERATURE,
-    WARM_UP,
-    Blocks,
-    Description,
-    TrendEstimate,
-    describe,
-)
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
@@ -120,10 +111,10 @@ class Values:
         self._samples = [each.samples for each in raw]
         self._means = np.mean([each.blocks.mean(axis=1) for each in raw], axis=0)
 
-    def output(self, index: int, found: Description) -> OutputStability:
+    def output(self, index: int, found: trends.Description) -> OutputStability:
         """Return the stability of one output."""
         adev = self._deviation(index)
-        dof = degrees_of_freedom(found.laws, self._lengths, self._samples)
+        dof = allan.degrees_of_freedom(found.laws, self._lengths, self._samples)
         root = np.sqrt(self._rate)
         return OutputStability(
             adev=adev,
@@ -132,7 +123,7 @@ class Values:
             white_noise=self._law(found, 0, 1.0 / root, f"{self._unit}/sqrt(Hz)"),
             bias_instability=self._law(found, 1, 1.0, self._unit),
             random_walk=self._law(found, 2, root, f"{self._unit}/sqrt(s)"),
-            drift=self._estimate(found.found[DRIFT], self._rate, f"{self._unit}/s"),
+            drift=self._estimate(found.found[trends.DRIFT], self._rate, f"{self._unit}/s"),
             warm_up=self._warm_up(found),
             temperature_coefficient=self._temperature(found, index),
         )
@@ -141,31 +132,31 @@ class Values:
         sums = np.zeros(len(self._lengths))
         for each in self._raw:
             sums[: each.sums.shape[1]] += each.sums[index]
-        scale = [2.0 * m**2 * sum(starts(n, m) for n in self._samples) for m in self._lengths]
+        scale = [2.0 * m**2 * sum(allan.starts(n, m) for n in self._samples) for m in self._lengths]
         return np.asarray(np.sqrt(sums / scale))
 
-    def _law(self, found: Description, law: int, factor: float, unit: str) -> Estimate:
+    def _law(self, found: trends.Description, law: int, factor: float, unit: str) -> Estimate:
         value, u = found.laws.root(law, 1.0)
         U = found.laws.root(law, coverage_factor(self._confidence, np.inf))[1]
         return Estimate(value, u, U, np.inf, unit).scaled(factor, unit)
 
-    def _estimate(self, found: TrendEstimate, factor: float, unit: str) -> Estimate:
+    def _estimate(self, found: trends.TrendEstimate, factor: float, unit: str) -> Estimate:
         U = coverage_factor(self._confidence, found.dof) * found.u
         return Estimate(found.value, found.u, U, found.dof, unit).scaled(factor, unit)
 
-    def _warm_up(self, found: Description) -> WarmUp | None:
+    def _warm_up(self, found: trends.Description) -> WarmUp | None:
         if found.time_constant is None:
             return None
-        amplitude = self._estimate(found.found[WARM_UP], 1.0, self._unit)
+        amplitude = self._estimate(found.found[trends.WARM_UP], 1.0, self._unit)
         constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
         lowest = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
         times = np.log(max(abs(amplitude.value) / lowest, 1.0))
         return WarmUp(amplitude, constant, float(constant.value * times))
 
-    def _temperature(self, found: Description, index: int) -> TemperatureCoefficient | None:
-        if TEMPERATURE not in found.found:
+    def _temperature(self, found: trends.Description, index: int) -> TemperatureCoefficient | None:
+        if trends.TEMPERATURE not in found.found:
             return None
-        change = self._estimate(found.found[TEMPERATURE], 1.0, f"{self._unit}/degC")
+        change = self._estimate(found.found[trends.TEMPERATURE], 1.0, f"{self._unit}/degC")
         micro_g = ppm = None
         if self._unit in MICRO_G:
             micro_g = change.scaled(MICRO_G[self._unit], "ug/degC")
@@ -327,7 +318,7 @@ def _check_alike(raw: Sequence[RawRecord]) -> None:
 def _complete(
     raw: Sequence[RawRecord], calibration: Calibration | None, unit: str, confidence: float
 ) -> Stability:
-    names, lengths = raw[0].names, octaves(max(each.samples for each in raw))
+    names, lengths = raw[0].names, allan.octaves(max(each.samples for each in raw))
     steady = [each.source for each in raw if _is_steady(each)]
     found = [_trends(raw, i, lengths, not steady) for i in range(len(names))]
     records = tuple(_kept(each, [d.transients[r] for d in found]) for r, each in enumerate(raw))
@@ -378,10 +369,10 @@ def _is_steady(record: RawRecord) -> bool:
     return record.temperature is not None and not np.ptp(record.temperature)
 
 
-def _blocks(record: RawRecord, output: int, count: int, with_temperature: bool) -> Blocks:
+def _blocks(record: RawRecord, output: int, count: int, with_temperature: bool) -> trends.Blocks:
     sums = np.zeros(count)
     sums[: record.sums.shape[1]] = record.sums[output]
-    return Blocks(
+    return trends.Blocks(
         samples=record.samples,
         length=record.length,
         values=record.blocks[output],
@@ -392,18 +383,18 @@ def _blocks(record: RawRecord, output: int, count: int, with_temperature: bool) 
 
 def _trends(
     raw: Sequence[RawRecord], output: int, lengths: Sequence[int], with_temperature: bool
-) -> Description:
+) -> trends.Description:
     """Return trends and noise; a warm-up that follows the temperature is one all the same."""
     blocks = [_blocks(each, output, len(lengths), with_temperature) for each in raw]
-    found = describe(blocks, lengths)
+    found = trends.describe(blocks, lengths)
     if blocks[0].temperature is None or found.time_constant is not None:
         return found
-    recorded = describe([replace(each, temperature=None) for each in blocks], lengths)
+    recorded = trends.describe([replace(each, temperature=None) for each in blocks], lengths)
     if recorded.time_constant is None:
         return found
     return replace(
         found,
-        found={**found.found, WARM_UP: recorded.found[WARM_UP]},
+        found={**found.found, trends.WARM_UP: recorded.found[trends.WARM_UP]},
         time_constant=recorded.time_constant,
         transients=recorded.transients,
     )

@@ -25,22 +25,9 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.finding import Finding
+from multipos.logs import rests
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
-from multipos.logs.rests import (
-    BLOCKS,
-    Finder,
-    Grid,
-    Limits,
-    Rest,
-    Run,
-    Spikes,
-    Survey,
-    Windows,
-    choose_grid,
-    find_edges,
-    is_long,
-)
 from multipos.logs.samples import Timing, good_rows, small_pieces, usual_size
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
@@ -108,7 +95,7 @@ class LiveRows:
         self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
         self._store = _Store(len(names))
-        self._spikes = Spikes(len(self.outputs))
+        self._spikes = rests.Spikes(len(self.outputs))
 
     def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
         """Learn from the first times what their unit is, and how often rows come."""
@@ -161,7 +148,7 @@ class LiveRows:
         self.whole += data.shape[1]
         return data[: len(self.outputs)]
 
-    def read(self, stretches: list[Rest]) -> list[Array]:
+    def read(self, stretches: list[rests.Rest]) -> list[Array]:
         """Return the outputs (M, n) of stretches of rows that are kept."""
         pieces = list(self.pieces())
         first = pieces[0][0] if pieces else 0
@@ -177,15 +164,15 @@ class LiveRows:
         self._store.forget(row)
         del self._left_out[: bisect_left(self._left_out, row)]
 
-    def in_log(self, rest: Rest) -> Rest:
+    def in_log(self, rest: rests.Rest) -> rests.Rest:
         """Return the rows of the log that a rest is, those without numbers counted too."""
         forgotten = self.bad - len(self._left_out)
         before, within = (
             forgotten + bisect_right(self._left_out, row) for row in (rest.start, rest.end - 1)
         )
-        return Rest(rest.start + before, rest.end + within)
+        return rests.Rest(rest.start + before, rest.end + within)
 
-    def time(self, rest: Rest) -> tuple[float, float] | None:
+    def time(self, rest: rests.Rest) -> tuple[float, float] | None:
         """Return when a rest begins and ends by the sample rate; None where there is none."""
         if self.rate is None:
             return None
@@ -287,17 +274,19 @@ class LiveRests:
 
     def __init__(self, rows: LiveRows, min_duration: float | None, threshold: float | None) -> None:
         self._rows = rows
-        self.grid: Grid = choose_grid(rows.rate, min_duration)
-        self.survey: Survey = Survey(len(rows.outputs), self.grid)
+        self.grid: rests.Grid = rests.choose_grid(rows.rate, min_duration)
+        self.survey: rests.Survey = rests.Survey(len(rows.outputs), self.grid)
         self.threshold = threshold
         self.settled: list[Still] = []
-        self._windows = Windows(self.grid.block)
-        self._finder = None if threshold is None else Finder(self.grid, Limits(threshold))
+        self._windows = rests.Windows(self.grid.block)
+        self._finder = (
+            None if threshold is None else rests.Finder(self.grid, rests.Limits(threshold))
+        )
         self._sizes: list[Array] = []  # of all windows, until the threshold is fixed
         self._runs = self._last = 0  # that are settled, and the end of the last
         self._seen = self._looked = 0  # windows, and those at the last look
         self._pending: list[tuple[Array, Array, Array]] = []  # not in the survey yet
-        self._provisional: Finder | None = None
+        self._provisional: rests.Finder | None = None
         self._newest: float | None = None
 
     def feed(self, outputs: Array) -> bool:
@@ -360,7 +349,7 @@ class LiveRests:
         whole = self.grid.shortest
         if since is None:
             return Motion(self._newest, False, whole)
-        seen = self._seen - since // self.grid.block + BLOCKS - 1
+        seen = self._seen - since // self.grid.block + rests.BLOCKS - 1
         return Motion(self._newest, True, max(0, whole - seen * self.grid.block))
 
     def running(self) -> Still | None:
@@ -369,7 +358,7 @@ class LiveRests:
         since = None if finder is None else finder.still_since
         if since is None or self.motion().samples_left:
             return None
-        return self._average([Rest(since, self._rows.whole)])[0]
+        return self._average([rests.Rest(since, self._rows.whole)])[0]
 
     def _survey(self, samples: Array, mean: Array, spread: Array) -> None:
         """Add to the survey, in pieces that show the steps between samples."""
@@ -390,7 +379,7 @@ class LiveRests:
         self._append(self._finder.settled())
         return len(self.settled) > before
 
-    def _append(self, runs: list[Run]) -> None:
+    def _append(self, runs: list[rests.Run]) -> None:
         """Add the rests of runs, of which the first are settled already."""
         assert self._finder is not None
         new = runs[self._runs :]
@@ -401,14 +390,14 @@ class LiveRests:
         self._runs, self._last = len(runs), edges[-1].end
         self.settled += self._average([each for each in edges if self._is_long(each)])
 
-    def _edges(self, runs: list[Run], limits: Limits) -> list[Rest]:
+    def _edges(self, runs: list[rests.Run], limits: rests.Limits) -> list[rests.Rest]:
         rows = self._rows
-        return find_edges(runs, rows.whole, self.grid, limits, rows.read, self._last)
+        return rests.find_edges(runs, rows.whole, self.grid, limits, rows.read, self._last)
 
-    def _is_long(self, rest: Rest) -> bool:
-        return is_long(rest, self.grid.shortest, self.grid)
+    def _is_long(self, rest: rests.Rest) -> bool:
+        return rests.is_long(rest, self.grid.shortest, self.grid)
 
-    def _average(self, found: list[Rest]) -> list[Still]:
+    def _average(self, found: list[rests.Rest]) -> list[Still]:
         pairs = [("", rest) for rest in found]
         return average_rests(self._rows, pairs, self.grid, self.survey, None)
 
@@ -421,7 +410,7 @@ class LiveRests:
             limits = self.survey.limits()
         except MultiposError:  # nothing like a rest yet
             return False
-        finder = Finder(self.grid, limits)
+        finder = rests.Finder(self.grid, limits)
         finder.add(np.concatenate(self._sizes, axis=1))
         self._provisional = finder
         found = list(filter(self._is_long, self._edges(finder.settled(), limits)))
@@ -433,9 +422,9 @@ class LiveRests:
         self.settled = self._average(found)
         return True
 
-    def _fix(self, limits: Limits) -> None:
+    def _fix(self, limits: rests.Limits) -> None:
         self.threshold = limits.size
-        self._finder = Finder(self.grid, limits)
+        self._finder = rests.Finder(self.grid, limits)
         if self._sizes:
             self._finder.add(np.concatenate(self._sizes, axis=1))
         self._sizes = []

@@ -16,25 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multipos.capturing.evaluation import (
-    NOTHING,
-    PosesGain,
-    SessionPlan,
-    evaluate,
-    model_of,
-    next_pose,
-)
+from multipos.capturing import evaluation, poses
 from multipos.capturing.live_rests import LiveRests, LiveRows, Motion, RowOptions
-from multipos.capturing.poses import (
-    Frame,
-    NextPose,
-    Pose,
-    apart_deg,
-    find_frame,
-    refuse_repeat,
-    refuse_rest,
-    refuse_unit,
-)
 from multipos.diagnostics.magnetic import missing_directions
 from multipos.errors import UsageError
 from multipos.logs.log_columns import magnetic_outputs
@@ -83,19 +66,19 @@ class Session:
 
     def __init__(
         self,
-        plan: SessionPlan,
+        plan: evaluation.SessionPlan,
         reading: RowOptions,
         notify: "Callable[[Session], object] | None" = None,
     ) -> None:
-        self.plan: SessionPlan = plan
+        self.plan: evaluation.SessionPlan = plan
         self._reading = reading
         self._notify = notify
         self._reported: list[tuple[int, int]] = []  # the rests that were reported
         self.changed: threading.Condition = threading.Condition()
         self.version: int = 0
         self.ticks: int = 0
-        self.poses: list[Pose] = []
-        self.evaluation: PosesGain = NOTHING
+        self.poses: list[poses.Pose] = []
+        self.evaluation: evaluation.PosesGain = evaluation.NOTHING
         self.finished: bool = False
         self.asked_to_finish: bool = False
         self.connected: bool = True
@@ -103,12 +86,12 @@ class Session:
         self.rests: LiveRests | None = None
         self.model: Model | None = None
         self.field: Field = GRAVITY
-        self._known: dict[tuple[str, ...], PosesGain] = {(): NOTHING}
-        self.next: NextPose | None = None
+        self._known: dict[tuple[str, ...], evaluation.PosesGain] = {(): evaluation.NOTHING}
+        self.next: poses.NextPose | None = None
         self._is_fixed = reading.threshold is not None
         self._again = ""  # the pose that is to be taken again
         self.newest: Array | None = None
-        self.under_way: Pose | None = None
+        self.under_way: poses.Pose | None = None
         self._asked: list[tuple[int, Array]] = []  # first row, and the direction asked for from it
         self._decided: dict[str, str] = {}  # what the user took back, by position, and why
 
@@ -137,7 +120,7 @@ class Session:
         unit = unit or log.units.get(self.rows.outputs[0], "reading")
         if field_of_outputs(self.rows.outputs, unit, None, kind) == "magnetic":
             self.field = MAGNETIC
-        self.model = model_of(self.plan, self.rows.outputs, unit)
+        self.model = evaluation.model_of(self.plan, self.rows.outputs, unit)
         self._choose_next()
         return self.rows
 
@@ -218,7 +201,7 @@ class Session:
     # What it is
 
     @property
-    def accepted(self) -> list[Pose]:
+    def accepted(self) -> list[poses.Pose]:
         """The poses that count."""
         return [pose for pose in self.poses if pose.accepted]
 
@@ -256,25 +239,25 @@ class Session:
         if frame is None:  # no pose yet: the reading itself may be in a known unit
             assert self.rows is not None
             axes = tuple(named_axes(self.rows.outputs))
-            frame = find_frame(mean[np.newaxis], axes, self.plan.convention, None)
+            frame = poses.find_frame(mean[np.newaxis], axes, self.plan.convention, None)
         if frame is None:
             return None
         up = frame.in_case(frame.up(mean[np.newaxis]))[0]
         return up if np.isfinite(up).all() else None
 
-    def _frame(self) -> Frame | None:
+    def _frame(self) -> poses.Frame | None:
         """Return how readings show directions, by the poses taken and what is under way."""
         current = self.under_way
         if current is None or current.reason is not None or self.plan.scheme is not None:
             return self.evaluation.frame
         assert self.rows is not None
-        poses = [*self.accepted, current]
-        return find_frame(
-            np.array([pose.still.found.mean for pose in poses]),
+        shown = [*self.accepted, current]
+        return poses.find_frame(
+            np.array([pose.still.found.mean for pose in shown]),
             tuple(named_axes(self.rows.outputs)),
             self.plan.convention,
             self.evaluation.calibration,
-            [pose.asked for pose in poses],
+            [pose.asked for pose in shown],
         )
 
     def directions(self) -> list[Array | None]:
@@ -294,7 +277,7 @@ class Session:
         moved = kept != [still.rows for still in settled[: len(kept)]]
         if moved or (self.threshold is not None and not self._is_fixed):
             self._is_fixed = self.threshold is not None
-            self.poses, self._known = [], {(): NOTHING}
+            self.poses, self._known = [], {(): evaluation.NOTHING}
         for still in settled[len(self.poses) :]:
             if self.is_enough:
                 return
@@ -311,15 +294,15 @@ class Session:
         self._reported[place : place + 1] = [still.rows]
         self._notify(self)
 
-    def _judge(self, still: Still, number: str) -> Pose:
+    def _judge(self, still: Still, number: str) -> poses.Pose:
         """Return the pose that a rest is, accepted or refused."""
         assert self.rows is not None
         asked = next((up for row, up in reversed(self._asked) if row <= still.rows.start), None)
-        pose = Pose(number, still, accepted=True, reason=None, asked=asked)
-        reason = refuse_rest(still, self.rows.outputs, self.threshold)
+        pose = poses.Pose(number, still, accepted=True, reason=None, asked=asked)
+        reason = poses.refuse_rest(still, self.rows.outputs, self.threshold)
         if reason is None:
             means = np.array([each.still.found.mean for each in self.accepted])
-            reason = refuse_unit(still, self.evaluation.frame, means)
+            reason = poses.refuse_unit(still, self.evaluation.frame, means)
         if self.plan.scheme is not None:
             position, off = self._place(still)
             pose = replace(pose, position=position or number)
@@ -339,7 +322,7 @@ class Session:
         means = np.array([pose.still.found.mean for pose in accepted])
         labels = [pose.position for pose in accepted]
         frame = self.evaluation.frame
-        return refuse_repeat(up, frame.in_case(frame.up(means)), labels)
+        return poses.refuse_repeat(up, frame.in_case(frame.up(means)), labels)
 
     def _place(self, still: Still) -> tuple[str, str | None]:
         """Return the position of the scheme that a rest is at, and why it is at none."""
@@ -352,7 +335,7 @@ class Session:
         if up is None:
             return asked, None
         labels = scheme.names
-        off = apart_deg(scheme.up, up)
+        off = poses.apart_deg(scheme.up, up)
         if off[labels.index(asked)] <= _OFF_DEG:
             return asked, None
         done = {pose.position for pose in self.accepted}
@@ -373,7 +356,7 @@ class Session:
         self._evaluate()
 
     @staticmethod
-    def key(pose: Pose) -> str:
+    def key(pose: poses.Pose) -> str:
         """Return what tells a pose from all others: where its rest begins."""
         return str(pose.still.rows.start)
 
@@ -386,13 +369,15 @@ class Session:
         self._choose_next()
         self.version += 1
 
-    def _evaluated(self, poses: Sequence[Pose]) -> PosesGain:
-        key = tuple(self.key(pose) for pose in poses)
+    def _evaluated(self, accepted: Sequence[poses.Pose]) -> evaluation.PosesGain:
+        key = tuple(self.key(pose) for pose in accepted)
         if key not in self._known:
             before = None
             if self.plan.targets:
-                before = self._evaluated(poses[:-1])
-            self._known[key] = evaluate(self.plan, self.still_log(), list(poses), before)
+                before = self._evaluated(accepted[:-1])
+            self._known[key] = evaluation.evaluate(
+                self.plan, self.still_log(), list(accepted), before
+            )
             for old in list(self._known)[1:-64]:  # the newest are asked for again, by undo
                 del self._known[old]
         return self._known[key]
@@ -408,9 +393,9 @@ class Session:
         if again is not None and self._again:
             up = self.direction(again.still.found.mean)
             if up is not None:
-                self.next = NextPose(up, None, self._again)
+                self.next = poses.NextPose(up, None, self._again)
                 return
-        self.next = next_pose(
+        self.next = evaluation.next_pose(
             self.plan, self.model, self.evaluation, self._frame(), self.accepted, under_way
         )
         row = 0 if self.rows is None else self.rows.rows

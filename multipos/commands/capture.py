@@ -6,19 +6,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from multipos.capturing import running
 from multipos.capturing.evaluation import SessionPlan
 from multipos.capturing.live_rests import RowOptions
-from multipos.capturing.running import (
-    Captured,
-    Kept,
-    captured,
-    files_kept,
-    keep,
-    make_plan,
-    make_reading,
-    rescued,
-    run_session,
-)
+from multipos.capturing.running import captured
 from multipos.capturing.session import Session, line_of
 from multipos.capturing.streams import open_source
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
@@ -44,7 +35,7 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     if arguments.output == STDOUT:
         return ()
     calibration = _calibration_path(arguments.output)
-    kept = files_kept(open_source(arguments.source), Path(arguments.output))
+    kept = running.files_kept(open_source(arguments.source), Path(arguments.output))
     exports = files_beside(arguments.to, calibration)
     return (calibration, calibration.with_suffix(".html"), *kept, *exports)
 
@@ -77,15 +68,15 @@ def run(arguments: argparse.Namespace) -> Answer:
     source.untimed = source.untimed and arguments.rate is None
     given = arguments
     fitting = options_of(given, "fit", ["outputs", "scheme", "order"])
-    plan = make_plan(given.target, given.positions, given.scheme, fitting, given.order)
-    reading = make_reading(
+    plan = running.make_plan(given.target, given.positions, given.scheme, fitting, given.order)
+    reading = running.make_reading(
         outputs=given.outputs,
         min_duration=given.min_duration,
         threshold=given.threshold,
         **options_of(given, "reading", ["columns", "drop_bad"]),
     )
     with ExitStack() as stack:
-        kept = stack.enter_context(keep(source, path, resume=arguments.resume))
+        kept = stack.enter_context(running.keep(source, path, resume=arguments.resume))
         session = _begin(plan, reading, kept, headless=arguments.headless)
         if not arguments.headless:
             from multipos.capturing.screen import text_screen
@@ -95,15 +86,17 @@ def run(arguments: argparse.Namespace) -> Answer:
             say(f"page at {address}")
             stack.enter_context(text_screen(session, commands=arguments.source != STDOUT))
         try:
-            run_session(session, source, arguments.columns, kept)
+            running.run_session(session, source, arguments.columns, kept)
         except BaseException as error:
             if path is None or not session.accepted:
                 raise
-            return _answer(arguments, _Result(rescued(session), arguments), error)
+            return _answer(arguments, _Result(running.rescued(session), arguments), error)
     return _answer(arguments, _Result(captured(session), arguments))
 
 
-def _begin(plan: SessionPlan, reading: RowOptions, kept: Kept, *, headless: bool) -> Session:
+def _begin(
+    plan: SessionPlan, reading: RowOptions, kept: running.Kept, *, headless: bool
+) -> Session:
     for said in kept.said:
         say(said)
 
@@ -124,7 +117,7 @@ def _readings_path(arguments: argparse.Namespace) -> Path | None:
 class _Result:
     """What is written, and how it is printed."""
 
-    captured: Captured
+    captured: running.Captured
     arguments: argparse.Namespace
 
     def exports(self) -> tuple[dict[Path, Exported], list[str]]:

@@ -9,13 +9,7 @@ from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
-from multipos.verification.comparison import (
-    Comparison,
-    changes_text,
-    compare,
-    comparison_sentence,
-    runs_text,
-)
+from multipos.verification import comparison
 from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
@@ -24,9 +18,9 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "fi
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = compare(*arguments.calibrations, **options_of(arguments, "compare"))
+    found = comparison.compare(*arguments.calibrations, **options_of(arguments, "compare"))
     return Answer(
-        sentence=lambda: comparison_sentence(plain(found.to_dict())),
+        sentence=lambda: comparison.comparison_sentence(plain(found.to_dict())),
         text=lambda: _text(found)[0],
         detail=lambda: _text(found)[1],
         json=lambda: to_json(found.to_dict()),
@@ -36,27 +30,27 @@ def run(arguments: argparse.Namespace) -> Answer:
     )
 
 
-def _is_beyond(found: Comparison | RegressionComparison) -> bool:
+def _is_beyond(found: comparison.Comparison | RegressionComparison) -> bool:
     """Tell whether a parameter is beyond its limit."""
-    changes = found.changes if isinstance(found, Comparison) else ()
+    changes = found.changes if isinstance(found, comparison.Comparison) else ()
     return any(each.within is False for each in changes)
 
 
-def _combined(found: Comparison | RegressionComparison) -> dict[str, Callable[[], str]]:
+def _combined(found: comparison.Comparison | RegressionComparison) -> dict[str, Callable[[], str]]:
     """Return what `-o CAL.json` writes with --combine, in place of the comparison."""
-    combined = found.combined if isinstance(found, Comparison) else None
+    combined = found.combined if isinstance(found, comparison.Comparison) else None
     return {} if combined is None else {"json": lambda: to_json(combined.to_dict())}
 
 
-def _text(found: Comparison | RegressionComparison) -> tuple[str, str]:
+def _text(found: comparison.Comparison | RegressionComparison) -> tuple[str, str]:
     """Return the table that is asked for, and what explains."""
     if isinstance(found, RegressionComparison):
         return str(found), ""
-    changes = changes_text(found)
-    return (changes, runs_text(found)) if changes else (runs_text(found), "")
+    changes = comparison.changes_text(found)
+    return (changes, comparison.runs_text(found)) if changes else (comparison.runs_text(found), "")
 
 
-def _figure(found: Comparison | RegressionComparison) -> Any:
+def _figure(found: comparison.Comparison | RegressionComparison) -> Any:
     """Return the figure of what was compared."""
     if isinstance(found, RegressionComparison):
         return terms_figure(found)

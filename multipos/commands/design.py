@@ -6,14 +6,7 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import options_of, progress_bar, setting_of
-from multipos.designs.designing import (
-    Design,
-    design,
-    design_csv,
-    design_sentence,
-    design_text,
-    smaller_designs,
-)
+from multipos.designs import designing
 from multipos.errors import UsageError
 from multipos.files.trees import to_json
 
@@ -34,24 +27,26 @@ def run(arguments: argparse.Namespace) -> Answer:
     axes = options["axes"] = options["axes"] or ("x", "y", "z")
     setting = setting_of(arguments)
 
-    def make(positions: int) -> Design:
-        return design(**options | {"positions": positions})
+    def make(positions: int) -> designing.Design:
+        return designing.design(**options | {"positions": positions})
 
     with progress_bar("searching positions"):
         found = make(arguments.positions)
     return Answer(
-        sentence=lambda: design_sentence(found),
-        text=lambda: design_text(found),
+        sentence=lambda: designing.design_sentence(found),
+        text=lambda: designing.design_text(found),
         json=lambda: to_json(found),
         forms={
-            "table": lambda: design_csv(found),
-            "figure": lambda: _figure(smaller_designs(make, found), sensed=axes, **setting),
+            "table": lambda: designing.design_csv(found),
+            "figure": lambda: _figure(
+                designing.smaller_designs(make, found), sensed=axes, **setting
+            ),
         },
         findings=lambda: found.findings,
     )
 
 
-def _figure(designs: Sequence[Design], **setting: Any) -> Any:
+def _figure(designs: Sequence[designing.Design], **setting: Any) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
     from multipos.plots.schemes import design_figure
 

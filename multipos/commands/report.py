@@ -17,15 +17,8 @@ from multipos.fleets.folder import read_summary
 from multipos.regression.regression import all_of
 from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
+from multipos.reports import documents, regressions
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.documents import (
-    html_report,
-    markdown_report,
-    pdf_report,
-    plain_report,
-    xml_report,
-)
-from multipos.reports.regressions import regression_content
 from multipos.reports.several import comparison_content, fleet_content, read_comparison
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
@@ -68,7 +61,7 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
     if arguments.check or arguments.monte_carlo:
         raise UsageError("--check and --monte-carlo are of one calibration.")
     regression = load_regression(arguments.calibration)
-    content = regression_content(
+    content = regressions.regression_content(
         regression,
         lab=arguments.lab,
         data=arguments.data,
@@ -136,7 +129,7 @@ def _of_calibration(calibration: Calibration, arguments: argparse.Namespace) -> 
         check=None if arguments.check is None else load_check(arguments.check),
     )
     listing = {"report": arguments.output, "created": calibration.created}
-    return _answer(arguments, content, listing, lambda: xml_report(calibration, content))
+    return _answer(arguments, content, listing, lambda: documents.xml_report(calibration, content))
 
 
 def _answer(
@@ -150,10 +143,10 @@ def _answer(
         text=str,
         json=lambda: to_json({**listing, "findings": ()}),
         forms={
-            "html": lambda: html_report(content),
+            "html": lambda: documents.html_report(content),
             "paper": lambda: _on_paper(content),
-            "markdown": lambda: markdown_report(content),
-            "text": lambda: plain_report(content),
+            "markdown": lambda: documents.markdown_report(content),
+            "text": lambda: documents.plain_report(content),
             "certificate": certificate,
         },
     )
@@ -161,4 +154,4 @@ def _answer(
 
 def _on_paper(content: Content) -> bytes:
     with progress_bar("laying out the pages") as progress:
-        return pdf_report(content, progress)
+        return documents.pdf_report(content, progress)

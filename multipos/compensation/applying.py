@@ -54,16 +54,7 @@ from numpy.typing import ArrayLike
 from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
 from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
-from multipos.files.handed import take_in
-from multipos.files.tables import (
-    Column,
-    Source,
-    Table,
-    format_csv,
-    format_rows,
-    read_table,
-    safe_rows,
-)
+from multipos.files import handed, tables
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.table import Log, Piece, called_as
@@ -142,7 +133,7 @@ OUTSIDE: tuple[Outside, ...] = get_args(Outside)
 
 def add_columns(
     calibration: Calibration,
-    table: Table,
+    table: tables.Table,
     *,
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
@@ -205,7 +196,7 @@ def add_columns(
     return {**added, "outside": beyond.astype(np.int64)}
 
 
-def _heading(field: Array, beside: Calibration, table: Table) -> Array:
+def _heading(field: Array, beside: Calibration, table: tables.Table) -> Array:
     """Return the heading (n,) of case axis x [degrees], NaN where it has none."""
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in beside.outputs])
     environment = {name: table.number(name) for name in beside.model.environment}
@@ -241,7 +232,7 @@ def find_turn(calibration: Calibration, beside: Calibration | None) -> Findings:
     return (Finding("triads-turned", "warning", text, action),)
 
 
-def _rows_of(table: Table, start: int) -> Table:
+def _rows_of(table: tables.Table, start: int) -> tables.Table:
     """Return some rows of a table, as many as are worked on together."""
     rows = slice(start, start + _TOGETHER)
     columns = {name: column[rows] for name, column in table.columns.items()}
@@ -289,7 +280,7 @@ def check_outside(outside: str) -> None:
 def check_columns(
     calibration: Calibration,
     source: str,
-    columns: Mapping[str, Column] | tuple[str, ...],
+    columns: Mapping[str, tables.Column] | tuple[str, ...],
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
     units: Mapping[str, str],
@@ -311,7 +302,11 @@ def check_columns(
     one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
     one |= {} if uncertainty is None else dict.fromkeys(uncertainty.noise.columns, np.ones(1))
     added = add_columns(
-        calibration, Table(source, one, rows=1), tilt=tilt, uncertainty=uncertainty, outside="flag"
+        calibration,
+        tables.Table(source, one, rows=1),
+        tilt=tilt,
+        uncertainty=uncertainty,
+        outside="flag",
     )
     for name in (*added, *(("heading_deg",) if beside is not None else ())):
         if name in columns:
@@ -329,7 +324,7 @@ def refusal(where: str, beyond: int, rows: int) -> MultiposError:
 
 
 def _environment_outside(
-    calibration: Calibration, table: Table, environment: Mapping[str, Array]
+    calibration: Calibration, table: tables.Table, environment: Mapping[str, Array]
 ) -> tuple[Mask, dict[str, Array]]:
     """Return which rows leave the calibrated range of a column, and the columns clamped to it."""
     beyond = np.zeros(table.rows, dtype=bool)
@@ -393,18 +388,18 @@ class AppliedLog:
         begun = False
         for piece, added in self._applied(carried):
             if not begun:
-                yield format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
+                yield tables.format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
             begun = True
             if not self.beyond or self.outside != "refuse":
                 yield self._text(piece, added)
 
-    def parts(self) -> Iterator[dict[str, Column]]:
+    def parts(self) -> Iterator[dict[str, tables.Column]]:
         """Yield all columns piece by piece."""
         texts = [name for name in self.log.columns if name not in self.log.numeric]
         for piece, added in self._applied(self.log.numeric, texts):
             yield {**{name: piece.table.columns[name] for name in self.log.columns}, **added}
 
-    def columns(self) -> dict[str, Column]:
+    def columns(self) -> dict[str, tables.Column]:
         """Return all columns at once; what is added to them is computed piece by piece."""
         found: dict[str, list[Array]] = {}
         for _, added in self._applied(()):
@@ -458,12 +453,12 @@ class AppliedLog:
     def _text(self, piece: Piece, added: Mapping[str, Array]) -> str:
         if piece.lines is None:
             columns = {name: piece.table.columns[name] for name in self.log.numeric}
-            return format_rows({**columns, **added}, digits=digits_written(added))
+            return tables.format_rows({**columns, **added}, digits=digits_written(added))
         lines = piece.lines()
         if not self.log.delimiter:
             lines = [",".join(line.split()) for line in lines]
-        lines = safe_rows(lines, self._delimiter)
-        text = format_rows(added, self._delimiter, digits_written(added))
+        lines = tables.safe_rows(lines, self._delimiter)
+        text = tables.format_rows(added, self._delimiter, digits_written(added))
         beside = text.splitlines(keepends=True)
         mark = repeat(self._delimiter)
         return "".join(chain.from_iterable(zip(lines, mark, beside, strict=False)))
@@ -557,7 +552,7 @@ class Applied(AppliedColumns):
 
 def apply(
     calibration: Calibration,
-    data: Source,
+    data: tables.Source,
     *,
     tilt: bool = False,
     uncertainty: bool = False,
@@ -620,7 +615,7 @@ def apply(
         )
     check_outside(outside)
     check_beside(calibration, beside, tilt)
-    data = take_in(data, "data", calibration.outputs)
+    data = handed.take_in(data, "data", calibration.outputs)
     if not isinstance(data, Mapping):  # a log of any kind that the command reads
         whole = apply_log(
             calibration,
@@ -634,7 +629,7 @@ def apply(
         )
         columns = whole.columns()
         return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
-    given = read_table(data, what="data")
+    given = tables.read_table(data, what="data")
     table, units = plain_names(given)
     asked = wanted_columns(calibration)
     table, _ = under_names(table, asked if beside is None else (*asked, *wanted_columns(beside)))

@@ -28,13 +28,8 @@ from multipos.numerics.terms import largest_value
 from multipos.positions.headers import in_celsius, under_names
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
+from multipos.regression import prediction
 from multipos.regression.observations import Rows, form_rate, number_labels
-from multipos.regression.prediction import (
-    hold_inside,
-    place_rows,
-    predict_rows,
-    predict_uncertainty,
-)
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 
@@ -110,12 +105,12 @@ def correct(
     target = _target(regression, table, column)
     run = read_runs(regression, table)
     columns = read_predictors(regression, table, run)
-    place = place_rows(regression, columns, table.rows, run)
-    beyond, clamped = hold_inside(regression, columns, place)
+    place = prediction.place_rows(regression, columns, table.rows, run)
+    beyond, clamped = prediction.hold_inside(regression, columns, place)
     if outside == "refuse":
         _refuse_outside(table, target or next(iter(columns), ""), beyond)
     used = clamped if outside == "clamp" else columns
-    predicted = predict_rows(regression, used, place)
+    predicted = prediction.predict_rows(regression, used, place)
     values: dict[str, Array] = {"predicted": predicted}
     if target is not None:
         values["corrected"] = table.number(target, largest=LARGEST) - predicted
@@ -124,7 +119,7 @@ def correct(
     raised: Findings = ()
     if uncertainty:
         noise, sd = _noise(regression, table, target, reading_sd, parameters_only)
-        u, U = predict_uncertainty(regression, used, place, sd)
+        u, U = prediction.predict_uncertainty(regression, used, place, sd)
         added |= {f"{size}_{name}": each for name in values for size, each in (("u", u), ("U", U))}
         text = f"u_… and U_… include the noise of one row: {noise}"
         raised = (Finding("reading-noise", "note", text),)

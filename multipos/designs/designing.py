@@ -16,14 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multipos.designs.assessment import (
-    Assessment,
-    Assessor,
-    orientation,
-    positions_table,
-    read_setting,
-    scheme_details,
-)
+from multipos.designs import assessment
+from multipos.designs.assessment import orientation
 from multipos.designs.criteria import Criterion, kernels, make_criterion, sensitivity
 from multipos.designs.exchange import choose, polish, polish_largest
 from multipos.designs.information import Setting, inform, log_det, nothing_to_weigh
@@ -89,7 +83,7 @@ class Design(Keyed, Drawn, Tabular):
     bench_efficiency: float | None
     travel_deg: float
     time_s: float | None
-    scheme: Assessment
+    scheme: assessment.Assessment
     settings: tuple[Mapping[str, Any], ...] = ()
     findings: Findings = ()
 
@@ -129,9 +123,9 @@ def design_text(found: Design) -> str:
         f"criterion {found.criterion}, {count} positions"
     )
     sheet = [_operators_sheet(found)] if found.settings else []
-    positions = [positions_table(labelled, given)]
+    positions = [assessment.positions_table(labelled, given)]
     first = [*sheet, _summary(found), *positions] if sheet else [*positions, _summary(found)]
-    parts = [heading, *first, *scheme_details(found.scheme)]
+    parts = [heading, *first, *assessment.scheme_details(found.scheme)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -254,7 +248,9 @@ def design(
     (1.0, 15)
     """
     check_order(order)
-    setting = read_setting(model, axes, inputs, unknown_orientation, orientation_sd, reading_sd)
+    setting = assessment.read_setting(
+        model, axes, inputs, unknown_orientation, orientation_sd, reading_sd
+    )
     wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))
     if region is not None and criterion != "I":
         raise UsageError(f"--region is what criterion I averages over; got criterion {criterion}.")
@@ -262,7 +258,7 @@ def design(
     given = np.empty((0, 3)) if include is None else read_scheme(include).up
     _check_count(setting, positions, len(given))
     bench = None if candidates is None else read_bench(candidates)
-    assessor = Assessor(setting.stated)
+    assessor = assessment.Assessor(setting.stated)
     _check_candidates(assessor, bench, given)
     sphere = optimise_sphere(setting, wanted)
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
@@ -367,7 +363,7 @@ def _check_count(setting: Setting, positions: int, included: int) -> None:
         )
 
 
-def _check_candidates(assessor: Assessor, bench: Array | None, given: Array) -> None:
+def _check_candidates(assessor: assessment.Assessor, bench: Array | None, given: Array) -> None:
     everything = read_bench("sphere") if bench is None else np.concatenate([bench, given])
     problems, _ = assessor.separate(everything)
     if not problems:

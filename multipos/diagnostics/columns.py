@@ -24,16 +24,7 @@ import numpy as np
 from multipos.diagnostics.repairs import listed_reference
 from multipos.files.spelling import listed, quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import (
-    COMPONENTS,
-    Array,
-    Places,
-    coarse_steps,
-    count_different,
-    median,
-    resolution,
-    row_keys,
-)
+from multipos.numerics import arrays
 from multipos.sensor.calibration import Calibration
 
 _SPAN = 0.5  # of the own reference [g], below which an output may well stand still
@@ -54,7 +45,7 @@ def dead_output(c: Calibration) -> Finding | None:
     dead = [
         output
         for output, axis, stands in zip(c.outputs, c.model.axes, still, strict=True)
-        if stands and np.ptp(c.reference[:, COMPONENTS.index(axis)]) > _SPAN
+        if stands and np.ptp(c.reference[:, arrays.COMPONENTS.index(axis)]) > _SPAN
     ]
     if not dead:
         return None
@@ -152,7 +143,7 @@ def saturated(c: Calibration) -> Finding | None:
     )
 
 
-def _clipped(reference: Array, values: Array) -> Places | None:
+def _clipped(reference: arrays.Array, values: arrays.Array) -> arrays.Places | None:
     """Return the rows whose reading is the largest of all and should have been larger."""
     top = values == values.max()
     others = ~top
@@ -187,14 +178,14 @@ def _has_common_ends(c: Calibration) -> bool:
     scatter = float(np.nanmax(c.residual_sd, initial=0.0))
     if again < _ENDS - 2 or not scatter > 0.0:
         return False
-    return (resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
+    return (arrays.resolution(values) / (4.0 * scatter)) ** again < _BY_CHANCE
 
 
 def quantized(c: Calibration) -> Finding | None:
     """Find readings on a grid that is coarser than what they scatter."""
     if c.readings.samples is not None or not np.isfinite(c.residual_sd).all():
         return None
-    steps = coarse_steps(c.readings.values, c.residual_sd)
+    steps = arrays.coarse_steps(c.readings.values, c.residual_sd)
     coarse = [output for output, step in zip(c.outputs, steps.tolist(), strict=True) if step]
     if not coarse:
         return None
@@ -210,11 +201,11 @@ def quantized(c: Calibration) -> Finding | None:
 
 def repeated_rows(c: Calibration) -> Finding | None:
     """Find rows that are copies of others."""
-    if count_different(c.readings.values) == len(c.readings):
+    if arrays.count_different(c.readings.values) == len(c.readings):
         return None
     first: dict[bytes, int] = {}
     copies: list[tuple[int, int]] = []
-    for row, key in enumerate(row_keys(c.readings.values)):
+    for row, key in enumerate(arrays.row_keys(c.readings.values)):
         origin = first.setdefault(key, row)
         if origin != row:
             copies.append((origin, row))
@@ -242,5 +233,5 @@ def _shows_noise(c: Calibration) -> bool:
     """Tell whether readings have digits enough for noise to show in repeats."""
     n, outputs = c.readings.values.shape
     left = max(1.0 - len(c.parameters) / outputs / n, 1e-3)
-    scatter = float(median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
-    return resolution(c.readings.values) < scatter / 2.0
+    scatter = float(arrays.median(np.abs(c.residuals))) / (_MEDIAN * math.sqrt(left))
+    return arrays.resolution(c.readings.values) < scatter / 2.0

@@ -30,16 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.diagnostics.columns import (
-    counter_column,
-    dead_output,
-    quantized,
-    repeated_rows,
-    saturated,
-    temperature_kelvin,
-)
-from multipos.diagnostics.gross_errors import explained
-from multipos.diagnostics.model_error import hidden_terms, missing_term, zero_per_soak
+from multipos.diagnostics import columns, gross_errors, model_error, row_order, scales, score_tests
 from multipos.diagnostics.residuals import (
     Residuals,
     effective_number,
@@ -53,18 +44,6 @@ from multipos.diagnostics.residuals import (
     understated_orientations,
     unequal_noise,
 )
-from multipos.diagnostics.row_order import (
-    SLOW,
-    TIME,
-    UNEQUAL,
-    Cause,
-    asked,
-    estimate,
-    search,
-    slow_score,
-)
-from multipos.diagnostics.scales import gravity
-from multipos.diagnostics.score_tests import judge_model, score_of_term
 from multipos.estimation.gains import estimator_gain
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
@@ -253,7 +232,7 @@ def open_headings(c: Calibration) -> Finding | None:
     )
 
 
-RIVALS = frozenset({"missing-term", "placement", "outlier", "lack-of-fit", SLOW})
+RIVALS = frozenset({"missing-term", "placement", "outlier", "lack-of-fit", row_order.SLOW})
 
 
 def compete(
@@ -265,9 +244,9 @@ def compete(
     model lacks, orientation error and outliers among what was found; one of them is named.
     """
     wrong = any(finding.level == "error" for finding in found)
-    if wrong or not asked(c) or any(finding.code == "zero-per-soak" for finding in found):
+    if wrong or not row_order.asked(c) or any(finding.code == "zero-per-soak" for finding in found):
         return found
-    causes = search(c)
+    causes = row_order.search(c)
     if not causes:
         return found
     freedom = float(c.residuals.size - len(c.parameters))
@@ -290,13 +269,13 @@ def _score(
     """Return S of a finding of residuals, as `row_order` has it."""
     n, m = c.residuals.shape
     if finding.code == "missing-term":
-        return score_of_term(c, c.diagnostics.model_tests)
+        return score_tests.score_of_term(c, c.diagnostics.model_tests)
     if finding.code == "placement":
         of = residuals()
         gain = float((explain_unequal(of).deviance - of.oriented.deviance)[0])
         return float(gain - (2.0 - m) * math.log(freedom))
-    if finding.code == SLOW:
-        return slow_score(c)
+    if finding.code == row_order.SLOW:
+        return row_order.slow_score(c)
     if finding.code == "lack-of-fit":
         found: Any = list(c.diagnostics.lack_of_fit.values())
         tests: list[tuple[float, float, float]] = [(each["F"], *each["dof"]) for each in found]
@@ -318,9 +297,9 @@ def _gain_without(c: Calibration, rows: list[int]) -> float:
     """Return Λ of rows that are left out of every output."""
     phi = c.model.basis(c.reference, c.readings.environment)
     total = 0.0
-    for i, columns in enumerate(c.model.columns):
+    for i, places in enumerate(c.model.columns):
         X, e = (
-            phi[:, columns] / c.sd_of_readings[:, [i]],
+            phi[:, places] / c.sd_of_readings[:, [i]],
             c.residuals[:, i] / c.sd_of_readings[:, i],
         )
         Q = np.linalg.qr(X)[0][rows]
@@ -329,9 +308,9 @@ def _gain_without(c: Calibration, rows: list[int]) -> float:
     return total
 
 
-def _describe(c: Calibration, cause: Cause) -> Finding:
+def _describe(c: Calibration, cause: row_order.Cause) -> Finding:
     """Return what is said of a cause, with its size and what to do."""
-    sizes = np.zeros(0) if cause.code == SLOW else estimate(c, cause)
+    sizes = np.zeros(0) if cause.code == row_order.SLOW else row_order.estimate(c, cause)
     text, action, rows = _SAID[cause.code](c, cause, sizes)
     return Finding(cause.code, "warning", text, action, rows, p=cause.p)
 
@@ -339,8 +318,8 @@ def _describe(c: Calibration, cause: Cause) -> Finding:
 _Said = tuple[str, str, tuple[str, ...]]
 
 
-def _drift(c: Calibration, cause: Cause, sizes: Array) -> _Said:
-    time = c.readings.environment.get(TIME)
+def _drift(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
+    time = c.readings.environment.get(row_order.TIME)
     timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0
     span = float(np.ptp(time)) if time is not None and timed else len(c.readings) - 1.0
     whole = float(np.abs(sizes).max()) * span
@@ -348,14 +327,14 @@ def _drift(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     return f"{text} ({p_in_words(cause.p)})", "Fit the drift with --drift.", ()
 
 
-def _slipped(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _slipped(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     row, degrees = _first_row(c, cause), math.degrees(float(np.linalg.norm(sizes)))
     text = f"from row {row} on the case is rotated by {degrees:.2g} degrees, as if it slipped"
     action = f"Name the rows from {row} on in a column `group`, and no others."
     return f"{text} ({p_in_words(cause.p)}); U excludes it", action, (row,)
 
 
-def _replaced(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _replaced(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     row, what = _first_row(c, cause), "parameters"
     if not cause.wholly:
         what = f"biases, by up to {float(np.abs(sizes).max()):.2g} {c.model.unit}"
@@ -364,25 +343,25 @@ def _replaced(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     return f"{text}, as after an exchange or a switch-on", action, (row,)
 
 
-def _settling(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _settling(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     share = 100.0 * float(sizes.item())
     text = f"readings contain {share:.2g} % of the previous row ({p_in_words(cause.p)})"
     action = "Wait longer at each position before reading."
     return f"{text}, as from a filter with a long time constant", action, ()
 
 
-def _hysteresis(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _hysteresis(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     both = 2.0 * float(np.abs(sizes).max())
     text = f"readings differ by {both:.2g} {c.model.unit} with the side of approach to a position"
     action = "Approach all positions from one side, or each from both."
     return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
-def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _vibration(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     sd = c.readings.sd
     assert sd is not None
     own = np.sqrt(np.einsum("nm,nm->n", sd, sd))
-    loud = np.flatnonzero(own > UNEQUAL * median(own))
+    loud = np.flatnonzero(own > row_order.UNEQUAL * median(own))
     moved = float(np.abs(sizes).max() * own.max() ** 2)
     text = f"readings change by up to {moved:.2g} {c.model.unit} with the variance of their rests"
     action = "Measure these rests again with less vibration, or set them aside with --exclude."
@@ -390,31 +369,31 @@ def _vibration(c: Calibration, cause: Cause, sizes: Array) -> _Said:
     return f"{text} ({p_in_words(cause.p)}), as from rectified vibration", action, rows
 
 
-def _level(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _level(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     degrees = math.degrees(float(np.linalg.norm(sizes)))
     text = f"the attitudes indicate a table tilt of {degrees:.2g} degrees ({p_in_words(cause.p)})"
     return f"{text}; U excludes it", f"Level it, or fit with --level-sd {degrees:.1g}.", ()
 
 
-def _table(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _table(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     off = f"{math.degrees(float(np.abs(sizes).max())):.1g}"
     text = f"residuals follow the roll angles, as from table errors of {off} degrees"
     action = f"Correct the angles with `multipos tumble`, or fit with --orientation-sd {off}."
     return f"{text} ({p_in_words(cause.p)})", action, ()
 
 
-def _slow(c: Calibration, cause: Cause, sizes: Array) -> _Said:
+def _slow(c: Calibration, cause: row_order.Cause, sizes: Array) -> _Said:
     text = "residuals of neighbouring rows are correlated although their positions differ; U is"
     action = "Add a column `time`, or measure the positions in random order."
     return f"{text} too small", action, ()
 
 
-def _first_row(c: Calibration, cause: Cause) -> str:
+def _first_row(c: Calibration, cause: row_order.Cause) -> str:
     assert cause.row is not None
     return c.readings.labels[cause.row]
 
 
-_SAID: dict[str, Callable[[Calibration, Cause, Array], _Said]] = {
+_SAID: dict[str, Callable[[Calibration, row_order.Cause, Array], _Said]] = {
     "drift": _drift,
     "slipped": _slipped,
     "replaced": _replaced,
@@ -430,24 +409,24 @@ _SAID: dict[str, Callable[[Calibration, Cause, Array], _Said]] = {
 Question = Callable[[Calibration], Finding | None]
 
 # Implausible whatever the fit says; where a column is no output at all, no more is asked of it.
-OF_COLUMNS: tuple[Question, ...] = (dead_output, counter_column, saturated)
-OF_OPTIONS: tuple[Question, ...] = (gravity,)
+OF_COLUMNS: tuple[Question, ...] = (columns.dead_output, columns.counter_column, columns.saturated)
+OF_OPTIONS: tuple[Question, ...] = (scales.gravity,)
 # Cautions about what was given and what the positions can show.
 CAUTIONS: tuple[Question, ...] = (
-    quantized,
+    columns.quantized,
     no_redundancy,
-    repeated_rows,
-    temperature_kelvin,
+    columns.repeated_rows,
+    columns.temperature_kelvin,
     open_headings,
 )
 # Cautions about what the residuals show, and cannot show.
 OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     poorly_determined,
-    hidden_terms,
+    model_error.hidden_terms,
     drift_absorbed,
     hidden_table,
-    zero_per_soak,
-    missing_term,
+    model_error.zero_per_soak,
+    model_error.missing_term,
     outlier,
     lack_of_fit,
     rejected_noise,
@@ -501,12 +480,12 @@ def in_words(text: str) -> str:
 
 
 def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
-    tested = judge_model(calibration)
+    tested = score_tests.judge_model(calibration)
     of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
     calibration = replace(calibration, diagnostics=of_model)
     found = _answers(OF_COLUMNS, calibration)
     if not found:
-        found += explained(calibration)
+        found += gross_errors.explained(calibration)
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
         residuals = cache(partial(residuals_of, calibration))

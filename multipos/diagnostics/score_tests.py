@@ -29,20 +29,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.diagnostics.projections import (
-    IDENTIFIABLE,
-    OF_FORCE,
-    Kind,
-    Projection,
-    Setting,
-    hides,
-    lacking,
-    level_of,
-    project,
-    sphere,
-    terms_of,
-)
-from multipos.diagnostics.row_order import slow_score
+from multipos.diagnostics import projections, row_order
 from multipos.estimation.gains import information_at_solution
 from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
@@ -80,7 +67,7 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
     added : tuple of str
         Kinds that are taken as if the model had them.
     """
-    kinds = lacking(c)
+    kinds = projections.lacking(c)
     alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
     identifiable = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
     identifiable = alone or (
@@ -109,7 +96,7 @@ def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
         return ()
     alone = c.estimator.exact and c.noise is None
     tests = []
-    for kind in OF_FORCE[OF_FORCE.index("own^2") :]:
+    for kind in projections.OF_FORCE[projections.OF_FORCE.index("own^2") :]:
         places = [
             [c.model.keys.index((output, term)) for term in kind_terms(kind, axis, c.model.inputs)]
             for output, axis, own in zip(c.outputs, c.model.axes, c.model.terms, strict=True)
@@ -135,7 +122,7 @@ def _beats_slow_noise(c: Calibration, tests: tuple[ModelTest, ...]) -> bool:
 
     A scheme in its published order turns a missing term into steps, which look like slow noise.
     """
-    return bool(significant(tests)) and score_of_term(c, tests) >= slow_score(c)
+    return bool(significant(tests)) and score_of_term(c, tests) >= row_order.slow_score(c)
 
 
 def score_of_term(c: Calibration, tests: Sequence[ModelTest]) -> float:
@@ -167,12 +154,14 @@ def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
     return tuple(sorted((t for t in tests if t.is_below(level)), key=lambda t: (t.p, -t.gain)))
 
 
-def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+def _at_known(
+    c: Calibration, kinds: tuple[projections.Kind, ...], added: tuple[str, ...]
+) -> Tested:
     """Test at known orientations, with a projection that is kept from one fit to the next."""
-    found = project(Setting(c, kinds, added))
+    found = projections.project(projections.Setting(c, kinds, added))
     if not len(found.starts):
         return Tested((), found.hidden)
-    e = found.whitened(c.residuals) * level_of(c)
+    e = found.whitened(c.residuals) * projections.level_of(c)
     if added or c.estimator is Estimator.CLOSED_FORM or c.robust_weight is not None:
         pairs = zip(found.fitted, e.T, strict=True)  # such residuals are not orthogonal to X
         e = np.column_stack([column - Q @ (Q.T @ column) for Q, column in pairs])
@@ -187,7 +176,7 @@ def _at_known(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -
     return Tested(one, found.hidden)
 
 
-def explained_by(found: Projection, errors: Array) -> Array:
+def explained_by(found: projections.Projection, errors: Array) -> Array:
     """Return Δ of eq. (1) (B, kinds, outputs) of B units, by whitened residuals (outputs, B, n)."""
     explained = np.zeros((errors.shape[1], found.q.size))
     along = np.empty((errors.shape[1], len(found.rows)))
@@ -269,7 +258,7 @@ class _Sums:
     least_variance: float = 0.0
 
 
-def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> Tested:
+def _as_one(c: Calibration, kinds: tuple[projections.Kind, ...], added: tuple[str, ...]) -> Tested:
     """Test all outputs as one, about the solution."""
     plain = c.estimator.exact and c.robust_weight is None
     plain = plain and (c.noise is None or c.noise.ndim == 1)
@@ -285,7 +274,9 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
     explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
     asked = np.array([name not in added for name in names])
     explained, q = explained * asked, q * asked
-    faint = [k for k, name in enumerate(names) if least[k] < _CLEAR and name in OF_FORCE]
+    faint = [
+        k for k, name in enumerate(names) if least[k] < _CLEAR and name in projections.OF_FORCE
+    ]
     hidden: tuple[str, ...] = ()
     if faint and not added:
         some = np.flatnonzero((kind_of[:, None] == faint).any(axis=1))
@@ -296,14 +287,14 @@ def _as_one(c: Calibration, kinds: tuple[Kind, ...], added: tuple[str, ...]) -> 
     return Tested(_ratios(names, (), *alone), hidden)
 
 
-def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+def _sums_at_known(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums:
     """Return the sums where positions are exact: of each output by itself, (A, Z, e)'(A, Z, e)."""
     shape, p = c.residuals.shape, len(c.parameters)
     variances = np.square(c.residual_sd) if c.noise is None else c.noise.reshape(shape)
     root = np.broadcast_to(1.0 / np.sqrt(variances), shape)
     outputs, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
     left = c.readings.values - outputs
-    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    Z, output_of, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
     end = p + len(kind_of)
     whole = np.zeros((end + 1, end + 1))
     for i, (own, slopes) in enumerate(blocks):
@@ -326,10 +317,10 @@ def _sums_at_known(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
     )
 
 
-def _sums_of_likelihood(c: Calibration, kinds: tuple[Kind, ...]) -> _Sums:
+def _sums_of_likelihood(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
     problem, optimum = information_at_solution(c)
-    Z, output_of, kind_of = terms_of(kinds, c.reference, c.readings.environment)
+    Z, output_of, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
     beside = optimum.with_slopes(Z, output_of)
     across = respond(optimum.information, beside.cross)
     return _Sums(
@@ -381,7 +372,7 @@ def _explained(
     for some in alike.values():  # kinds of as many terms at once
         places = np.array([columns[kind] for kind in some])
         values, vectors = np.linalg.eigh(unit[places[:, :, None], places[:, None, :]])
-        identifiable = values > IDENTIFIABLE
+        identifiable = values > projections.IDENTIFIABLE
         along = np.einsum("kr,krs->ks", score[places], vectors)
         explained[some] = np.sum(along**2 / np.where(identifiable, values, np.inf), axis=1)
         q[some], least[some] = identifiable.sum(axis=1), values[:, 0]
@@ -392,7 +383,7 @@ def _identifiable(gram: Array, size: Array, mine: Mask) -> Array:
     """Return T (R, r) of the terms of a kind, T'GT = 1."""
     scale = _scale(size)
     values, vectors = np.linalg.eigh((gram / (scale[:, None] * scale))[mine][:, mine])
-    seen = values > IDENTIFIABLE
+    seen = values > projections.IDENTIFIABLE
     result = np.zeros((len(size), int(seen.sum())))
     result[mine] = vectors[:, seen] / np.sqrt(values[seen]) / scale[mine, None]
     return result
@@ -400,7 +391,7 @@ def _identifiable(gram: Array, size: Array, mine: Mask) -> Array:
 
 def _hidden(
     c: Calibration,
-    kinds: Sequence[Kind],
+    kinds: Sequence[projections.Kind],
     gram: Array,
     across: Array,
     information: Array,
@@ -410,7 +401,7 @@ def _hidden(
     Where nothing ties the case to the world, only the size of a force is judged: its direction
     has a rotation in it that is a convention.
     """
-    force, means = sphere(c)
+    force, means = projections.sphere(c)
     p = len(c.parameters)
     by_force = c.model.force_jacobian(c.parameters, force, means)
     inverse = inverses(by_force[:, :, list(c.model.sensed_axes)])
@@ -419,7 +410,7 @@ def _hidden(
     moved = np.zeros((*inverse.shape[:2], p))
     for i, (places, slopes) in enumerate(c.model.respond(c.parameters, force, means)[1]):
         moved[:, :, places] += inverse[:, :, i, None] * slopes[:, None, :]
-    Z, output_of, kind_of = terms_of(kinds, force, means)
+    Z, output_of, kind_of = projections.terms_of(kinds, force, means)
     whole = inverse[:, :, output_of] * Z.T[:, None, :]
     moved = moved.reshape(-1, p)
     error = whole - (moved @ across[:p]).reshape(whole.shape)
@@ -432,6 +423,6 @@ def _hidden(
             np.sqrt(part.shape[1]) * part[:, :, mine].reshape(-1, int(mine.sum()))
             for part in (error, whole)
         )
-        if hides(gram[np.ix_(mine, mine)], wrong, all_of_it, size):
+        if projections.hides(gram[np.ix_(mine, mine)], wrong, all_of_it, size):
             found.append(kind.name)
     return tuple(found)

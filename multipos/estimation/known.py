@@ -46,27 +46,13 @@ from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
+from multipos.numerics import factoring, least_squares, quantiles
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
-from multipos.numerics.factoring import separability, singular_values
-from multipos.numerics.least_squares import (
-    DependentColumnsError,
-    LinearFit,
-    block_design,
-    factor_alike,
-    solve,
-)
-from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.terms import linear_term
 from multipos.positions.readings import Readings, add_variances
 from multipos.results import frozen
+from multipos.sensor import fit_diagnostics
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.fit_diagnostics import (
-    UNEQUAL,
-    NoiseTest,
-    bartlett,
-    find_correlated_outliers,
-    find_outliers,
-)
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
@@ -220,8 +206,8 @@ def _factored(model: Model, phi: Array, stack: Sequence[list[int]]) -> list[Desi
     designs = phi.T[np.array([model.columns[output] for output in firsts])].transpose(0, 2, 1)
     names = [model.names[model.slices[output]] for output in firsts]
     try:
-        found = factor_alike(designs, least_norm=ZERO_NORM, names=names)
-    except DependentColumnsError as error:
+        found = least_squares.factor_alike(designs, least_norm=ZERO_NORM, names=names)
+    except least_squares.DependentColumnsError as error:
         raise _not_separable(error, model, phi, firsts[error.problem]) from None
     inverses = found.inverse @ found.Q.transpose(0, 2, 1)
     leverage = found.leverage
@@ -327,7 +313,7 @@ def _fit_plain(shared: SharedDesign, values: Array) -> tuple[Array, Array]:
         if each.condition <= _WORST:
             b, r = fit_output(each.design, each.inverse, y)
         else:
-            found = solve(each.design, y.T, least_norm=ZERO_NORM)
+            found = least_squares.solve(each.design, y.T, least_norm=ZERO_NORM)
             b, r = found.coefficients.T, found.residuals.T
         _put(shared, each, b, r, parameters, residuals)
     return parameters, residuals
@@ -423,12 +409,16 @@ def _information(group: Design, weight: Array) -> Array:
     return np.asarray(weight @ group.products).reshape(-1, p, p)
 
 
-def _solve_refined(shared: SharedDesign, output: int, y: Array, variance: Array) -> LinearFit:
+def _solve_refined(
+    shared: SharedDesign, output: int, y: Array, variance: Array
+) -> least_squares.LinearFit:
     """Return the fit of an output of one unit, in twice the working precision."""
     model, design = shared.model, shared.by_output[output].design
     names = model.names[model.slices[output]]
     try:
-        return solve(design, y, covariance=variance, least_norm=ZERO_NORM, names=names)
+        return least_squares.solve(
+            design, y, covariance=variance, least_norm=ZERO_NORM, names=names
+        )
     except RankError as error:
         raise _not_separable(error, model, shared.basis, output) from None
 
@@ -567,7 +557,7 @@ def solve_known(
     covariance = found.cofactor * np.outer(found.inflation, found.inflation)
     square = np.einsum("nm,nm->m", found.residuals, found.residuals)
     chi2 = found.chi2 if tested else None
-    claim = None if chi2 is None else NoiseTest(chi2, float(dof.sum()))
+    claim = None if chi2 is None else fit_diagnostics.NoiseTest(chi2, float(dof.sum()))
     return Solution(
         model=model,
         reference=reference,
@@ -637,7 +627,7 @@ def _condition(shared: SharedDesign, variances: Array | None) -> float:
             own = each.condition
             if variances is not None and np.ptp(variances[i, 0]):
                 white = each.design / np.sqrt(variances[i, 0])[:, None]
-                sizes = singular_values(np.asarray(np.linalg.qr(white, mode="r")))
+                sizes = factoring.singular_values(np.asarray(np.linalg.qr(white, mode="r")))
                 own = float(sizes[0] / sizes[-1])
             worst = max(worst, own)
     return worst
@@ -647,8 +637,8 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
     """Fit outputs whose readings are correlated, as one problem."""
     model, noise, (n, m) = shared.model, readings.noise, values.shape
     assert noise is not None
-    design = block_design(shared.designs).reshape(n * m, -1)
-    first = solve(design, values.ravel(), covariance=noise, names=model.names)
+    design = least_squares.block_design(shared.designs).reshape(n * m, -1)
+    first = least_squares.solve(design, values.ravel(), covariance=noise, names=model.names)
     chi2, excess, found = None, None, first
     inflation, dof = np.ones(len(model.keys)), np.full(m, np.inf)
     total = noise
@@ -657,7 +647,7 @@ def _solve_jointly(shared: SharedDesign, values: Array, readings: Readings, pool
 
         excess = estimate_excess(shared.designs, first.residuals.reshape(1, n, m), noise, pool=pool)
         total = add_variances(noise, np.tile(excess.variance[0], n))
-        found = solve(design, values.ravel(), covariance=total, names=model.names)
+        found = least_squares.solve(design, values.ravel(), covariance=total, names=model.names)
         moves, (dof,) = (found.coefficients - first.coefficients)[None], excess.dof
         u = excess.standard_uncertainty(moves, model.per_parameter(excess.dof))[0]
         inflation = u / np.sqrt(np.diag(found.cofactor))
@@ -684,7 +674,9 @@ def _of_noise(shared: SharedDesign, found: _One, pool: bool) -> Findings:
     if dof.min() == 0:
         return (_NOTHING_LEFT,)
     squares = np.einsum("nm,nm->m", found.residuals, found.residuals)
-    unequal = pool and len(dof) > 1 and bartlett(squares, dof) < UNEQUAL
+    unequal = (
+        pool and len(dof) > 1 and fit_diagnostics.bartlett(squares, dof) < fit_diagnostics.UNEQUAL
+    )
     return (_UNSUPPORTED,) if unequal else ()
 
 
@@ -705,7 +697,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
         slopes = model.linear_part(found.parameters, means)[:, 1:]
         per_g = np.linalg.norm(slopes, axis=1)
         in_force = not model.field.magnetic and np.isfinite(per_g).all() and (per_g > 0.0).all()
-        return find_outliers(
+        return fit_diagnostics.find_outliers(
             found.residuals,
             found.leverage,
             shared.dof.tolist(),
@@ -718,8 +710,8 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
         )
     assert found.sd is not None  # of the stated noise and the excess variance
     more = found.sd.ravel() ** 2 - np.diag(noise)
-    design = block_design(shared.designs)
-    return find_correlated_outliers(
+    design = least_squares.block_design(shared.designs)
+    return fit_diagnostics.find_correlated_outliers(
         design.reshape(noise.shape[0], -1),
         found.residuals,
         add_variances(noise, np.maximum(more, 0.0)),
@@ -728,9 +720,9 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
     )
 
 
-def overstated(claim: NoiseTest) -> Findings:
+def overstated(claim: fit_diagnostics.NoiseTest) -> Findings:
     """Return a warning where the residuals of all outputs are far below the stated noise."""
-    if claim.chi2 >= chi2_quantile(1.0 - REJECTED, claim.dof):
+    if claim.chi2 >= quantiles.chi2_quantile(1.0 - REJECTED, claim.dof):
         return ()
     seen = f"(chi-square {claim.chi2:.4g} on {claim.dof:g} dof)"
     text = f"residuals are smaller than the stated noise implies {seen}; U is probably too large"
@@ -754,7 +746,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     kept: list[int] = []
     for column in range(len(terms)):
         trial = [*kept, column]
-        if separability(design[:, trial], least_norm=ZERO_NORM).rank == len(trial):
+        if factoring.separability(design[:, trial], least_norm=ZERO_NORM).rank == len(trial):
             kept = trial
     formula = " + ".join(str(terms[column]) for column in kept)
     way_out = (

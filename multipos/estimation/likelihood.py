@@ -49,22 +49,14 @@ from multipos.estimation.problem import (
     put_on_circles,
     spread_inclinations,
 )
+from multipos.numerics import losses, rotations
 from multipos.numerics.arrays import Array, Mask
-from multipos.numerics.losses import loss, loss_weight
-from multipos.numerics.rotations import (
-    cross_matrix,
-    left_jacobian,
-    rotation_matrix,
-    step_derivative,
-    step_on_sphere,
-    tangent_basis,
-)
 from multipos.sensor.model import Block
 
 
 def evaluate(problem: Problem, state: State) -> Point:
     """Return the force, residuals and objective at a state."""
-    direction = step_on_sphere(state.centre, state.basis, _steps(problem, state))
+    direction = rotations.step_on_sphere(state.centre, state.basis, _steps(problem, state))
     turn = _shared_rotation(problem, state)
     if turn is not None:
         direction = np.einsum("nij,nj->ni", turn, direction)
@@ -74,7 +66,7 @@ def evaluate(problem: Problem, state: State) -> Point:
     q = np.einsum("nm,nm->n", residuals, weigh(problem.precision, residuals))
     if problem.prior.any():
         q += problem.prior * np.einsum("ni,ni->n", state.step, state.step)
-    total = q if problem.robust is None else loss(problem.robust, q, problem.degrees)
+    total = q if problem.robust is None else losses.loss(problem.robust, q, problem.degrees)
     objective = float(np.sum(total))
     if problem.has_parameter_prior:
         objective += float(np.sum(problem.model.belief(state.theta)[0] ** 2))
@@ -106,7 +98,7 @@ def linearise(problem: Problem, state: State, point: Point) -> Normal:
     mean = np.einsum("nmi,nmi->n", jacobian, weighted) / 2.0 + problem.prior
     ease = mean / (mean + np.maximum(outside, 0.0) + 1e-300)
     if problem.robust is not None:
-        weight = loss_weight(problem.robust, point.q, problem.degrees)
+        weight = losses.loss_weight(problem.robust, point.q, problem.degrees)
         marginal = weight[:, None, None] * marginal
         reduced = weight[:, None] * reduced
     shared = _by_shared(problem, state, point, by_force, moves)
@@ -175,7 +167,7 @@ def moved(
         outputs = outputs + np.einsum("nms,s->nm", normal.shared, step[p:])
         turns = np.array(
             [
-                rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
+                rotations.rotation_matrix(step[p + 3 * g : p + 3 * g + 3]) @ turn
                 for g, turn in enumerate(state.turns)
             ]
         ).reshape(-1, 3, 3)
@@ -199,9 +191,11 @@ def recentred(problem: Problem, state: State) -> State:
     if not problem.unknown.any() and problem.rolls is None:
         return state
     keep = ~problem.unknown[:, None]
-    moved = step_on_sphere(state.centre, state.basis, _steps(problem, state))
+    moved = rotations.step_on_sphere(state.centre, state.basis, _steps(problem, state))
     centre = np.where(keep, state.centre, moved) if keep.any() else moved
-    found = replace(state, centre=centre, basis=tangent_basis(centre), step=keep * state.step)
+    found = replace(
+        state, centre=centre, basis=rotations.tangent_basis(centre), step=keep * state.step
+    )
     return found if problem.rolls is None else put_on_circles(problem, problem.rolls, found, moved)
 
 
@@ -219,7 +213,7 @@ def _shared_rotation(problem: Problem, state: State) -> Array | None:
         return None
     turn = np.tile(np.eye(3), (len(problem.values), 1, 1))
     if problem.attitude is not None:
-        tilt = rotation_matrix(np.array([*state.tilt, 0.0]))
+        tilt = rotations.rotation_matrix(np.array([*state.tilt, 0.0]))
         turn = problem.attitude @ tilt @ problem.attitude.transpose(0, 2, 1)
     member = problem.group >= 0
     if member.any():
@@ -232,7 +226,7 @@ def _force_by_step(problem: Problem, state: State) -> Array:
     moves = state.basis  # dE/dt where no step was made yet
     steps = _steps(problem, state)
     if steps.any():
-        moves = step_derivative(state.centre, state.basis, steps)
+        moves = rotations.step_derivative(state.centre, state.basis, steps)
     turn = _shared_rotation(problem, state)
     if turn is not None:
         moves = np.einsum("nij,njk->nik", turn, moves)
@@ -250,7 +244,7 @@ def _by_shared(
     result = np.zeros((n, m, problem.shared))
     if not problem.shared:
         return result
-    by_turn = -by_force @ cross_matrix(point.force)
+    by_turn = -by_force @ rotations.cross_matrix(point.force)
     for g in range(problem.groups):
         member = problem.group == g
         result[member, :, 3 * g : 3 * g + 3] = by_turn[member]
@@ -262,7 +256,7 @@ def _by_shared(
         turned = problem.attitude.copy()
         member = problem.group >= 0
         turned[member] = state.turns[problem.group[member]] @ turned[member]
-        level = left_jacobian(np.array([*state.tilt, 0.0]))[:, :2]
+        level = rotations.left_jacobian(np.array([*state.tilt, 0.0]))[:, :2]
         result[:, :, -2:] = by_turn @ turned @ level
     return result
 

@@ -30,9 +30,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.descent import maximise, resume
-from multipos.estimation.known import REJECTED, overstated
-from multipos.estimation.likelihood import linearise
+from multipos.estimation import descent, known, likelihood, posteriors, starts
 from multipos.estimation.orientation_variance import (
     SEPARATING,
     Block,
@@ -44,9 +42,7 @@ from multipos.estimation.orientation_variance import (
     harmonic_mean,
     least_variance,
 )
-from multipos.estimation.posteriors import dof_of_tails, standard_uncertainty
 from multipos.estimation.problem import Optimum, Problem, Solution, start_state
-from multipos.estimation.starts import reduced_information
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.finding import Finding, Findings
@@ -153,16 +149,16 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
         return unit.problem, unit.optimum, noise
     noise = _noise_of(unit.problem, found, stated=True)
     unstated = None
-    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(REJECTED, nu):
+    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(known.REJECTED, nu):
         unstated = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
-    noise = replace(noise, findings=overstated(claim), claim=claim, unstated=unstated)
+    noise = replace(noise, findings=known.overstated(claim), claim=claim, unstated=unstated)
     return unit.problem, unit.optimum, noise
 
 
 def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> Found:
     """Return the solution with an estimated noise, given stated orientation sds."""
     first = _least_noise(problem, optimum)
-    unit, found = _find(first, resume(first, optimum), nu, both=False, stated=False)
+    unit, found = _find(first, descent.resume(first, optimum), nu, both=False, stated=False)
     noise = _noise_of(unit.problem, found, stated=False)
     estimated = Finding("estimated-noise", "note", f"estimated {_noise_in_words(noise)}")
     noise = replace(noise, findings=(estimated,))
@@ -251,7 +247,7 @@ class _Unit:
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
             problem = replace(problem, orientation_sd=sd)
-        optimum = resume(problem, self.optimum)
+        optimum = descent.resume(problem, self.optimum)
         return _Unit(self.first, problem, optimum), np.ones(1, dtype=np.bool_)
 
 
@@ -267,7 +263,7 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     if UncertainSearch.fits(problem):
         listed = UncertainSearch.of_problem(problem)
         return listed.linear(listed.begin(state))
-    normal = linearise(problem, state, point)
+    normal = likelihood.linearise(problem, state, point)
     slopes = parameter_jacobian(problem.model, state.theta, point.force, problem.environment)
     error = point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step)
     design = np.concatenate([slopes, normal.shared], axis=2)
@@ -376,7 +372,7 @@ def _at_listed(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     exact = replace(problem, orientation_sd=np.where(tied, 0.0, problem.orientation_sd))
     direction = step_on_sphere(optimum.state.centre, optimum.state.basis, optimum.state.step)
     state = start_state(exact, optimum.state.theta, direction, optimum.state.turns)
-    return exact, maximise(exact, state)
+    return exact, descent.maximise(exact, state)
 
 
 def _noise_of(problem: Problem, found: Components, *, stated: bool) -> NoiseEstimate:
@@ -391,8 +387,8 @@ def _noise_of(problem: Problem, found: Components, *, stated: bool) -> NoiseEsti
         components = VarianceComponents(reading_sd=Component(sd, u_sd))
     each = np.full(p, dof)
     if problem.has_parameter_prior:  # the noise matters less to a parameter that is known anyway
-        each = dof_of_tails(found.tails[0])
-    u = standard_uncertainty(found.U[0], each)
+        each = posteriors.dof_of_tails(found.tails[0])
+    u = posteriors.standard_uncertainty(found.U[0], each)
     return NoiseEstimate(1.0, dof, components=components, u=u, parameter_dof=each)
 
 
@@ -436,7 +432,7 @@ def estimate_tied_noise(
         variance = np.maximum(square / dof, least)
         before = 1.0 / problem.precision[0]
         problem = replace(problem, precision=np.tile(1.0 / variance, (n, 1)))
-        optimum = resume(problem, optimum)
+        optimum = descent.resume(problem, optimum)
         if np.abs(variance / before - 1.0).max() <= _CONVERGED:
             break
     # of outputs that are fitted together each has all of them
@@ -463,8 +459,8 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
 
 
 def _information(problem: Problem, optimum: Optimum) -> Array:
-    plain = linearise(problem.plain, optimum.state, optimum.point)
-    return reduced_information(plain.information, len(optimum.state.theta))
+    plain = likelihood.linearise(problem.plain, optimum.state, optimum.point)
+    return starts.reduced_information(plain.information, len(optimum.state.theta))
 
 
 def _degrees(problem: Problem, optimum: Optimum) -> Array:

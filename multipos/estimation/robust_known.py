@@ -27,27 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import RankError
+from multipos.estimation import known, robustness, stated_uncertainty
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
 from multipos.estimation.identifiability import condition, formal_only
-from multipos.estimation.known import (
-    REJECTED,
-    ROUNDING,
-    Design,
-    SharedDesign,
-    fit_output,
-    share_design,
-)
 from multipos.estimation.problem import RELATIVE_NOISE, Solution
-from multipos.estimation.robustness import (
-    ASIDE,
-    FINEST,
-    ROUNDS,
-    SET_ASIDE,
-    SETTLED,
-    aside_finding,
-    huber_factors,
-)
-from multipos.estimation.stated_uncertainty import taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.finding import Findings, about
 from multipos.numerics.arrays import Array, Mask, Places, median
@@ -299,7 +282,7 @@ class RobustFits(NamedTuple):
 
 
 def fit_outputs(
-    shared: SharedDesign, values: Array, stated: Array | None, name: Loss
+    shared: known.SharedDesign, values: Array, stated: Array | None, name: Loss
 ) -> list[RobustFits]:
     """Fit every output of B units under a loss, those of one design as so many more units.
 
@@ -326,10 +309,12 @@ def fit_outputs(
     return [found[output] for output in range(len(values))]
 
 
-def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: bool) -> RobustFits:
+def _fit(
+    shared: known.Design, y: Array, stated: Array | None, name: Loss, *, alone: bool
+) -> RobustFits:
     """Fit readings (B, n) of one design; one without noise is left out where it is not alone."""
     count, n = y.shape
-    b, r = fit_output(shared.design, shared.inverse, y)
+    b, r = known.fit_output(shared.design, shared.inverse, y)
     linear = Linear(shared.design, b, r)
     if stated is None:
         spread = np.mean((y - y.mean(axis=1, keepdims=True)) ** 2, axis=1)
@@ -342,7 +327,7 @@ def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: b
         kept=np.ones(y.shape, dtype=np.bool_),
         moves=np.zeros_like(b),
         residuals=r,
-        converged=np.einsum("bn,bn->b", r, r) > ROUNDING**2 * np.einsum("bn,bn->b", y, y),
+        converged=np.einsum("bn,bn->b", r, r) > known.ROUNDING**2 * np.einsum("bn,bn->b", y, y),
         iterations=np.zeros(count, dtype=np.intp),
         last_step=np.zeros(count),
         decrement=np.zeros(count),
@@ -350,7 +335,7 @@ def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: b
     if stated is not None or alone:
         on.converged[:] = True
     on.search(np.flatnonzero(on.converged), _HUBER)
-    _set_aside(on, None if stated is not None else (FINEST * np.abs(y).max(axis=1)) ** 2)
+    _set_aside(on, None if stated is not None else (robustness.FINEST * np.abs(y).max(axis=1)) ** 2)
     if name != _HUBER:
         on.search(np.flatnonzero(on.converged), name)
     weight = np.where(on.kept, loss_weight(name, on.q, linear.degrees), 0.0)
@@ -359,7 +344,9 @@ def _fit(shared: Design, y: Array, stated: Array | None, name: Loss, *, alone: b
     rejected = np.full(count, np.nan)
     if stated is not None:
         chi2, nu = np.sum(on.q * weight**2, axis=1), on.freedom
-        limits = {each: chi2_quantile(REJECTED, each) for each in set(nu.tolist()) if each > 0}
+        limits = {
+            each: chi2_quantile(known.REJECTED, each) for each in set(nu.tolist()) if each > 0
+        }
         beyond = chi2 > np.array([limits.get(each, np.inf) for each in nu.tolist()])
         rejected[beyond] = chi2[beyond]
         factor, dof = np.where(beyond, factor, 1.0 / EFFICIENCY), np.where(beyond, dof, np.inf)
@@ -374,12 +361,12 @@ def _factors(on: _Units, name: Loss, nu: Array) -> Array:
     """Return Huber's factor (B,) of the rows that are kept."""
     q, degrees = on.q, on.linear.degrees
     weight, slope = loss_weight(name, q, degrees), loss_slope(name, q, degrees)
-    found = huber_factors(q, degrees, weight, slope, nu)
+    found = robustness.huber_factors(q, degrees, weight, slope, nu)
     for unit in np.flatnonzero(~on.kept.all(axis=1)).tolist():
         rows = on.kept[unit]
         parts = (each[unit, rows] for each in (q, weight, slope))
         mine, own, bent = parts
-        found[unit] = huber_factors(mine, degrees[rows], own, bent, nu[unit])
+        found[unit] = robustness.huber_factors(mine, degrees[rows], own, bent, nu[unit])
     return found
 
 
@@ -389,7 +376,7 @@ def _set_aside(on: _Units, finest: Array | None) -> None:
     At most a quarter of them: beyond that it is the model that does not fit. Where no noise is
     stated it is found anew each time, `finest` (B,) at least.
     """
-    limit = chi2_quantile(1.0 - SET_ASIDE, 1.0)
+    limit = chi2_quantile(1.0 - robustness.SET_ASIDE, 1.0)
     units = np.flatnonzero(on.converged)
     for _ in range(on.kept.shape[1] // 4 + 1):
         if finest is not None:
@@ -403,14 +390,14 @@ def _set_aside(on: _Units, finest: Array | None) -> None:
         misfits = np.sqrt(q[units, rows])
         on.aside += zip(units.tolist(), rows.tolist(), misfits.tolist(), strict=True)
         on.kept[units, rows] = False
-        on.variance[units, rows] /= ASIDE
+        on.variance[units, rows] /= robustness.ASIDE
         on.search(units, _HUBER)
 
 
 def _settle_noise(on: _Units, units: Places, finest: Array) -> None:
     """Scale the noise of units until the median q of the rows that are kept is that of chance."""
     typical = chi2_quantile(0.5, 1.0)
-    for _ in range(ROUNDS):
+    for _ in range(robustness.ROUNDS):
         if not len(units):
             break
         q, kept = on.q[units] / typical, on.kept[units]
@@ -423,10 +410,10 @@ def _settle_noise(on: _Units, units: Places, finest: Array) -> None:
         ratio = np.maximum(ratio, finest[units] / least)
         on.variance[units] *= ratio[:, None]
         on.search(units, _HUBER)
-        units = units[(np.abs(np.log(ratio)) >= SETTLED) & on.converged[units]]
+        units = units[(np.abs(np.log(ratio)) >= robustness.SETTLED) & on.converged[units]]
 
 
-def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
+def estimate_robust(shared: known.SharedDesign, values: Sequence[Array], name: Loss) -> Estimates:
     """Fit B units under a robust loss.
 
     Parameters
@@ -437,12 +424,12 @@ def estimate_robust(shared: SharedDesign, values: Sequence[Array], name: Loss) -
     name : str
         Of the loss.
     """
-    blocks = taken_by_blocks(values, (), (), _AT_ONCE)
+    blocks = stated_uncertainty.taken_by_blocks(values, (), (), _AT_ONCE)
     with np.errstate(all="ignore"):  # a unit may run away, and is then left out
         return join_estimates([_estimate(shared, y, name) for y, _ in blocks])
 
 
-def _estimate(shared: SharedDesign, values: Array, name: Loss) -> Estimates:
+def _estimate(shared: known.SharedDesign, values: Array, name: Loss) -> Estimates:
     found = fit_outputs(shared, values, None, name)
     parameters = np.concatenate([each.parameters for each in found], axis=1)
     u = np.concatenate([_standard_uncertainty(each) for each in found], axis=1)
@@ -479,7 +466,7 @@ def _misfits(found: RobustFits) -> Array:
     """Return squared misfits (B, n) in units of the noise that was found."""
     on, sized = found.units, np.isfinite(found.factor) & (found.factor > 0.0)
     factor = np.where(sized, found.factor, 1.0)  # 0 where every residual is
-    return np.asarray(on.q / np.where(on.kept, 1.0, ASIDE) / factor[:, None])
+    return np.asarray(on.q / np.where(on.kept, 1.0, robustness.ASIDE) / factor[:, None])
 
 
 def _are_outlying(found: RobustFits, level: float) -> Mask:
@@ -511,7 +498,7 @@ def solve_robust_known(
     if type(model) is not Model or (noise is not None and noise.ndim == 2):
         return None
     try:
-        shared = share_design(model, reference, readings.environment)
+        shared = known.share_design(model, reference, readings.environment)
     except RankError:
         return None
     if not shared.well_posed or not np.ptp(values, axis=0).all():
@@ -522,7 +509,7 @@ def solve_robust_known(
     return _solution(shared, readings, found)
 
 
-def _solution(shared: SharedDesign, readings: Readings, found: list[RobustFits]) -> Solution:
+def _solution(shared: known.SharedDesign, readings: Readings, found: list[RobustFits]) -> Solution:
     """Return the solution of outputs that were fitted one by one, as a batch of one."""
     model, m = shared.model, len(found)
     texts = [_texts(shared, readings, i, each) for i, each in enumerate(found)]
@@ -567,7 +554,9 @@ class _Texts(NamedTuple):
     findings: Findings
 
 
-def _texts(shared: SharedDesign, readings: Readings, output: int, found: RobustFits) -> _Texts:
+def _texts(
+    shared: known.SharedDesign, readings: Readings, output: int, found: RobustFits
+) -> _Texts:
     """Return the outliers, unidentifiable parameters and findings of an output."""
     model, on, labels = shared.model, found.units, readings.labels
     m, name = len(model.outputs), model.outputs[output]
@@ -577,7 +566,9 @@ def _texts(shared: SharedDesign, readings: Readings, output: int, found: RobustF
     magnitude = float(np.linalg.norm(shared.reference, axis=1).mean())
     u = _standard_uncertainty(found)[0]
     unidentifiable = formal_only(model.only(name), found.parameters[0], u, magnitude)
-    findings: Findings = tuple(aside_finding(labels[row], size) for _, row, size in on.aside)
+    findings: Findings = tuple(
+        robustness.aside_finding(labels[row], size) for _, row, size in on.aside
+    )
     if m > 1:
         outliers = tuple(f"{name}: {text}" for text in outliers)
         unidentifiable = tuple(f"{name}: {text}" for text in unidentifiable)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
-from multipos.estimation.descent import maximise
+from multipos.estimation import descent, uncertain_orientations, unknown_orientations
 from multipos.estimation.gains import FisherInformation, information_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
@@ -42,12 +42,6 @@ from multipos.estimation.problem import (
     start_state,
     turn_about,
     turn_to_axes,
-)
-from multipos.estimation.uncertain_orientations import WIDE
-from multipos.estimation.unknown_orientations import (
-    fit_ellipsoids,
-    linear_parameters,
-    symmetric_root,
 )
 from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.least_squares import solve
@@ -74,7 +68,7 @@ def ellipsoid_start(values: Array, magnitude: float, *, crossed: bool) -> tuple[
     MultiposError
         The readings do not spread over three dimensions.
     """
-    found = fit_ellipsoids(values.T[None], crossed=crossed)
+    found = unknown_orientations.fit_ellipsoids(values.T[None], crossed=crossed)
     if (np.ptp(values, axis=0) == 0.0).any():
         raise MultiposError(
             "the readings of one output never change; turn the sensor so that every axis points "
@@ -163,7 +157,7 @@ def _ellipsoid_start(problem: Problem) -> State | None:
     if sorted(model.axes) != ["x", "y", "z"]:
         return None
     seen = _on_ellipsoid(problem)
-    theta = linear_parameters(model, seen.linear[None])[0]
+    theta = unknown_orientations.linear_parameters(model, seen.linear[None])[0]
     return start_state(problem, theta, seen.direction, _turns(problem, seen.direction))
 
 
@@ -184,7 +178,7 @@ def _on_ellipsoid(problem: Problem) -> _Ellipsoid:
     find = ellipsoid_start if problem.robust is None else _median_ellipsoid
     bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
     if model.gauge == "symmetric":
-        matrix = symmetric_root(matrix)
+        matrix = unknown_orientations.symmetric_root(matrix)
     force = np.linalg.solve(matrix, (problem.values[:, order] - bias).T).T
     direction = force / np.linalg.norm(force, axis=1)[:, None]
     turn = _hand(problem, direction)
@@ -254,7 +248,7 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
     """
     best: tuple[State, Optimum] | None = None
     fault: MultiposError | None = None
-    wide = bool((problem.orientation_sd[problem.listed] > WIDE).any())
+    wide = bool((problem.orientation_sd[problem.listed] > uncertain_orientations.WIDE).any())
     for start in ways(problem):
         try:
             state = start(problem)
@@ -265,7 +259,7 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
             continue
         if state is None:
             continue
-        found = maximise(problem, state)
+        found = descent.maximise(problem, state)
         if problem.adrift:
             found = _positive(problem, found)
         if best is None or _is_better(found, best[1]):
@@ -387,7 +381,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
     # Exact under the lower gauge; under the symmetric one only near, hence the search again.
     theta = np.where(odd, -state.theta, state.theta)
     size = np.linalg.norm(optimum.point.force, axis=1)[:, None]
-    return maximise(
+    return descent.maximise(
         problem,
         start_state(
             problem,

@@ -17,16 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.laws import (
-    Correction,
-    Law,
-    check_inputs,
-    in_metres,
-    law_residuals,
-    raw_zero,
-    reduce_to,
-    rms_left,
-)
+from multipos.exports import laws
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
@@ -50,9 +41,9 @@ def parameter_target(
     formula: str,
     *,
     raw: Literal["readings", "counts", "m/s^2"],
-    write: Callable[[Calibration, Correction, Wish], Written],
+    write: Callable[[Calibration, laws.Correction, Wish], Written],
     recognises: Callable[[str], bool],
-    read: Callable[[str, str], Correction],
+    read: Callable[[str, str], laws.Correction],
     suffix: str,
     thermal: bool = False,
     takes: tuple[str, ...] = (),
@@ -89,12 +80,12 @@ def parameter_target(
     offset_alone : bool
         Whether it takes the offset and no matrix.
     """
-    of_target = partial(reduce_to, thermal=thermal, tesla=tesla, offset_alone=offset_alone)
+    of_target = partial(laws.reduce_to, thermal=thermal, tesla=tesla, offset_alone=offset_alone)
 
     def write_file(calibration: Calibration, wish: Wish) -> Exported:
-        check_inputs(calibration, name, thermal=thermal)
-        metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
-        zero = 0.0 if raw == "readings" else raw_zero(calibration)
+        laws.check_inputs(calibration, name, thermal=thermal)
+        metres = laws.in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
+        zero = 0.0 if raw == "readings" else laws.raw_zero(calibration)
         law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
         text, found = write(calibration, law.correction.of_raw_in(metres, zero), wish)
         if law.lost:
@@ -109,17 +100,17 @@ def parameter_target(
         given = read(file.path, file.text)
         if (stated := _NOMINAL.search(file.text)) is not None:
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
-        check_inputs(calibration, name, thermal=thermal)
+        laws.check_inputs(calibration, name, thermal=thermal)
         expected = of_target(calibration, formula, name, allow_lossy=True).correction
-        metres = in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
-        zero = 0.0 if raw == "readings" else raw_zero(calibration)
+        metres = laws.in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
+        zero = 0.0 if raw == "readings" else laws.raw_zero(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
             law = given.of_raw_in(1.0 / metres, -zero * metres)._replace(turn=expected.turn)
-            residuals = law_residuals(calibration, law, tesla)
-            should = law_residuals(calibration, expected, tesla)
+            residuals = laws.law_residuals(calibration, law, tesla)
+            should = laws.law_residuals(calibration, expected, tesla)
             thermal_too = (given.drift is None) == (expected.drift is None)
             difference = float(np.abs(residuals - should).max()) if thermal_too else np.inf
-            rms = rms_left(calibration, residuals)
+            rms = laws.rms_left(calibration, residuals)
         return Verification(
             target=name,
             axes=COMPONENTS,
@@ -138,11 +129,13 @@ def parameter_target(
     return Target(name, write_file, recognises, read_file, suffix, takes=takes, magnetic=magnetic)
 
 
-def _residual_error(calibration: Calibration, law: Law, called: str, tesla: float | None) -> str:
+def _residual_error(
+    calibration: Calibration, law: laws.Law, called: str, tesla: float | None
+) -> str:
     """Return in words what a law leaves of the readings, beside no calibration and a full one."""
     before, full = rms_before(calibration), _rms(calibration, calibration.rms)
     beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
-    residuals = law_residuals(calibration, law.correction, tesla)
+    residuals = laws.law_residuals(calibration, law.correction, tesla)
     turned = hidden_turn(calibration, calibration.sign * residuals) is not None
     left = ", without a rotation in the case, which positions set by hand hide" if turned else ""
     return (

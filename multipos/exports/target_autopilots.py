@@ -56,15 +56,8 @@ from functools import partial
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.exports import parameters
 from multipos.exports.laws import DIAGONAL, LINEAR, Correction, Drift, scale_per_g
-from multipos.exports.parameters import (
-    Written,
-    origin,
-    parameter_target,
-    read_named,
-    require_instance,
-    require_writable,
-)
 from multipos.exports.target import Wish
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array
@@ -109,7 +102,7 @@ def _values(
     values = np.concatenate([sign * law.offset, np.diag(law.matrix), beside])[: len(names)].tolist()
     for name, value in zip(names, values, strict=True):
         if value or "ODI" not in name:
-            require_writable(calibration, name, value, np.finfo(np.float32))
+            parameters.require_writable(calibration, name, value, np.finfo(np.float32))
     return list(zip(names, values, strict=True))
 
 
@@ -142,7 +135,7 @@ def _reader(
     """Return what reads the file of a magnetometer."""
 
     def read(path: str, text: str) -> Correction:
-        return _correction(read_named(path, text, names(_instance(given, text))), sign)
+        return _correction(parameters.read_named(path, text, names(_instance(given, text))), sign)
 
     return read
 
@@ -154,7 +147,7 @@ def _turned(law: Correction) -> list[str]:
     return ["the matrix is the symmetric root: orientations were unknown, and so is a turn"]
 
 
-_target = partial(parameter_target, raw="m/s^2", takes=("instance", "device_id"))
+_target = partial(parameters.parameter_target, raw="m/s^2", takes=("instance", "device_id"))
 
 
 # --- PX4
@@ -184,15 +177,15 @@ def _params_text(head: list[str], found: _Values) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> Written:
-    instance = require_instance(wish, "px4", _PX4_INSTANCES)
+def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
+    instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
     found = _values(calibration, law, _px4_names(instance))
     missing = _identified(found, f"CAL_ACC{instance}_ID", wish, px4=True)
     thermal = ""
     if law.drift is not None:
         found += _px4_thermal(law.drift, instance, wish.device_id)
         thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
-    head = [*origin(calibration), f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"]
+    head = [*parameters.origin(calibration), f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"]
     return _params_text(head, found), missing
 
 
@@ -210,20 +203,20 @@ def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
 
 def _read_px4(path: str, text: str) -> Correction:
     instance = _instance(_PX4_GIVEN, text)
-    numbers = read_named(path, text, _px4_names(instance))
+    numbers = parameters.read_named(path, text, _px4_names(instance))
     drift = None
     if any(name in text for name in _px4_slopes(instance)):
-        slopes = read_named(path, text, _px4_slopes(instance)).reshape(3, 3)
-        drift = Drift(slopes, *read_named(path, text, _px4_limits(instance)).tolist())
+        slopes = parameters.read_named(path, text, _px4_slopes(instance)).reshape(3, 3)
+        drift = Drift(slopes, *parameters.read_named(path, text, _px4_limits(instance)).tolist())
     return _correction(numbers, drift=drift)
 
 
-def _write_px4_mag(calibration: Calibration, law: Correction, wish: Wish) -> Written:
-    instance = require_instance(wish, "px4", _PX4_INSTANCES)
+def _write_px4_mag(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
+    instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
     found = _values(calibration, law, _px4_mag_names(instance))
     missing = _identified(found, f"CAL_MAG{instance}_ID", wish, px4=True)
     equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
-    return _params_text([*origin(calibration), *_turned(law), equation], found), missing
+    return _params_text([*parameters.origin(calibration), *_turned(law), equation], found), missing
 
 
 PX4 = _target(
@@ -287,8 +280,8 @@ def _parm_text(head: list[str], found: _Values) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> Written:
-    instance = require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
+def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
+    instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
     found = _values(calibration, law, _ardupilot_names(instance))
     findings = _beyond(found, magnetic=False)
     sensor = f"INS_ACC{_numbered(instance)}_ID"
@@ -297,7 +290,7 @@ def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> W
     if law.drift is not None:
         found += _ardupilot_thermal(law.drift, instance)
         thermal = " - p(t) + p(CALTEMP)"
-    head = [*origin(calibration), f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"]
+    head = [*parameters.origin(calibration), f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"]
     return _parm_text(head, found), findings
 
 
@@ -315,23 +308,27 @@ def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
 
 def _read_ardupilot(path: str, text: str) -> Correction:
     instance = _instance(_ARDUPILOT_GIVEN, text)
-    numbers, drift = read_named(path, text, _ardupilot_names(instance)), None
+    numbers, drift = parameters.read_named(path, text, _ardupilot_names(instance)), None
     if any(name in text for name in _ardupilot_slopes(instance)):
-        slopes = read_named(path, text, _ardupilot_slopes(instance)).reshape(3, 3) * _UNIT
-        at, low, high = read_named(path, text, _ardupilot_limits(instance)).tolist()
+        slopes = (
+            parameters.read_named(path, text, _ardupilot_slopes(instance)).reshape(3, 3) * _UNIT
+        )
+        at, low, high = parameters.read_named(path, text, _ardupilot_limits(instance)).tolist()
         drift = Drift(slopes, _REFERENCE, low, high)
         numbers[:3] -= drift.offset(at)
     return _correction(numbers, drift=drift)
 
 
-def _write_ardupilot_mag(calibration: Calibration, law: Correction, wish: Wish) -> Written:
-    instance = require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
+def _write_ardupilot_mag(
+    calibration: Calibration, law: Correction, wish: Wish
+) -> parameters.Written:
+    instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
     found = _values(calibration, law, _ardupilot_mag_names(instance), -1.0)
     findings = _beyond(found, magnetic=True)
     sensor = f"COMPASS_DEV_ID{_numbered(instance)}"
     findings += _identified(found, sensor, wish, px4=False)
     equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
-    return _parm_text([*origin(calibration), *_turned(law), equation], found), findings
+    return _parm_text([*parameters.origin(calibration), *_turned(law), equation], found), findings
 
 
 ARDUPILOT = _target(
@@ -381,7 +378,7 @@ def _counts_of_g(calibration: Calibration) -> int:
     return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
 
 
-def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> Written:
+def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
     counts = _counts_of_g(calibration)
     slopes = np.diag(law.matrix) / STANDARD_GRAVITY
     zeros, gains = np.rint(law.offset), np.rint(_INAV_UNITY * counts * slopes)
@@ -396,7 +393,7 @@ def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> Written:
             )
     whole = [int(value) for value in values]
     lines = [
-        *(f"# {line}" for line in origin(calibration)),
+        *(f"# {line}" for line in parameters.origin(calibration)),
         f"# 1G = {counts} counts, corrected = (raw - acczero) accgain / (4096 1G) in g",
         *(f"set {name} = {value}" for name, value in zip(_INAV_NAMES, whole, strict=True)),
         "save",
@@ -416,7 +413,7 @@ def _read_inav(path: str, text: str) -> Correction:
     if nominal is None:
         raise MultiposError(f"{path}: the line '# 1G = … counts' is missing; export again.")
     given = re.sub(r"^\s*set\s+(\w+)\s*=", r"\1 ", text, flags=re.MULTILINE)
-    numbers = read_named(path, given, _INAV_NAMES)
+    numbers = parameters.read_named(path, given, _INAV_NAMES)
     gain = numbers[3:] / (_INAV_UNITY * int(nominal["counts"]))
     return Correction(np.diag(gain * STANDARD_GRAVITY), numbers[:3])
 
@@ -427,7 +424,7 @@ def _rounding_of_inav(calibration: Calibration) -> float:
     return 0.51 / _counts_of_g(calibration) + 0.51 * largest / _INAV_UNITY * 1.5
 
 
-INAV = parameter_target(
+INAV = parameters.parameter_target(
     "inav",
     DIAGONAL,
     raw="counts",

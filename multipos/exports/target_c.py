@@ -28,22 +28,8 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
+from multipos.exports import c_expression, c_fixed, c_running, laws, parameters
 from multipos.exports.c_body import environment_range, function_body, literal, written_factors
-from multipos.exports.c_expression import expression_body, unseen_part
-from multipos.exports.c_fixed import (
-    FIXED,
-    FixedPoint,
-    find_fixed_point,
-    fixed_body,
-    fixed_defines,
-    fixed_forces,
-    fixed_notes,
-    fixed_signature,
-    fixed_test,
-)
-from multipos.exports.c_running import fill, run_c
-from multipos.exports.laws import rms_left
-from multipos.exports.parameters import size_of
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
@@ -131,7 +117,7 @@ def _closed(calibration: Calibration, name: str, single: bool, lines: list[str])
 def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:
     """Return eq. (1), where the model has the component that no output senses."""
     if isinstance(calibration.model, ExpressionModel):
-        lines, parts = unseen_part(calibration, single=single)
+        lines, parts = c_expression.unseen_part(calibration, single=single)
     else:
         lines, parts = [], _of_third(calibration, single)
     if not any(parts):
@@ -217,7 +203,7 @@ def c_source(
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
     if isinstance(calibration.model, ExpressionModel):
-        body, how, library = expression_body(calibration, single=single)
+        body, how, library = c_expression.expression_body(calibration, single=single)
     else:
         (body, how), library = function_body(calibration, single=single), False
     include = "#include <math.h>\n\n" if library or tilt else ""
@@ -242,15 +228,15 @@ def of_field(text: str, calibration: Calibration) -> str:
     return re.sub(r"\baccel\b", "field", text) if calibration.field.magnetic else text
 
 
-def fixed_source(fixed: FixedPoint, name: str) -> str:
+def fixed_source(fixed: c_fixed.FixedPoint, name: str) -> str:
     """Return the C99 file of a calibration in whole numbers."""
     require_identifier(name)
     how = "one matrix product" if not fixed.products else f"{1 + fixed.steps} steps"
     unit = _unit(fixed.calibration)
-    head = _header(fixed.calibration, name, how, unit, False, fixed_notes(fixed, name))
+    head = _header(fixed.calibration, name, how, unit, False, c_fixed.fixed_notes(fixed, name))
     text = (
-        f"{head}\n#include <stdint.h>\n\n{fixed_defines(fixed, name)}\n"
-        f"{fixed_signature(fixed.calibration, name)}\n{fixed_body(fixed)}"
+        f"{head}\n#include <stdint.h>\n\n{c_fixed.fixed_defines(fixed, name)}\n"
+        f"{c_fixed.fixed_signature(fixed.calibration, name)}\n{c_fixed.fixed_body(fixed)}"
     )
     return of_field(text, fixed.calibration)
 
@@ -297,7 +283,7 @@ def c_test(
         text += "\n" + array("angle", _angles(calibration, raw, env), single)
         declared += f"\n{tilt_signature(calibration, name, single)};"
         checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
-    filled = fill(
+    filled = c_running.fill(
         "test.c",
         name=name,
         kind=kind,
@@ -325,7 +311,7 @@ def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
     """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
     words = {"f": "f", "tolerance": "2e-6f"} if single else {"f": "", "tolerance": "1e-9"}
     turn = literal(np.pi / 180.0, single)
-    return fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
+    return c_running.fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
 
 
 def _require_held(calibration: Calibration, single: bool) -> None:
@@ -456,8 +442,8 @@ _SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the ca
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:
     if wish.fixed:
-        fixed = find_fixed_point(calibration)
-        test = of_field(fixed_test(fixed, wish.name), calibration)
+        fixed = c_fixed.find_fixed_point(calibration)
+        test = of_field(c_fixed.fixed_test(fixed, wish.name), calibration)
         return Exported(C.name, fixed_source(fixed, wish.name), test)
     form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
@@ -466,7 +452,7 @@ def _write(calibration: Calibration, wish: Wish) -> Exported:
 
 def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     path = file.path
-    if FIXED.search(file.text):
+    if c_fixed.FIXED.search(file.text):
         return _read_back_fixed(file, calibration)
     found = SIGNATURE.search(file.text)
     assert found is not None  # or another target would have been asked
@@ -483,7 +469,7 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     if single:
         rows = rows.astype(np.float32).astype(np.float64)
     declared = signature(calibration, name, single)
-    force = run_c(path, file.raw, calibration, declared, rows)
+    force = c_running.run_c(path, file.raw, calibration, declared, rows)
     if in_metres:
         force = force / STANDARD_GRAVITY
     should = calibration.compensate(
@@ -492,24 +478,24 @@ def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
     )
     difference = float(np.abs(force - should).max())
     target = f"{C.name}, single precision" if single else C.name
-    allowed = _SAME[found["type"]] * size_of(calibration)
+    allowed = _SAME[found["type"]] * parameters.size_of(calibration)
     findings = find_strange(path, difference, allowed, calibration.field)
     return _verified(target, calibration, force, difference, foreign, findings)
 
 
 def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
     """Return what a function of whole numbers makes of the readings, to the bit as Python does."""
-    found = FIXED.search(file.text)
+    found = c_fixed.FIXED.search(file.text)
     assert found is not None
     _check_sizes(file.path, found, calibration)
-    fixed = find_fixed_point(calibration)
+    fixed = c_fixed.find_fixed_point(calibration)
     foreign = is_foreign(file, fixed_source(fixed, found["name"]))
     rows = fixed.whole(calibration.readings.values)
-    declared = fixed_signature(calibration, found["name"])
-    whole = run_c(file.path, file.raw, calibration, declared, rows.astype(np.float64))
+    declared = c_fixed.fixed_signature(calibration, found["name"])
+    whole = c_running.run_c(file.path, file.raw, calibration, declared, rows.astype(np.float64))
     findings = find_strange(
         file.path,
-        float(np.abs(whole - fixed_forces(fixed, rows)).max()) / fixed.accel_per_g,
+        float(np.abs(whole - c_fixed.fixed_forces(fixed, rows)).max()) / fixed.accel_per_g,
         0.0,
         calibration.field,
     )
@@ -535,7 +521,7 @@ def _verified(
         axes=tuple(COMPONENTS[i] for i in sensed),
         positions=calibration.readings.labels,
         residuals=all_axes[:, sensed],
-        rms=rms_left(calibration, all_axes),
+        rms=laws.rms_left(calibration, all_axes),
         calibration_rms=calibration.rms,
         difference=difference,
         foreign=foreign,
@@ -600,7 +586,7 @@ def difference_of(raw: bytes, own: bytes) -> str:
 C = Target(
     name="c",
     write=_write,
-    recognises=lambda text: any(form.search(text) for form in (SIGNATURE, FIXED)),
+    recognises=lambda text: any(form.search(text) for form in (SIGNATURE, c_fixed.FIXED)),
     read_back=_read_back,
     suffix=".c",
     is_code=True,

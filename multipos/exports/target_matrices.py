@@ -50,15 +50,8 @@ import numpy as np
 
 from multipos.bias_stability.stability_result import Stability
 from multipos.errors import MultiposError, UsageError
+from multipos.exports import parameters
 from multipos.exports.laws import LINEAR, Correction, in_metres
-from multipos.exports.parameters import (
-    Written,
-    origin,
-    parameter_target,
-    read_named,
-    read_numbers,
-    require_writable,
-)
 from multipos.exports.target import Exported, Wish
 from multipos.files.spelling import visible
 from multipos.files.trees import to_json
@@ -80,10 +73,10 @@ _NO_NOISE = Finding(
 )
 
 
-def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> Written:
+def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
     response, turn = _in_own_axes(np.asarray(np.linalg.inv(law.matrix), dtype=np.float64))
     for key, array in (("M", response), ("bias", law.offset)):
-        require_writable(calibration, key, array, np.finfo(np.float64))
+        parameters.require_writable(calibration, key, array, np.finfo(np.float64))
     findings = []
     turned: list[str] = []
     if not np.array_equal(turn, np.eye(3)):
@@ -103,7 +96,7 @@ def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> Writ
             f"  update_rate: {float(wish.stability.sample_rate)!r}  # Hz",
         ]
     lines = [
-        *(f"# {line}" for line in origin(calibration)),
+        *(f"# {line}" for line in parameters.origin(calibration)),
         f"# raw = M {'C_i_case ' * bool(turned)}a + bias in m/s^2; Kalibr has no constant bias",
         "imu0:",
         "  model: scale-misalignment",
@@ -191,10 +184,10 @@ def _read_kalibr(path: str, text: str) -> Correction:
 
 def _cells(path: str, key: str, text: str, count: int) -> Array:
     cells = [cell for row in re.findall(_ROW, text) for cell in re.findall(r"[^\s,\[\]]+", row)]
-    return read_numbers(path, key, cells, count)
+    return parameters.read_numbers(path, key, cells, count)
 
 
-KALIBR = parameter_target(
+KALIBR = parameters.parameter_target(
     "kalibr",
     LINEAR,
     raw="m/s^2",
@@ -255,14 +248,14 @@ def write_noise(stability: Stability, to: str) -> Exported:
     return Exported("ros", "\n".join(lines) + "\n")
 
 
-def _write_imu_calib(calibration: Calibration, law: Correction, _: Wish) -> Written:
+def _write_imu_calib(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
     matrix, bias = law.matrix, law.matrix @ law.offset
     for key, array in (("SM", matrix), ("bias", bias)):
-        require_writable(calibration, key, array, np.finfo(np.float64))
+        parameters.require_writable(calibration, key, array, np.finfo(np.float64))
     unit = calibration.model.unit
     raw = "the unit of the readings" if unit == "reading" else unit
     lines = [
-        *(f"# {line}" for line in origin(calibration)),
+        *(f"# {line}" for line in parameters.origin(calibration)),
         f"# corrected = SM raw - bias in m/s^2, raw in {visible(raw)}",
         f"SM: {matrix.ravel().tolist()}",
         f"bias: {bias.tolist()}",
@@ -280,7 +273,7 @@ def _read_imu_calib(path: str, text: str) -> Correction:
     for key, count in (("SM", 9), ("bias", 3)):
         block = re.search(rf"^{key}:\s*\[([^\]]*)\]", text, re.MULTILINE)
         cells = re.findall(r"[^\s,]+", block[1]) if block else []
-        found[key] = read_numbers(path, key, cells, count)
+        found[key] = parameters.read_numbers(path, key, cells, count)
     matrix = found["SM"].reshape(3, 3)
     try:
         return Correction(matrix, np.asarray(np.linalg.solve(matrix, found["bias"])))
@@ -288,7 +281,7 @@ def _read_imu_calib(path: str, text: str) -> Correction:
         raise MultiposError(f"{path}: SM has no inverse; export again.") from None
 
 
-ROS = parameter_target(
+ROS = parameters.parameter_target(
     "ros-imu-calib",
     LINEAR,
     raw="readings",
@@ -304,7 +297,7 @@ _RAW = "a.u."  # how imucal calls a unit of its own
 _ACCELERATION = {"K_a": (3, 3), "R_a": (3, 3), "b_a": (3,)}
 
 
-def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> Written:
+def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
     response = np.linalg.inv(law.matrix)
     scale = np.linalg.norm(response, axis=1)
     found = {
@@ -313,7 +306,7 @@ def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> Written
         "b_a": law.offset,
     }
     for key, array in found.items():
-        require_writable(calibration, key, array, np.finfo(np.float64))
+        parameters.require_writable(calibration, key, array, np.finfo(np.float64))
     unit = calibration.model.unit
     nothing = np.zeros(3)
     content = {
@@ -321,7 +314,7 @@ def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> Written
         "gyr_unit": None,
         "from_acc_unit": _RAW if unit == "reading" else visible(unit),
         "from_gyr_unit": None,
-        "comment": "; ".join(origin(calibration)),
+        "comment": "; ".join(parameters.origin(calibration)),
         **found,
         "K_g": np.eye(3),
         "R_g": np.eye(3),
@@ -367,7 +360,7 @@ def _numbers_imucal(path: str, held: dict[str, object], key: str) -> Array:
     return values
 
 
-IMUCAL = parameter_target(
+IMUCAL = parameters.parameter_target(
     "imucal",
     LINEAR,
     raw="readings",
@@ -383,11 +376,11 @@ IMUCAL = parameter_target(
 _MAG_BIAS = tuple(f"mag_bias_{axis}" for axis in "xyz")
 
 
-def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> Written:
+def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
     for name, value in zip(_MAG_BIAS, law.offset, strict=True):
-        require_writable(calibration, name, value, np.finfo(np.float64))
+        parameters.require_writable(calibration, name, value, np.finfo(np.float64))
     lines = [
-        *(f"# {line}" for line in origin(calibration)),
+        *(f"# {line}" for line in parameters.origin(calibration)),
         "# imu_filter_madgwick: corrected = raw - mag_bias, in tesla; soft iron is not corrected",
         "/**:",
         "  ros__parameters:",
@@ -397,14 +390,14 @@ def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> W
 
 
 def _read_magnetometer(path: str, text: str) -> Correction:
-    return Correction(np.eye(3), read_named(path, text.replace(":", " "), _MAG_BIAS))
+    return Correction(np.eye(3), parameters.read_named(path, text.replace(":", " "), _MAG_BIAS))
 
 
 def _recognises_magnetometer(text: str) -> bool:
     return all(re.search(rf"^\s*{name}:", text, re.MULTILINE) for name in _MAG_BIAS)
 
 
-ROS_MAGNETOMETER = parameter_target(
+ROS_MAGNETOMETER = parameters.parameter_target(
     "ros",
     LINEAR,
     raw="m/s^2",

@@ -21,26 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files import handed, spelling, whole
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
-from multipos.files.handed import (
-    ARROW,
-    OLE,
-    WORKBOOK,
-    ZIP,
-    is_json,
-    is_packed,
-    members,
-    read_arrow,
-    read_json_columns,
-    require_extra,
-    take_in,
-    unpack,
-    workbook_text,
-)
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
-from multipos.files.spelling import as_cell, control_characters, is_risky, of_cell, visible
-from multipos.files.whole import read_bytes, reading, write_text
 from multipos.results import frozen
 
 _FINITE = float(np.finfo(np.float64).max)
@@ -94,10 +78,10 @@ class Table:
         """
         labels = self.unchecked(name)
         for row, label in enumerate(() if "".join(labels).isprintable() else labels):
-            if control_characters(label):
+            if spelling.control_characters(label):
                 raise MultiposError(
-                    f"{self.where(row, name)}: '{visible(label)}' has a control character; write "
-                    "it without."
+                    f"{self.where(row, name)}: '{spelling.visible(label)}' has a control "
+                    "character; write it without."
                 )
         return labels
 
@@ -106,7 +90,7 @@ class Table:
         cells = self.columns[name]
         if set(map(type, cells)) == {int}:
             return tuple(map(str, cells))
-        return tuple(of_cell(_label(cell)) for cell in cells)
+        return tuple(spelling.of_cell(_label(cell)) for cell in cells)
 
     def number(
         self, name: str, *, empty: bool = False, largest: float = math.inf
@@ -212,7 +196,7 @@ def read_table(
     """
     if isinstance(source, Table):
         return source
-    given = take_in(source, what, outputs)
+    given = handed.take_in(source, what, outputs)
     return _of_columns(given, what) if isinstance(given, Mapping) else _read_file(given, what)
 
 
@@ -254,16 +238,18 @@ def open_table(path: str | os.PathLike[str], *, what: str = "table", head: bytes
 def _read_file(path: str | os.PathLike[str], what: str) -> Table:
     if not isinstance(path, Pipe) and is_pipe(path):
         path = rereadable(path)
-    with reading(path, what), Path(path).open("rb") as stream:
+    with whole.reading(path, what), Path(path).open("rb") as stream:
         head = stream.read(1 << 10)
-    if is_packed(head):  # what people compare is the file that they have
-        sha256 = _sha256(read_bytes(path, what))
-        table = _read_file(unpack(path), what)
+    if handed.is_packed(head):  # what people compare is the file that they have
+        sha256 = _sha256(whole.read_bytes(path, what))
+        table = _read_file(handed.unpack(path), what)
         return replace(table, sha256=sha256, content=table.sha256)
-    if not head.startswith(ARROW) and not is_json(head):
+    if not head.startswith(handed.ARROW) and not handed.is_json(head):
         return _read_csv(path, what)
-    columns = read_json_columns(path, what) if is_json(head) else read_arrow(path)
-    sha256 = _sha256(read_bytes(path, what))
+    columns = (
+        handed.read_json_columns(path, what) if handed.is_json(head) else handed.read_arrow(path)
+    )
+    sha256 = _sha256(whole.read_bytes(path, what))
     return replace(_of_columns(columns, str(path)), sha256=sha256)
 
 
@@ -274,16 +260,16 @@ def _sha256(raw: bytes) -> str:
 
 
 def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
-    raw = read_bytes(path, what)
+    raw = whole.read_bytes(path, what)
     sha256 = _sha256(raw)
-    if raw.startswith((ZIP, OLE)):
-        names = members(path)
-        if names and not any(name.endswith(WORKBOOK) for name in names):
+    if raw.startswith((handed.ZIP, handed.OLE)):
+        names = handed.members(path)
+        if names and not any(name.endswith(handed.WORKBOOK) for name in names):
             raise MultiposError(
                 f"{path}: the archive is no workbook; unpack it, or give a log to multipos "
                 "calibrate."
             )
-        raw = workbook_text(path).encode()
+        raw = handed.workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()
     plain = read_plain(raw) if len(raw) > _LONG else None
@@ -427,9 +413,9 @@ def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
 
 def _check_names(source: str | os.PathLike[str], names: Iterable[str]) -> None:
     for place, name in enumerate(names, start=1):
-        if control_characters(name):
+        if spelling.control_characters(name):
             raise MultiposError(
-                f"{source}: the name of column {place}, '{visible(name)}', has a control "
+                f"{source}: the name of column {place}, '{spelling.visible(name)}', has a control "
                 "character; rename it."
             )
 
@@ -506,7 +492,7 @@ def format_rows(
             if delimiter == ";":
                 cells = [cell.replace(".", ",") for cell in cells]
         else:
-            cells = [as_cell(cell) if isinstance(cell, str) else cell for cell in cells]
+            cells = [spelling.as_cell(cell) if isinstance(cell, str) else cell for cell in cells]
         lists.append(cells)
     stream = io.StringIO()
     rows = zip(*lists, strict=True)
@@ -516,12 +502,12 @@ def format_rows(
 
 def safe_rows(lines: list[str], delimiter: str) -> list[str]:
     """Return rows of CSV with their cells as `format_csv` writes text, the rest untouched."""
-    if not is_risky("\n".join(lines)):
+    if not spelling.is_risky("\n".join(lines)):
         return lines
     stream = io.StringIO()
     writer = csv.writer(stream, delimiter=delimiter, lineterminator="\n")
     writer.writerows(
-        [as_cell(cell) for cell in row] for row in csv.reader(lines, delimiter=delimiter)
+        [spelling.as_cell(cell) for cell in row] for row in csv.reader(lines, delimiter=delimiter)
     )
     return stream.getvalue().split("\n")[:-1]
 
@@ -548,7 +534,7 @@ def write_table(path: str | os.PathLike[str], columns: Source) -> None:
     >>> Path("run.csv").read_text().split()
     ['angle,volt', '0.0,0.012', '90.0,']
     """
-    write_text(path, format_csv(read_table(columns).columns))
+    whole.write_text(path, format_csv(read_table(columns).columns))
 
 
 def to_parquet(parts: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
@@ -559,7 +545,7 @@ def to_parquet(parts: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
     MultiposError
         `pyarrow` is not installed.
     """
-    require_extra("the result", "a Parquet file", "pyarrow", "parquet", "writes")
+    handed.require_extra("the result", "a Parquet file", "pyarrow", "parquet", "writes")
     import pyarrow as pa
     from pyarrow import parquet
 

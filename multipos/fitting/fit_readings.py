@@ -25,17 +25,11 @@ from multipos.diagnostics.examination import examine
 from multipos.diagnostics.magnetic import moving_iron
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.errors import MultiposError, UsageError
+from multipos.estimation import correlated_rows, stated_uncertainty, uncertain
 from multipos.estimation.closed_form import solve_closed_form
-from multipos.estimation.correlated_rows import spread_correlation
 from multipos.estimation.known import solve_known
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
-from multipos.estimation.stated_uncertainty import (
-    add_reference_noise,
-    shrink_variances,
-    with_stated_dof,
-)
-from multipos.estimation.uncertain import solve_uncertain
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, warn
@@ -45,16 +39,9 @@ from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import ModelText, Term, formula_columns, largest_value
+from multipos.positions import headers, orientations
 from multipos.positions.attitudes import CONVENTIONS, Convention
-from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.positions.order import Order
-from multipos.positions.orientations import (
-    StatedOrientations,
-    as_used,
-    orient,
-    place,
-    without_orientation,
-)
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
 from multipos.positions.scheme import Scheme
@@ -359,10 +346,10 @@ def fit(
     _check_environment(data, built)
     size = signed_size(sensed, convention)
     if free:
-        data = without_orientation(data, scheme)
+        data = orientations.without_orientation(data, scheme)
     else:
-        data = orient(data, scheme, order, estimable=True)
-    stated_up = place(data, size, **options.spread)
+        data = orientations.orient(data, scheme, order, estimable=True)
+    stated_up = orientations.place(data, size, **options.spread)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
     sought: Names = "none" if closed_form else exclude
@@ -370,7 +357,7 @@ def fit(
     whole, everywhere = data, stated_up.reference
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
-        stated_up = place(data, size, **options.spread)
+        stated_up = orientations.place(data, size, **options.spread)
     refuse_drowned(data)
     try:
         calibration = calibrate_at(built, data, stated_up, options)
@@ -418,7 +405,7 @@ def _magnetic(
         )
     findings = list(readings.findings)
     if stated is None:
-        by = "unit" if readings.unit in MAGNETIC_UNITS else "names"
+        by = "unit" if readings.unit in headers.MAGNETIC_UNITS else "names"
         text = f"outputs {', '.join(readings.outputs)} sense a magnetic field, by their {by}"
         findings.append(Finding("magnetic", "note", text, "State another with --field."))
     free = options.unknown_orientation
@@ -432,7 +419,7 @@ def _magnetic(
 
 
 def find_apart(
-    model: Model, readings: Readings, stated_up: StatedOrientations, exclude: Names
+    model: Model, readings: Readings, stated_up: orientations.StatedOrientations, exclude: Names
 ) -> Mask:
     """Return which rows (n,) are to be set aside.
 
@@ -451,7 +438,9 @@ def find_apart(
         saturated = saturated_few(readings.findings, len(readings)) if known is None else ()
         apart[[label in saturated for label in readings.labels]] = True
         left = select_rows(readings, ~apart) if apart.any() else readings
-        found = find_outlying_rows(model, shrink_variances(left), known, stated_up.orientation_sd)
+        found = find_outlying_rows(
+            model, stated_uncertainty.shrink_variances(left), known, stated_up.orientation_sd
+        )
         if found is not None:
             apart[np.flatnonzero(~apart)[found.rows]] = True
         return apart
@@ -542,7 +531,7 @@ def _with_grid_variance(
 def calibrate_at(
     model: Model,
     readings: Readings,
-    stated_up: StatedOrientations,
+    stated_up: orientations.StatedOrientations,
     options: Options,
     *,
     ordered: bool = True,
@@ -559,7 +548,7 @@ def calibrate_at(
     estimator = choose_estimator(options, stated_up)
     if options.robust is not None and stated_up.exact:
         _require_spare(model, len(readings))
-    readings = shrink_variances(readings)
+    readings = stated_uncertainty.shrink_variances(readings)
     solve = _solver(estimator, readings, stated_up, options)
     chosen = None
     if options.stepwise:
@@ -567,7 +556,7 @@ def calibrate_at(
     solution = solve(model)
     if readings.reference_u is not None:
         tested = readings.noise is not None
-        readings = add_reference_noise(readings, solution)
+        readings = stated_uncertainty.add_reference_noise(readings, solution)
         solution = _solver(estimator, readings, stated_up, options, tested=tested)(model)
     bounded_below = None
     if options.robust is None:
@@ -575,13 +564,13 @@ def calibrate_at(
     if bounded_below is not None:
         readings = bounded_below
         solution = _solver(estimator, readings, stated_up, options, tested=False)(model)
-    solution = with_stated_dof(solution, readings, joint=not estimator.exact)
+    solution = stated_uncertainty.with_stated_dof(solution, readings, joint=not estimator.exact)
     if ordered:
-        solution = spread_correlation(solution, readings, stated_up, estimator)
+        solution = correlated_rows.spread_correlation(solution, readings, stated_up, estimator)
     found = solution.orientation_sd
     calibration = complete(
         solution,
-        as_used(readings, stated_up.orientation_sd if found is None else found),
+        orientations.as_used(readings, stated_up.orientation_sd if found is None else found),
         listed=np.where(stated_up.listed[:, None], stated_up.reference, np.nan),
         convention=options.convention,
         estimator=estimator,
@@ -621,7 +610,7 @@ def _require_spare(model: Model, n: int) -> None:
 def _solver(
     estimator: Estimator,
     readings: Readings,
-    stated_up: StatedOrientations,
+    stated_up: orientations.StatedOrientations,
     options: Options,
     *,
     tested: bool = True,
@@ -647,7 +636,7 @@ def _solver(
             found = solve_robust_known(model, reference, readings, options.robust)
             if found is not None:
                 return found
-        return solve_uncertain(
+        return uncertain.solve_uncertain(
             model, readings, stated_up, gauge=options.gauge, robust=options.robust, pool=pool
         )
 
@@ -657,7 +646,7 @@ def _solver(
 def _stepwise(
     model: Model,
     readings: Readings,
-    stated_up: StatedOrientations,
+    stated_up: orientations.StatedOrientations,
     solve: Callable[[Model], Solution],
 ) -> tuple[Model, dict[str, Chosen]]:
     """Return the model with the terms that the readings support, and how they were chosen."""

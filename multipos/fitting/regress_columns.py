@@ -45,6 +45,7 @@ from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import CRITERIA, SubsetCriterion, thresholds
 from multipos.numerics.terms import evaluate_terms, largest_value
 from multipos.positions.headers import in_celsius, under_names
+from multipos.regression import observations, prediction, segmentation, variation
 from multipos.regression.correlation import Noise, find_noise, whitening_of
 from multipos.regression.junctions import (
     BRANCHES,
@@ -53,14 +54,6 @@ from multipos.regression.junctions import (
     compare_branches,
     find_junctions,
 )
-from multipos.regression.observations import (
-    Data,
-    Observations,
-    Rows,
-    check_columns,
-    join_runs,
-    read_observations,
-)
 from multipos.regression.piecewise import (
     METHODS,
     Plan,
@@ -68,19 +61,16 @@ from multipos.regression.piecewise import (
     fit_segment,
     read_candidates,
 )
-from multipos.regression.prediction import thermal_balance
 from multipos.regression.regression import Balance, Regression, Regressions, format_span
 from multipos.regression.robust import ROBUST, RowDependence, within_runs
 from multipos.regression.segment import Segment
-from multipos.regression.segmentation import check_edges, find_edges, segment_of
-from multipos.regression.variation import term_variances
 from multipos.results import frozen
 
 _MOST_NAMED = 3  # terms that are left out
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
 
-def find_order(read: Observations, result: Regression) -> Findings:
+def find_order(read: observations.Observations, result: Regression) -> Findings:
     """Say by what rows are neighbours, where that was of any consequence."""
     return read.order if any(s.robust is not None for s in result.segments) else ()
 
@@ -168,7 +158,7 @@ def find_imbalance(balance: Balance | None) -> Findings:
     return (Finding("balance", "warning", text, "Add soaks at these temperatures."),)
 
 
-def find_switch_on(data: Data) -> tuple[Finding, ...]:
+def find_switch_on(data: observations.Data) -> tuple[Finding, ...]:
     """Say that one switch-on cannot tell what the next one has."""
     if data.run is not None:
         return ()
@@ -209,7 +199,9 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
     return said
 
 
-def check_by_blocks(data: Data, blocks: int, fit: Callable[[Data], Regression]) -> dict[str, Any]:
+def check_by_blocks(
+    data: observations.Data, blocks: int, fit: Callable[[observations.Data], Regression]
+) -> dict[str, Any]:
     """Return {blocks, rms, r2, rms_of_blocks} of predictions of blocks left out one after another.
 
     Parameters
@@ -265,7 +257,7 @@ class Cut:
 
 def settle_edges(
     plan: Plan,
-    data: Data,
+    data: observations.Data,
     variable: str | None,
     given: tuple[float, ...] | None,
     min_rows: int | None,
@@ -282,7 +274,7 @@ def settle_edges(
     if variable is None:
         return (), ()
     if given is not None:
-        check_edges(variable, given, data.columns[variable])
+        segmentation.check_edges(variable, given, data.columns[variable])
         return given, ()
     edges = _find_edges(plan, data, variable, min_rows)
     if not edges:
@@ -291,7 +283,9 @@ def settle_edges(
     return edges, ()
 
 
-def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> tuple[float, ...]:
+def _find_edges(
+    plan: Plan, data: observations.Data, variable: str, min_rows: int | None
+) -> tuple[float, ...]:
     p = len(plan.terms)
     minimum = 2 * p if min_rows is None else min_rows
     if minimum <= p and plan.method == "full":
@@ -302,14 +296,14 @@ def _find_edges(plan: Plan, data: Data, variable: str, min_rows: int | None) -> 
     if data.order is not None:
         # what five segments leave is close to noise alone, whatever the edges will be
         bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        noise = _noise(design, data, segment_of(values, bins.tolist()))
+        noise = _noise(design, data, segmentation.segment_of(values, bins.tolist()))
         whitening = whitening_of(data.order, noise)
         if whitening is not None:
             design, response = whitening(design), whitening(response)
-    return find_edges(values, design, response, minimum=minimum)
+    return segmentation.find_edges(values, design, response, minimum=minimum)
 
 
-def _noise(design: Array, data: Data, place: Rows) -> Noise | None:
+def _noise(design: Array, data: observations.Data, place: observations.Rows) -> Noise | None:
     """Return what is known of the noise that fits to the rows of each place leave."""
     apart = [np.where((place == i)[:, np.newaxis], design, 0.0) for i in np.unique(place)]
     return find_noise(np.column_stack(apart), data.response, data.order)
@@ -320,15 +314,15 @@ class _Branch:
     """Rows of one sign of the rate, or all where `name` is None, and the segment of each."""
 
     name: str | None
-    rows: Rows
-    place: Rows
+    rows: observations.Rows
+    place: observations.Rows
 
 
-def _branches(data: Data, cut: Cut) -> list[_Branch]:
+def _branches(data: observations.Data, cut: Cut) -> list[_Branch]:
     n = len(data)
     place = np.zeros(n, dtype=np.intp)
     if cut.variable is not None:
-        place = segment_of(data.columns[cut.variable], cut.edges)
+        place = segmentation.segment_of(data.columns[cut.variable], cut.edges)
     if cut.branch_column is None:
         return [_Branch(None, np.arange(n), place)]
     sign = branch_of(data.columns[cut.branch_column], data.run)
@@ -338,7 +332,7 @@ def _branches(data: Data, cut: Cut) -> list[_Branch]:
     ]
 
 
-def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
+def fit_cut(plan: Plan, data: observations.Data, cut: Cut) -> list[Segment]:
     """Return the fitted segments, branch by branch.
 
     Raises
@@ -352,12 +346,12 @@ def fit_cut(plan: Plan, data: Data, cut: Cut) -> list[Segment]:
     place = np.empty(len(data), dtype=np.intp)
     for b, branch in enumerate(branches):
         place[branch.rows] = branch.place + b * (len(cut.edges) + 1)
-    variances = term_variances(plan.terms, data.columns)
+    variances = variation.term_variances(plan.terms, data.columns)
     data = replace(data, noise=_noise(design, within, place), variances=variances)
     return [segment for branch in branches for segment in fit(plan, data, cut, branch)]
 
 
-def _fit_joined(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segment]:
+def _fit_joined(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) -> list[Segment]:
     """Return the segments of one branch without a jump at the edges."""
     variable, spans = _spans(plan, data, cut)
     for number, span in enumerate(spans):
@@ -369,7 +363,7 @@ def _fit_joined(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segme
     return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
 
 
-def _fit_apart(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segment]:
+def _fit_apart(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) -> list[Segment]:
     """Return the segments of one branch, each fitted by itself."""
     variable, spans = _spans(plan, data, cut)
     segments = []
@@ -384,7 +378,7 @@ def _fit_apart(plan: Plan, data: Data, cut: Cut, branch: _Branch) -> list[Segmen
     return segments
 
 
-def _spans(plan: Plan, data: Data, cut: Cut) -> tuple[str, list[tuple[float, float]]]:
+def _spans(plan: Plan, data: observations.Data, cut: Cut) -> tuple[str, list[tuple[float, float]]]:
     """Return the variable that segments lie along, and from where to where each goes."""
     variable = cut.variable or plan.variables[0]
     values = data.columns[variable]
@@ -504,7 +498,7 @@ def regress(
     rms 72e-6
     """
     if isinstance(data, list | tuple) and len(data) > 1:
-        data, run = join_runs(data, run)
+        data, run = observations.join_runs(data, run)
     elif isinstance(data, list | tuple):
         (data,) = data
     arguments = dict(locals())  # all arguments as they are, for each of several responses
@@ -528,7 +522,7 @@ def regress(
     table, units = under_names(read_table(data, what="data"), asked)
     converted: list[Finding] = []
     table = in_celsius(table, units, converted)
-    read = read_observations(
+    read = observations.read_observations(
         table,
         response,
         [*names, *(name for name in (wanted, branches) if name)],
@@ -542,7 +536,7 @@ def regress(
     )
     source, sha256, found = table.source, table.sha256, (*repeated_files(table.copies), *converted)
     del table  # whose text may be most of what is in memory
-    check_columns(source, read.data, response, names, constant=plan.constant)
+    observations.check_columns(source, read.data, response, names, constant=plan.constant)
     edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
     cut = Cut(wanted, edges, bool(edges) and not free, branches)
     _require_bending(plan, cut)
@@ -573,7 +567,7 @@ def _regress_each(responses: Sequence[str], given: Mapping[str, Any]) -> Regress
 
 
 def _describe(
-    plan: Plan, response: str, read: Observations, cut: Cut, blocks: int | None
+    plan: Plan, response: str, read: observations.Observations, cut: Cut, blocks: int | None
 ) -> Regression:
     """Return the fitted segments with what tells how well they are determined."""
     hysteresis = None
@@ -597,7 +591,7 @@ def _describe(
             segments, read.data, cut.variable, cut.edges, cut.branch_column, plan.confidence
         )
     model = _assemble(plan, response, segments, cut)
-    balance = thermal_balance(model, read.data.columns)
+    balance = prediction.thermal_balance(model, read.data.columns)
     return replace(
         model,
         junctions=junctions,

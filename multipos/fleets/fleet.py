@@ -28,19 +28,7 @@ from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order, read_findings
 from multipos.fitting.fit_readings import FitOptions, fit
-from multipos.fleets.fit_many import averaging_options, fit_units, with_rests
-from multipos.fleets.gauge import describe_gauge
-from multipos.fleets.grouping import group_rows
-from multipos.fleets.line import find_drift, find_outliers
-from multipos.fleets.pictures import charts, histogram
-from multipos.fleets.quality import (
-    PASS,
-    VERDICTS,
-    column,
-    describe,
-    judge_units,
-    proportion,
-)
+from multipos.fleets import fit_many, gauge, grouping, line, pictures, quality
 from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
@@ -97,9 +85,9 @@ def fit_unit(
         )
     given, tables = how["options"], data or _named(found, beside)
     if how.get("raw", False):
-        given = with_rests(given)
+        given = fit_many.with_rests(given)
         with ThreadPoolExecutor() as executor:
-            raw = Averaging(averaging_options(given), executor)
+            raw = Averaging(fit_many.averaging_options(given), executor)
             rows = read_rows(tables, None, None, unit, raw=raw)
     else:
         rows = read_rows(tables, how["unit_column"], how["station_column"], unit)
@@ -110,7 +98,7 @@ def fit_unit(
                 f"{table.source} is not the table that this fleet was fitted from, or has changed "
                 "since; give that with --data, or run multipos fleet again."
             )
-    units = group_rows(rows)
+    units = grouping.group_rows(rows)
     here = {units.station[i]: i for i, name in enumerate(units.unit) if name == unit}
     if not here:
         raise MultiposError(f"no unit '{unit}'{near(unit, rows.unit.names)} Look at units.csv.")
@@ -270,7 +258,7 @@ def fleet(
         raise UsageError("--limits names a number twice; give one pair of limits for each.")
     opened = open_engine(engine, scheduler) if executor is None else nullcontext(executor)
     with opened as running:
-        units = fit_units(
+        units = fit_many.fit_units(
             tables,
             unit_column,
             station_column,
@@ -287,10 +275,10 @@ def fleet(
 def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:
     """Return the fleet of solved units; `how` is what `asked` tells of the options."""
     unfit = units.unfit
-    judged = judge_units(units, limits, unfit)
+    judged = quality.judge_units(units, limits, unfit)
     counted = ~units.failed & ~unfit
     failed = int(units.failed.sum())
-    passed = int(np.sum(judged.verdict == PASS))
+    passed = int(np.sum(judged.verdict == quality.PASS))
     total, verdicts = len(units), judged.verdict.tolist()
     stations = describe_stations(units, counted)
     summary = {
@@ -302,17 +290,17 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "fitted": total - failed,
         "failed": failed,
         "counted": int(counted.sum()),
-        "yield": proportion(passed, total)._asdict(),
-        "verdicts": {name: count for name in VERDICTS if (count := verdicts.count(name))},
+        "yield": quality.proportion(passed, total)._asdict(),
+        "verdicts": {name: count for name in quality.VERDICTS if (count := verdicts.count(name))},
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
         "unfit": [
             {"unit": units.unit[i], "station": units.station[i], "reason": units.why_unfit[i]}
             for i in np.flatnonzero(unfit).tolist()
         ],
         "parameters": _parameters(units, limits, counted),
-        "outliers": find_outliers(units, counted),
+        "outliers": line.find_outliers(units, counted),
         "stations": stations,
-        "drift": find_drift(units, counted),
+        "drift": line.find_drift(units, counted),
         "gauge": _gauge(units, limits),
     }
     off = [found for station in stations for found in read_findings(station)]
@@ -344,7 +332,7 @@ def _gauge(units: Units, limits: tuple[Limit, ...]) -> dict[str, Any] | None:
     width = {limit.name: limit.usl - limit.lsl for limit in limits}
     described = [
         {"name": name, "unit": unit}
-        | describe_gauge(
+        | gauge.describe_gauge(
             study.values[..., place],
             width[name] if math.isfinite(width.get(name, math.inf)) else None,
             units.confidence,
@@ -372,7 +360,7 @@ def _parameters(
     """Return what is said of every parameter, and of what else is limited."""
     by_name = {limit.name: (limit.lsl, limit.usl) for limit in limits}
     _, stations = np.unique(np.array(units.station)[counted], return_inverse=True)
-    lines = charts(units, counted)
+    lines = pictures.charts(units, counted)
     described = []
     for place, name in enumerate(units.names):
         unit = "" if units.model is None else units.model.units[place]
@@ -382,10 +370,10 @@ def _parameters(
             common = units.model.force_degrees[place] * units.gravity_u * values
             own = np.sqrt(np.maximum(own**2 - common**2, 0.0))
         limit = by_name.pop(name, None)
-        said = describe(name, unit, values, own, stations, limit, units.confidence)
-        described.append(said | {"histogram": histogram(values), "chart": lines[place]})
+        said = quality.describe(name, unit, values, own, stations, limit, units.confidence)
+        described.append(said | {"histogram": pictures.histogram(values), "chart": lines[place]})
     for name, limit in by_name.items():
-        values = column(units, name)[counted]
-        said = describe(name, "", values, None, stations, limit, units.confidence)
-        described.append(said | {"histogram": histogram(values), "chart": []})
+        values = quality.column(units, name)[counted]
+        said = quality.describe(name, "", values, None, stations, limit, units.confidence)
+        described.append(said | {"histogram": pictures.histogram(values), "chart": []})
     return described

@@ -14,10 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.pipes import is_folder
-from multipos.files.spelling import visible
-from multipos.files.tables import format_csv, to_parquet
-from multipos.files.trees import read_json, to_json
+from multipos.files import pipes, spelling, tables, trees
 from multipos.files.whole import Content, Pieces, make_folder, written
 from multipos.fleets.fleet import SCHEMA, Fleet
 
@@ -74,11 +71,11 @@ def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> 
     corrections: Files = dict(_corrections(fleet, place / STATIONS))
     table: Pieces = _csv_pieces(fleet.calibrations)
     if has_parquet():
-        table = to_parquet(_parts(fleet.calibrations))
+        table = tables.to_parquet(_parts(fleet.calibrations))
     files: Files = {
         place / (PARQUET if has_parquet() else CSV): table,
         place / UNITS: _csv_pieces(fleet.verdicts),
-        place / SUMMARY: to_json(fleet.to_dict()),
+        place / SUMMARY: trees.to_json(fleet.to_dict()),
         place / (PAGE if has_page() else TEXT): page,
         **corrections,
     }
@@ -102,12 +99,12 @@ def _corrections(fleet: Fleet, place: Path) -> Iterator[tuple[Path, str]]:
         found = station["correction"]
         if found is None:
             continue
-        called = visible(station["station"]) or "one station"
+        called = spelling.visible(station["station"]) or "one station"
         count = int(found["budget"]["orientation"]["dof"]) + 1
         yield (
             place / f"{name}.csv",
             f"# {called}: up at every position, from {count} units, but for a turn of all\n"
-            + format_csv(found["scheme"]),
+            + tables.format_csv(found["scheme"]),
         )
         yield (
             place / f"{name}.toml",
@@ -145,7 +142,7 @@ def _parts(columns: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 def _csv_pieces(columns: Mapping[str, Any]) -> Iterator[str]:
     """Yield columns as CSV piece by piece."""
     for number, part in enumerate(_parts(columns)):
-        text = format_csv(part)
+        text = tables.format_csv(part)
         yield text.partition("\n")[2] if number else text
 
 
@@ -158,4 +155,4 @@ def read_summary(source: str | os.PathLike[str]) -> dict[str, Any]:
         There is no such file, or it is of another kind.
     """
     path = Path(source)
-    return read_json(path / SUMMARY if is_folder(path) else path, SCHEMA)
+    return trees.read_json(path / SUMMARY if pipes.is_folder(path) else path, SCHEMA)

@@ -38,35 +38,16 @@ from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.projections import Kind
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
+from multipos.estimation import correlated_rows, robust_known, uncertain_orientations
 from multipos.estimation.batches import Estimates
-from multipos.estimation.correlated_rows import (
-    are_asked,
-    find_correlated,
-    order_in_time,
-    spread_in_time,
-)
 from multipos.estimation.known import REJECTED, SharedDesign, estimate_known, share_design
-from multipos.estimation.robust_known import estimate_robust
-from multipos.estimation.uncertain_orientations import (
-    SharedOrientations,
-    estimate_uncertain,
-    share_orientations,
-)
 from multipos.estimation.unknown_orientations import SharedSphere, estimate_unknown, share_sphere
 from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import Options
+from multipos.fleets import unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.fleets.unit_findings import (
-    UnitTests,
-    find_aside,
-    find_in_units,
-    follow_temperature,
-    lacking_in_batch,
-    may_lack_terms,
-    unit_tests,
-)
 from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.orientations import orient, place
@@ -149,7 +130,7 @@ def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
     return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))
 
 
-Shared = SharedDesign | SharedSphere | SharedOrientations
+Shared = SharedDesign | SharedSphere | uncertain_orientations.SharedOrientations
 
 
 class Solved(NamedTuple):
@@ -210,7 +191,7 @@ class Pattern:
     gravity: Field | None
     findings: str
     asked: bool
-    tests: UnitTests | None = None
+    tests: unit_findings.UnitTests | None = None
     kinds: tuple[Kind, ...] = ()
     robust: Calibration | None = None
     timed: bool = False
@@ -274,8 +255,10 @@ def find_pattern(
         and c.model.drift_per is None
         and not c.readings.forced.any()
     )
-    timed = c.robust_weight is None and order_in_time(c.readings) is not None
-    asked = c.robust_weight is None and are_asked(c.model, c.readings, c.reference, c.estimator)
+    timed = c.robust_weight is None and correlated_rows.order_in_time(c.readings) is not None
+    asked = c.robust_weight is None and correlated_rows.are_asked(
+        c.model, c.readings, c.reference, c.estimator
+    )
     asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
     whole = options.get("range") is None and options.get("exclude", "none") == "none"
@@ -291,11 +274,11 @@ def find_pattern(
         return None
     fixture, tests = None, None
     if isinstance(shared, SharedDesign):
-        tests = unit_tests(c, shared)
+        tests = unit_findings.unit_tests(c, shared)
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
     codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
-    kinds = () if robust is None else lacking_in_batch(c)
+    kinds = () if robust is None else unit_findings.lacking_in_batch(c)
     return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
 
 
@@ -323,7 +306,7 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
 
 def _share_uncertain(
     c: Calibration, table: Table, options: Mapping[str, Any]
-) -> SharedOrientations | None:
+) -> uncertain_orientations.SharedOrientations | None:
     """Return what units at uncertain orientations share, before anything was found of them."""
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
     spread = Options(orientation_sd=options.get("orientation_sd")).spread
@@ -333,7 +316,7 @@ def _share_uncertain(
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
-    return share_orientations(
+    return uncertain_orientations.share_orientations(
         c.model,
         stated_up.reference,
         stated_up.orientation_sd,
@@ -371,7 +354,7 @@ def _findings(
     """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
     unknown = isinstance(shared, SharedSphere)
-    if not isinstance(shared, SharedOrientations):
+    if not isinstance(shared, uncertain_orientations.SharedOrientations):
         k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
         poor = are_poorly_known if unknown else are_open
         named[_POOR] = poor(shared.model, found.parameters, k * u)
@@ -409,22 +392,24 @@ def solve_task(task: Task) -> Solved:
     fixtures: tuple[FixtureSums, ...] = ()
     if task.pattern.fixture is not None:
         fixtures = sum_fixtures(task.pattern.fixture, found, task.stations)
-    uncertain_orientation = isinstance(shared, SharedOrientations)
+    uncertain_orientation = isinstance(shared, uncertain_orientations.SharedOrientations)
     looked_at = ~(found.sound & in_time) | find_suspects(
         shared.model, task.values, found, uncertain_orientation=uncertain_orientation
     )
     if task.pattern.asked and isinstance(shared, SharedDesign):
-        looked_at |= find_correlated(shared.reference, task.values, found.residuals)
+        looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
     named: dict[str, NDArray[np.bool_]] = {}
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
-        tested = find_in_units(task.pattern.tests, shared, task.values, found)
+        tested = unit_findings.find_in_units(task.pattern.tests, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
         for temperature in task.temperature:
-            looked_at |= follow_temperature(task.pattern.tests, shared, temperature, found)
+            looked_at |= unit_findings.follow_temperature(
+                task.pattern.tests, shared, temperature, found
+            )
     if task.pattern.robust is not None and isinstance(shared, SharedDesign):
-        tested = find_aside(task.pattern.robust, shared, task.values, found)
+        tested = unit_findings.find_aside(task.pattern.robust, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
-        looked_at |= may_lack_terms(task.pattern.kinds, shared, found)
+        looked_at |= unit_findings.may_lack_terms(task.pattern.kinds, shared, found)
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
@@ -450,7 +435,9 @@ def _spread(
     alike &= np.logical_and.reduce([(e != 0.0).any(axis=1) for e in found.residuals])
     designs = [design[order[0]] for design in shared.designs]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios, rows = spread_in_time(designs, [e[:, order[0]] for e in found.residuals])
+        ratios, rows = correlated_rows.spread_in_time(
+            designs, [e[:, order[0]] for e in found.residuals]
+        )
     alike &= rows >= len(order[0])  # what is said of the others is said in full
     return found._replace(u=found.u * np.concatenate(ratios, axis=1)), alike
 
@@ -458,11 +445,13 @@ def _spread(
 def _estimate(shared: Shared, task: Task) -> Estimates:
     if isinstance(shared, SharedSphere):
         return estimate_unknown(shared, task.values, task.stated, task.stated_dof)
-    if isinstance(shared, SharedOrientations):
-        return estimate_uncertain(shared, task.values, task.stated, task.stated_dof)
+    if isinstance(shared, uncertain_orientations.SharedOrientations):
+        return uncertain_orientations.estimate_uncertain(
+            shared, task.values, task.stated, task.stated_dof
+        )
     loss = task.options.get("robust")
     if loss is not None:
-        return estimate_robust(shared, task.values, loss)
+        return robust_known.estimate_robust(shared, task.values, loss)
     pool = bool(task.options.get("pool"))
     return estimate_known(shared, task.values, task.stated, task.stated_dof, pool=pool)
 

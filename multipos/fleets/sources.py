@@ -20,18 +20,9 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files import handed, spelling
 from multipos.files.csv_columns import Cells, FileBytes, joined_cells
-from multipos.files.handed import (
-    ARROW,
-    content_of,
-    find_copies,
-    is_json,
-    is_packed,
-    take_in,
-    unpack,
-)
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
-from multipos.files.spelling import near, quoted
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
 from multipos.finding import Findings, repeated_files
@@ -300,7 +291,7 @@ def _drop_repeated(read: list[Table | MultiposError | None], named: Sequence[str
     """Take files out that hold, packed or not, what one before them holds, and say which."""
     tables = (table if isinstance(table, Table) else None for table in read)
     contents = [None if table is None else table.content or table.sha256 for table in tables]
-    again = find_copies(contents, named)
+    again = handed.find_copies(contents, named)
     for place in again:
         read[place] = None
     return repeated_files(again.values())
@@ -323,8 +314,8 @@ def _drop_foreign(read: list[Table | MultiposError | None]) -> dict[int, Table]:
         if isinstance(table, Table) and (odd := set(table.columns) ^ usual):
             foreign[place] = table
             read[place] = MultiposError(
-                f"{table.source}: column {quoted(sorted(odd))} is not in both it and the other "
-                "files; give tables with the same columns."
+                f"{table.source}: column {spelling.quoted(sorted(odd))} is not in both it and the "
+                "other files; give tables with the same columns."
             )
     return foreign
 
@@ -363,13 +354,13 @@ def _require_columns(table: Table, first: Table, unit: str, station: str | None)
     for name in (unit, station):
         if name is not None and name not in table:
             raise MultiposError(
-                f"{table.source}: no column '{name}'{near(name, list(table.columns))} The "
-                f"columns are {quoted(table.columns)}."
+                f"{table.source}: no column '{name}'{spelling.near(name, list(table.columns))} The "
+                f"columns are {spelling.quoted(table.columns)}."
             )
     if set(table.columns) != set(first.columns):
         odd = set(table.columns) ^ set(first.columns)
         raise MultiposError(
-            f"{table.source}: column {quoted(sorted(odd))} is not in both it and "
+            f"{table.source}: column {spelling.quoted(sorted(odd))} is not in both it and "
             f"{first.source}; give tables with the same columns."
         )
 
@@ -432,7 +423,7 @@ def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposErr
     if not _is_path(source):
         return table
     sha256 = FileBytes(source, "log").sha256()
-    return replace(table, source=str(source), sha256=sha256, content=content_of(source))
+    return replace(table, source=str(source), sha256=sha256, content=handed.content_of(source))
 
 
 def _of_unit_alone(
@@ -454,7 +445,7 @@ def _expanded(sources: Sequence[Source], endings: Sequence[str]) -> list[Source]
         if isinstance(source, list | tuple):
             found += _expanded(source, endings)
         else:
-            given = take_in(source, "table")
+            given = handed.take_in(source, "table")
             found += _files(given, endings) if _is_path(given) else [given]
     if not found:
         raise MultiposError("no table; give at least one.")
@@ -489,13 +480,13 @@ def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) 
     if is_pipe(source) and not isinstance(source, Pipe):
         raise MultiposError(f"{source}: a pipe or a device; only files of a folder are read.")
     path, head = source, first_bytes(source, SHORT)
-    if is_packed(head):
-        path = unpack(source)
+    if handed.is_packed(head):
+        path = handed.unpack(source)
         head = first_bytes(path, SHORT)
     if is_parquet(head):
         table = read_parquet(path, apart, kept)
     else:
-        whole = head.startswith(ARROW) or is_json(head[: 1 << 10])
+        whole = head.startswith(handed.ARROW) or handed.is_json(head[: 1 << 10])
         table = read_table(path) if whole else open_table(path, head=head)
     if path is not source:  # what people compare is the file that they have
         sha256 = FileBytes(source, "table").sha256()

@@ -24,17 +24,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.diagnostics import projections
 from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
-from multipos.diagnostics.projections import (
-    IDENTIFIABLE,
-    Kind,
-    Projection,
-    Setting,
-    is_level,
-    lacking,
-    project,
-)
 from multipos.diagnostics.residuals import (
     Residuals,
     across_the_force,
@@ -55,15 +47,8 @@ from multipos.numerics.arrays import COMPONENTS, Array, coarse_steps, resolution
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
+from multipos.sensor import fit_diagnostics
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.fit_diagnostics import (
-    OUTLIER_LEVEL,
-    ROWS_NAMED,
-    lack_of_fit_ratios,
-    largest_square,
-    p_values_of_units,
-    studentised_squares,
-)
 from multipos.sensor.found import Estimator
 from multipos.sensor.temperature import find_soaks
 
@@ -99,8 +84,8 @@ class UnitTests:
         Of causes of time and table.
     """
 
-    projection: Projection | None
-    kinds: tuple[Kind, ...]
+    projection: projections.Projection | None
+    kinds: tuple[projections.Kind, ...]
     soaks: bool
     leverage: Array
     repeats: NDArray[np.intp] | None
@@ -121,13 +106,13 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
 
     None where readings weigh unequally, or are fitted robustly.
     """
-    level = c.noise is None or is_level(c)
+    level = c.noise is None or projections.is_level(c)
     if c.estimator is not Estimator.LINEAR or c.robust_weight is not None or not level:
         return None
     temperature = c.readings.environment.get(TEMPERATURE)
     kinds = lacking_in_batch(c)
     try:
-        projection = project(Setting(c, kinds, ())) if kinds else None
+        projection = projections.project(projections.Setting(c, kinds, ())) if kinds else None
     except np.linalg.LinAlgError:
         projection = None
     if projection is not None and not len(projection.starts):
@@ -147,9 +132,9 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     )
 
 
-def lacking_in_batch(c: Calibration) -> tuple[Kind, ...]:
+def lacking_in_batch(c: Calibration) -> tuple[projections.Kind, ...]:
     """Return the kinds that a model lacks; of temperature where the units of a batch share it."""
-    kinds = lacking(c)
+    kinds = projections.lacking(c)
     temperature = c.readings.environment.get(TEMPERATURE)
     if TEMPERATURE in c.model.environment or temperature is None:
         return kinds
@@ -183,7 +168,9 @@ def find_in_units(
     residuals, sensitivity = found.residuals, found.sensitivity
     variance = None if found.variance is None else found.variance.T[:, :, None]
     error = residuals if variance is None else residuals / np.sqrt(variance)
-    r2 = studentised_squares(error, tests.leverage[:, None], shared.dof[:, None, None])
+    r2 = fit_diagnostics.studentised_squares(
+        error, tests.leverage[:, None], shared.dof[:, None, None]
+    )
     outlying, singly = _outliers(tests, shared, sensitivity, residuals, error, r2)
     lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
     significant, of_terms = _missing_terms(tests, values, error)
@@ -323,7 +310,9 @@ def _missing_terms(tests: UnitTests, values: Sequence[Array], error: Array) -> t
     return significant, score - 2.0 * np.log(np.maximum(np.sum(used > 0, axis=1), 1))
 
 
-def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates) -> Mask:
+def may_lack_terms(
+    kinds: Sequence[projections.Kind], shared: SharedDesign, found: Estimates
+) -> Mask:
     """Return in which units (B,) of a robust fit a kind of term may be significant.
 
     The score test with the weights of each unit, by sums of products, on the most degrees of
@@ -351,7 +340,9 @@ def may_lack_terms(kinds: Sequence[Kind], shared: SharedDesign, found: Estimates
             first, q = mine.stop, float(each.shape[1])
             if not q or n - p - q < 1.0:
                 continue
-            inverse = np.linalg.pinv(V[:, mine, mine], rcond=IDENTIFIABLE, hermitian=True)
+            inverse = np.linalg.pinv(
+                V[:, mine, mine], rcond=projections.IDENTIFIABLE, hermitian=True
+            )
             explained = np.einsum("bq,bqr,br->b", along[:, mine, 0], inverse, along[:, mine, 0])
             rest = np.maximum(whole - explained, _LEAST)
             ratio = np.maximum(explained, 0.0) * np.maximum(left - q, 1.0) / (q * rest)
@@ -410,7 +401,7 @@ def follow_temperature(
         for place, column in enumerate((warmth, warmth * own)):
             across = column - (column @ each.Q) @ each.Q.T
             size = np.einsum("bn,bn->b", across, across)
-            varies = size > IDENTIFIABLE**2 * np.einsum("bn,bn->b", column, column)
+            varies = size > projections.IDENTIFIABLE**2 * np.einsum("bn,bn->b", column, column)
             explained = np.einsum("bn,bn->b", across, e) ** 2 / np.where(varies, size, np.inf)
             ratio[place, :, i] = explained * left[i] / np.maximum(whole - explained, _LEAST)
     limit = float(_limits(np.full((1, len(tests.kinds) + 2), m))[0, 0])
@@ -452,13 +443,13 @@ def _outliers(
     beyond = r2 > limit[:, None, None]
     units = np.flatnonzero(beyond.any(axis=(0, 2)))
     outlying[units] = True
-    if len(units) and m > 1 and shared.dof.min() >= ROWS_NAMED:
+    if len(units) and m > 1 and shared.dof.min() >= fit_diagnostics.ROWS_NAMED:
         questioned = np.moveaxis(beyond[:, units], 0, 2)
         bases = [each.Q for each in shared.by_output]
         given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned
-        p = p_values_of_units(*given)
+        p = fit_diagnostics.p_values_of_units(*given)
         few = (np.isnan(p) & questioned).any(axis=(1, 2))
-        outlying[units] = few | (p < OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
+        outlying[units] = few | (p < fit_diagnostics.OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
     # as readings are off from the fit without their row, in units of the output's scale factor
     off = residuals[:, outlying] / np.maximum(1.0 - tests.leverage, _LEAST)[:, None]
     size = np.linalg.norm(sensitivity[outlying], axis=2).T[:, :, None]
@@ -470,7 +461,7 @@ def _outliers(
 
 @lru_cache(64)
 def _limit(nu: float, readings: int) -> float:
-    return largest_square(nu, readings) if nu >= 2.0 else math.inf
+    return fit_diagnostics.largest_square(nu, readings) if nu >= 2.0 else math.inf
 
 
 def _off_positions(
@@ -519,7 +510,9 @@ def _lack_of_fit(
         return found, score
     level = LEVEL / len(residuals)
     for each, y, design in zip(residuals, values, shared.designs, strict=True):
-        tested = lack_of_fit_ratios(each, tests.repeats, design.shape[1], np.ones(len(design)))
+        tested = fit_diagnostics.lack_of_fit_ratios(
+            each, tests.repeats, design.shape[1], np.ones(len(design))
+        )
         if tested is None:
             continue
         f, lack, pure = tested

@@ -23,17 +23,7 @@ from multipos.logs.clock import time_columns
 from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array, median
-from multipos.positions.headers import (
-    MAGNETIC_UNITS,
-    NameParts,
-    component,
-    field_of_outputs,
-    is_environment,
-    is_without_gravity,
-    split_unit,
-    triads_of,
-    unit_as_known,
-)
+from multipos.positions import headers
 
 _BLOCK = 32  # rows
 _FEWEST = 12  # blocks
@@ -126,7 +116,7 @@ def name_header(
     if given is not None or header is None:
         columns = name_columns(source, None, width, given)
         return Named(columns, columns, frozenset(), given is None)
-    bare = [split_unit(name)[0] for name in header]
+    bare = [headers.split_unit(name)[0] for name in header]
     unlike = len(set(bare)) == len(bare)  # else the units tell the columns apart
     columns = name_columns(source, bare if unlike else header, width, None)
     pairs = list(zip(columns, header, strict=True))
@@ -160,9 +150,9 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     """
     if given is not None:
         return Outputs(tuple(map(log.find, given)), ())
-    apart = {*clocks, *log.nameless, *filter(is_environment, log.numeric)}
+    apart = {*clocks, *log.nameless, *filter(headers.is_environment, log.numeric)}
     names = [name for name in log.numeric if name not in apart]
-    kinds = {name: component(name) for name in log.columns}
+    kinds = {name: headers.component(name) for name in log.columns}
     chosen, by = _by_name(names, kinds), "their names"
     if len(chosen) > 3 and not any(kinds[name].acceleration for name in chosen):
         chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
@@ -178,19 +168,19 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     return Outputs(chosen, _find_choice(chosen, names, by))
 
 
-def _by_name(names: Sequence[str], kinds: dict[str, NameParts]) -> tuple[str, ...]:
+def _by_name(names: Sequence[str], kinds: dict[str, headers.NameParts]) -> tuple[str, ...]:
     """Return the outputs among numeric columns: the triad of acceleration, where there is one."""
     named = [name for name in names if kinds[name].acceleration]
-    triads = triads_of(named, kinds)
+    triads = headers.triads_of(named, kinds)
     if len(triads) == 1:
         return triads[0]
     if triads or (named and any(kinds[name].elsewhere for name in names)):
         return tuple(named)
-    whole = triads_of(names, kinds) if len(names) == 3 else []
+    whole = headers.triads_of(names, kinds) if len(names) == 3 else []
     return whole[0] if whole else tuple(names)
 
 
-def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -> None:
+def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, headers.NameParts]) -> None:
     stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
     numeric = frozenset(log.numeric)
     for name in log.columns:
@@ -203,11 +193,11 @@ def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, NameParts]) -
 
 
 def _refuse_without_gravity(
-    source: str, chosen: Sequence[str], kinds: dict[str, NameParts]
+    source: str, chosen: Sequence[str], kinds: dict[str, headers.NameParts]
 ) -> None:
     """Refuse outputs from which gravity has been taken, by their names."""
     for name in chosen:
-        if kinds[name].axis >= 0 and is_without_gravity(kinds[name].stem):
+        if kinds[name].axis >= 0 and headers.is_without_gravity(kinds[name].stem):
             raise MultiposError(
                 f"{source}: column '{name}' has gravity taken away, by its name; record "
                 "acceleration with gravity, or name the outputs with --outputs."
@@ -236,19 +226,21 @@ def magnetic_outputs(
 
     A unit of tesla asks for them as `kind` does; G may be meant for g.
     """
-    stated = unit_as_known(unit or "") in MAGNETIC_UNITS
+    stated = headers.unit_as_known(unit or "") in headers.MAGNETIC_UNITS
     if outputs is None and (kind == "magnetic" or (stated and str(unit).endswith("T"))):
-        named = [name for name in log.numeric if component(name).magnetic]
-        triads = triads_of(named, {name: component(name) for name in named})
+        named = [name for name in log.numeric if headers.component(name).magnetic]
+        triads = headers.triads_of(named, {name: headers.component(name) for name in named})
         outputs = triads[0] if len(triads) == 1 else None
     if outputs is None and kind != "magnetic":
-        kinds = [component(name) for name in log.columns]
+        kinds = [headers.component(name) for name in log.columns]
         if any(each.acceleration for each in kinds):
             return None
-        in_field = any(unit in MAGNETIC_UNITS for unit in log.units.values())
+        in_field = any(unit in headers.MAGNETIC_UNITS for unit in log.units.values())
         if not (stated or in_field or any(each.magnetic for each in kinds)):
             return None
     chosen = choose_outputs(log, outputs, time_columns(log)).names
     written = {log.units[name] for name in chosen if name in log.units}
-    own = unit_as_known(unit) if unit else (written.pop() if len(written) == 1 else "reading")
-    return chosen if field_of_outputs(chosen, own, None, kind) == "magnetic" else None
+    own = (
+        headers.unit_as_known(unit) if unit else (written.pop() if len(written) == 1 else "reading")
+    )
+    return chosen if headers.field_of_outputs(chosen, own, None, kind) == "magnetic" else None

@@ -27,27 +27,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.files.handed import (
-    OLE,
-    WORKBOOK,
-    XZ,
-    ZIP,
-    ZSTD,
-    is_json,
-    members,
-    read_arrow,
-    unpack,
-    unpack_workbook,
-)
+from multipos.files import handed
+from multipos.files.handed import unpack
 from multipos.files.pipes import GZIP, UTF_16, unpack_text
-from multipos.logs.array_logs import (
-    load_hdf,
-    read_mat,
-    read_npy,
-    read_npz,
-    read_records,
-    unpack_phone,
-)
+from multipos.logs import array_logs
 from multipos.logs.extras import NOTES, reader_with_extra
 
 _AXES = "XYZ"
@@ -181,13 +164,13 @@ class Reader(NamedTuple):
         """Tell by its first bytes whether a file is of this kind."""
         if not head.startswith(self.magic) or not self.holds(head):
             return False
-        return not self.member or any(name.endswith(self.member) for name in members(path))
+        return not self.member or any(name.endswith(self.member) for name in handed.members(path))
 
 
-_read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", load_hdf)
-_read_mat73 = reader_with_extra("a MATLAB 7.3 file", "h5py", "hdf5", load_hdf)
-_read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", read_arrow)
-_read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", read_arrow)
+_read_hdf = reader_with_extra("an HDF5 file", "h5py", "hdf5", array_logs.load_hdf)
+_read_mat73 = reader_with_extra("a MATLAB 7.3 file", "h5py", "hdf5", array_logs.load_hdf)
+_read_parquet = reader_with_extra("a Parquet file", "pyarrow", "parquet", handed.read_arrow)
+_read_feather = reader_with_extra("a Feather file", "pyarrow", "parquet", handed.read_arrow)
 read_bag: LoadColumns = reader_with_extra("a ROS bag", "rosbags", "ros", load_bag)
 _read_ulog = reader_with_extra("a ULog of PX4", "pyulog", "px4", load_ulog)
 _read_dataflash = reader_with_extra(
@@ -197,17 +180,19 @@ _read_dataflash = reader_with_extra(
 # The first that takes a file reads it.
 READERS = (
     Reader(".gz", (".gz",), GZIP, None, unpack),
-    Reader(".xz", (".xz",), XZ, None, unpack),
-    Reader(".zst", (".zst",), ZSTD, None, unpack),
-    Reader(".json", (".json", ".jsonl", ".ndjson"), b"", read_records, holds=is_json),
+    Reader(".xz", (".xz",), handed.XZ, None, unpack),
+    Reader(".zst", (".zst",), handed.ZSTD, None, unpack),
+    Reader(
+        ".json", (".json", ".jsonl", ".ndjson"), b"", array_logs.read_records, holds=handed.is_json
+    ),
     Reader("text in UTF-16", (), UTF_16[0], None, unpack_text),
     Reader("text in UTF-16, big-endian", (), UTF_16[1], None, unpack_text),
-    Reader(".npy", (".npy",), b"\x93NUMPY", read_npy),
-    Reader(".xlsx", (".xlsx",), ZIP, None, unpack_workbook, WORKBOOK),
-    Reader(".xls", (".xls",), OLE, None, unpack_workbook),
-    Reader(".zip of a phone", (".zip",), ZIP, None, unpack_phone, ".csv"),
-    Reader(".npz", (".npz",), ZIP, read_npz),
-    Reader(".mat", (".mat",), b"MATLAB 5.0 MAT-file", read_mat),
+    Reader(".npy", (".npy",), b"\x93NUMPY", array_logs.read_npy),
+    Reader(".xlsx", (".xlsx",), handed.ZIP, None, handed.unpack_workbook, handed.WORKBOOK),
+    Reader(".xls", (".xls",), handed.OLE, None, handed.unpack_workbook),
+    Reader(".zip of a phone", (".zip",), handed.ZIP, None, array_logs.unpack_phone, ".csv"),
+    Reader(".npz", (".npz",), handed.ZIP, array_logs.read_npz),
+    Reader(".mat", (".mat",), b"MATLAB 5.0 MAT-file", array_logs.read_mat),
     Reader(".mat 7.3", (".mat",), b"MATLAB 7.3 MAT-file", _read_mat73),
     Reader(".h5", (".h5", ".hdf5"), b"\x89HDF", _read_hdf),
     Reader(".parquet", (".parquet",), b"PAR1", _read_parquet),

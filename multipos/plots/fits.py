@@ -12,16 +12,8 @@ from multipos.files.numbers import in_unit, pretty_unit
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
+from multipos.plots import style
 from multipos.plots.calibration import residual_panels
-from multipos.plots.style import (
-    COLOURS,
-    MARKERS,
-    figure_of,
-    name_axis,
-    name_series,
-    scale_by_powers,
-    write_title,
-)
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
@@ -58,8 +50,8 @@ def draw_check(
         axes.plot(
             known,
             before,
-            MARKERS[1],
-            color=COLOURS[1],
+            style.MARKERS[1],
+            color=style.COLOURS[1],
             fillstyle="none",
             label="before",
             clip_on=False,
@@ -69,8 +61,8 @@ def draw_check(
             known,
             after,
             U,
-            fmt=MARKERS[0],
-            color=COLOURS[0],
+            fmt=style.MARKERS[0],
+            color=style.COLOURS[0],
             elinewidth=0.8,
             capsize=0.0,
             label="after, with U",
@@ -82,16 +74,16 @@ def draw_check(
         and found.limit is not None
         and np.nanmax(np.abs(before)) > (_WIDE * found.limit)
     ):  # else the limits would be one line
-        scale_by_powers(axes, "y", found.unit, linthresh=2.0 * found.limit)
+        style.scale_by_powers(axes, "y", found.unit, linthresh=2.0 * found.limit)
     axes.margins(0.06)
     unit = f" [{pretty_unit(found.unit)}]" if found.unit else ""
     axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
     word = axis if found.against else "error"
     if axes.get_yscale() == "linear":
-        name_axis(axes.yaxis, word, found.unit)
+        style.name_axis(axes.yaxis, word, found.unit)
     else:
         axes.set_ylabel(word)
-    name_series(axes, 3)
+    style.name_series(axes, 3)
 
 
 def _draw_limit(found: Check, axes: "Axes", *, drawn: bool) -> None:
@@ -134,7 +126,7 @@ def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
 
 def check_figure(found: Check) -> "Figure":
     """Return the errors of every axis; before and after apart, where one would hide the other."""
-    return figure_of(check_panels(found))
+    return style.figure_of(check_panels(found))
 
 
 _When = Literal["both", "before", "after"]
@@ -200,8 +192,8 @@ def _draw_corrected(
     regression: Regression, found: _Corrected, axes: "Axes", *, when: _When
 ) -> None:
     for values, label, colour, marker in (
-        (found.before, "before", COLOURS[6], "x"),
-        (found.after, "after", COLOURS[0], "."),
+        (found.before, "before", style.COLOURS[6], "x"),
+        (found.after, "after", style.COLOURS[0], "."),
     ):
         if when in ("both", label):
             axes.plot(
@@ -218,7 +210,7 @@ def _draw_corrected(
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.set(xlabel=found.variable, ylabel=found.column)
-    name_series(axes, 2)
+    style.name_series(axes, 2)
 
 
 def draw_curve(curve: Curve, axes: "Axes") -> None:
@@ -228,7 +220,7 @@ def draw_curve(curve: Curve, axes: "Axes") -> None:
         t,
         curve.value - curve.band,
         curve.value + curve.band,
-        color=COLOURS[5],
+        color=style.COLOURS[5],
         alpha=0.35,
         linewidth=0.0,
         label="band, all temperatures",
@@ -237,15 +229,15 @@ def draw_curve(curve: Curve, axes: "Axes") -> None:
         axes.plot(
             t,
             curve.value + sign * curve.U,
-            color=COLOURS[0],
+            color=style.COLOURS[0],
             linewidth=0.8,
             linestyle="--",
             label="U, one temperature" if sign > 0.0 else None,
         )
-    axes.plot(t, curve.value, color=COLOURS[0], linewidth=1.2, label=curve.name)
+    axes.plot(t, curve.value, color=style.COLOURS[0], linewidth=1.2, label=curve.name)
     axes.set_xlabel("temperature")
-    name_axis(axes.yaxis, curve.name, curve.unit)
-    name_series(axes, 3)
+    style.name_axis(axes.yaxis, curve.name, curve.unit)
+    style.name_series(axes, 3)
 
 
 def draw_balance(regression: Regression, axes: "Axes") -> None:
@@ -259,13 +251,15 @@ def draw_balance(regression: Regression, axes: "Axes") -> None:
     if regression.balance is None:
         raise UsageError("the regression has no rates, so it is in balance everywhere.")
     b = regression.balance
-    axes.fill_between(b.at, b.predicted - b.U, b.predicted + b.U, color=COLOURS[5], alpha=0.35)
-    axes.plot(b.at, b.predicted, color=COLOURS[0], linewidth=1.2, label="in balance, with U")
+    axes.fill_between(
+        b.at, b.predicted - b.U, b.predicted + b.U, color=style.COLOURS[5], alpha=0.35
+    )
+    axes.plot(b.at, b.predicted, color=style.COLOURS[0], linewidth=1.2, label="in balance, with U")
     if b.outside.any():
         x, y = b.at[b.outside], b.predicted[b.outside]
-        axes.plot(x, y, color=COLOURS[6], marker="x", linestyle="none", label="outside")
+        axes.plot(x, y, color=style.COLOURS[6], marker="x", linestyle="none", label="outside")
     axes.set(xlabel=b.variable, ylabel=regression.response)
-    name_series(axes, 2)
+    style.name_series(axes, 2)
 
 
 def draw_path(segment: Segment, axes: "Axes") -> None:
@@ -281,7 +275,7 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
         [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
     )
     if steps:
-        scale_by_powers(axes, "x")
+        style.scale_by_powers(axes, "x")
         axes.set_xlim(left=min([1.0, *(0.5 * step.F for step in steps if step.F > 0.0)]))
     axes.invert_yaxis()
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
@@ -292,13 +286,13 @@ def _draw_step(step: Step, row: int, axes: "Axes") -> None:
     axes.barh(
         row,
         step.F,
-        color=COLOURS[0] if added else "none",
-        edgecolor=COLOURS[0],
+        color=style.COLOURS[0] if added else "none",
+        edgecolor=style.COLOURS[0],
         hatch="" if added else "//",
         linewidth=1.0,
     )
     if step.runner_up is not None and step.runner_up.F > 0.0:
-        axes.plot(step.runner_up.F, row, marker="D", color=COLOURS[1], linestyle="none")
+        axes.plot(step.runner_up.F, row, marker="D", color=style.COLOURS[1], linestyle="none")
 
 
 def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":
@@ -310,11 +304,11 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
     table = read_table(data, what="data")
     if isinstance(regression, Regressions):
         drawn = [panel for one in regression.values() for panel in _before_and_after(one, table)]
-        return figure_of(drawn)
+        return style.figure_of(drawn)
     chosen = [s for s in regression.segments if s.path][: 1 if regression.continuous else None]
     paths = [partial(_titled_path, regression, segment) for segment in chosen]
     still = [] if regression.balance is None else [partial(draw_balance, regression)]
-    return figure_of([*_before_and_after(regression, table), *still, *paths])
+    return style.figure_of([*_before_and_after(regression, table), *still, *paths])
 
 
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
@@ -327,7 +321,7 @@ def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[A
 def _titled_path(regression: Regression, segment: Segment, axes: "Axes") -> None:
     draw_path(segment, axes)
     span = format_span(regression.range_variable, segment.range, segment.branch)
-    write_title(axes, "all segments" if regression.continuous else span.replace(" -", " −"))
+    style.write_title(axes, "all segments" if regression.continuous else span.replace(" -", " −"))
 
 
 def complete_rows(regression: Regression, table: Table) -> Table:
@@ -354,4 +348,4 @@ def temperature_curves(calibration: Calibration) -> tuple[Curve, ...]:
 def calibration_figure(calibration: Calibration) -> "Figure":
     """Return the residuals of every output, and below them what changes over temperature."""
     curves = [partial(draw_curve, curve) for curve in temperature_curves(calibration)]
-    return figure_of([*residual_panels(calibration), *curves])
+    return style.figure_of([*residual_panels(calibration), *curves])

@@ -15,36 +15,7 @@ from multipos.files.spelling import Names, listed, quoted, require_columns, spli
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
-from multipos.positions import attitudes
-from multipos.positions.headers import (
-    ACCELERATION_UNITS,
-    FORCE,
-    MAGNETIC_UNITS,
-    OF_FIELD,
-    OF_SURROUNDINGS,
-    RESERVED,
-    SOAKS,
-    NameParts,
-    component,
-    find_column,
-    find_lengths,
-    find_likely_m_s2,
-    in_celsius,
-    in_standard_g,
-    is_beside,
-    is_environment,
-    known_rows,
-    left_by_apply,
-    plain_names,
-    read_forces,
-    read_reference_u,
-    states_forces,
-    triads_of,
-    unit_as_known,
-    unit_of_outputs,
-    unused_columns,
-)
-from multipos.positions.orientations import read_open_rolls, with_angles
+from multipos.positions import attitudes, headers, orientations
 from multipos.positions.readings import Readings, select_outputs
 
 
@@ -96,20 +67,20 @@ def read_readings(
     names = None if outputs is None else split_names(outputs, "--outputs")
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
-    table, units = plain_names(read_table(source, what="readings", outputs=names))
+    table, units = headers.plain_names(read_table(source, what="readings", outputs=names))
     findings: list[Finding] = []
-    names = None if names is None else tuple(find_column(table, name) for name in names)
+    names = None if names is None else tuple(headers.find_column(table, name) for name in names)
     if field != "gravity":
         table, names = _of_magnetic_field(table, names, units, unit, field)
     beside = [*environment, *_of_surroundings(units, names or (), environment, findings)]
     names = _outputs(table, names, beside, findings)
-    table = in_celsius(table, _used(units, names, environment), findings)
+    table = headers.in_celsius(table, _used(units, names, environment), findings)
     spread = _orientation_sd(table)
     # what is an output is no position, whatever its name
     outputs_only = frozenset(names)
     others = {n: column for n, column in table.columns.items() if n not in outputs_only}
-    free = with_angles(replace(table, columns=others))
-    rolls = read_open_rolls(free, findings)
+    free = orientations.with_angles(replace(table, columns=others))
+    rolls = orientations.read_open_rolls(free, findings)
     oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
     columns = _environment(table, names, environment, findings)
     return Readings(
@@ -127,7 +98,7 @@ def read_readings(
         force=force,
         reference_u=reference_u,
         environment=columns,
-        unit=unit_of_outputs(table, names, units, unit),
+        unit=headers.unit_of_outputs(table, names, units, unit),
         source=None if table.sha256 is None else table.source,
         sha256=table.sha256,
         findings=tuple(findings),
@@ -151,19 +122,19 @@ def _of_magnetic_field(
     MultiposError
         Columns that say where up is, which is not where the field points.
     """
-    apart = {*OF_FIELD, *FORCE, *RESERVED}
-    named = [n for n in table.columns if n not in apart and component(n).magnetic]
-    others = [n for n in table.columns if component(n).acceleration]
+    apart = {*headers.OF_FIELD, *headers.FORCE, *headers.RESERVED}
+    named = [n for n in table.columns if n not in apart and headers.component(n).magnetic]
+    others = [n for n in table.columns if headers.component(n).acceleration]
     if field is None:
-        kinds = {units.get(name) for name in names or named} | {unit_as_known(unit or "")}
-        shown = bool(kinds.intersection(MAGNETIC_UNITS)) and not others
+        kinds = {units.get(name) for name in names or named} | {headers.unit_as_known(unit or "")}
+        shown = bool(kinds.intersection(headers.MAGNETIC_UNITS)) and not others
         alone = len(named) == len(COMPONENTS) and not others
         if names is not None:
-            alone = all(component(name).magnetic for name in names)
-        if not (shown or alone) or unit_as_known(unit or "") in ACCELERATION_UNITS:
+            alone = all(headers.component(name).magnetic for name in names)
+        if not (shown or alone) or headers.unit_as_known(unit or "") in headers.ACCELERATION_UNITS:
             return table, names
-    if field == "magnetic" and names is None and len(triads_of(named, _parts(named))) == 1:
-        names = triads_of(named, _parts(named))[0]
+    if field == "magnetic" and names is None and len(headers.triads_of(named, _parts(named))) == 1:
+        names = headers.triads_of(named, _parts(named))[0]
     kept = table.columns if names is None else {n for n in table.columns if n not in names}
     wrong = [n for n in attitudes.COLUMNS if n in kept and n not in attitudes.UP]
     if wrong:
@@ -172,16 +143,20 @@ def _of_magnetic_field(
             "where "
             "a magnetic field points; give its direction as b_x, b_y, b_z, or leave it out."
         )
-    forms = [form for form in (OF_FIELD, FORCE) if all(name in kept for name in form)]
-    if not forms or left_by_apply(table) or any(name in kept for name in attitudes.UP):
-        return replace(table, columns=_without(table, names, (*OF_FIELD, *FORCE))), names
+    forms = [
+        form for form in (headers.OF_FIELD, headers.FORCE) if all(name in kept for name in form)
+    ]
+    if not forms or headers.left_by_apply(table) or any(name in kept for name in attitudes.UP):
+        return replace(
+            table, columns=_without(table, names, (*headers.OF_FIELD, *headers.FORCE))
+        ), names
     renamed = dict(zip(forms[0], attitudes.UP, strict=True))
     columns = _without(table, names, () if len(forms) == 1 else forms[1])
     return replace(table, columns={renamed.get(n, n): c for n, c in columns.items()}), names
 
 
-def _parts(names: Sequence[str]) -> dict[str, NameParts]:
-    return {name: component(name) for name in names}
+def _parts(names: Sequence[str]) -> dict[str, headers.NameParts]:
+    return {name: headers.component(name) for name in names}
 
 
 def _without(table: Table, outputs: tuple[str, ...] | None, names: Sequence[str]) -> dict[str, Any]:
@@ -204,19 +179,19 @@ def _where_it_stood(
         Without the columns that are outputs.
     """
     rows = attitudes.rows_with_orientation(free)
-    stated = states_forces(free, rows)
-    force = read_forces(in_standard_g(free, units), rows) if stated else None
+    stated = headers.states_forces(free, rows)
+    force = headers.read_forces(headers.in_standard_g(free, units), rows) if stated else None
     if force is not None:
-        findings += find_likely_m_s2(force, units)
-    elif all(name in free for name in FORCE):
-        why = "were added by apply" if left_by_apply(free) else "accompany an orientation"
-        text = f"columns {quoted(FORCE)} {why} and are not used as positions"
+        findings += headers.find_likely_m_s2(force, units)
+    elif all(name in free for name in headers.FORCE):
+        why = "were added by apply" if headers.left_by_apply(free) else "accompany an orientation"
+        text = f"columns {quoted(headers.FORCE)} {why} and are not used as positions"
         findings.append(Finding("unused-column", "note", text))
     oriented = attitudes.read_attitudes(free, _without_attitude(free, spread, rolls, force))
     up = attitudes.FORMS["up vector"]
     if oriented is not None and up[0] in free:
-        findings += find_lengths(free, up)
-    return oriented, force, read_reference_u(free, force)
+        findings += headers.find_lengths(free, up)
+    return oriented, force, headers.read_reference_u(free, force)
 
 
 def _without_attitude(
@@ -224,7 +199,7 @@ def _without_attitude(
 ) -> Mask | None:
     """Return the rows (n,) that need no attitude: unknown, a roll of open angle, a known force."""
     open_ = None if rolls is None else np.array([axis != "" for axis in rolls])
-    forced = None if force is None else known_rows(force)
+    forced = None if force is None else headers.known_rows(force)
     if open_ is not None and forced is not None and (open_ & forced).any():
         row = int(np.argmax(open_ & forced))
         raise MultiposError(
@@ -245,7 +220,7 @@ def _named_otherwise(
     if names is None and not set(environment).isdisjoint(readings.outputs):
         names = tuple(name for name in readings.outputs if name not in environment)
     readings = readings if names is None else select_outputs(readings, names)
-    return readings if unit is None else replace(readings, unit=unit_as_known(unit))
+    return readings if unit is None else replace(readings, unit=headers.unit_as_known(unit))
 
 
 def _outputs(
@@ -258,7 +233,7 @@ def _outputs(
     require_columns(names, table.columns, table.source)
     beside = _averaged_along(tuple(candidates), table)
     others = (name for name in candidates if name not in names and name not in beside)
-    findings += unused_columns(
+    findings += headers.unused_columns(
         f"column '{name}' is not among the outputs and is not used" for name in others
     )
     return names
@@ -266,12 +241,12 @@ def _outputs(
 
 def _candidates(table: Table, environment: Sequence[str]) -> list[str]:
     """Return the columns that may be outputs."""
-    apart = {*environment, *left_by_apply(table)}
+    apart = {*environment, *headers.left_by_apply(table)}
     every = [name for name in table.columns if name not in apart and _may_be_output(name, table)]
-    if not all(name in table for name in FORCE):
+    if not all(name in table for name in headers.FORCE):
         return every
     # Forces are references, unless nothing else could be what the sensor said.
-    others = [name for name in every if name not in FORCE]
+    others = [name for name in every if name not in headers.FORCE]
     return every if all(map(table.is_text, others)) else others
 
 
@@ -279,7 +254,7 @@ def _of_surroundings(
     units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str], findings: list[Finding]
 ) -> list[str]:
     """Return columns that are no outputs by the unit in their header, said where it is news."""
-    found = [n for n, unit in units.items() if unit in OF_SURROUNDINGS and n not in outputs]
+    found = [n for n, unit in units.items() if unit in headers.OF_SURROUNDINGS and n not in outputs]
     findings += [
         Finding(
             "unused-column",
@@ -287,7 +262,7 @@ def _of_surroundings(
             f"column '{name}' is in {units[name]} by its header, thus not an output",
         )
         for name in found
-        if name not in RESERVED and name not in used and not is_environment(name)
+        if name not in headers.RESERVED and name not in used and not headers.is_environment(name)
     ]
     return found
 
@@ -295,7 +270,7 @@ def _of_surroundings(
 def _used(units: Mapping[str, str], outputs: Sequence[str], used: Sequence[str]) -> dict[str, str]:
     """Return the units of columns that are surroundings of the readings."""
     kept = ((name, unit) for name, unit in units.items() if name not in outputs)
-    return {name: unit for name, unit in kept if name in used or is_environment(name)}
+    return {name: unit for name, unit in kept if name in used or headers.is_environment(name)}
 
 
 def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tuple[str, ...]:
@@ -309,10 +284,12 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
         )
     beside = frozenset(_averaged_along(numeric, table))  # as `average` writes them: no word
     left = tuple(name for name in numeric if name not in beside)
-    kinds = {name: component(name) for name in candidates}
+    kinds = {name: headers.component(name) for name in candidates}
     chosen = _of_acceleration(left, kinds)
     _refuse_text(table, chosen, list(text), kinds)
-    findings += unused_columns(f"column '{name}' holds text and is not used" for name in text)
+    findings += headers.unused_columns(
+        f"column '{name}' holds text and is not used" for name in text
+    )
     used = frozenset(chosen)
     findings += _find_others(chosen, [name for name in left if name not in used])
     return chosen
@@ -321,7 +298,7 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
 def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
     if not others:
         return []
-    if any(map(is_beside, others)):
+    if any(map(headers.is_beside, others)):
         whose = "is not used" if len(others) == 1 else "are not used"
     else:
         whose = "belongs to another sensor" if len(others) == 1 else "belong to other sensors"
@@ -329,19 +306,24 @@ def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
     return [Finding("outputs-by-name", "note", text)]
 
 
-def _of_acceleration(names: tuple[str, ...], kinds: Mapping[str, NameParts]) -> tuple[str, ...]:
+def _of_acceleration(
+    names: tuple[str, ...], kinds: Mapping[str, headers.NameParts]
+) -> tuple[str, ...]:
     """Return the columns named as acceleration, where others are named as rate or field."""
     named = tuple(name for name in names if kinds[name].acceleration)
     elsewhere = any(kinds[name].elsewhere and kinds[name].axis >= 0 for name in names)
-    if len(triads_of(named, kinds)) == 1:
-        names = tuple(name for name in names if name in named or not is_beside(name))
+    if len(headers.triads_of(named, kinds)) == 1:
+        names = tuple(name for name in names if name in named or not headers.is_beside(name))
     if not named or not elsewhere:
         return names
     return tuple(name for name in names if name in named or not kinds[name].elsewhere)
 
 
 def _refuse_text(
-    table: Table, chosen: tuple[str, ...], text: Sequence[str], kinds: Mapping[str, NameParts]
+    table: Table,
+    chosen: tuple[str, ...],
+    text: Sequence[str],
+    kinds: Mapping[str, headers.NameParts],
 ) -> None:
     """Refuse to drop a column that is an output by its name."""
     stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
@@ -357,14 +339,14 @@ def _refuse_text(
 
 
 def _may_be_output(name: str, table: Table) -> bool:
-    if name in RESERVED or is_environment(name) or _is_soak(name, table):
+    if name in headers.RESERVED or headers.is_environment(name) or _is_soak(name, table):
         return False
     return not any(_stands_beside(name, prefix, table) for prefix in ("u", "dof", "sd"))
 
 
 def _is_soak(name: str, table: Table) -> bool:
     """Tell whether a column is a label of soaks: by its name, beside a temperature."""
-    return name.casefold() in SOAKS and "temperature" in table
+    return name.casefold() in headers.SOAKS and "temperature" in table
 
 
 def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:
@@ -389,7 +371,7 @@ def _environment(
                 [float(labels[label]) for label in table.text(name)]
             )
             continue
-        if not is_environment(name) or name in outputs:
+        if not headers.is_environment(name) or name in outputs:
             continue
         try:
             columns[name] = table.number(name, empty=True, largest=LARGEST)
@@ -405,7 +387,7 @@ def _beside(
     """Return what stands beside every output in columns of a prefix (n, M), or None."""
     names = [f"{prefix}_{output}" for output in outputs]
     known = {*names, *outputs}
-    findings += unused_columns(
+    findings += headers.unused_columns(
         f"column '{name}' belongs to no output and is not used"
         for name in table.columns
         if name not in known and _stands_beside(name, prefix, table)

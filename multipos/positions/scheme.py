@@ -43,26 +43,8 @@ from multipos.files.pipes import is_file
 from multipos.files.spelling import numbered, visible
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array, Places
-from multipos.positions.attitudes import (
-    FORMS,
-    UP,
-    Attitudes,
-    from_rotation,
-    from_up,
-    parse_direction,
-    read_attitudes,
-    roll,
-    rows_with_orientation,
-)
-from multipos.positions.headers import (
-    FORCE,
-    along_forces,
-    in_standard_g,
-    known_rows,
-    plain_names,
-    read_forces,
-    states_forces,
-)
+from multipos.positions import attitudes, headers
+from multipos.positions.attitudes import roll
 from multipos.positions.order import Order, check_order, lay_out
 from multipos.results import Drawn, Result, Tabular, frozen
 from multipos.units import cos_deg, sin_deg
@@ -328,12 +310,12 @@ class Scheme(Result, Drawn, Tabular):
         """Return the positions as `read_scheme` takes them: label, and up vector or known force."""
         found: dict[str, Any] = {"position": self.names}
         if self.force is None:
-            return found | dict(zip(UP, self.up.T, strict=True))
-        forced = known_rows(self.force)
+            return found | dict(zip(attitudes.UP, self.up.T, strict=True))
+        forced = headers.known_rows(self.force)
         if not forced.all():
             up = np.where(forced[:, None], np.nan, self.up)
-            found |= dict(zip(UP, up.T, strict=True))
-        return found | dict(zip(FORCE, self.force.T, strict=True))
+            found |= dict(zip(attitudes.UP, up.T, strict=True))
+        return found | dict(zip(headers.FORCE, self.force.T, strict=True))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -477,23 +459,27 @@ def _named_or_file(text: str) -> Scheme:
 
 
 def _from_table(source: Source) -> Scheme:
-    table, units = plain_names(read_table(source, what="scheme", outputs=FORMS["up vector"]))
-    rows = rows_with_orientation(table)
-    stated = states_forces(table, rows)
-    force = read_forces(in_standard_g(table, units), rows) if stated else None
-    known = None if force is None else known_rows(force)
-    attitudes = read_attitudes(table, known)
-    if attitudes is None and force is None:
+    table, units = headers.plain_names(
+        read_table(source, what="scheme", outputs=attitudes.FORMS["up vector"])
+    )
+    rows = attitudes.rows_with_orientation(table)
+    stated = headers.states_forces(table, rows)
+    force = headers.read_forces(headers.in_standard_g(table, units), rows) if stated else None
+    known = None if force is None else headers.known_rows(force)
+    listed = attitudes.read_attitudes(table, known)
+    if listed is None and force is None:
         raise MultiposError(
             f"{table.source}: no orientation columns; give direction, up_x up_y up_z, "
             "roll_deg pitch_deg, qw qx qy qz, roll_axis angle_deg, or a known force f_x f_y f_z."
         )
     labels = table.text("position") if "position" in table else None
     _refuse_twice(table.source, labels)
-    if attitudes is None:
-        attitudes = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
-    up = attitudes.up if force is None else along_forces(force, attitudes.up)
-    return Scheme(visible(table.source), up, attitudes.rotation, labels, force)
+    if listed is None:
+        listed = attitudes.Attitudes(
+            np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan)
+        )
+    up = listed.up if force is None else headers.along_forces(force, listed.up)
+    return Scheme(visible(table.source), up, listed.rotation, labels, force)
 
 
 def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:
@@ -505,26 +491,26 @@ def _refuse_twice(name: str, labels: tuple[str, ...] | None) -> None:
         )
 
 
-def _scheme(name: str, attitudes: Attitudes) -> Scheme:
-    return Scheme(name, attitudes.up, attitudes.rotation, numbered(len(attitudes.up)))
+def _scheme(name: str, listed: attitudes.Attitudes) -> Scheme:
+    return Scheme(name, listed.up, listed.rotation, numbered(len(listed.up)))
 
 
-def _song_qin() -> Attitudes:
+def _song_qin() -> attitudes.Attitudes:
     triples = ("东天南", "东北天", "地东南", "西地南", "天西南", "南西地")
-    return from_rotation([parse_direction(triple) for triple in triples])
+    return attitudes.from_rotation([attitudes.parse_direction(triple) for triple in triples])
 
 
-def _faces() -> Attitudes:
-    return from_up([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+def _faces() -> attitudes.Attitudes:
+    return attitudes.from_up([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 
 
-def _corners() -> Attitudes:
-    return from_up([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+def _corners() -> attitudes.Attitudes:
+    return attitudes.from_up([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
 
 
-def _edges() -> Attitudes:
+def _edges() -> attitudes.Attitudes:
     pairs = [(a, b) for a in (1, -1) for b in (1, -1)]
-    return from_up(
+    return attitudes.from_up(
         [[a, b, 0] for a, b in pairs]
         + [[a, 0, b] for a, b in pairs]
         + [[0, a, b] for a, b in pairs]
@@ -534,18 +520,18 @@ def _edges() -> Attitudes:
 _GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
 
-def _icosahedron() -> Attitudes:
+def _icosahedron() -> attitudes.Attitudes:
     pairs = [(a, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
-    return from_up(
+    return attitudes.from_up(
         [[0, a, b] for a, b in pairs]
         + [[a, b, 0] for a, b in pairs]
         + [[b, 0, a] for a, b in pairs]
     )
 
 
-def _dodecahedron() -> Attitudes:
+def _dodecahedron() -> attitudes.Attitudes:
     pairs = [(a / _GOLDEN, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
-    return from_up(
+    return attitudes.from_up(
         [[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]
         + [[0, a, b] for a, b in pairs]
         + [[a, b, 0] for a, b in pairs]
@@ -553,28 +539,30 @@ def _dodecahedron() -> Attitudes:
     )
 
 
-def _fibonacci(count: int) -> Attitudes:
+def _fibonacci(count: int) -> attitudes.Attitudes:
     k = np.arange(count)
     height = 1.0 - (2.0 * k + 1.0) / count
     azimuth = 2.0 * np.pi * k / _GOLDEN**2
     level = np.sqrt(1.0 - height**2)
-    return from_up(np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), height]))
+    return attitudes.from_up(
+        np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), height])
+    )
 
 
-def _roll(axis: str) -> Callable[[int], Attitudes]:
+def _roll(axis: str) -> Callable[[int], attitudes.Attitudes]:
     # k·360/N, not k·(360/N): quarter turns stay exact whatever N.
     return lambda count: roll(axis, np.arange(count) * 360.0 / count)
 
 
-def _joined(*parts: Attitudes) -> Attitudes:
-    return Attitudes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+def _joined(*parts: attitudes.Attitudes) -> attitudes.Attitudes:
+    return attitudes.Attitudes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def _dual_axis() -> Attitudes:
+def _dual_axis() -> attitudes.Attitudes:
     return _joined(_roll("y")(24), _roll("x")(24))
 
 
-def _all() -> Attitudes:
+def _all() -> attitudes.Attitudes:
     return _joined(_faces(), _edges(), _corners())
 
 
@@ -582,7 +570,7 @@ class NamedScheme(NamedTuple):
     """A named scheme, or a family of them whose name ends in N."""
 
     description: str  # its positions in words
-    positions: Callable[..., Attitudes]  # of nothing, or of the N of a family
+    positions: Callable[..., attitudes.Attitudes]  # of nothing, or of the N of a family
     shown: int | None = None  # the N of a family that the list of schemes shows
 
 

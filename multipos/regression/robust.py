@@ -39,16 +39,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.terms import CONSTANT, Term, linear_term
-from multipos.regression.correlation import (
-    Whitening,
-    ages,
-    cluster_covariance,
-    effective_size,
-    hac_covariance,
-    lag_one,
-    wald,
-    window_dof,
-)
+from multipos.regression import correlation
+from multipos.regression.correlation import lag_one
 from multipos.regression.observations import Data
 from multipos.regression.segment import Between, Robust, Segment
 
@@ -202,9 +194,13 @@ def robust_fit(
     e, cofactor, noise = found.residuals, found.cofactor, data.noise
     rho, correlated = (0.0, False) if data.order is None else lag_one(e, data.order)
     correlated |= noise is not None and noise.law is not None
-    size = effective_size(e, data.order) if correlated and data.order is not None else len(e)
+    size = (
+        correlation.effective_size(e, data.order)
+        if correlated and data.order is not None
+        else len(e)
+    )
     if data.cluster is not None:
-        covariance, m = cluster_covariance(X, e, cofactor, data.cluster)
+        covariance, m = correlation.cluster_covariance(X, e, cofactor, data.cluster)
         return RobustFit(covariance, "cluster", m - 1.0, size, rho)
     if data.order is None:
         return None
@@ -212,8 +208,8 @@ def robust_fit(
         general = _by_plausible_laws(X, data)
         if not correlated and not general:
             return None
-        covariance = hac_covariance(X, e, cofactor, data.order)
-        nu = window_dof(e, data.order)
+        covariance = correlation.hac_covariance(X, e, cofactor, data.order)
+        nu = correlation.window_dof(e, data.order)
         return RobustFit(covariance, "hac", nu, size, rho, correlated, general)
     if not correlated:
         return None
@@ -228,10 +224,10 @@ def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
     if data.order is None or data.noise is None:
         return ()
     both, lost = np.column_stack([X, data.response]), runs_lost(data)
-    order, age = data.order.order, ages(data.order.run)
+    order, age = data.order.order, correlation.ages(data.order.run)
     found = []
     for law in data.noise.plausible:
-        white = Whitening(data.order, law)(both)
+        white = correlation.Whitening(data.order, law)(both)
         fit = solve(white[:, :-1], white[:, -1])
         later, rest = None, order[age > len(law.further)]
         if len(law.further) and fit.leverage.max() > _ONE_ROW and len(rest) > both.shape[1]:
@@ -281,7 +277,7 @@ def robust_test(
         if not fit.shown and not plain.p < level <= found.p:
             return None
     else:
-        F, k = wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
+        F, k = correlation.wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
         nu = fit.nu
         if fit.kind != "effective":  # Hotelling's law for an estimated covariance
             F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
@@ -302,7 +298,7 @@ class _Test(NamedTuple):
 
 def _by_law(one: General, slopes: list[int], plain: float) -> _Test:
     """Return the test by one law; rows at the start of a run make no more of it than F does."""
-    F, k = wald(one.values[slopes], one.covariance[np.ix_(slopes, slopes)])
+    F, k = correlation.wald(one.values[slopes], one.covariance[np.ix_(slopes, slopes)])
     found = _tested(F, k, one.dof)
     if one.later is None or not found.p < plain:
         return found

@@ -19,16 +19,7 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
 from multipos.files.trees import read_toml
 from multipos.finding import Findings, errors_of, in_order, serious
-from multipos.reports.check_text import check_sentence
-from multipos.reports.evidence import (
-    check_section,
-    checks_section,
-    correlation_section,
-    positions_section,
-    residuals_section,
-    rolls_section,
-    temperature_sections,
-)
+from multipos.reports import check_text, evidence, summary
 from multipos.reports.findings import (
     EQUIPMENT,
     budget_section,
@@ -40,7 +31,6 @@ from multipos.reports.findings import (
     sphere_section,
 )
 from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
-from multipos.reports.summary import calibration_sentence
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -242,13 +232,13 @@ def build_content(
                 *(() if c.sessions is None else (sessions_section(c, c.sessions, tr),)),
                 budget_section(c, budget, tr),
                 *((sphere_section(c, tr),) if forces else ()),
-                *(() if check is None else (check_section(c, check, tr),)),
-                residuals_section(c, tr),
-                *temperature_sections(c, tr),
-                positions_section(c, tr),
-                *((rolls_section(c, tr),) if has_rolls(c) else ()),
-                correlation_section(c, tr),
-                checks_section(c, tr, simulated),
+                *(() if check is None else (evidence.check_section(c, check, tr),)),
+                evidence.residuals_section(c, tr),
+                *evidence.temperature_sections(c, tr),
+                evidence.positions_section(c, tr),
+                *((evidence.rolls_section(c, tr),) if has_rolls(c) else ()),
+                evidence.correlation_section(c, tr),
+                evidence.checks_section(c, tr, simulated),
                 _method(c, tr),
                 *((equipment,) if equipment is not None else ()),
                 *_validity(findings, tr),
@@ -263,8 +253,8 @@ def build_content(
 
 def _answer(c: Calibration, check: Check | None, tr: Translator) -> str:
     """Return the answer: of an independent run first, which has a verdict against its limit."""
-    said = calibration_sentence(c, tr)
-    return said if check is None else f"{tr.message(check_sentence(check))} {said}"
+    said = summary.calibration_sentence(c, tr)
+    return said if check is None else f"{tr.message(check_text.check_sentence(check))} {said}"
 
 
 def _method(c: Calibration, tr: Translator) -> Section:

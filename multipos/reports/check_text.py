@@ -6,17 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.files.numbers import (
-    beyond_rounding,
-    decimals_of,
-    fixed,
-    in_unit,
-    largest_rows,
-    p_in_words,
-    plain_number,
-    readable_unit,
-    titled,
-)
+from multipos.files import numbers
 from multipos.numerics.arrays import Array
 from multipos.reports.sheets import Sheet
 from multipos.verification.agreement import agreement_in_words
@@ -36,7 +26,7 @@ def _beyond_rounding(found: Check) -> Check:
     scale = max(1.0, float(np.nanmax(np.abs(found.reference), initial=0.0)))
 
     def shown(errors: Array) -> Array:
-        cells = [beyond_rounding(error, scale) for error in errors.ravel().tolist()]
+        cells = [numbers.beyond_rounding(error, scale) for error in errors.ravel().tolist()]
         return np.array(cells).reshape(errors.shape)
 
     return replace(found, before=shown(found.before), after=shown(found.after), U=shown(found.U))
@@ -55,7 +45,7 @@ def _by_axis(found: Check) -> Sheet:
     rows = []
     for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
         s = found.summary(axis)
-        linear = [plain_number(s[when]["linearity_percent"], 2) for when in scales]
+        linear = [numbers.plain_number(s[when]["linearity_percent"], 2) for when in scales]
         rows.append(
             [
                 axis or "all",
@@ -78,7 +68,7 @@ def _scales(found: Check) -> _Scales:
         when: float(np.max(size[found.counted & np.isfinite(size)], initial=0.0))
         for when, size in sizes.items()
     }
-    return {when: readable_unit(size, found.unit) for when, size in largest.items()}
+    return {when: numbers.readable_unit(size, found.unit) for when, size in largest.items()}
 
 
 def _headers(scales: _Scales, *words: str) -> list[str]:
@@ -92,14 +82,14 @@ def _united(word: str, unit: str) -> str:
 def _scaled(summary: dict[str, Any], scales: _Scales) -> list[str]:
     """Return largest and rms error before and after, in their units."""
     return [
-        plain_number(summary[when][key] * factor)
+        numbers.plain_number(summary[when][key] * factor)
         for key in ("maximum", "rms")
         for when, (factor, _) in scales.items()
     ]
 
 
 def _longest(summary: dict[str, Any], scales: _Scales) -> str:
-    return plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
+    return numbers.plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
 
 
 def _by_position(found: Check, *, whole: bool) -> Sheet:
@@ -107,11 +97,11 @@ def _by_position(found: Check, *, whole: bool) -> Sheet:
     (before, unit), (after, unit_after) = scales["before"], scales["after"]
     header = ["position"]
     for axis in found.axes:
-        header += [_united(axis, readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
+        header += [_united(axis, numbers.readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
         header += [f"after [{unit_after}]", "U"]
     rows = []
     sizes = np.abs(found.after).max(axis=1).tolist()
-    shown = list(range(len(sizes))) if whole else largest_rows(sizes)
+    shown = list(range(len(sizes))) if whole else numbers.largest_rows(sizes)
     for row in shown:
         cells = [found.positions[row]]
         for column in np.arange(len(found.axes)):
@@ -156,13 +146,13 @@ def _by_segment(found: Check) -> Sheet:
 def check_text(found: Check) -> str:
     """Return the check as plain text."""
     sheets = check_sheets(found)
-    text = "\n".join(titled(s.title, str(s)) for s in sheets)
+    text = "\n".join(numbers.titled(s.title, str(s)) for s in sheets)
     said = []
     if found.limit is not None:
         count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
         counted = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
         said.append(
-            f"{found.verdict} against {in_unit(found.limit, found.unit)} with U "
+            f"{found.verdict} against {numbers.in_unit(found.limit, found.unit)} with U "
             f"({100 * found.confidence:g} %) as guard band: {counted}"
         )
     return text + ("\n" + "\n".join(said) + "\n" if said else "")
@@ -187,15 +177,15 @@ def run_conclusions(found: Check) -> list[str]:
 
 
 def _signed(value: float) -> str:
-    return "-" if np.isnan(value) else ("+" if value > 0.0 else "") + plain_number(value)
+    return "-" if np.isnan(value) else ("+" if value > 0.0 else "") + numbers.plain_number(value)
 
 
 def _error_cells(error: float, U: float) -> tuple[str, str]:
     """Return an error and its U to the same digits: U upright is a hundred times that at level."""
-    decimals = decimals_of(U)
+    decimals = numbers.decimals_of(U)
     if decimals is None or not np.isfinite(error):
-        return _signed(error), plain_number(U, 2)
-    return fixed(error, decimals, signed=True), f"{U:.{decimals}f}"
+        return _signed(error), numbers.plain_number(U, 2)
+    return numbers.fixed(error, decimals, signed=True), f"{U:.{decimals}f}"
 
 
 def check_sentence(found: Check) -> str:
@@ -205,19 +195,19 @@ def check_sentence(found: Check) -> str:
     error, U = float(errors[row, column]), float(found.U[row, column])
     if error < 0.0:
         return "Fail: the calibration gives no value at any position."
-    largest = f"largest error {in_unit(error, found.unit)}"
+    largest = f"largest error {numbers.in_unit(error, found.unit)}"
     if math.isfinite(U):
-        largest += f" (U {in_unit(U, found.unit)})"
+        largest += f" (U {numbers.in_unit(U, found.unit)})"
     where = f" at position {found.positions[row]}"
     if found.limit is None:
         whole = found.consistency
         agrees = ""
         if whole is not None and math.isfinite(whole.p):
             word = "agrees" if whole.p >= 1.0 - found.confidence else "disagrees"
-            agrees = f"; the run {word} with the calibration ({p_in_words(whole.p)})"
+            agrees = f"; the run {word} with the calibration ({numbers.p_in_words(whole.p)})"
         rms = found.summary()["after"]["rms"]
-        return f"Errors of {in_unit(rms, found.unit)} rms, {largest}{where}{agrees}."
-    limit = in_unit(found.limit, found.unit)
+        return f"Errors of {numbers.in_unit(rms, found.unit)} rms, {largest}{where}{agrees}."
+    limit = numbers.in_unit(found.limit, found.unit)
     open_ = int(np.sum(found.verdicts == "indeterminate"))
     if found.verdict == "indeterminate":
         many = f"{open_} of {int(found.counted.sum())} errors"

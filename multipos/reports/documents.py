@@ -30,16 +30,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.numbers import (
-    SUPERSCRIPT,
-    columns_of,
-    markdown_line,
-    markdown_table,
-    markdown_text,
-    table,
-)
+from multipos.files import numbers, whole
 from multipos.files.spelling import visible
-from multipos.files.whole import write_text
 from multipos.fleets.fleet import Fleet
 from multipos.plots.style import COLOURS
 from multipos.regression.regression import Regression, Regressions
@@ -79,9 +71,9 @@ def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) ->
 
 def readable(text: str) -> str:
     """Return a cell with powers, units and infinity as people write them."""
-    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(SUPERSCRIPT)}", text)
+    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(numbers.SUPERSCRIPT)}", text)
     text = _DEGREES.sub("°", _CELSIUS.sub("°C", text))
-    text = _UNIT.sub(lambda m: m[1] + m[2].translate(SUPERSCRIPT), text)
+    text = _UNIT.sub(lambda m: m[1] + m[2].translate(numbers.SUPERSCRIPT), text)
     if text == "inf":
         return "∞"
     return _MINUS.sub(r"\1−", _ZERO.sub(r"\1", text))
@@ -211,10 +203,12 @@ def html_report(content: Content) -> str:
 
 def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
-    parts = [f"# {content.title}", markdown_line(content.subtitle)]
-    parts.append(f"**{markdown_line(readable(content.sentence))}**")
+    parts = [f"# {content.title}", numbers.markdown_line(content.subtitle)]
+    parts.append(f"**{numbers.markdown_line(readable(content.sentence))}**")
     findings, administrative = (
-        [f"## {title}\n\n{_bullets(entries, markdown_line, _MARKDOWN_BREAK)}"] if entries else []
+        [f"## {title}\n\n{_bullets(entries, numbers.markdown_line, _MARKDOWN_BREAK)}"]
+        if entries
+        else []
         for title, entries in _front(content)
     )
     first = [] if content.result is None else _markdown_section(content.result)
@@ -305,14 +299,14 @@ def report(
             calibration, lab=lab, language=language, simulated=simulated, check=check
         )
         if suffix == _CERTIFICATE:
-            return write_text(path, xml_report(calibration, content))
-        return write_text(path, _FORMS[suffix](content))
+            return whole.write_text(path, xml_report(calibration, content))
+        return whole.write_text(path, _FORMS[suffix](content))
     if suffix == _CERTIFICATE or simulated is not None or check is not None:
         raise UsageError(
             "a digital certificate, `simulated` and `check` are of one calibration; write "
             f"anything else to a {', '.join(_FORMS)} file."
         )
-    return write_text(path, _FORMS[suffix](_content(calibration, path, lab, language)))
+    return whole.write_text(path, _FORMS[suffix](_content(calibration, path, lab, language)))
 
 
 def _content(
@@ -355,10 +349,10 @@ _FORMS: dict[str, Callable[[Content], str | bytes]] = {
 
 def _markdown_section(section: Section) -> list[str]:
     parts = [f"## {section.title}"]
-    parts += [markdown_line(readable(paragraph)) for paragraph in section.paragraphs]
+    parts += [numbers.markdown_line(readable(paragraph)) for paragraph in section.paragraphs]
     for grid in section.tables:
-        caption = markdown_text(readable(grid.caption))
-        shown = markdown_table(
+        caption = numbers.markdown_text(readable(grid.caption))
+        shown = numbers.markdown_table(
             list(map(readable, grid.header)), aligned_rows(grid, "", ""), left=grid.left
         )
         parts.append(f"**{caption}**\n\n{shown}")
@@ -404,12 +398,12 @@ def _without_controls(value: Any) -> Any:
 
 
 def _underlined(title: str, mark: str) -> str:
-    return f"{title}\n{mark * columns_of(title)}"
+    return f"{title}\n{mark * numbers.columns_of(title)}"
 
 
 def _aligned_documents(grid: PageTable) -> str:
     rows = aligned_rows(grid, " ", " ")
-    return table(list(map(readable, grid.header)), rows, left=grid.left)
+    return numbers.table(list(map(readable, grid.header)), rows, left=grid.left)
 
 
 def _inline(figure: Figure, prefix: str) -> str:

@@ -14,18 +14,7 @@ import numpy as np
 from multipos.diagnostics.criticism import find_influence, fourier_residuals, judge_terms
 from multipos.diagnostics.score_tests import judge_included
 from multipos.errors import MultiposError
-from multipos.files.numbers import (
-    beyond_rounding,
-    chance,
-    common_units,
-    decimals_of,
-    in_unit,
-    largest_rows,
-    number,
-    p_in_words,
-    plain_number,
-    readable_unit,
-)
+from multipos.files import numbers
 from multipos.numerics.rotations import directions
 from multipos.plots.calibration import compensated_error, size_residuals
 from multipos.plots.fits import draw_check, draw_curve, errors_apart, temperature_curves
@@ -60,13 +49,13 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
     sizes = np.abs(c.readings.values).max(axis=0).tolist()
     largest = np.abs(np.vstack([c.residuals[shown], c.residual_sd]))
     size = float(np.max(largest[np.isfinite(largest)], initial=0.0))
-    unit = readable_unit(beyond_rounding(size, max(sizes)), c.model.unit)
+    unit = numbers.readable_unit(numbers.beyond_rounding(size, max(sizes)), c.model.unit)
     for output, left, sd, dof, size in zip(
         c.outputs, c.residuals.T, c.residual_sd.tolist(), c.dof.tolist(), sizes, strict=True
     ):
         printed = column([*left[shown], sd], unit, sd, signed=True, scale=size)
         s = printed.cells.pop().removeprefix("+")
-        columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, number(dof)]))
+        columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, numbers.number(dof)]))
     paragraphs = [_kind_of_residual(c, tr)]
     if c.estimator is Estimator.UNKNOWN:
         sizes, sd = size_residuals(c)
@@ -138,7 +127,10 @@ def _kind_of_error(c: Calibration, tr: Translator) -> str:
 def _linearity(c: Calibration, tr: Translator) -> tuple[PageTable, ...]:
     """Return the largest distance from a straight line and from the model, in percent."""
     lines = [
-        (output, *(plain_number(found[f"{w}_model_percent"], 2) for w in ("without", "with")))
+        (
+            output,
+            *(numbers.plain_number(found[f"{w}_model_percent"], 2) for w in ("without", "with")),
+        )
         for output, found in c.linearity.items()
     ]
     caption = tr("Linearity: largest distance from a line and from the model, % of −1 g to +1 g")
@@ -277,7 +269,7 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
                 "Verdict against {limit}: {verdict}. It is pass where error and U together "
                 "stay within the limit, fail where the error less U is beyond it, else "
                 "indeterminate; the worst position counts.",
-                limit=in_unit(found.limit, found.unit),
+                limit=numbers.in_unit(found.limit, found.unit),
                 verdict=tr(found.verdict or "-"),
             )
         )
@@ -311,7 +303,7 @@ def _table_of(
     kept: list[int] = []
     if found is not None and len(rows) == len(found.after):
         sizes = np.abs(found.after).max(axis=1).tolist()
-        kept = largest_rows(sizes, LONG_TABLE, LONG_TABLE)
+        kept = numbers.largest_rows(sizes, LONG_TABLE, LONG_TABLE)
     return PageTable(tr.message(sheet.title), header, rows, left, kept=tuple(kept))
 
 
@@ -350,7 +342,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
     rows: list[tuple[str, str]] = [
         (tr("rms of what is left after compensation"), c.field.shown(c.rms)),
         (tr("rank and parameters"), f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
-        (tr("condition of the design"), number(c.diagnostics.condition, 3)),
+        (tr("condition of the design"), numbers.number(c.diagnostics.condition, 3)),
     ]
     if c.cross_check is not None:
         rows.append((tr("closed form against least squares"), f"{c.cross_check:.1e}"))
@@ -358,7 +350,7 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         rows.append(
             (
                 tr("lack of fit of {output} against repeats", output=output),
-                f"F = {number(_float(test['F']))}, {p_in_words(_float(test['p']))}",
+                f"F = {numbers.number(_float(test['F']))}, {numbers.p_in_words(_float(test['p']))}",
             )
         )
     tables = [PageTable(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
@@ -392,7 +384,7 @@ def _tests_of_terms(c: Calibration, tr: Translator) -> list[PageTable]:
     """Return the tests of terms that the model has, and of those that it could have."""
     tests = [(test, tr("in the model")) for test in judge_included(c)]
     tests += [(test, tr("not in the model")) for test in c.diagnostics.model_tests]
-    rows = [(test.term, status, str(test), chance(test.p)) for test, status in tests]
+    rows = [(test.term, status, str(test), numbers.chance(test.p)) for test, status in tests]
     header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
     return (
         [PageTable(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []
@@ -400,7 +392,7 @@ def _tests_of_terms(c: Calibration, tr: Translator) -> list[PageTable]:
 
 
 def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
-    units = common_units(
+    units = numbers.common_units(
         zip(c.model.units, np.abs(found.symmetric).max(axis=1).tolist(), strict=True)
     )
     rows = [
@@ -436,10 +428,15 @@ def _simulated_cells(
 ) -> tuple[str, ...]:
     """Return u, both intervals and the tolerance in one unit, and it."""
     factor, shown = unit
-    decimals = decimals_of(factor * u)
+    decimals = numbers.decimals_of(factor * u)
     form = ".7g" if decimals is None else f".{decimals}f"
     cells = [f"[{factor * low:{form}}, {factor * high:{form}}]" for low, high in intervals]
-    return plain_number(factor * u), *cells, plain_number(factor * tolerance, 2), shown
+    return (
+        numbers.plain_number(factor * u),
+        *cells,
+        numbers.plain_number(factor * tolerance, 2),
+        shown,
+    )
 
 
 def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
@@ -448,10 +445,10 @@ def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
             t.output,
             t.term,
             tr("in the model") if t.inside else tr("not in the model"),
-            number(t.f),
-            number(t.dof[1]),
-            chance(t.p),
-            number(t.aicc),
+            numbers.number(t.f),
+            numbers.number(t.dof[1]),
+            numbers.chance(t.p),
+            numbers.number(t.aicc),
         )
         for t in judge_terms(c)
     ]
@@ -493,19 +490,19 @@ def _influence(c: Calibration, tr: Translator) -> PageTable:
 
 
 def _two_decimals(size: float) -> str:
-    return f"{size:.2f}" if np.isfinite(size) else number(size)
+    return f"{size:.2f}" if np.isfinite(size) else numbers.number(size)
 
 
 def _waves(c: Calibration, tr: Translator) -> list[PageTable]:
     found = fourier_residuals(c)
     sizes = [w["amplitude"] for entry in found for w in entry["harmonics"]]
-    factor, unit = readable_unit(max(sizes, default=0.0), c.model.unit)
+    factor, unit = numbers.readable_unit(max(sizes, default=0.0), c.model.unit)
     rows = [
         (
             entry["roll"],
             entry["output"],
             *(
-                f"{plain_number(factor * w['amplitude'], 2)} ({chance(w['p'])})"
+                f"{numbers.plain_number(factor * w['amplitude'], 2)} ({numbers.chance(w['p'])})"
                 for w in entry["harmonics"]
             ),
         )

@@ -19,17 +19,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.numbers import (
-    beyond_rounding,
-    chance,
-    common_units,
-    decimals_of,
-    number,
-    p_in_words,
-    plain_number,
-    readable_unit,
-    uncertain,
-)
+from multipos.files import numbers, trees
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -43,34 +33,15 @@ from multipos.files.records import (
     Named,
     require,
 )
-from multipos.files.trees import read_json_value
 from multipos.finding import FINDINGS, errors_of, read_findings, serious
-from multipos.fleets.fleet_text import (
-    Rows,
-    cause_rows,
-    drift_rows,
-    gauge_rows,
-    gauge_title,
-    outlier_rows,
-    parameter_rows,
-    percent,
-    station_rows,
-)
+from multipos.fleets import fleet_text
 from multipos.fleets.stations import is_off
 from multipos.numerics.arrays import Array
 from multipos.plots.fleets import draw_chart, draw_histogram
 from multipos.plots.runs import draw_values
+from multipos.reports import sections
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.findings import sessions_section
-from multipos.reports.sections import (
-    Figure,
-    Language,
-    PageTable,
-    Section,
-    Translator,
-    draw_svg,
-    with_annex,
-)
 from multipos.sensor.calibration_file import from_dict
 from multipos.verification.comparison import change_rows, comparison_sentence
 
@@ -150,7 +121,7 @@ def read_comparison(path: str | os.PathLike[str]) -> dict[str, Any] | None:
         It is such a file, and damaged.
     """
     try:
-        content = read_json_value(path, "file")
+        content = trees.read_json_value(path, "file")
     except MultiposError:  # whoever reads it next says so
         return None
     if not isinstance(content, dict) or "consistent" not in content:
@@ -172,7 +143,7 @@ def comparison_content(
     found: Mapping[str, Any],
     *,
     lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
-    language: Language = "en",
+    language: sections.Language = "en",
 ) -> Content:
     """Return what the report of repeated calibrations or regressions says.
 
@@ -183,12 +154,12 @@ def comparison_content(
     lab, language
         As of `multipos.report`.
     """
-    tr = Translator(language)
+    tr = sections.Translator(language)
     said = read_lab(lab)
     findings = read_findings(found)
     of_regressions = "regressions" in found
     runs = found["regressions" if of_regressions else "calibrations"]
-    sections = (
+    parts = (
         []
         if of_regressions
         else [_parameters(found, tr), *_combined(found, tr), _stability(found, tr)]
@@ -201,22 +172,22 @@ def comparison_content(
         unfit=bool(errors_of(findings)) or not found["consistent"],
         findings=tuple(tr.message(each.text) for each in serious(findings)),
         fields=lab_fields(said, tr),
-        sections=with_annex((*sections, _origin(runs, tr)), tr),
+        sections=sections.with_annex((*parts, _origin(runs, tr)), tr),
         lab=said,
         result=_result(found, tr),
     )
 
 
-def _result(found: Mapping[str, Any], tr: Translator) -> Section:
+def _result(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section:
     """Return by what test the runs agree, what has moved, and the biases by run.
 
     Of regressions the terms by run.
     """
     if "parameters" not in found:
-        return Section(tr("Result"), tables=(_terms(found, tr),))
+        return sections.Section(tr("Result"), tables=(_terms(found, tr),))
     paragraphs: list[str] = []
     header, rows = change_rows(found)
-    changes = PageTable(
+    changes = sections.PageTable(
         tr("Changes between the first and the last"),
         tuple(map(tr, header)),
         tuple(map(tuple, rows)),
@@ -224,7 +195,8 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     )
     if found["p"] is not None:
         paragraphs.append(
-            f"{tr(found['test'])}: {number(found['statistic'])}, {p_in_words(found['p'])}"
+            f"{tr(found['test'])}: {numbers.number(found['statistic'])}, "
+            f"{numbers.p_in_words(found['p'])}"
         )
     moved = [entry["name"] for entry in found["parameters"] if entry["moved"]]
     if moved:
@@ -232,14 +204,14 @@ def _result(found: Mapping[str, Any], tr: Translator) -> Section:
     biases = [entry for entry in found["parameters"] if entry["term"] == "1"]
     values = {entry["name"]: _less_mean(entry) for entry in biases}
     draw = partial(draw_values, values, unit=biases[0]["unit"] if biases else "")
-    picture = Figure(
+    picture = sections.Figure(
         tr("Biases by run, each less its mean, with U")
         if all("U" in entry for entry in biases)
         else tr("Biases by run, each less its mean"),
         tr("One line for each output; the numbers are in the table below."),
-        partial(draw_svg, tr, 2.4, draw),
+        partial(sections.draw_svg, tr, 2.4, draw),
     )
-    return Section(
+    return sections.Section(
         tr("Result"), tuple(paragraphs), (picture,) if biases else (), (changes,) if rows else ()
     )
 
@@ -252,7 +224,7 @@ def _less_mean(entry: Mapping[str, Any]) -> tuple[Array, Array]:
     return values - (finite.mean() if len(finite) else math.nan), np.array(U)
 
 
-def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
+def _parameters(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section:
     runs = [str(i + 1) for i in range(len(found["calibrations"]))]
     per = found["parameters"][0]["drift_unit"].rpartition("/")[2]
     header = (
@@ -260,7 +232,7 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         *runs,
         *(tr("mean(sd)"), tr("drift per {unit}", unit=tr(per)), tr("its p"), "p", ""),
     )
-    units = common_units(
+    units = numbers.common_units(
         (entry["unit"], _or_nan(value))
         for entry in found["parameters"]
         for value in entry["values"]
@@ -269,8 +241,8 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         (
             entry["name"],
             *_values_of(entry, units[entry["unit"]]),
-            chance(entry["drift_p"]),
-            chance(entry["p"]),
+            numbers.chance(entry["drift_p"]),
+            numbers.chance(entry["p"]),
             tr("moved") if entry["moved"] else "",
         )
         for entry in found["parameters"]
@@ -279,8 +251,8 @@ def _parameters(found: Mapping[str, Any], tr: Translator) -> Section:
         "Each parameter in every run. p is the probability of such differences by the stated "
         "uncertainties; drift is the slope over the runs, with its own p."
     )
-    table = PageTable(tr("Parameters by run"), header, rows, left=2)
-    return Section(tr("Parameters"), (finite,), tables=(table,))
+    table = sections.PageTable(tr("Parameters by run"), header, rows, left=2)
+    return sections.Section(tr("Parameters"), (finite,), tables=(table,))
 
 
 def _values_of(entry: Mapping[str, Any], shown: tuple[float, str]) -> list[str]:
@@ -288,59 +260,61 @@ def _values_of(entry: Mapping[str, Any], shown: tuple[float, str]) -> list[str]:
     values = np.array([_or_nan(value) for value in entry["values"]])
     factor, unit = shown
     sd = factor * _or_nan(entry["sd"])
-    decimals = decimals_of(sd)
+    decimals = numbers.decimals_of(sd)
     form = ".7g" if decimals is None else f".{decimals + 1}f"
     middle = factor * _or_nan(entry["mean"])
     cells = ["-" if np.isnan(value) else f"{value:{form}}" for value in factor * values]
-    drift = None if entry["drift"] is None else beyond_rounding(factor * entry["drift"])
-    mean = f"{middle:{form}}" if decimals is None else uncertain(middle, sd)
-    return [unit, *cells, mean, plain_number(drift, 2)]
+    drift = None if entry["drift"] is None else numbers.beyond_rounding(factor * entry["drift"])
+    mean = f"{middle:{form}}" if decimals is None else numbers.uncertain(middle, sd)
+    return [unit, *cells, mean, numbers.plain_number(drift, 2)]
 
 
-def _combined(found: Mapping[str, Any], tr: Translator) -> list[Section]:
+def _combined(found: Mapping[str, Any], tr: sections.Translator) -> list[sections.Section]:
     """Return the one calibration of all sessions, or how it is made."""
     if "combined" not in found:
         finite = tr("multipos compare … --combine -o CAL.json makes one calibration of all runs.")
-        return [Section(tr("Combined sessions"), (finite,))]
+        return [sections.Section(tr("Combined sessions"), (finite,))]
     combined = from_dict(found["combined"], "the combined calibration")
     return [] if combined.sessions is None else [sessions_section(combined, combined.sessions, tr)]
 
 
-def _stability(found: Mapping[str, Any], tr: Translator) -> Section:
+def _stability(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section:
     unit = next((e["unit"] for e in found["parameters"] if e["term"] == "1"), "")
     estimated_of = [sd for sd in found["bias_stability"].values() if sd is not None]
-    factor, unit = readable_unit(max(estimated_of, default=0.0), unit)
+    factor, unit = numbers.readable_unit(max(estimated_of, default=0.0), unit)
     rows = tuple(
-        (output, plain_number(None if sd is None else factor * sd))
+        (output, numbers.plain_number(None if sd is None else factor * sd))
         for output, sd in found["bias_stability"].items()
     )
     finite = tr("Standard deviation of the repeated biases, from switch-on to switch-on.")
-    table = PageTable(tr("Bias stability"), (tr("Output"), f"sd [{unit}]"), rows)
-    return Section(tr("Bias stability"), (finite,), tables=(table,))
+    table = sections.PageTable(tr("Bias stability"), (tr("Output"), f"sd [{unit}]"), rows)
+    return sections.Section(tr("Bias stability"), (finite,), tables=(table,))
 
 
-def _terms(found: Mapping[str, Any], tr: Translator) -> PageTable:
+def _terms(found: Mapping[str, Any], tr: sections.Translator) -> sections.PageTable:
     runs = [str(i + 1) for i in range(len(found["regressions"]))]
     rows = tuple(
         (
             entry["segment"],
             entry["term"],
-            *(number(value, 5) for value in entry["values"]),
-            number(entry["sd"], 2),
-            chance(entry["p"]),
+            *(numbers.number(value, 5) for value in entry["values"]),
+            numbers.number(entry["sd"], 2),
+            numbers.chance(entry["p"]),
         )
         for entry in found["terms"]
     )
     header = (tr("Segment"), tr("Term"), *runs, "sd", "p")
-    return PageTable(tr("Terms by run"), header, rows, left=2)
+    return sections.PageTable(tr("Terms by run"), header, rows, left=2)
 
 
-def _origin(runs: Sequence[Mapping[str, Any]], tr: Translator) -> Section:
+def _origin(runs: Sequence[Mapping[str, Any]], tr: sections.Translator) -> sections.Section:
     rows = tuple(
         (str(i), run["file"] or "-", run["created"] or "-") for i, run in enumerate(runs, start=1)
     )
     header = (tr("Run"), tr("File"), tr("Computed"))
-    return Section(tr("Data"), tables=(PageTable(tr("Runs"), header, rows, left=3),))
+    return sections.Section(
+        tr("Data"), tables=(sections.PageTable(tr("Runs"), header, rows, left=3),)
+    )
 
 
 def _or_nan(value: float | None) -> float:
@@ -360,7 +334,7 @@ _EXPLAINED = (
 )
 
 
-def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Content:
+def fleet_content(found: Mapping[str, Any], *, language: sections.Language = "en") -> Content:
     """Return what the report of a fleet says.
 
     Parameters
@@ -370,14 +344,16 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
     language
         As of `multipos.report`.
     """
-    tr = Translator(language)
-    outliers, named = outlier_rows(found)
-    header, stations = station_rows(found)
+    tr = sections.Translator(language)
+    outliers, named = fleet_text.outlier_rows(found)
+    header, stations = fleet_text.station_rows(found)
     alone = len(stations) == 1 and len(header) == len(("station", "units"))
-    sections = [
-        _section("Why units do not pass", cause_rows(found), tr),
+    parts = [
+        _section("Why units do not pass", fleet_text.cause_rows(found), tr),
         None if alone else _section("Stations", (header, stations), tr, (_STATIONS,)),
-        _section("Parameters", parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)),
+        _section(
+            "Parameters", fleet_text.parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)
+        ),
         _risks(found, tr),
         _fixtures(found, tr),
         _gauge(found, tr),
@@ -393,16 +369,16 @@ def fleet_content(found: Mapping[str, Any], *, language: Language = "en") -> Con
         unfit=False,
         findings=tuple(tr.message(each.text) for each in serious(read_findings(found))),
         fields=(),
-        sections=with_annex((section for section in sections if section is not None), tr),
+        sections=sections.with_annex((part for part in parts if part is not None), tr),
     )
 
 
-def _answer(found: Mapping[str, Any], tr: Translator) -> str:
+def _answer(found: Mapping[str, Any], tr: sections.Translator) -> str:
     """Return the yield, and the units by verdict."""
     counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
     return tr(
         "Yield {value} ({low} to {high} with 95 % confidence) of {units} units: {counts}.",
-        **{key: percent(found["yield"][key]) for key in ("value", "low", "high")},
+        **{key: fleet_text.percent(found["yield"][key]) for key in ("value", "low", "high")},
         units=str(found["units"]),
         counts=tr.listed(counts),
     )
@@ -438,70 +414,74 @@ _FIXTURES = (
 
 def _section(
     title: str,
-    grid: Rows,
-    tr: Translator,
+    grid: fleet_text.Rows,
+    tr: sections.Translator,
     paragraphs: tuple[str, ...] = (),
-    figures: tuple[Figure, ...] = (),
-) -> Section | None:
+    figures: tuple[sections.Figure, ...] = (),
+) -> sections.Section | None:
     if not grid[1]:
         return None
     table = _table(tr(title), grid, tr)
-    return Section(tr(title), tuple(map(tr, paragraphs)), figures, (table,))
+    return sections.Section(tr(title), tuple(map(tr, paragraphs)), figures, (table,))
 
 
-def _table(caption: str, grid: Rows, tr: Translator) -> PageTable:
+def _table(caption: str, grid: fleet_text.Rows, tr: sections.Translator) -> sections.PageTable:
     """Return the first rows of a table, each cell in the language of the page."""
     header, rows = grid
     if len(rows) > _SHOWN:
         more = " (the first {shown} of {count}; fleet.json has all)"
         caption += tr(more, shown=str(_SHOWN), count=str(len(rows)))
     shown = tuple(tuple(map(tr.message, row)) for row in rows[:_SHOWN])
-    return PageTable(caption, tuple(_heading(cell, tr) for cell in header), shown)
+    return sections.PageTable(caption, tuple(_heading(cell, tr) for cell in header), shown)
 
 
-def _heading(text: str, tr: Translator) -> str:
+def _heading(text: str, tr: sections.Translator) -> str:
     word, _, rest = text.partition(" ")  # level x [°], shift ax
     return f"{tr(word)} {rest}" if word in ("level", "shift") else tr.label(text)
 
 
-def _histograms(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
+def _histograms(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sections.Figure, ...]:
     counted = [each for each in found["parameters"] if each["histogram"] is not None]
     limited = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
     return tuple(
-        Figure(
+        sections.Figure(
             each["name"],
             tr(
                 "histogram of {count} units, with limits where there are any",
                 count=str(each["count"]),
             ),
-            partial(draw_svg, tr, 2.2, partial(draw_histogram, each)),
+            partial(sections.draw_svg, tr, 2.2, partial(draw_histogram, each)),
         )
         for each in (limited or counted)[:_DRAWN]
     )
 
 
-def _charts(found: Mapping[str, Any], tr: Translator) -> tuple[Figure, ...]:
+def _charts(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sections.Figure, ...]:
     moved = {each["name"] for each in found["drift"]}
     said = "medians of consecutive units, one line a station, dotted the limits of its EWMA"
     return tuple(
-        Figure(
+        sections.Figure(
             tr("{name} by station", name=each["name"]),
             tr(said),
-            partial(draw_svg, tr, 2.2, partial(draw_chart, each)),
+            partial(sections.draw_svg, tr, 2.2, partial(draw_chart, each)),
         )
         for each in found["parameters"]
         if each["name"] in moved and each["chart"]
     )
 
 
-def _moves(found: Mapping[str, Any]) -> Rows:
-    header, rows = drift_rows(found)
+def _moves(found: Mapping[str, Any]) -> fleet_text.Rows:
+    header, rows = fleet_text.drift_rows(found)
     return header, [(*row[:2], f"a {row[2]}", *row[3:]) for row in rows]
 
 
-def _risks(found: Mapping[str, Any], tr: Translator) -> Section | None:
+def _risks(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
     rows = [
-        (each["name"], percent(each["risk"]["consumer"]), percent(each["risk"]["producer"]))
+        (
+            each["name"],
+            fleet_text.percent(each["risk"]["consumer"]),
+            fleet_text.percent(each["risk"]["producer"]),
+        )
         for each in found["parameters"]
         if each["risk"] is not None
     ]
@@ -509,7 +489,7 @@ def _risks(found: Mapping[str, Any], tr: Translator) -> Section | None:
     return _section("Wrong verdicts", (header, rows), tr, (_RISKS,))
 
 
-def _fixtures(found: Mapping[str, Any], tr: Translator) -> Section | None:
+def _fixtures(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
     tables = []
     for station in found["stations"]:
         rows = [
@@ -529,28 +509,28 @@ def _fixtures(found: Mapping[str, Any], tr: Translator) -> Section | None:
             if any(off):
                 header = (*header, tr("off"))
                 rows = [(*row, said) for row, said in zip(rows, off, strict=True)]
-            tables.append(PageTable(caption, header, tuple(rows)))
+            tables.append(sections.PageTable(caption, header, tuple(rows)))
     if not tables:
         return None
-    return Section(tr("Angles of the positions"), (tr(_FIXTURES),), (), tuple(tables))
+    return sections.Section(tr("Angles of the positions"), (tr(_FIXTURES),), (), tuple(tables))
 
 
 def _angle(figure: Mapping[str, float] | None) -> str:
     # A turn about what is up does not show: what stands there is rounding.
     if figure is None or not figure["u"] > _ROUNDING:
         return "-"
-    return uncertain(figure["value"], figure["u"])
+    return numbers.uncertain(figure["value"], figure["u"])
 
 
-def _gauge(found: Mapping[str, Any], tr: Translator) -> Section | None:
+def _gauge(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
     gauge = found.get("gauge")
     if gauge is None:
         return None
-    table = _table(tr.message(gauge_title(gauge)), gauge_rows(gauge), tr)
-    return Section(tr("Repeatability and reproducibility"), (tr(_GAUGE),), (), (table,))
+    table = _table(tr.message(fleet_text.gauge_title(gauge)), fleet_text.gauge_rows(gauge), tr)
+    return sections.Section(tr("Repeatability and reproducibility"), (tr(_GAUGE),), (), (table,))
 
 
-def _tables_of(found: Mapping[str, Any], tr: Translator) -> Section:
+def _tables_of(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section:
     rows = tuple((each["file"], each["sha256"] or "-") for each in found["input"])
-    table = PageTable(tr("Tables"), (tr("table"), "SHA-256"), rows, left=2)
-    return Section(tr("Data"), tables=(table,))
+    table = sections.PageTable(tr("Tables"), (tr("table"), "SHA-256"), rows, left=2)
+    return sections.Section(tr("Data"), tables=(table,))

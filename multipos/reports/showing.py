@@ -27,14 +27,7 @@ from multipos.finding import NOT_FIT, Findings, errors_of, serious
 from multipos.fleets.fleet import Fleet
 from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.logs.averages import Averages, averages_sentence, averages_text
-from multipos.plots.calibration import draw_budget, draw_errors, residual_panels
-from multipos.plots.fits import check_panels, draw_curve
-from multipos.plots.fleets import draw_histogram
-from multipos.plots.runs import draw_runs, draw_terms
-from multipos.plots.schemes import draw_scheme
-from multipos.plots.stability import draw_allan
-from multipos.plots.style import figure_of, new_figure, to_svg
-from multipos.plots.tumble import draw_residual_harmonics, draw_signal
+from multipos.plots import calibration, fits, fleets, runs, schemes, stability, style, tumble
 from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions, regression_sentence
 from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
@@ -47,12 +40,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.turntable import TableErrors
-from multipos.verification.comparison import (
-    Comparison,
-    changes_text,
-    comparison_sentence,
-    comparison_text,
-)
+from multipos.verification import comparison
 from multipos.verification.regressions import RegressionComparison
 from multipos.verification.tumbling import Tumble, Tumbles
 from multipos.verification.verdicts import Check
@@ -65,7 +53,7 @@ _PAPER = "background:#ffffff;color:#000000;max-width:46rem"  # also where the no
 _TEXTS: dict[type, Callable[[Any], str]] = {
     Averages: averages_text,
     Check: check_text,
-    Comparison: comparison_text,
+    comparison.Comparison: comparison.comparison_text,
     Design: design_text,
     Schemes: schemes_text,
     Stability: stability_text,
@@ -80,7 +68,9 @@ _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,
     Calibration: calibration_sentence,
     Check: check_sentence,
-    Comparison | RegressionComparison: lambda found: comparison_sentence(plain(found.to_dict())),
+    comparison.Comparison | RegressionComparison: lambda found: comparison.comparison_sentence(
+        plain(found.to_dict())
+    ),
     Design: design_sentence,
     Fleet: lambda found: fleet_sentence(found.summary),
     Regression | Regressions: regression_sentence,
@@ -114,7 +104,7 @@ def show_html(found: Result | Columns) -> str:
     parts = [head, *_findings(found), _body(found)]
     panels = _panels(found)
     if panels:
-        figure = to_svg(figure_of(panels))
+        figure = style.to_svg(style.figure_of(panels))
         parts.append(f'<div style="{_PAPER}">{_own_ids(figure)}</div>')
     return f'<div class="multipos">{"".join(parts)}</div>'
 
@@ -137,7 +127,7 @@ def draw(found: Result, axes: Any = None) -> Any:
     if not panels:
         raise UsageError(f"there is no figure of this {type(found).__name__}.")
     if axes is None:
-        axes = new_figure(len(panels))[1]
+        axes = style.new_figure(len(panels))[1]
     given = list(axes) if isinstance(axes, Iterable) else [axes]
     if len(given) != len(panels):
         raise UsageError(
@@ -153,18 +143,18 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
     """Return what draws each panel of the figure of a result; none where there is none."""
     if isinstance(found, Calibration):
         if math.isfinite(found.rms):  # else an output does not respond
-            return [partial(draw_errors, found)]
-        return residual_panels(found)
+            return [partial(calibration.draw_errors, found)]
+        return calibration.residual_panels(found)
     if isinstance(found, Check):
-        return check_panels(found)
+        return fits.check_panels(found)
     if isinstance(found, Tumble):
-        return [partial(draw_signal, found), partial(draw_residual_harmonics, found)]
+        return [partial(tumble.draw_signal, found), partial(tumble.draw_residual_harmonics, found)]
     if isinstance(found, Tumbles):
-        return [partial(draw_signal, one) for one in found.outputs.values()]
+        return [partial(tumble.draw_signal, one) for one in found.outputs.values()]
     if isinstance(found, Design):
-        return [partial(draw_scheme, found.columns())]
+        return [partial(schemes.draw_scheme, found.columns())]
     if isinstance(found, Fleet):
-        return [partial(draw_histogram, each) for each in _limited(found)]
+        return [partial(fleets.draw_histogram, each) for each in _limited(found)]
     one = _ONE_PANEL.get(type(found))
     return [] if one is None else [partial(one, found)]
 
@@ -177,12 +167,12 @@ def _limited(found: Fleet) -> list[Mapping[str, Any]]:
 
 
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
-    Comparison: draw_runs,
-    Curve: draw_curve,
-    Evaluation: draw_budget,
-    RegressionComparison: draw_terms,
-    Scheme: draw_scheme,
-    Stability: draw_allan,
+    comparison.Comparison: runs.draw_runs,
+    Curve: fits.draw_curve,
+    Evaluation: calibration.draw_budget,
+    RegressionComparison: runs.draw_terms,
+    Scheme: schemes.draw_scheme,
+    Stability: stability.draw_allan,
 }
 
 
@@ -205,8 +195,8 @@ def _body(found: Result) -> str:
         sheet = check_sheets(found)[0]
         said = "".join(f"<p>{_text(line)}</p>" for line in run_conclusions(found))
         return _table(sheet.header, sheet.rows) + said
-    if isinstance(found, Comparison) and found.changes:
-        return f"<pre>{_text(changes_text(found))}</pre>"
+    if isinstance(found, comparison.Comparison) and found.changes:
+        return f"<pre>{_text(comparison.changes_text(found))}</pre>"
     if isinstance(found, Schemes):
         return _table(*scheme_rows(found.schemes))
     if (

@@ -10,15 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from multipos.files.numbers import (
-    beyond_rounding,
-    in_unit,
-    largest_rows,
-    number,
-    p_in_words,
-    table,
-    titled,
-)
+from multipos.files import numbers
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
@@ -62,7 +54,7 @@ def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
             if before is None
             else ": rms error {before} before, {after} after"
         )
-        parts[0] += tr(said, before=in_unit(before or 0.0, "g"), after=after)
+        parts[0] += tr(said, before=numbers.in_unit(before or 0.0, "g"), after=after)
     bias, scale = _largest_expanded(c)
     sizes = [tr("{size} of bias", size=_with_angle(c, bias, tr))] if math.isfinite(bias) else []
     sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
@@ -80,14 +72,14 @@ def _with_angle(c: Calibration, size: float, tr: Translator, form: str = "{angle
     shown = _shown(c, size)
     if c.field.magnetic or len(c.model.sensed_axes) == len(COMPONENTS):
         return shown
-    return f"{shown} ({tr(form, angle=in_unit(math.degrees(size), 'deg'))})"
+    return f"{shown} ({tr(form, angle=numbers.in_unit(math.degrees(size), 'deg'))})"
 
 
 def _shown(c: Calibration, size: float) -> str:
     """Return a size of force or field; of a field of unknown size in the unit of the readings."""
     if c.field.unit or c.model.unit not in MAGNETIC_UNITS:
         return c.field.shown(size)
-    return in_unit(size * float(np.linalg.norm(c.sensitivity, axis=1).mean()), c.model.unit)
+    return numbers.in_unit(size * float(np.linalg.norm(c.sensitivity, axis=1).mean()), c.model.unit)
 
 
 def _largest_expanded(c: Calibration) -> tuple[float, float]:
@@ -106,7 +98,7 @@ def _largest_expanded(c: Calibration) -> tuple[float, float]:
 
 def share(size: float) -> str:
     """Return a share in percent, a small one in ppm, to two digits."""
-    size = beyond_rounding(size)
+    size = numbers.beyond_rounding(size)
     factor, unit = (100.0, "%") if size >= 1e-3 else (1e6, "ppm")
     return f"{float(f'{factor * size:.2g}'):g} {unit}"
 
@@ -116,19 +108,19 @@ def text_report(calibration: Calibration) -> str:
     parts = [f"{calibration_sentence(calibration)}\n", parameter_text(calibration)]
     if calibration.findings:
         said = "\n".join(f"- {found}" for found in calibration.findings)
-        parts.append(titled("Findings", said))
+        parts.append(numbers.titled("Findings", said))
     return "\n".join([*parts, detail_text(calibration)])
 
 
 def parameter_text(calibration: Calibration) -> str:
     """Return the table of parameters, after the positions that were set aside."""
     aside = f"{calibration.set_aside}\n\n" if calibration.excluded else ""
-    return aside + titled("Parameters", table(*parameter_rows(calibration)))
+    return aside + numbers.titled("Parameters", numbers.table(*parameter_rows(calibration)))
 
 
 def detail_text(calibration: Calibration) -> str:
     """Return what was done, how the sensor is installed, the residuals and the checks."""
-    return "\n".join(titled(title, body) for title, body in _sections(calibration))
+    return "\n".join(numbers.titled(title, body) for title, body in _sections(calibration))
 
 
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
@@ -168,7 +160,7 @@ def _residuals(calibration: Calibration) -> str:
     c = calibration
     header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
     sizes = np.abs(c.readings.values).max(axis=0).tolist()
-    names, shown = c.readings.labels, largest_rows(c.relative_residuals.tolist())
+    names, shown = c.readings.labels, numbers.largest_rows(c.relative_residuals.tolist())
     rows = [
         [
             names[row],
@@ -178,9 +170,9 @@ def _residuals(calibration: Calibration) -> str:
         for row in shown
     ]
     spreads = zip(c.residual_sd.tolist(), sizes, strict=True)
-    sd = ["s", "", "", "", *(number(beyond_rounding(*each), 3) for each in spreads)]
-    dof = ["dof", "", "", "", *(number(value) for value in c.dof.tolist())]
-    text = table(header, [*rows, sd, dof])
+    sd = ["s", "", "", "", *(numbers.number(numbers.beyond_rounding(*each), 3) for each in spreads)]
+    dof = ["dof", "", "", "", *(numbers.number(value) for value in c.dof.tolist())]
+    text = numbers.table(header, [*rows, sd, dof])
     if len(shown) == len(names):
         return text
     return f"{text}\nthe largest {len(shown)} of {len(names)} positions; --json has all"
@@ -188,14 +180,14 @@ def _residuals(calibration: Calibration) -> str:
 
 def _residual(value: float, scale: float) -> str:
     """Return a residual of readings of size `scale`; one that is rounding is 0."""
-    return f"{value:+.3e}" if beyond_rounding(value, scale) else "0"
+    return f"{value:+.3e}" if numbers.beyond_rounding(value, scale) else "0"
 
 
 def _checks(calibration: Calibration) -> str:
     c = calibration
     unit = c.field.unit or "of the field"
     no_force = worded("none, as the parameters give no force", c.field)
-    left = f"{beyond_rounding(c.rms):.3e} {unit}" if math.isfinite(c.rms) else no_force
+    left = f"{numbers.beyond_rounding(c.rms):.3e} {unit}" if math.isfinite(c.rms) else no_force
     lines = [f"rms of what is left after compensation: {left}"]
     if c.nominal is not None:
         before = nominal_error(c)
@@ -204,8 +196,8 @@ def _checks(calibration: Calibration) -> str:
         lines.append(f"before, by {said}: rms {rms:.3e} {unit}, largest {before.max():.3e} {unit}")
     for output, found in c.linearity.items():
         lines.append(
-            f"linearity of {output}: {number(found['without_model_percent'])} % without, "
-            f"{number(found['with_model_percent'])} % with the model"
+            f"linearity of {output}: {numbers.number(found['without_model_percent'])} % without, "
+            f"{numbers.number(found['with_model_percent'])} % with the model"
         )
     if c.cross_check is not None:
         lines.append(f"closed form against least squares: {c.cross_check:.1e} of a reading")
@@ -216,5 +208,5 @@ def _checks(calibration: Calibration) -> str:
     for output, test in c.diagnostics.lack_of_fit.items():
         p = test["p"]
         if isinstance(p, float) and math.isfinite(p):
-            lines.append(f"lack of fit of {output} against repeats: {p_in_words(p)}")
+            lines.append(f"lack of fit of {output} against repeats: {numbers.p_in_words(p)}")
     return "\n".join(lines)

@@ -20,17 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.files.numbers import (
-    beside,
-    beyond_rounding,
-    common_units,
-    most_of,
-    number,
-    table,
-    uncertain,
-)
-from multipos.files.trees import to_json
-from multipos.files.whole import write_text
+from multipos.files import numbers, trees, whole
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
@@ -275,7 +265,7 @@ class Calibration(Result, Drawn):
     def _shown(self, each: Excluded) -> str:
         if self.field.magnetic:
             return self.field.shown(each.off)
-        return f"{number(1e3 * each.off, 3)} m{each.unit}"
+        return f"{numbers.number(1e3 * each.off, 3)} m{each.unit}"
 
     @cached_property
     def relative(self) -> "Calibration":
@@ -451,10 +441,10 @@ class Calibration(Result, Drawn):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the calibration as JSON, whole or not at all."""
-        write_text(path, to_json(self.to_dict()))
+        whole.write_text(path, trees.to_json(self.to_dict()))
 
     def __str__(self) -> str:
-        return table(*parameter_rows(self), left=3)
+        return numbers.table(*parameter_rows(self), left=3)
 
     def to_pandas(self) -> Any:
         """Return the parameters as a data frame: output, term, name, value, u, dof, k, U, unit.
@@ -517,21 +507,23 @@ def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]
     rows = []
     largest = np.abs(calibration.readings.values).max(axis=0).tolist()
     sizes = dict(zip(calibration.outputs, largest, strict=True))
-    units = common_units((p.unit, most_of(p.value, p.U)) for p in calibration.entries)
+    units = numbers.common_units(
+        (p.unit, numbers.most_of(p.value, p.U)) for p in calibration.entries
+    )
     for p in calibration.entries:
         size = sizes.get(p.output, max(largest))
-        u = beyond_rounding(p.u, size)
-        value = p.value if u else beyond_rounding(p.value, size)
+        u = numbers.beyond_rounding(p.u, size)
+        value = p.value if u else numbers.beyond_rounding(p.value, size)
         factor, unit = units[p.unit]
         rows.append(
             [
                 p.name,
                 *([p.symbol or ""] if symbols else []),
                 unit,
-                uncertain(factor * value, factor * u),
-                beside(factor * value, factor * u, factor * p.U)[1],
-                number(p.k),
-                number(p.dof),
+                numbers.uncertain(factor * value, factor * u),
+                numbers.beside(factor * value, factor * u, factor * p.U)[1],
+                numbers.number(p.k),
+                numbers.number(p.dof),
             ]
         )
     return header, rows

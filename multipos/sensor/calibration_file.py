@@ -52,14 +52,9 @@ from multipos.numerics.rotations import directions
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
 from multipos.results import plain
+from multipos.sensor import fit_diagnostics, inverse
 from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.fit_diagnostics import (
-    MODEL_TESTS,
-    Diagnostics,
-    NoiseTest,
-    model_test_from_dict,
-)
 from multipos.sensor.found import (
     Chosen,
     Component,
@@ -73,7 +68,6 @@ from multipos.sensor.found import (
     VarianceComponents,
 )
 from multipos.sensor.gravity import FIELD_KINDS, Field
-from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
 
 SCHEMA = "multipos/calibration/1"
@@ -128,7 +122,9 @@ _DIAGNOSTICS = Record(
     },
     {
         "hidden": TEXTS,
-        "claim": Maybe(Record({"chi2": NOT_NEGATIVE, "dof": POSITIVE}, make=NoiseTest)),
+        "claim": Maybe(
+            Record({"chi2": NOT_NEGATIVE, "dof": POSITIVE}, make=fit_diagnostics.NoiseTest)
+        ),
     },
 )
 # What is known of the readings beside their values, each with what it is called in `Readings` and
@@ -186,7 +182,7 @@ _ADDED = Record(
         "selection": Named(_CHOSEN),
         "nominal": Record(
             {"bias": ANY_NUMBER, "scale": ANY_NUMBER},
-            make=lambda bias, scale: read_nominal((bias, scale)),
+            make=lambda bias, scale: inverse.read_nominal((bias, scale)),
         ),
         "excluded": Listed(_EXCLUDED),
         "sessions": Record(
@@ -241,7 +237,7 @@ CALIBRATION = Fields(
         "reference": Numbers(2),
         "diagnostics": Fields(
             _DIAGNOSTICS.needed,
-            {**FINDINGS, **_DIAGNOSTICS.optional, "model_tests": MODEL_TESTS},
+            {**FINDINGS, **_DIAGNOSTICS.optional, "model_tests": fit_diagnostics.MODEL_TESTS},
         ),
         "cross_check": Maybe(Fields({"closed_form_max_difference": ANY_NUMBER})),
     },
@@ -499,11 +495,11 @@ def _readings(content: Mapping[str, Any], model: Model) -> Readings:
     )
 
 
-def _diagnostics(found: Mapping[str, Any]) -> Diagnostics:
-    return Diagnostics(
+def _diagnostics(found: Mapping[str, Any]) -> fit_diagnostics.Diagnostics:
+    return fit_diagnostics.Diagnostics(
         **_DIAGNOSTICS.read(found),
         findings=read_findings(found),
-        model_tests=tuple(map(model_test_from_dict, found.get("model_tests", ()))),
+        model_tests=tuple(map(fit_diagnostics.model_test_from_dict, found.get("model_tests", ()))),
     )
 
 

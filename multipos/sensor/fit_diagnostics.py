@@ -63,15 +63,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named, Number
 from multipos.finding import Findings
+from multipos.numerics import quantiles
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
-from multipos.numerics.quantiles import (
-    chi2_quantile,
-    chi2_tail,
-    f_quantile,
-    f_tail,
-    t_tail,
-    t_tails,
-)
 from multipos.results import Result, frozen, plain
 from multipos.sensor.model import Model
 
@@ -145,7 +138,7 @@ def p_values_of_units(
     own = _DS + left[unit, k, None]
     t2 = r2[unit, k, m][:, None] * own / (_DS * v[b] + q[unit, k, None])
     dof = np.round(1.0 / (1.0 / own + 1.0 / nu[unit, m][:, None]), _DIGITS)
-    result[unit, k, m] = np.einsum("kd,kd->k", chances[b], t_tails(t2, dof))
+    result[unit, k, m] = np.einsum("kd,kd->k", chances[b], quantiles.t_tails(t2, dof))
     return result
 
 
@@ -241,7 +234,7 @@ class ModelTest(Result):
         """X of eq. (6), or R where there is one."""
         if len(self.ratios) == 1:
             return self.ratios[0]
-        tails = (f_tail(f, *dof) for f, dof in zip(self.ratios, self.dofs, strict=True))
+        tails = (quantiles.f_tail(f, *dof) for f, dof in zip(self.ratios, self.dofs, strict=True))
         return -2.0 * sum(math.log(max(p, _LEAST)) for p in tails)
 
     @property
@@ -253,8 +246,8 @@ class ModelTest(Result):
     def p(self) -> float:
         """How often chance alone does the same."""
         if len(self.ratios) == 1:
-            return f_tail(self.ratios[0], *self.dofs[0])
-        return chi2_tail(self.statistic, *self.dof)
+            return quantiles.f_tail(self.ratios[0], *self.dofs[0])
+        return quantiles.chi2_tail(self.statistic, *self.dof)
 
     def __str__(self) -> str:
         law = "F" if len(self.dof) == 2 else "chi2"
@@ -272,9 +265,11 @@ class ModelTest(Result):
         # X beyond its quantile needs one P at most as large as if all were equal.
         enough = level
         if count > 1:
-            enough = math.exp(-0.5 * chi2_quantile(1.0 - level, 2.0 * count) / count)
+            enough = math.exp(-0.5 * quantiles.chi2_quantile(1.0 - level, 2.0 * count) / count)
         pairs = zip(self.ratios, self.dofs, strict=True)
-        return any(f > f_quantile(1.0 - enough, *dof) for f, dof in pairs) and self.p < level
+        return (
+            any(f > quantiles.f_quantile(1.0 - enough, *dof) for f, dof in pairs) and self.p < level
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the test as what JSON can carry."""
@@ -452,7 +447,7 @@ def _is_outlier(r2: float, nu: float, readings: int) -> bool:
     t = math.inf if rest <= 0.0 else math.sqrt(r2 * (nu - 1.0) / rest)
     level = OUTLIER_LEVEL / readings
     # the normal law has the shorter tails, and settles most without Student's
-    return math.erfc(t / math.sqrt(2.0)) < level and t_tail(t, nu - 1.0) < level
+    return math.erfc(t / math.sqrt(2.0)) < level and quantiles.t_tail(t, nu - 1.0) < level
 
 
 def find_correlated_outliers(
@@ -535,13 +530,13 @@ def find_outlying_positions(
     for row in suspects.tolist():
         m, value = float(degrees[row]), float(q[row])
         if np.isinf(dof):
-            p = chi2_tail(value, m)
+            p = quantiles.chi2_tail(value, m)
         elif robust:
-            p = f_tail(value / m, m, dof)
+            p = quantiles.f_tail(value / m, m, dof)
         elif dof > m:
             # without the position itself, as t_k of eq. (1): the rest is what it is judged by
             rest = max(dof - value, 1e-300)
-            p = f_tail(value / m / (rest / (dof - m)), m, dof - m)
+            p = quantiles.f_tail(value / m / (rest / (dof - m)), m, dof - m)
         else:
             continue
         if p < OUTLIER_LEVEL / (len(q) * parts):
@@ -608,14 +603,14 @@ def bartlett(rss: ArrayLike, dof: ArrayLike) -> float:
         return float("nan")
     if (rss == 0.0).any():
         return 0.0
-    return chi2_tail(float(_statistic(rss, dof)), m - 1)
+    return quantiles.chi2_tail(float(_statistic(rss, dof)), m - 1)
 
 
 def are_unequal(rss: Array, dof: Array) -> Mask:
     """Tell of which units (B,) Bartlett's test rejects that variances are equal, rss (B, m)."""
     with np.errstate(divide="ignore", invalid="ignore"):  # inf where one is zero, nan where all are
         statistic = _statistic(rss, dof)
-    return np.asarray(statistic > chi2_quantile(1.0 - UNEQUAL, len(dof) - 1))
+    return np.asarray(statistic > quantiles.chi2_quantile(1.0 - UNEQUAL, len(dof) - 1))
 
 
 def _statistic(rss: Array, dof: Array) -> Array:
@@ -660,7 +655,7 @@ def lack_of_fit(
     if found is None:
         return None
     (f,), dof_lack, dof_pure = found
-    return float(f), dof_lack, dof_pure, f_tail(float(f), dof_lack, dof_pure)
+    return float(f), dof_lack, dof_pure, quantiles.f_tail(float(f), dof_lack, dof_pure)
 
 
 def lack_of_fit_ratios(

@@ -30,19 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.numbers import (
-    beside,
-    beyond_rounding,
-    chance,
-    number,
-    p_in_words,
-    plain_number,
-    readable_unit,
-    table,
-    uncertain,
-)
-from multipos.files.spelling import spread
-from multipos.files.trees import read_schema
+from multipos.files import numbers, spelling, trees
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence, t_tail
@@ -313,7 +301,7 @@ def compare(
     >>> both.consistent, bool(abs(both.values[0] - both.values[1]).max() < 1e-12)
     (True, True)
     """
-    runs: tuple[Run, ...] = spread(calibrations)
+    runs: tuple[Run, ...] = spelling.spread(calibrations)
     if len(runs) < 2:
         raise UsageError("compare needs two or more calibrations.")
     check_confidence(confidence)
@@ -439,7 +427,7 @@ def _loaded(run: Run) -> Calibration | Regression | Regressions:
     """Return what a path holds, by its schema."""
     if isinstance(run, Calibration | Regression | Regressions):
         return run
-    return load_regression(run) if read_schema(run) == SCHEMA else load(run)
+    return load_regression(run) if trees.read_schema(run) == SCHEMA else load(run)
 
 
 def comparison_text(found: Comparison) -> str:
@@ -454,12 +442,12 @@ def runs_text(found: Comparison) -> str:
         for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
     ]
     model = found.calibrations[0].model
-    stability = [[output, number(sd, 3)] for output, sd in found.bias_stability.items()]
+    stability = [[output, numbers.number(sd, 3)] for output, sd in found.bias_stability.items()]
     parts = [
         "\n".join(lines),
         _parameter_table(found),
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
-        "bias stability\n" + table(["output", f"sd [{model.unit}]"], stability),
+        "bias stability\n" + numbers.table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
         *([] if found.combined is None else [f"combined\n{found.combined}"]),
     ]
@@ -469,7 +457,7 @@ def runs_text(found: Comparison) -> str:
 def changes_text(found: Comparison) -> str:
     """Return the table of changes between the first and the last; nothing where there is none."""
     header, rows = change_rows(plain(found.to_dict()))
-    return table(header, rows, left=2) if rows else ""
+    return numbers.table(header, rows, left=2) if rows else ""
 
 
 def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -484,13 +472,13 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         largest[unit] = max(largest.get(unit, 0.0), size)
     for each in changes:
         rate, unit = each["per_year"], units.get(each["name"], "")
-        factor, shown = readable_unit(largest[unit], unit)
+        factor, shown = numbers.readable_unit(largest[unit], unit)
         rows.append(
             [
                 each["name"],
                 shown,
                 *_beside(factor, each["change"], each["U"]),
-                plain_number(each["En"] and beyond_rounding(each["En"]), 2),
+                numbers.plain_number(each["En"] and numbers.beyond_rounding(each["En"]), 2),
                 *(("", "") if rate is None else _beside(factor, rate["value"], rate["U"])),
                 _limit_in_words(each["limit"], factor),
                 {True: "yes", False: "NO", None: ""}[each["within"]],
@@ -508,14 +496,14 @@ def _or_nan(value: float | None) -> float:
 def _beside(factor: float, value: float | None, U: float | None) -> tuple[str, str]:
     """Return a value and its U times a factor, to the two digits of U."""
     size = factor * _or_nan(U)
-    return beside(factor * _or_nan(value), size, size)
+    return numbers.beside(factor * _or_nan(value), size, size)
 
 
 def _limit_in_words(limit: float | Sequence[float | None] | None, factor: float) -> str:
     if isinstance(limit, Sequence):
-        low, high = ("" if side is None else plain_number(factor * side) for side in limit)
+        low, high = ("" if side is None else numbers.plain_number(factor * side) for side in limit)
         return f"{low} … {high}"
-    return "" if limit is None else plain_number(factor * limit)
+    return "" if limit is None else numbers.plain_number(factor * limit)
 
 
 def _parameter_table(found: Comparison) -> str:
@@ -534,14 +522,14 @@ def _parameter_table(found: Comparison) -> str:
                 name,
                 model.units[i],
                 *(f"{value:.7g}" for value in found.values[:, i].tolist()),
-                uncertain(mean, sd if varies else 0.0),
-                number(factor * float(found.drift[i]) if varies else 0.0, 2),
-                chance(float(found.drift_p[i])),
-                chance(float(found.p[i])),
+                numbers.uncertain(mean, sd if varies else 0.0),
+                numbers.number(factor * float(found.drift[i]) if varies else 0.0, 2),
+                numbers.chance(float(found.drift_p[i])),
+                numbers.chance(float(found.p[i])),
                 "moved" if name in found.moved else "",
             ]
         )
-    return table(header, rows, left=2)
+    return numbers.table(header, rows, left=2)
 
 
 def _verdict(found: Comparison) -> str:
@@ -550,10 +538,10 @@ def _verdict(found: Comparison) -> str:
     if math.isnan(found.p_total):
         return f"{verdict}: {found.test}"
     dof = found.dof_total
-    shown = ", ".join(map(number, dof)) if isinstance(dof, list) else number(dof)
+    shown = ", ".join(map(numbers.number, dof)) if isinstance(dof, list) else numbers.number(dof)
     return (
-        f"{verdict}: {found.test}: {number(found.statistic)} on {shown} degrees of freedom, "
-        f"{p_in_words(found.p_total)}"
+        f"{verdict}: {found.test}: {numbers.number(found.statistic)} on {shown} degrees of "
+        f"freedom, {numbers.p_in_words(found.p_total)}"
     )
 
 
@@ -569,9 +557,9 @@ def _agreement(found: Mapping[str, Any]) -> str:
     verdict = "agree" if found["consistent"] else "do not agree"
     if "terms" in found:
         least = min((t["p"] for t in found["terms"] if t["p"] is not None), default=None)
-        smallest = "" if least is None else f"; smallest p of a term {chance(least)}"
+        smallest = "" if least is None else f"; smallest p of a term {numbers.chance(least)}"
         return f"{len(found['regressions'])} regressions {verdict}{smallest}."
-    given = "" if found["p"] is None else f" ({p_in_words(found['p'])})"
+    given = "" if found["p"] is None else f" ({numbers.p_in_words(found['p'])})"
     together = f"{len(found['calibrations'])} calibrations {verdict}{given}"
     changes, largest = found.get("changes") or (), found.get("largest")
     if largest is None or largest["En"] is None:
@@ -580,7 +568,7 @@ def _agreement(found: Mapping[str, Any]) -> str:
     agree = sum(each["En"] is not None and each["En"] <= 1.0 for each in changes)
     said = (
         f"{agree} of {len(changes)} parameters agree with the first calibration's within U "
-        f"(largest E_n {plain_number(largest['En'])}, {largest['name']})."
+        f"(largest E_n {numbers.plain_number(largest['En'])}, {largest['name']})."
     )
     limited = [each for each in changes if each["within"] is not None]
     if limited:

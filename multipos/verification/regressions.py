@@ -47,13 +47,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.compensation.correction import (
-    as_fitted,
-    correct,
-    range_column,
-    read_predictors,
-    read_runs,
-)
+from multipos.compensation import correction
 from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, p_in_words, table
 from multipos.files.tables import Source, read_table
@@ -103,23 +97,23 @@ def check_regression(
     if limit_g is not None:
         require_limit("--limit-g", limit_g)
     r = regression
-    table, _ = as_fitted(r, read_table(data, what="run"))
+    table, _ = correction.as_fitted(r, read_table(data, what="run"))
     if r.response not in table:
         raise MultiposError(
             f"{table.source}: no column '{r.response}', the response; a check needs the error of "
             f"every row. The columns are {', '.join(table.columns)}."
         )
-    found = correct(r, table, uncertainty=True)
+    found = correction.correct(r, table, uncertainty=True)
     outside = np.asarray(found["outside"]).astype(bool)
     if outside.all():
         raise MultiposError(
             f"{table.source}: all {table.rows} rows are outside what the regression was fitted to; "
             "a check needs a run within it."
         )
-    run = read_runs(r, table)
-    columns = read_predictors(r, table, run)
+    run = correction.read_runs(r, table)
+    columns = correction.read_predictors(r, table, run)
     place = place_rows(r, columns, table.rows, run)
-    against, reference = range_column(r, table, columns)
+    against, reference = correction.range_column(r, table, columns)
     after, u, U = (
         np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected", "U_corrected")
     )

@@ -47,29 +47,8 @@ from numpy.typing import NDArray
 
 from multipos.compensation.correction import correct
 from multipos.errors import MultiposError, UsageError
-from multipos.files.records import (
-    ANY_NUMBER,
-    ANY_TEXT,
-    AXIS,
-    FIGURE,
-    INPUT,
-    NOT_NEGATIVE,
-    P_VALUE,
-    POSITIVE,
-    SHARE,
-    AnyOf,
-    Entries,
-    Fields,
-    Flag,
-    Listed,
-    Maybe,
-    Named,
-    Text,
-    restore,
-)
+from multipos.files import records, trees, whole
 from multipos.files.tables import Column, Source, read_table
-from multipos.files.trees import read_json, to_json
-from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions.headers import MAGNETIC_UNITS
@@ -224,7 +203,7 @@ class Check(Result, Drawn):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the check as JSON, whole or not at all."""
-        write_text(path, to_json(self.to_dict()))
+        whole.write_text(path, trees.to_json(self.to_dict()))
 
 
 def judge_errors(after: Array, U: Array, limit: float | None, counted: Mask) -> NDArray[np.str_]:
@@ -300,46 +279,51 @@ def errors_table(
 
 SCHEMA = "multipos/check/1"
 _BY_AXIS = ("reference", "before", "after", "u", "U", "U_family", "counted", "by_axis")
-_ERRORS = Named(ANY_NUMBER)
-_BY_AXIS_OR_NONE = Named(Maybe(ANY_NUMBER))
-_UNCERTAINTIES = Named(Maybe(NOT_NEGATIVE))
-_LINEARITY = Fields({"linearity_percent": Maybe(NOT_NEGATIVE)})
+_ERRORS = records.Named(records.ANY_NUMBER)
+_BY_AXIS_OR_NONE = records.Named(records.Maybe(records.ANY_NUMBER))
+_UNCERTAINTIES = records.Named(records.Maybe(records.NOT_NEGATIVE))
+_LINEARITY = records.Fields({"linearity_percent": records.Maybe(records.NOT_NEGATIVE)})
 
-CHECK = Fields(
+CHECK = records.Fields(
     {
-        "input": INPUT,
-        "calibration": ANY_TEXT,
-        "quantity": Text(("force", "tilt")),
-        "unit": Text(("g", "deg", "1", *MAGNETIC_UNITS)),
-        "limit": Maybe(POSITIVE),
-        "confidence": SHARE,
-        "nominal": Fields({"bias": ANY_NUMBER, "scale": ANY_NUMBER}),
-        "axes": Listed(AXIS, 1, len(COMPONENTS)),
-        "positions": Listed(
-            Fields(
+        "input": records.INPUT,
+        "calibration": records.ANY_TEXT,
+        "quantity": records.Text(("force", "tilt")),
+        "unit": records.Text(("g", "deg", "1", *MAGNETIC_UNITS)),
+        "limit": records.Maybe(records.POSITIVE),
+        "confidence": records.SHARE,
+        "nominal": records.Fields({"bias": records.ANY_NUMBER, "scale": records.ANY_NUMBER}),
+        "axes": records.Listed(records.AXIS, 1, len(COMPONENTS)),
+        "positions": records.Listed(
+            records.Fields(
                 {
-                    "position": ANY_TEXT,
+                    "position": records.ANY_TEXT,
                     "reference": _ERRORS,
                     "before": _BY_AXIS_OR_NONE,
                     "after": _BY_AXIS_OR_NONE,
                     "u": _UNCERTAINTIES,
                     "U": _UNCERTAINTIES,
-                    "counted": Named(Flag()),
+                    "counted": records.Named(records.Flag()),
                 },
                 {"U_family": _UNCERTAINTIES},
             ),
             1,
         ),
-        "by_axis": Named(Fields({"before": _LINEARITY, "after": _LINEARITY})),
+        "by_axis": records.Named(records.Fields({"before": _LINEARITY, "after": _LINEARITY})),
     },
     {
-        "consistency": Maybe(
-            Fields(
+        "consistency": records.Maybe(
+            records.Fields(
                 {
-                    "statistic": FIGURE,
-                    "dof": AnyOf((Maybe(NOT_NEGATIVE), Entries((POSITIVE, Maybe(POSITIVE))))),
-                    "p": P_VALUE,
-                    "test": ANY_TEXT,
+                    "statistic": records.FIGURE,
+                    "dof": records.AnyOf(
+                        (
+                            records.Maybe(records.NOT_NEGATIVE),
+                            records.Entries((records.POSITIVE, records.Maybe(records.POSITIVE))),
+                        )
+                    ),
+                    "p": records.P_VALUE,
+                    "test": records.ANY_TEXT,
                 }
             )
         ),
@@ -402,12 +386,14 @@ def load_check(path: str | os.PathLike[str]) -> Check:
     >>> mp.load_check("check.json") == found
     True
     """
-    content = read_json(path, SCHEMA)
+    content = trees.read_json(path, SCHEMA)
     if content.get("against") is not None:
         raise MultiposError(
             f"{path}: the check of a regression; a report of a calibration needs a check of it."
         )
-    return restore(content, CHECK, _from_dict, str(path), what="check", again="run check again")
+    return records.restore(
+        content, CHECK, _from_dict, str(path), what="check", again="run check again"
+    )
 
 
 def _from_dict(c: Mapping[str, Any]) -> Check:

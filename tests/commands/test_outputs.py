@@ -477,7 +477,7 @@ def test_a_signal_while_a_file_is_written_leaves_the_old_one(tmp_path):
     code = (
         "import os, signal, sys\n"
         "from multipos import cli\n"
-        "from multipos.files.tables import write_text\n"
+        "from multipos.files.whole import write_text\n"
         "def pieces():\n"
         "    yield 'half'\n"
         "    assert len(os.listdir('.')) == 2\n"

@@ -153,7 +153,9 @@ def test_a_refusal_names_the_column_that_is_corrected_or_read(column, named, mon
         raise UsageError("outside")
 
     monkeypatch.setattr(correction, "_refuse_outside", refuse)
-    monkeypatch.setattr(correction, "hold_inside", lambda *_: (np.ones(3, dtype=bool), {}))
+    monkeypatch.setattr(
+        correction.prediction, "hold_inside", lambda *_: (np.ones(3, dtype=bool), {})
+    )
     found = mp.regress(
         {"x": np.arange(9.0), "y": np.arange(9.0) ** 2 / 7.0}, response="y", variables="x"
     )

@@ -1041,8 +1041,8 @@ def test_one_of_the_causes_of_residuals_is_named(codes, scores, best, kept, monk
         freedom.append(nu)
         return dict(zip(codes, scores, strict=True))[finding.code]
 
-    monkeypatch.setattr(examination, "asked", lambda c: True)
-    monkeypatch.setattr(examination, "search", lambda c: causes)
+    monkeypatch.setattr(examination.row_order, "asked", lambda c: True)
+    monkeypatch.setattr(examination.row_order, "search", lambda c: causes)
     monkeypatch.setattr(examination, "_score", score)
     monkeypatch.setattr(examination, "_describe", lambda c, cause: cause)
     c = SimpleNamespace(

@@ -9,7 +9,6 @@ from findings_bench import texts
 
 import multipos as mp
 from multipos.diagnostics import gross_errors
-from multipos.diagnostics.columns import resolution
 from multipos.diagnostics.repairs import (
     Repair,
     View,
@@ -20,6 +19,7 @@ from multipos.diagnostics.repairs import (
     rows_in_another_unit,
 )
 from multipos.diagnostics.scales import facing
+from multipos.numerics.arrays import resolution
 
 MATRIX = np.array([[0.98, 0.01, -0.005], [0.004, 1.02, 0.01], [-0.01, 0.003, 0.99]])
 G = 9.80665

@@ -818,7 +818,9 @@ def test_numbers_that_a_file_names_are_held_by_single_precision(monkeypatch):
     """Off-diagonals that are zero need not be; offsets have the sign of the target."""
     held = []
     monkeypatch.setattr(
-        target_autopilots, "require_writable", lambda c, name, value, info: held.append(name)
+        target_autopilots.parameters,
+        "require_writable",
+        lambda c, name, value, info: held.append(name),
     )
     matrix = np.array([[1.1, 0.02, 0.0], [0.02, 0.9, -0.03], [0.0, -0.03, 1.2]])
     law = Correction(matrix, np.array([0.0, 4.0, -5.0]))

@@ -269,6 +269,6 @@ def test_permissions_and_links_are_kept(tmp_path):
 
 
 def test_a_device_is_written_to():
-    code = "from multipos.files.tables import write_text; write_text('/dev/stdout', 'seen')"
+    code = "from multipos.files.whole import write_text; write_text('/dev/stdout', 'seen')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "seen"

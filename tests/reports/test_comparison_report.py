@@ -65,7 +65,7 @@ def test_the_figure_has_the_u_of_each_run(compared, monkeypatch):
         draw(axes[0])
         drawn.append(axes[0])
 
-    monkeypatch.setattr(several, "draw_svg", keep)
+    monkeypatch.setattr(several.sections, "draw_svg", keep)
     of_file = json.loads(json.dumps(plain(compared.to_dict())))
     before_u = [{k: v for k, v in entry.items() if k != "U"} for entry in of_file["parameters"]]
     for content, said, has in (
