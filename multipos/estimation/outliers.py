@@ -237,7 +237,7 @@ def _is_explained(
     others : designs of all outputs, with the terms of a kind beside those of the model
     """
     out = int(np.sum(~kept))
-    dof = np.array([part.dof for part in view for _ in part.values])
+    dof = np.array([part.dof for part in view for _ in part.least.flat])
     left = _squares(_left_of(view, kept[None]))[0] / (dof - out)
     for designs in others:
         parts = (view_of([X], values[:, [m]])[0] for m, X in enumerate(designs))
@@ -285,8 +285,8 @@ def _beyond_noisy_rows(views: Sequence["View"], kept: Mask) -> Places:
         return rows
     least, size = np.ones(len(rows)), 1
     for view in views:
-        left = np.concatenate([part.values for part in view]).T
-        bases = [part.basis.T for part in view for _ in part.values]
+        left = np.concatenate([part.values.reshape(-1, len(kept)) for part in view]).T
+        bases = [Q.T for part in view for Q in part.basis for _ in range(part.least.shape[1])]
         leverage = np.column_stack([np.einsum("np,np->n", Q, Q) for Q in bases])
         questioned = np.repeat(~kept[:, None], left.shape[1], axis=1)
         (p,) = p_values_of_units(left[None], leverage, bases, questioned[None])
@@ -298,13 +298,13 @@ def _beyond_noisy_rows(views: Sequence["View"], kept: Mask) -> Places:
 
 @frozen
 class Part:
-    """Outputs that share a design and variances, as a linear regression of whitened readings.
+    """G designs of p columns, each of m outputs of equal variances, as whitened regressions.
 
     Attributes
     ----------
-    both : (p + m, n) array
-        Orthonormal columns of the design as rows, and what they leave of the readings.
-    least : (m,) array
+    both : (G, p + m, n) array
+        Orthonormal columns of a design as rows, and what they leave of the readings.
+    least : (G, m) array
         Squared residual of a reading that is rounding.
     """
 
@@ -313,18 +313,18 @@ class Part:
 
     @property
     def basis(self) -> Array:
-        """Orthonormal columns of the design, as rows (p, n)."""
-        return self.both[: -len(self.least)]
+        """Orthonormal columns of the designs, as rows (G, p, n)."""
+        return self.both[:, : -self.least.shape[1]]
 
     @property
     def values(self) -> Array:
-        """What they leave of the readings (m, n)."""
-        return self.both[-len(self.least) :]
+        """What they leave of the readings (G, m, n)."""
+        return self.both[:, -self.least.shape[1] :]
 
     @property
     def dof(self) -> int:
         """Degrees of freedom of an output."""
-        return int(self.both.shape[1] - len(self.basis))
+        return int(self.both.shape[2] - self.basis.shape[1])
 
 
 View = tuple[Part, ...]
@@ -333,33 +333,50 @@ View = tuple[Part, ...]
 def view_of(designs: Sequence[Array], values: Array, variance: Array | None = None) -> View:
     """Return the regression of values (n, M) on M designs (n, p), with variances (n, M).
 
-    Outputs of one and the same array of a design share a part.
+    Outputs of one and the same array of a design share it, and designs of one shape a part.
     """
-    groups: dict[tuple[int, bytes], list[int]] = {}
+    sharing: dict[tuple[int, bytes], list[int]] = {}
     for m, design in enumerate(designs):
         own = b"" if variance is None else variance[:, m].tobytes()
-        groups.setdefault((id(design), own), []).append(m)
-    parts = []
-    for members in groups.values():
-        X, y = designs[members[0]], values[:, members]
+        sharing.setdefault((id(design), own), []).append(m)
+    alike: dict[tuple[int, int], list[list[int]]] = {}
+    for members in sharing.values():
+        alike.setdefault((designs[members[0]].shape[1], len(members)), []).append(members)
+    parts: list[Part] = []
+    for every in alike.values():
+        first = [members[0] for members in every]
+        one = len(first) == 1  # of many rows a copy is large
+        X = designs[first[0]][None] if one else np.stack([designs[m] for m in first])
+        y = values.T[np.array(every)]
         if variance is not None:
-            root = np.sqrt(variance[:, members[:1]])
-            X, y = X / root, y / root
-        Q, R = factor(Covariance(None, 0), X)
-        left, sizes, _ = np.linalg.svd(R / column_scales(R), full_matrices=False)
-        if sizes[-1] <= _SINGULAR * sizes[0]:
-            Q = Q @ left[:, sizes > _SINGULAR * sizes[0]]
-        both = np.concatenate([Q.T, y.T])
-        rows = len(both) - len(members)
-        least = (_ROUNDING * np.abs(both[rows:]).max(axis=1)) ** 2
-        both[rows:] -= (y.T @ Q) @ both[:rows]
-        parts.append(Part(both, least))
+            root = np.sqrt(variance.T[first])
+            X, y = X / root[:, :, None], y / root[:, None]
+        parts += _parts(X, y)
     return tuple(parts)
+
+
+def _parts(X: Array, y: Array) -> list[Part]:
+    """Return readings (G, m, n) on whitened designs (G, n, p): one part where these have rank p."""
+    Q, R = factor(Covariance(None, 0), X)
+    left, sizes, _ = np.linalg.svd(R / column_scales(R)[:, None], full_matrices=False)
+    full = sizes > _SINGULAR * sizes[:, :1]
+    if full.all():
+        return [_part(Q.swapaxes(1, 2), y)]
+    each = zip(Q, left, full, y, strict=True)
+    return [_part((q @ turn[:, own]).T[None], values[None]) for q, turn, own, values in each]
+
+
+def _part(basis: Array, y: Array) -> Part:
+    both = np.concatenate([basis, y], axis=1)
+    left = both[:, basis.shape[1] :]
+    least = (_ROUNDING * np.abs(left).max(axis=2)) ** 2
+    left -= (y @ basis.swapaxes(1, 2)) @ basis
+    return Part(both, least)
 
 
 def find_outliers(views: Sequence[View]) -> Places:
     """Return the rows that are outliers in every view of the same readings, by eq. (1)."""
-    n = views[0][0].both.shape[1]
+    n = views[0][0].both.shape[2]
     most = min(n // 4, min(part.dof for view in views for part in view) // 2)
     if most < 1:
         return np.zeros(0, dtype=np.intp)
@@ -401,19 +418,19 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
 
     Of many rows the best set of a sample is where the search of all begins, and nearly ends.
     """
-    n = view[0].both.shape[1]
+    n = view[0].both.shape[2]
     starts: Mask
     if n > _SAMPLE:
         rows = np.sort(_drawn(n, 1, n)[0].argpartition(_SAMPLE)[:_SAMPLE])
         root = math.sqrt(n / _SAMPLE)
         sample = tuple(
-            Part(np.concatenate([root * part.basis[:, rows], part.values[:, rows]]), part.least)
+            Part(np.concatenate([root * part.basis, part.values], axis=1)[:, :, rows], part.least)
             for part in view
         )
         starts = np.zeros((1, n), dtype=np.bool_)
         starts[:, rows] = _best(sample, most * _SAMPLE // n)[0]
     else:
-        p = max(len(part.basis) for part in view)
+        p = max(part.basis.shape[1] for part in view)
         good = (1.0 - most / n) ** (p + 1)
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
         starts = _drawn(n, number, n).argsort(axis=1) <= p
@@ -437,21 +454,22 @@ def _left_of(view: View, kept: Mask) -> _Left:
     """Return of every part residuals (B, m, n), and sums (B, m) of squares of the B sets kept."""
     found = []
     for part in view:
-        (p, n), m = part.basis.shape, len(part.values)
+        (G, p, n), m = part.basis.shape, part.least.shape[1]
         blocks = [slice(first, first + _ROWS) for first in range(0, n, _ROWS)]
         weights = [1.0 * kept[:, rows].T for rows in blocks]
-        sums = np.zeros((p * (p + m), len(kept)))
+        sums = np.zeros((G * p * (p + m), len(kept)))
         for rows, weight in zip(blocks, weights, strict=True):
-            products = part.basis[:, None, rows] * part.both[None, :, rows]
-            sums += products.reshape(p * (p + m), -1) @ weight
-        sums = sums.T.reshape(-1, p, p + m)
-        fitted = np.linalg.solve(sums[:, :, :p] + _RIDGE * np.eye(p), sums[:, :, p:])
-        away = fitted.transpose(0, 2, 1)
-        e, squares = np.empty((len(kept), m, n)), np.zeros((len(kept), m))
+            products = part.basis[:, :, None, rows] * part.both[:, None, :, rows]
+            sums += products.reshape(len(sums), -1) @ weight
+        sums = sums.T.reshape(-1, G, p, p + m)
+        fitted = np.linalg.solve(sums[..., :p] + _RIDGE * np.eye(p), sums[..., p:])
+        away = fitted.swapaxes(2, 3)
+        e, squares = np.empty((len(kept), G, m, n)), np.zeros((len(kept), G, m))
         for rows, weight in zip(blocks, weights, strict=True):
-            e[:, :, rows] = part.values[:, rows] - away @ part.basis[:, rows]
-            squares += (e[:, :, rows] ** 2 @ weight.T[:, :, None])[:, :, 0]
-        found.append((e, squares + part.least))
+            e[..., rows] = part.values[..., rows] - away @ part.basis[..., rows]
+            squares += (e[..., rows] ** 2 @ weight.T[:, None, :, None])[..., 0]
+        squares += part.least
+        found.append((e.reshape(len(kept), -1, n), squares.reshape(len(kept), -1)))
     return found
 
 
@@ -492,22 +510,24 @@ def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) 
     at = np.array(cuts[1:])
     inner, outer = np.zeros((2, len(at)))
     for part, (e, _) in zip(view, left, strict=True):
-        p = len(part.basis)
-        both = np.concatenate([part.basis, e[0]])
-        pieces = [both[:, order[first:last]] for first, last in pairwise(cuts)]
-        both[:, order[: cuts[-1]]] = 0.0
-        sums = np.cumsum([each @ each.T for each in (both, *pieces[::-1])], axis=0)[::-1]
-        along = sums[:, :p, p:]
-        fitted = np.linalg.solve(sums[:, :p, :p] + _RIDGE * np.eye(p), along)
-        least = np.einsum("bmm->bm", sums[:, p:, p:]) - np.einsum("bpm,bpm->bm", along, fitted)
-        squares.append(np.maximum(least, 0.0) + part.least)
+        p, apart = part.basis.shape[1], e[0].reshape(part.values.shape)
+        both = np.concatenate([part.basis, apart], axis=1)
+        pieces = [both[:, :, order[first:last]] for first, last in pairwise(cuts)]
+        both[:, :, order[: cuts[-1]]] = 0.0
+        products = [each @ each.swapaxes(1, 2) for each in (both, *pieces[::-1])]
+        sums = np.cumsum(products, axis=0)[::-1]
+        along = sums[..., :p, p:]
+        fitted = np.linalg.solve(sums[..., :p, :p] + _RIDGE * np.eye(p), along)
+        least = np.einsum("bgmm->bgm", sums[..., p:, p:])
+        least = np.maximum(least - np.sum(along * fitted, axis=2), 0.0) + part.least
+        squares.append(least.reshape(len(cuts), -1))
         for far, rows in ((outer, order[at - 1]), (inner, order[at])):
-            off = e[0][:, rows] - np.einsum("kpm,pk->mk", fitted[1:], part.basis[:, rows])
-            far += np.sum(off**2 / squares[-1][1:].T, axis=0)
+            off = apart[..., rows].T - np.einsum("kgpm,gpk->kmg", fitted[1:], part.basis[..., rows])
+            far += np.sum(off**2 / least[1:].swapaxes(1, 2), axis=(1, 2))
     every = np.concatenate(squares, axis=1)
-    apart = np.flatnonzero((at == 1) | (outer > _GAP**2 * inner))[::-1]
-    outs = at[apart].tolist()
-    beyond = _are_beyond(view, every[1 + apart] / every[0], outs, [0] * len(outs), counts[0])
+    far_off = np.flatnonzero((at == 1) | (outer > _GAP**2 * inner))[::-1]
+    outs = at[far_off].tolist()
+    beyond = _are_beyond(view, every[1 + far_off] / every[0], outs, [0] * len(outs), counts[0])
     return [out for out, is_beyond in zip(outs, beyond, strict=True) if is_beyond]
 
 
@@ -543,8 +563,8 @@ def _are_beyond(
     view: View, x: Array, outs: Sequence[int], backs: Sequence[int], most: int
 ) -> NDArray[np.bool_]:
     """Tell which x (K, M) of eq. (1), of i rows and j < i, are beyond chance."""
-    outputs, dofs = [len(part.values) for part in view], [part.dof for part in view]
-    n, limit = view[0].values.shape[1], math.log(_LEVEL / most) - math.log(x.shape[1])
+    outputs, dofs = [part.least.size for part in view], [part.dof for part in view]
+    n, limit = view[0].both.shape[2], math.log(_LEVEL / most) - math.log(x.shape[1])
     least = np.minimum.reduceat(x, np.cumsum([0, *outputs[:-1]]), axis=1).tolist()
     beyond = np.empty(len(least), dtype=np.bool_)
     for k, (each, i, j) in enumerate(zip(least, outs, backs, strict=True)):

@@ -338,7 +338,9 @@ def fit(
         require_range(data, range)
     if reading_sd is not None:
         data = _with_reading_sd(data, reading_sd)
-    built = replace(_build(written, data, axes, inputs), field=sensed)
+    built = _build(written, data, axes, inputs)
+    if built.field != sensed:  # else it keeps what was derived of it before
+        built = replace(built, field=sensed)
     if drift:
         data, built = _with_drift(data, built)
     if axes is None:

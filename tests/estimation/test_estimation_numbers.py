@@ -314,18 +314,17 @@ def test_a_view_is_the_regression_of_whitened_readings():
     X, y, variance = rng.normal(size=(9, 3)), rng.normal(size=(9, 2)), rng.uniform(0.3, 2.0, (9, 2))
     (plain,) = view_of([X, X], y)
     H = X @ np.linalg.pinv(X)
-    assert_allclose(plain.both[3:].T, y - H @ y, atol=1e-12)
-    assert_allclose(plain.both[:3].T @ plain.both[:3], H, atol=1e-12)
-    for part, column, own in zip(view_of([X, X], y, variance), y.T, variance.T, strict=True):
+    assert_allclose(plain.both[0, 3:].T, y - H @ y, atol=1e-12)
+    assert_allclose(plain.both[0, :3].T @ plain.both[0, :3], H, atol=1e-12)
+    (weighted,) = view_of([X, X], y, variance)
+    for both, column, own in zip(weighted.both, y.T, variance.T, strict=True):
         W = X / np.sqrt(own)[:, None]
         H = W @ np.linalg.pinv(W)
-        assert_allclose(
-            part.both[3], column / np.sqrt(own) - H @ (column / np.sqrt(own)), atol=1e-12
-        )
-        assert_allclose(part.both[:3].T @ part.both[:3], H, atol=1e-12)
+        assert_allclose(both[3], column / np.sqrt(own) - H @ (column / np.sqrt(own)), atol=1e-12)
+        assert_allclose(both[:3].T @ both[:3], H, atol=1e-12)
     twice = np.column_stack([X, X[:, 0] + X[:, 2]])
     (fewer,) = view_of([twice], y[:, :1])
-    assert len(fewer.both) == 3 + 1
+    assert fewer.both.shape[1] == 3 + 1
     kept = np.array([True] * 7 + [False] * 2)
     view = view_of([X, X], y)
     found = _outlying(view, np.array([7, 8]), np.zeros(2), None, kept)
@@ -515,7 +514,8 @@ def test_what_is_beyond_chance_by_the_incomplete_beta_function():
     assert outliers._log_beta_tail(-1e-9, 2.0, 9.0) == -math.inf
     assert outliers._log_choices(23, 5) == pytest.approx(math.log(math.comb(23, 5)))
     n, i, j, most = 23, 5, 2, 7
-    view = [SimpleNamespace(values=np.zeros((m, n)), dof=dof) for m, dof in ((2, 18), (1, 16))]
+    parts = ((2, 18), (1, 16))
+    view = [outliers.Part(np.zeros((1, n - d + m, n)), np.zeros((1, m))) for m, d in parts]
     limit = math.log(0.0075 / most / 3) - math.log(math.comb(n - j, i - j))
 
     def root(dof):
@@ -537,7 +537,7 @@ def test_readings_of_like_noise_are_looked_at_once(ratio, weighted):
     views = outliers._views([X, X], y, variance)
     assert len(views) == 1 + weighted
     left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
-    assert_allclose(views[-1][0].values, left.T, atol=1e-12)
+    assert_allclose(views[-1][0].values[0], left.T, atol=1e-12)
 
 
 @pytest.mark.parametrize(("ratio", "explained"), [(3.95, True), (4.05, False)])

@@ -1,7 +1,6 @@
 """Rows that hide each other: readings of a generator of its own, with errors put in by hand."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,13 @@ from numpy.testing import assert_allclose
 from scipy.special import betainc
 
 import multipos as mp
-from multipos.estimation.outliers import _are_beyond, _left_of, _log_beta_tail, find_outlying_rows
+from multipos.estimation.outliers import (
+    Part,
+    _are_beyond,
+    _left_of,
+    _log_beta_tail,
+    find_outlying_rows,
+)
 from multipos.estimation.robustness import huber_factors
 
 K = np.array([[1.012, 0.0, 0.0], [0.003, 0.991, 0.0], [0.004, -0.007, 1.008]])
@@ -147,7 +152,7 @@ def test_four_rows_of_which_two_lie_beyond_by_hand():
     """ν = 16, i = 4, j = 2: I_x(6, 1) is x⁶, times M outputs and C(18, 2) = 153, and .75 %/m."""
     # eq. (1) of estimation.outliers
     for outputs in (1, 2):
-        view = [SimpleNamespace(dof=16.0, values=np.zeros((outputs, 20)))]
+        view = (Part(np.zeros((1, 4 + outputs, 20)), np.zeros((1, outputs))),)
         limit = (0.0075 / 5 / 153 / outputs) ** (1 / 6)
         for x, beyond in ((0.999 * limit, True), (1.001 * limit, False)):
             assert _are_beyond(view, np.array([[x, 0.99]])[:, :outputs], [4], [2], 5) == [beyond]
@@ -179,7 +184,7 @@ def test_what_fits_to_some_rows_leave_of_all():
     basis, values = np.linalg.qr(rng.normal(size=(20, 3)))[0], rng.normal(size=(20, 2))
     kept = rng.random((4, 20)) > 0.3
     both = np.concatenate([basis.T, values.T])
-    part = SimpleNamespace(both=both, basis=basis.T, values=values.T, least=0.25)
+    part = Part(both[None], np.full((1, 2), 0.25))
     ((left, squares),) = _left_of((part,), kept)
     for one, e, square in zip(kept, left, squares, strict=True):
         b = np.linalg.lstsq(basis[one], values[one], rcond=None)[0]
