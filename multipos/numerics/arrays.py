@@ -101,12 +101,13 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     least[tied] = np.where(gaps[:, tied] > equal[tied], gaps[:, tied], np.inf).min(axis=0)
     asked = (least <= _FINE * span) & (least > 2.0 * scatter)
     steps, columns = np.zeros(values.shape[1]), np.flatnonzero(asked)
+    if not len(columns):
+        return steps
     # most of what is on no grid shows it in its largest gap
     largest = gaps[:, columns].max(axis=0, initial=0.0) / least[columns]
     parts = np.arange(1.0, _DIVISORS + 1.0)[:, None] * largest
     columns = columns[(np.abs(parts - np.rint(parts)) < 2.0 * _ON_GRID).any(axis=0)]
-    if len(columns):
-        gaps[gaps <= equal] = 0.0
+    gaps[gaps <= equal] = 0.0
     for column in columns.tolist():
         tried = least[column] / np.arange(1.0, _DIVISORS + 1.0)
         tried = tried[tried > 2.0 * scatter[column]]
