@@ -299,28 +299,29 @@ def _unequal(part: Part, nodes: Array, *, whole: bool) -> _Terms:
     """Return the terms of unequal stated variances, of the parameters only if `whole`."""
     p, m = part.parameters, part.residuals.shape[2]
     sums = _sums(part, nodes)
-    scale = 1.0 / np.sqrt(np.einsum("bgpp->bgp", sums.square))
-    both = scale[..., :, None] * scale[..., None, :]
-    inverse, determinants = _inverted(sums.square * both + _RIDGE * np.eye(p))
+    scale = 1.0 / np.sqrt(np.einsum("ppbg->pbg", sums.square))
+    both = scale[:, None] * scale
+    scaled = np.multiply(sums.square, both, order="C")  # long runs of nodes side by side
+    np.einsum("ppbg->pbg", scaled)[...] += _RIDGE
+    inverse, determinants = _inverted(scaled)
     inverse *= both
-    determinants -= 2.0 * np.log(scale).sum(axis=2)
-    step = np.einsum("bgpq,bgqm->bgmp", inverse, sums.right)
-    gained = np.einsum("bgpm,bgmp->bg", sums.right, step)
+    determinants -= 2.0 * np.log(scale).sum(axis=0)
+    step = np.einsum("pqbg,qmbg->mpbg", inverse, sums.right)
+    gained = np.einsum("pmbg,mpbg->bg", sums.right, step)
     log = 0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained)
     if not whole:
         return _Terms(log, m * sums.weight2, *np.empty((2, *nodes.shape, 0)))
     squares = (part.inverse[:, :, None] * part.inverse[:, None, :]).reshape(p, -1)
-    own = inverse.reshape(*nodes.shape, -1) @ squares.T
-    moves = (step @ part.inverse.T).reshape(*nodes.shape, m * p)
-    return _Terms(log, m * sums.weight2, moves, np.tile(own, (1, 1, m)))
+    own = (squares @ inverse.reshape(p * p, -1)).T.reshape(*nodes.shape, p)
+    moves = (part.inverse @ step.reshape(m, p, -1)).transpose(2, 0, 1)
+    return _Terms(log, m * sums.weight2, moves.reshape(*nodes.shape, -1), np.tile(own, (1, 1, m)))
 
 
-def _inverted(matrices: Array) -> tuple[Array, Array]:
-    """Return inverses of positive definite matrices (B, G, p, p), and ln det (B, G).
+def _inverted(A: Array) -> tuple[Array, Array]:
+    """Return positive definite matrices (p, p, B, G) with inverses in their places, and ln det.
 
     By Gauss and Jordan, matrix after matrix in step: many small ones are done sooner so.
     """
-    A = np.ascontiguousarray(np.moveaxis(matrices, (2, 3), (0, 1)))
     log_det = np.zeros(A.shape[2:])
     for k in range(len(A)):
         pivot = A[k, k].copy()
@@ -329,14 +330,14 @@ def _inverted(matrices: Array) -> tuple[Array, Array]:
         A -= column[:, None] * row
         A[k], A[:, k] = row, -column / pivot
         A[k, k] = 1.0 / pivot
-    return np.ascontiguousarray(np.moveaxis(A, (0, 1), (2, 3))), log_det
+    return A, log_det
 
 
 class _Sums(NamedTuple):
     """Sums over readings at every node of τ²."""
 
-    square: Array  # Q'V⁻¹Q, (B, G, p, p)
-    right: Array  # Q'V⁻¹e, (B, G, p, m)
+    square: Array  # Q'V⁻¹Q, (p, p, B, G)
+    right: Array  # Q'V⁻¹e, (p, m, B, G)
     misfit: Array  # e'V⁻¹e over outputs, (B, G)
     log_weight: Array  # −Σ ln V, (B, G)
     weight2: Array  # Σ V⁻², (B, G)
@@ -345,23 +346,24 @@ class _Sums(NamedTuple):
 def _sums(part: Part, nodes: Array) -> _Sums:
     p, m = part.parameters, part.residuals.shape[2]
     (count, G), n = nodes.shape, part.stated_variance.shape[1]
-    square = np.zeros((count, G, p * p))
-    right = np.zeros((count, G, p * m + 1))
+    square = np.zeros((count, p * p, G))
+    right = np.zeros((count, p * m + 1, G))
     log_weight, weight2 = np.zeros((count, G)), np.zeros((count, G))
     for first in range(0, n, _ROWS):
         rows = slice(first, first + _ROWS)
         Q, e = part.basis[rows], part.residuals[:, rows]
         weight = 1.0 / (part.stated_variance[:, None, rows] + nodes[:, :, None])  # (B, G, n)
-        square += weight @ (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
+        each = np.swapaxes(weight, 1, 2)
+        square += (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1).T @ each
         products = (Q[:, :, None] * e[:, :, None, :]).reshape(count, len(Q), -1)
         misfit = np.einsum("bnm,bnm->bn", e, e)[:, :, None]
-        right += weight @ np.concatenate([products, misfit], axis=2)
+        right += np.swapaxes(np.concatenate([products, misfit], axis=2), 1, 2) @ each
         log_weight += np.log(weight).sum(axis=2)
         weight2 += np.einsum("bgn,bgn->bg", weight, weight)
     return _Sums(
-        square=square.reshape(count, G, p, p),
-        right=right[:, :, :-1].reshape(count, G, p, m),
-        misfit=right[:, :, -1],
+        square=square.transpose(1, 0, 2).reshape(p, p, count, G),
+        right=right[:, :-1].transpose(1, 0, 2).reshape(p, m, count, G),
+        misfit=right[:, -1],
         log_weight=log_weight,
         weight2=weight2,
     )

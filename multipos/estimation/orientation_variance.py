@@ -408,23 +408,27 @@ def _rotated(linear: Linear, *, joined: bool) -> _Rotated:
     )
     rows = [_flat(each @ row) for each, row in zip(axes, both, strict=True)]
     whole = rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
-    first, second = np.triu_indices(whole.shape[2])
     a, c = (
         np.concatenate([each.reshape(len(each), -1) for each in parts], axis=1)
         for parts in (fixed, moving)
     )
     still = (c == 0.0).all(axis=0)
     if not (joined and still.sum() > 1) or np.ptp(a[:, still], axis=1).any():
-        return _Rotated(whole[:, :, first] * whole[:, :, second], a, c, np.ones(a.shape[1]), axes)
+        return _Rotated(_products(whole), a, c, np.ones(a.shape[1]), axes)
     place, equal, others = np.flatnonzero(still)[:1], whole[:, still], whole[:, ~still]
     count, unmoved = np.append(np.ones(others.shape[1]), float(still.sum())), None
     if linear.flat and others.shape[1] < others.shape[2] - 1:
         equal, others, unmoved = _without_unmoved(equal, others)
-        first, second = np.triu_indices(others.shape[2])
-    gram = (equal.transpose(0, 2, 1) @ equal)[:, None, first, second]
-    products = np.concatenate([others[:, :, first] * others[:, :, second], gram], axis=1)
+    gram = (equal.transpose(0, 2, 1) @ equal)[:, None, *np.triu_indices(others.shape[2])]
+    products = np.concatenate([_products(others), gram], axis=1)
     a, c = (np.concatenate([each[:, ~still], each[:, place]], axis=1) for each in (a, c))
     return _Rotated(products, a, c, count, axes, unmoved)
+
+
+def _products(rows: Array) -> Array:
+    """Return the products of the numbers of rows (B, N, P) with each other (B, N, P(P + 1)/2)."""
+    first, second = np.triu_indices(rows.shape[2])
+    return rows.take(first, axis=2) * rows.take(second, axis=2)
 
 
 def _without_unmoved(still: Array, moving: Array) -> tuple[Array, Array, _Unmoved]:

@@ -368,13 +368,20 @@ _RATIONAL = """
 _AS241 = np.array(_RATIONAL.split(), dtype=np.float64).reshape(3, 2, 8)
 
 
-def erf(z: Array) -> Array:
-    """Return the error function of each number, by the rational functions of [4]_."""
+def erf(z: Array, decay: Array | None = None) -> Array:
+    """Return the error function of each number, by the rational functions of [4]_.
+
+    Parameters
+    ----------
+    z : array
+    decay : array, optional
+        exp(−z²), if it is known.
+    """
     if z.size < _ARRAY:
         return np.array([*map(math.erf, z.ravel().tolist())]).reshape(z.shape)
     x = np.minimum(np.abs(z), 6.0)  # beyond which it is one
     small, square = x <= 0.46875, x * x
-    found = np.exp(-square)
+    found = np.exp(-square) if decay is None else decay.copy()
     found *= _polynomial(_CODY[2], x) / _polynomial(_CODY[3], x)
     np.subtract(1.0, found, out=found)
     if small.any():

@@ -152,8 +152,8 @@ def test_terms_of_a_node_are_those_of_the_restricted_likelihood(equal):
     assert_allclose(np.diff(found.log[0]), np.diff(by_hand), rtol=1e-8)
     sums, w = _sums(part, nodes), 1.0 / (u2 + 0.2)
     Q = part.basis
-    assert_allclose(sums.square[0, 1], Q.T @ (w[:, None] * Q), atol=1e-12)
-    assert_allclose(sums.right[0, 1], Q.T @ (w[:, None] * e[0]), atol=1e-12)
+    assert_allclose(sums.square[:, :, 0, 1], Q.T @ (w[:, None] * Q), atol=1e-12)
+    assert_allclose(sums.right[:, :, 0, 1], Q.T @ (w[:, None] * e[0]), atol=1e-12)
     assert sums.misfit[0, 1] == pytest.approx(np.sum(w[:, None] * e[0] ** 2))
     assert sums.log_weight[0, 1] == pytest.approx(np.log(w).sum())
     assert p == Q.shape[1]
