@@ -7,46 +7,17 @@ scheme, or it is in the data and already in U.
 """
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, Literal, TypeAlias
 
 from multipos.errors import MultiposError, warn_of
-from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Text
+from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Record, Text
 from multipos.results import Keyed, frozen
 
 NOT_FIT = "This calibration is not fit for use."
 Level = Literal["error", "warning", "note"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "note")
 _SHOWN = 5  # copies that a message lists
-# Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
-FINDINGS = {
-    "findings": Listed(
-        Fields(
-            {
-                "code": ANY_TEXT,
-                "level": Text(LEVELS),
-                "text": ANY_TEXT,
-                "action": ANY_TEXT,
-                "rows": TEXTS,
-                "outputs": TEXTS,
-                "p": P_VALUE,
-            }
-        )
-    ),
-    "doubts": Listed(
-        Fields(
-            {
-                "code": ANY_TEXT,
-                "severity": Text(("implausible", "caution")),
-                "text": ANY_TEXT,
-                "rows": TEXTS,
-                "outputs": TEXTS,
-            }
-        )
-    ),
-    "warnings": TEXTS,
-}
-_OLD: dict[str, Level] = {"implausible": "error", "caution": "warning"}
 
 
 @frozen
@@ -92,18 +63,30 @@ class Finding(Keyed):
 
 Findings: TypeAlias = tuple[Finding, ...]
 
+# Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
+_FINDING = Record.of(Finding, {"level": Text(LEVELS), "p": P_VALUE})
+FINDINGS = {
+    "findings": Listed(_FINDING),
+    "doubts": Listed(
+        Fields(
+            {
+                "code": ANY_TEXT,
+                "severity": Text(("implausible", "caution")),
+                "text": ANY_TEXT,
+                "rows": TEXTS,
+                "outputs": TEXTS,
+            }
+        )
+    ),
+    "warnings": TEXTS,
+}
+_OLD: dict[str, Level] = {"implausible": "error", "caution": "warning"}
+
 
 def read_findings(content: Mapping[str, Any]) -> Findings:
     """Return the findings that a file holds under the keys `FINDINGS`."""
     if "findings" in content:
-        own = [each.name for each in fields(Finding)]  # a later version may say more
-        listed = [
-            {name: said[name] for name in own if name in said} for said in content["findings"]
-        ]
-        return tuple(
-            Finding(**{**said, "rows": tuple(said["rows"]), "outputs": tuple(said["outputs"])})
-            for said in listed
-        )
+        return tuple(map(_FINDING.read, content["findings"]))
     found = [
         Finding(
             said["code"],

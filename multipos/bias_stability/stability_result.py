@@ -35,7 +35,6 @@ from multipos.files.records import (
     Listed,
     Maybe,
     Named,
-    Numbers,
     Record,
     Whole,
     require,
@@ -227,15 +226,8 @@ class Stability(Result, Drawn, Tabular):
 
 SCHEMA = "multipos/stability/1"
 
-_ESTIMATE = Record(
-    {
-        "value": ANY_NUMBER,
-        "u": NOT_NEGATIVE,
-        "U": NOT_NEGATIVE,
-        "dof": Maybe(POSITIVE, math.inf),
-        "unit": ANY_TEXT,
-    },
-    make=Estimate,
+_ESTIMATE = Record.of(
+    Estimate, {"u": NOT_NEGATIVE, "U": NOT_NEGATIVE, "dof": Maybe(POSITIVE, math.inf)}
 )
 _POINT = Fields({"tau": POSITIVE, "adev": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": POSITIVE})
 _WARM_UP = Fields(
@@ -256,19 +248,8 @@ _TEMPERATURE = Fields({**_ESTIMATE.needed, **_RELATIVE.needed})
 _LAWS = Record(
     dict.fromkeys(("white_noise", "bias_instability", "random_walk", "drift"), _ESTIMATE)
 )
-_SPREAD = Record({"sd": NOT_NEGATIVE, "range": NOT_NEGATIVE, "dof": Whole(1)}, make=Spread)
-_RECORD = Record(
-    {
-        "file": ANY_TEXT,
-        "samples": Whole(1),
-        "time": Numbers(),
-        "zero": Named(Numbers()),
-        "settled": Named(ANY_NUMBER),
-        "temperature": Maybe(Numbers()),
-    },
-    make=StaticRecord,
-    names={"file": "source"},
-)
+_SPREAD = Record.of(Spread, {"sd": NOT_NEGATIVE, "range": NOT_NEGATIVE, "dof": Whole(1)})
+_RECORD = Record.of(StaticRecord, {"samples": Whole(1)}, names={"file": "source"})
 _OUTPUT = Fields(
     {
         "allan": Listed(_POINT, 1),

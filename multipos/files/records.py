@@ -12,16 +12,16 @@ that other programs read line by line.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import field
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import control_characters, visible
-from multipos.numerics.arrays import COMPONENTS, SMALLEST
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array
 from multipos.results import frozen
 
 LARGEST = 1e100  # of a number; squares and their sums stay finite
@@ -261,11 +261,34 @@ class Record(Fields):
     Where a key is called otherwise than the field, `names` has both; `derived` are fields that are
     written for who reads the file, and follow from the others. With `dict` for `make` it is a part
     of a larger object.
+
+    `Record.of` makes one of a dataclass or a named tuple: its fields are the keys, of the kinds
+    that their types say, or of narrower ones that are given.
     """
 
     make: Callable[..., Any] = dict
     names: Mapping[str, str] = field(default_factory=dict)
     derived: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        made: type,
+        kinds: Mapping[str, Kind] | None = None,
+        *,
+        optional: Container[str] = (),
+        names: Mapping[str, str] | None = None,
+        derived: tuple[str, ...] = (),
+    ) -> "Record":
+        """Return the record of a type; fields that are `optional` may be missing, but not null."""
+        names = names or {}
+        keys = {name: key for key, name in names.items()}
+        parts: tuple[dict[str, Kind], dict[str, Kind]] = {}, {}
+        for name, said in made.__annotations__.items():
+            may_be_missing = name in optional
+            kind = (kinds or {}).get(name) or _kind_of(said, missing=may_be_missing)
+            parts[may_be_missing][keys.get(name, name)] = kind
+        return cls(*parts, made, names, derived)
 
     def read(self, value: Mapping[str, Any]) -> Any:
         """Return what a result holds: keys that a file need not have may be left out."""
@@ -341,6 +364,26 @@ VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
 FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE), math.nan)  # null: there is none
 P_VALUE = Maybe(Number(0.0, 1.0))
 AXIS = Text(COMPONENTS)
+_KINDS: dict[Any, Kind] = {
+    str: ANY_TEXT,
+    bool: Flag(),
+    int: Whole(),
+    float: ANY_NUMBER,
+    Array: Numbers(),
+}
+
+
+def _kind_of(said: Any, *, missing: bool = False) -> Kind:
+    """Return the kind that the type of a field says; an array has one dimension.
+
+    What may be missing is not null in a file where it is None here.
+    """
+    if said in _KINDS:
+        return _KINDS[said]
+    inner = get_args(said)
+    if type(None) in inner:
+        return _kind_of(inner[0]) if missing else Maybe(_kind_of(inner[0]))
+    return Listed(_kind_of(inner[0])) if get_origin(said) is tuple else Named(_kind_of(inner[-1]))
 
 
 def require(content: Any, kind: Kind, where: str, again: str) -> None:

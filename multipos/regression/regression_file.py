@@ -56,23 +56,9 @@ _FUNCTION = AnyOf((ANY_TEXT, Flag()))  # which are known is said in `numerics.fa
 _POWER = Whole(0, 300)  # a power is so many multiplications in every row
 _F = Maybe(FIGURE.kind, math.inf)  # of a term that leaves no residual
 
-_TESTED: dict[str, Kind] = {
-    "action": Text(("add", "remove")),
-    "term": ANY_TEXT,
-    "F": _F,
-    "p": P_VALUE,
-}
-_ANOTHER = Record(_TESTED, make=Tested)
-_STEP = Record(
-    {
-        "step": Whole(),
-        **_TESTED,
-        "dof": Whole(),
-        "runner_up": Maybe(_ANOTHER),
-        "tested": Listed(_ANOTHER),
-    },
-    make=Step,
-)
+_TESTED: dict[str, Kind] = {"action": Text(("add", "remove")), "F": _F, "p": P_VALUE}
+_ANOTHER = Record.of(Tested, _TESTED)
+_STEP = Record.of(Step, {**_TESTED, "runner_up": Maybe(_ANOTHER), "tested": Listed(_ANOTHER)})
 _CRITERION = Maybe(FIGURE.kind, -math.inf)
 _SUBSET = Record(
     dict.fromkeys(("rss", "r2", "adjusted_r2", "aicc", "bic"), _CRITERION),
@@ -100,17 +86,10 @@ _ROBUST = Record(
         **{f"{name}_robust": name for name in ("F", "p", "dof", "t_dof", "covariance")},
     },
 )
-_BETWEEN = Record(
-    {
-        "runs": Whole(2),
-        "variable": Maybe(ANY_TEXT),
-        "centre": ANY_NUMBER,
-        "covariance": VARIANCES,
-    },
-    make=Between,
-    derived=("dof", "sd", "slope_sd"),
+_BETWEEN = Record.of(
+    Between, {"runs": Whole(2), "covariance": VARIANCES}, derived=("dof", "sd", "slope_sd")
 )
-_LEFT_OUT = Record({"term": ANY_TEXT, "reason": ANY_TEXT}, make=LeftOut)
+_LEFT_OUT = Record.of(LeftOut)
 
 # What a segment has under its own name; the rest hangs together.
 _FIGURES = Record(
@@ -277,16 +256,8 @@ def _square(c: Mapping[str, Any], key: str) -> Array:
 
 SCHEMA = "multipos/regression/1"
 
-_JUNCTION = Record(
-    {
-        "edge": ANY_NUMBER,
-        "branch": Maybe(Text(BRANCHES)),
-        "jump": ANY_NUMBER,
-        "u": Maybe(NOT_NEGATIVE, math.nan),
-        "U": Maybe(NOT_NEGATIVE, math.nan),
-    },
-    make=Junction,
-)
+_SIZE = Maybe(NOT_NEGATIVE, math.nan)
+_JUNCTION = Record.of(Junction, {"branch": Maybe(Text(BRANCHES)), "u": _SIZE, "U": _SIZE})
 _HYSTERESIS = Fields(
     {"column": ANY_TEXT, "F": FIGURE, "dof": _PAIR, "p": P_VALUE, "significant": Flag()}
 )

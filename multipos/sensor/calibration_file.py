@@ -77,14 +77,13 @@ _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table 
 
 # One number a position, or one an output as well where the outputs were fitted apart.
 _BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
-_COMPONENT = Record({"value": POSITIVE, "u": POSITIVE}, make=Component)
-_COMPONENTS = Record(
-    {},
+_COMPONENTS = Record.of(
+    VarianceComponents,
     {
         "rest_to_rest": Named(
-            Record({"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF}, make=RestToRest)
+            Record.of(RestToRest, {"value": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": _DOF})
         ),
-        "reading_sd": _COMPONENT,
+        "reading_sd": Record.of(Component, {"value": POSITIVE, "u": POSITIVE}),
         "orientation_sd_deg": Record(
             {"value": POSITIVE, "u": POSITIVE},
             {"determined": Flag()},  # not in files of version 0.1
@@ -92,12 +91,12 @@ _COMPONENTS = Record(
         ),
         "effective_rows": Named(NOT_NEGATIVE),
     },
-    make=VarianceComponents,
+    optional=VarianceComponents.__dataclass_fields__,
 )
-_STATUS = Record(
-    {"converged": Flag(), "iterations": Whole(), "message": ANY_TEXT},
+_STATUS = Record.of(
+    Status,
     {"last_step": Maybe(ANY_NUMBER), "gradient": Maybe(ANY_NUMBER)},
-    make=Status,
+    optional=("last_step", "gradient"),
 )
 _QUANTITY = Fields(
     {},
@@ -151,27 +150,14 @@ _KNOWN = Record(
     {key: kind for key, (kind, _, _) in _OF_READINGS.items()},
     names={key: name for key, (_, name, _) in _OF_READINGS.items()},
 )
-_ORIENTATIONS = Record(
-    {},
-    {
-        "orientation_error_deg": _BY_POSITION,
-        "group_rotation_deg": Named(Numbers(1)),
-        "inclination_deg": Named(ANY_NUMBER),
-        "level_sd_deg": NOT_NEGATIVE,
-        "level_tilt_deg": Numbers(1),
-    },
-    make=FoundOrientations,
+_ORIENTATIONS = Record.of(
+    FoundOrientations,
+    {"orientation_error_deg": _BY_POSITION, "level_sd_deg": NOT_NEGATIVE},
+    optional=FoundOrientations.__dataclass_fields__,
 )
-_CHOSEN = Record(
-    {
-        "terms": Listed(ANY_TEXT, 1),
-        "path": Listed(_TESTED),
-        "runner_up": Maybe(_TESTED),
-        "collinear": TEXTS,
-    },
-    make=Chosen,
+_CHOSEN = Record.of(
+    Chosen, {"terms": Listed(ANY_TEXT, 1), "path": Listed(_TESTED), "runner_up": Maybe(_TESTED)}
 )
-_EXCLUDED = Record({"label": ANY_TEXT, "off": NOT_NEGATIVE, "unit": ANY_TEXT}, make=Excluded)
 # What only some estimators, options and budgets add.
 _ADDED = Record(
     {},
@@ -184,10 +170,8 @@ _ADDED = Record(
             {"bias": ANY_NUMBER, "scale": ANY_NUMBER},
             make=lambda bias, scale: inverse.read_nominal((bias, scale)),
         ),
-        "excluded": Listed(_EXCLUDED),
-        "sessions": Record(
-            {"runs": Whole(2), "files": TEXTS, "sd": Named(NOT_NEGATIVE)}, make=Sessions
-        ),
+        "excluded": Listed(Record.of(Excluded, {"off": NOT_NEGATIVE})),
+        "sessions": Record.of(Sessions, {"runs": Whole(2), "sd": Named(NOT_NEGATIVE)}),
         "budget": Record(
             {
                 "tables": Named(Named(_SETTING)),
