@@ -14,8 +14,8 @@ SEEN = ("two-off-10mg", "one-off-102mg", "two-off-102mg", "five-off-41mg")
 
 @pytest.mark.parametrize("name", rest_slow(SEEN))
 def test_rests_that_are_off_are_named_and_cost_nothing(name):
-    found = measured(name, 10, 1)
-    assert found.named == [True] * 10
+    found = measured(name, 6, 1)
+    assert found.named == [True] * 6
     assert found.error("multipos") <= ROWS[name].wanted
 
 
@@ -29,7 +29,7 @@ def test_six_faces_put_down_by_hand_are_answered(name):
 
 @pytest.mark.parametrize("name", rest_slow(["tremor-unequal", "tremor", "unequal"]))
 def test_weights_that_few_samples_tell_are_no_worse_than_none(name):
-    found = measured(name, 15, 1)
+    found = measured(name, 10, 1)
     assert found.ratio("LM") <= 1.05
     assert np.mean(found.held) >= 0.9
 
@@ -94,7 +94,7 @@ def test_a_model_that_is_named_is_not_changed():
 
 def test_the_advice_for_six_faces_by_hand_is_followed():
     row, before, after = ROWS["faces-1deg"], [], []
-    for seed in range(10):
+    for seed in range(5):
         made = row.make(np.random.default_rng(seed))
         plain = mp.calibrate(made.log, scheme="faces-6")
         (said,) = (f for f in plain.findings if f.code == "denied-noise")

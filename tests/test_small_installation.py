@@ -87,7 +87,7 @@ def answers(tmp_path_factory):
     mp.write_table(folder / "table.csv", {"a": a, "b": b, "y": y})
     still = {"time": np.arange(6000) / 50.0, "ax": 1e-3 * rng.normal(size=6000)}
     mp.write_table(folder / "still.csv", still)
-    lots = [columns(seed) | {"unit": np.repeat(f"u{seed}", 24)} for seed in range(130)]
+    lots = [columns(seed) | {"unit": np.repeat(f"u{seed}", 24)} for seed in range(30)]
     table = {name: np.concatenate([one[name] for one in lots]) for name in lots[0]}
     mp.write_table(folder / "units.csv", table)
     asked = [*WORKING, *MISSING]

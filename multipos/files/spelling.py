@@ -117,11 +117,7 @@ def visible(text: str) -> str:
 
 def visible_lines(text: str) -> str:
     """Return text that keeps its line feeds and tabs, other control characters as escapes."""
-    if text.isprintable():
-        return text
-    return "".join(
-        escaped(mark) if mark not in "\n\t" and _is_control(mark) else mark for mark in text
-    )
+    return _CONTROLS.sub(lambda mark: escaped(mark[0]), text)
 
 
 # Behind a sign, by which a spreadsheet takes a cell for a formula: a number, a signed axis.

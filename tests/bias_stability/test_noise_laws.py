@@ -75,7 +75,7 @@ def test_u_of_a_coefficient_by_hand():
 )
 def test_u_covers_the_coefficients(N_, B, K):
     rng = np.random.default_rng(7)
-    runs = 60
+    runs = 40
     inside = np.zeros(3)
     for _ in range(runs):
         samples = white(rng, N, N_) + flicker(rng, N, B) + walk(rng, N, K)
@@ -83,8 +83,8 @@ def test_u_covers_the_coefficients(N_, B, K):
         for law, truth in enumerate((N_, B, K)):
             value, U = found.root(law, 1.96)
             inside[law] += abs(value - truth) <= U
-    # Of 60 at 95 % fewer than 50 are inside once in 2000 runs; what is zero is covered more often.
-    assert (inside >= 50).all()
+    # Of 40 at 95 % fewer than 33 are inside once in 1000 runs; what is zero is covered more often.
+    assert (inside >= 33).all()
 
 
 def test_a_curve_that_no_law_is_like_has_wide_ones():

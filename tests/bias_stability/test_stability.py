@@ -244,6 +244,7 @@ def test_the_command_writes_every_form(tmp_path, monkeypatch, capsys):
     assert set(printed["run_to_run"]["f_z"]) == {"sd", "range", "dof"}
     found = mp.stability(*names, calibration="cal.json")
     assert mp.load_stability("s.json") == found
+    monkeypatch.setattr("multipos.commands.stability.stability", lambda *_, **__: found)
     assert main(["stability", *given, "-o", "s.csv"]) == 0
     shown = capsys.readouterr().out
     table = mp.read_table("s.csv")

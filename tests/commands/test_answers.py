@@ -43,7 +43,7 @@ def folder(tmp_path_factory):
     still = 1e-3 * rng.standard_normal((3000, 3)) + [0.0, 0.0, 1.0]
     outputs = dict(zip(("ax", "ay", "az"), still.T, strict=True))
     tables["still"] = {"time": np.arange(3000) / 50.0, **outputs}
-    tables["line"] = line(40, stations=2, noise=2e-4)
+    tables["line"] = line(16, stations=2, noise=2e-4)
     for name in ("a", "b"):
         mp.write_table(here / f"{name}.csv", tables[name])
         mp.fit(here / f"{name}.csv", unit="V").save(here / f"{name}.json")
@@ -78,7 +78,7 @@ ANSWERS = {
     "schemes": r"Best of \d+ schemes for linear: .*",
     "schemes faces-6 --model own-quadratic": r"faces-6: .*",
     "simulate a.json --scheme fibonacci-24 -o s.csv": r"24 readings simulated\.",
-    "fleet line.csv --unit-column unit -o line": r"Yield .* of 40 units: .*",
+    "fleet line.csv --unit-column unit -o line": r"Yield .* of 16 units: .*",
     "report a.json -o r.md": r"Written to r\.md\.",
     "demo": r"ax, ay, az calibrated from 6 positions: rms error .*",
 }

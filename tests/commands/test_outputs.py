@@ -190,7 +190,8 @@ RUNS = {
     "compare": ["compare", "cal.json", "cal.json"],
     "report": ["report", "cal.json", "--lab", "lab.toml"],
     "tumble": ["tumble", "tumble.csv"],
-    "design": ["design", "--positions", "6"],
+    "design": ["design", "--positions", "6", "--candidates", "all-26"],
+    "schemes": ["schemes", "faces-6"],
     "demo": ["demo"],
 }
 BEGINNINGS = {

@@ -155,13 +155,11 @@ def run_c(compiler, cal, exported, rows, folder):
 
 
 def builds():
-    """Return every sensor in either precision with the compilers in turn, and the others."""
-    both = [[], []]
-    for i, case in enumerate(SENSORS):
-        for single in (False, True):
-            for j, compiler in enumerate(SANITIZERS):
-                both[(i + single + j) % 2].append((case, single, compiler))
-    return rest_slow([*both[0], *both[1]], quick=len(both[0]))
+    """Return every sensor, with precisions and compilers in turn, and what is left of them."""
+    ways = [(single, compiler) for single in (False, True) for compiler in SANITIZERS]
+    turns = range(len(ways))
+    every = [(case, *ways[(i + k) % len(ways)]) for k in turns for i, case in enumerate(SENSORS)]
+    return rest_slow(every, quick=len(SENSORS))
 
 
 @pytest.mark.parametrize(("case", "single", "compiler"), builds())

@@ -151,11 +151,12 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
 def test_the_report_is_written_again_from_the_folder(tmp_path, table, capsys):
     out = tmp_path / "out"
     assert main(["fleet", table, *APART, "-o", str(out)]) == 0
+    again = tmp_path / "again.html"
+    assert main(["report", str(out), "-o", str(again)]) == 0
+    assert again.read_bytes() == (out / "report.html").read_bytes()
     for source in (out, out / "fleet.json"):
-        again = tmp_path / "again.html"
-        assert main(["report", str(source), "-o", str(again)]) == 0
-        assert again.read_bytes() == (out / "report.html").read_bytes()
-    assert main(["report", str(out), "-o", str(tmp_path / "again.md")]) == 0
+        assert main(["report", str(source), "-o", str(tmp_path / f"{source.name}.md")]) == 0
+    assert (tmp_path / "out.md").read_bytes() == (tmp_path / "fleet.json.md").read_bytes()
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

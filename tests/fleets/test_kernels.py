@@ -133,7 +133,7 @@ def test_robust(scheme, options, fitted):
     assert worst_difference(found, table, **options) < 1e-9  # the search of both is one
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1e-5, 3e-4, 5e-3]),
@@ -227,7 +227,7 @@ def test_orientation_sds_of_every_position(options):
     assert worst_difference(found, table, **options) < 1e-6
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1e-5, 3e-4, 5e-3]),
@@ -290,7 +290,7 @@ def test_claims_that_are_none_are_left_to_fit(options):
 
 
 # In one unit of each example a step towards the minimum takes less off F than F is rounded by.
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1e-5, 1e-4, 5e-3]),

@@ -19,7 +19,7 @@ from multipos.fleets.fixtures import Fixture
 from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
-UNITS = 20
+UNITS = 10
 
 
 def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, repeats=1, seed=5):

@@ -138,7 +138,7 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
     """Random characters into random rows: numbers, rows and errors as without the quick way."""
     rng = np.random.default_rng(2)
     taken = 0
-    for case in range(60):
+    for case in range(40):
         rows = random_rows(rng, 40)
         text = "time,ax,ay,az\n".replace(",", mark or " ")
         text += "".join((mark or " ").join(row) + "\n" for row in rows)
@@ -155,7 +155,7 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
                 patch.setattr("multipos.logs.text_logs.read_plain", lambda *_: None)
                 assert quick == outcome(path, lenient=lenient)
             taken += not isinstance(quick, str)
-    assert taken > 40  # most of them are read after all
+    assert taken > 27  # most of them are read after all
 
 
 def test_many_long_numbers_before_one_that_is_none_are_left_to_others_at_once():

@@ -245,8 +245,9 @@ def means_of(series):
     return found
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.95])
-@pytest.mark.parametrize("n", [1000, 3000])
+@pytest.mark.parametrize(
+    ("phi", "n"), [(0.0, 1000), (0.5, 1000), (0.9, 1000), (0.95, 1000), (0.95, 3000)]
+)
 def test_standard_error_is_the_true_scatter(phi, n):
     """The issue's claim: within 10 % of the scatter, which for AR(1) has a closed form."""
     count = 200

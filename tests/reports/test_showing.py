@@ -40,8 +40,13 @@ class Balanced(HTMLParser):
 
 
 def seen(found):
+    return words_of(found._repr_html_())
+
+
+def words_of(html):
+    """Return what a reader sees of a page whose elements are closed and whose names are unique."""
     page = Balanced()
-    page.feed(found._repr_html_())
+    page.feed(html)
     page.close()
     assert page.open == []
     assert len(set(page.ids)) == len(page.ids)
@@ -57,8 +62,9 @@ def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
     found = result_of(name)
     for one in found if isinstance(found, tuple) else [found]:
         assert isinstance(one, Result | Columns)
-        assert seen(one)
-        assert len(one._repr_html_()) < 250_000
+        html = one._repr_html_()
+        assert words_of(html)
+        assert len(html) < 250_000
         assert str(one)
 
 
@@ -84,8 +90,9 @@ def test_doubts_come_first_and_nothing_is_markup():
 
 
 def test_a_calibration_shows_parameters_rms_and_one_figure():
-    words = seen(calibrated())
     found = calibrated()
+    html = found._repr_html_()
+    words = words_of(html)
     assert all(name in words for name in found.names)
     assert re.search(f"rms error .*{in_unit(found.rms, 'g')}", words)
     table = {row[0]: row for row in re.findall(r"(\w+_\w+) (\S+) (\S+) (\S+) (\S+)", words)}
@@ -95,7 +102,7 @@ def test_a_calibration_shows_parameters_rms_and_one_figure():
     assert float(U) == pytest.approx(factor * found["bias_ax"].U, rel=0.05)
     assert f"largest error {in_unit(np.abs(checked().after).max(), 'g')}" in seen(checked())
     assert " parameters agree with the first" in seen(mp.compare(calibrated(1), calibrated(2)))
-    assert calibrated()._repr_html_().count("<svg") == 1
+    assert html.count("<svg") == 1
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def places(value, path=()):
 WRONG = (None, "text", -1, [], {"a": 1}, float("nan"), ["a"])
 
 
-@pytest.mark.parametrize("step", few_and_many(16, 1))
+@pytest.mark.parametrize("step", few_and_many(32, 1))
 @pytest.mark.parametrize("name", ["stated u", "temperature"])
 def test_a_damaged_file_is_used_or_refused_in_one_line(name, step):
     """Any value replaced by any other, or taken away: never an error that is not ours."""

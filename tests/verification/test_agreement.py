@@ -192,9 +192,9 @@ def over_soaks(temperatures, rng, zeros, shift=0.0):
 @pytest.mark.parametrize("zeros", [0.0, 5e-4])
 @pytest.mark.usefixtures("without_findings")
 def test_zeros_of_soaks_make_no_run_disagree(run, zeros):
-    """60 sensors of five soaks: at 1 % no more than four runs (binomial, .3 %) disagree."""
+    """40 sensors of five soaks: at 1 % no more than three runs (binomial, .1 %) disagree."""
     found = 0
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         table = over_soaks((-40.0, -15.0, 10.0, 35.0, 60.0), rng, zeros)
         with warnings.catch_warnings():
@@ -202,7 +202,7 @@ def test_zeros_of_soaks_make_no_run_disagree(run, zeros):
             cal = mp.fit(table, model="1 + own + temperature + temperature*own", unit="g")
             checked = mp.check(cal, over_soaks(run, rng, zeros))
         found += "run-disagrees" in [one.code for one in checked.findings]
-    assert found <= 4
+    assert found <= 3
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         far = mp.check(cal, over_soaks(run, rng, zeros, shift=2e-2))

@@ -380,8 +380,6 @@ def test_json_has_the_promised_keys(tmp_path, capsys):
     assert main(["compare", *files, "-v"]) == 0
     text = capsys.readouterr().out
     assert "bias stability" in text
-    assert main(["compare", *files, "-o", str(tmp_path / "figure.svg")]) == 0
-    assert (tmp_path / "figure.svg").read_text("utf-8").startswith("<svg")
 
 
 def test_few_repeats_are_said(capsys, tmp_path):

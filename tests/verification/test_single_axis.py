@@ -42,8 +42,8 @@ def test_two_planes_of_24_return_all_nine_terms(axis):
 
 def test_fourier_identities_in_the_continuum():
     # eqs. (1), (2) of positions.harmonics
-    # 3600 points: c|c| has harmonics that fall as 1/order^3, so what folds back is below 1e-10
-    found = tumble("tumble-3600")
+    # 900 points: c|c| has harmonics that fall as 1/order^3, so what folds back is below 1e-11
+    found = tumble("tumble-900")
     t = TRUTH
     expected = {
         (0, "cos"): t["K1"] * (t["K0"] + t["K2"] / 2),
