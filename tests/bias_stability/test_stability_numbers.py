@@ -1,6 +1,7 @@
 """Numbers of static records by hand or by a second route, at points without symmetry."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -250,3 +251,29 @@ def test_a_file_is_whole_where_everything_is_about_the_same_outputs():
     ):
         assert not _is_whole(whole(records=[one, {**one, **change}])[0], taus)
     assert _is_whole(whole(records=[one, {**one, "temperature": [20.0, 21.0]}])[0], taus)
+
+
+def test_a_time_constant_moves_and_is_known_as_in_one_fit_of_all():
+    """Its step and u by the normal equations of Gauss and Newton, ln T_w among their unknowns."""
+    rng = np.random.default_rng(6)
+    blocks = trends.Blocks(640, 16, np.zeros(40), None, np.zeros(1))
+    values = 3.0 * np.exp(-blocks.time / 130.0) + 0.3 * rng.standard_normal(40)
+    squares = np.array([2.0, 0.3, 0.01])
+    names = (trends.DRIFT, trends.WARM_UP)
+    found = trends._least_squares([replace(blocks, values=values)], names, 150.0, squares)
+    late = np.exp(-blocks.time / 150.0)
+    X = np.column_stack([np.ones(40), blocks.time - blocks.time.mean(), late])
+    W = np.linalg.inv(trends._covariance(40, 16, squares))
+    b = np.linalg.solve(X.T @ W @ X, X.T @ W @ values)
+    J = np.column_stack([X, b[-1] * blocks.time / 150.0 * late])
+    V = np.linalg.inv(J.T @ W @ J)
+    assert found.time_constant.u == pytest.approx(150.0 * math.sqrt(V[-1, -1]), rel=1e-6)
+    assert found.step == pytest.approx((V @ J.T @ W @ (values - X @ b))[-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 64.0])
+def test_lags_of_two_lengths_have_the_weights_of_trapezoids(ratio):
+    lags, weights, _ = allan._kernels(ratio, 4)
+    for values in (np.ones(len(lags)), lags, np.cos(lags)):
+        expected = np.sum(np.diff(lags) * (values[1:] + values[:-1])) / 2.0
+        assert weights @ values == pytest.approx(expected, rel=1e-12, abs=1e-12)

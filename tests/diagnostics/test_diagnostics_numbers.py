@@ -1210,3 +1210,24 @@ def test_terms_beyond_the_linear_ones_that_are_large():
     assert gross_errors._bends(c(-0.41), sizes)
     assert not gross_errors._bends(c(-0.39), sizes)
     assert not gross_errors._bends(c(-0.41, 1), sizes)
+
+
+def test_rows_in_another_unit_are_nearer_divided_by_outputs_of_any_size():
+    """Σ ((y − ŷ)/|K|)² of each row as it is and divided, ŷ of a fit by least squares."""
+    rng = np.random.default_rng(9)
+    up = mp.read_scheme("fibonacci-24").up
+    values = up[:, :2] * [1.0, 40.0] + [0.3, -9.0] + [0.2, 4.0] * rng.standard_normal((24, 2))
+    view = repairs.View(np.ones((24, 1)), up, values)
+    rows = np.array([2, 5])
+    for factor in (1.2, 9.80665):
+        trial = values.copy()
+        trial[rows] /= factor
+        X = np.column_stack([np.ones(24), up])
+        fitted = np.linalg.lstsq(X, trial, rcond=None)[0]
+        size = np.linalg.norm(fitted[1:], axis=0)
+        as_is, divided = (
+            (((y - X @ fitted) / size) ** 2).sum(axis=1) for y in (values, values / factor)
+        )
+        found = repairs._too_large(view, rows, factor)
+        assert found.tolist() == (divided < as_is).tolist()
+        assert 0 < found.sum() < 24

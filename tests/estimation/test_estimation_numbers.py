@@ -1130,3 +1130,10 @@ def test_which_weights_the_short_way_has_digits_for():
         group = SimpleNamespace(condition=condition)
         assert known._are_regular(group, variance).tolist() == [fine, False]
         assert known._are_regular(group, 1e-9 * variance).tolist() == [fine, False]
+
+
+def test_outputs_of_one_design_have_their_degrees_of_freedom_together():
+    """Three outputs of five rows and two parameters: 3 (5 − 2)."""
+    basis = np.linalg.qr(np.random.default_rng(1).normal(size=(5, 2)))[0]
+    part = excess_variance.Part(basis, np.eye(2), np.zeros((1, 5, 3)), np.ones((1, 5)))
+    assert part.degrees == 9.0

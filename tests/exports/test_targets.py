@@ -13,6 +13,7 @@ from multipos.cli import main
 from multipos.exports import targets
 from multipos.exports.laws import LINEAR, Correction
 from multipos.exports.parameters import parameter_target
+from multipos.exports.target import Verification
 from multipos.finding import Finding
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "exports.md"
@@ -73,3 +74,11 @@ def test_the_name_of_the_source_does_not_decide_the_target(target, tmp_path):
     cal = calibration("CAL_ACC0_XOFF INS_ACCOFFS_X SM: bias: .csv")
     mp.export(cal, target, allow_lossy=True).save(tmp_path / "file")
     assert mp.verify_export(tmp_path / "file", cal).target == target
+
+
+def test_what_a_file_leaves_stands_by_position_in_small_units():
+    left = np.array([[1.5e-3, -2.25e-4], [0.0, 3e-3]])
+    found = Verification("px4", ("x", "y"), ("1", "up"), left, 2e-3, 1e-3, None)
+    rows = [line.split() for line in found.by_position.splitlines()]
+    assert rows[0] == ["position", "x", "[mg]", "y", "[mg]"]
+    assert rows[-2:] == [["1", "+1.5", "-0.225"], ["up", "+0", "+3"]]

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from fleet_bench import line
+from scipy.stats import chi2
 
 import multipos as mp
 from multipos.fleets.fleet_text import fleet_text
@@ -273,3 +274,11 @@ def test_interval_of_a_difference_by_hand():
     high = 18.0 + np.hypot((5 / 0.831 - 1) * 20, (1 - 10 / 20.483) * 2)
     interval = interval_of({"a": 1.0, "b": -1.0}, found, 0.95)
     assert interval == pytest.approx((low, high), rel=1e-3)
+
+
+def test_repeatability_has_the_interval_of_a_standard_deviation():
+    values = np.random.default_rng(8).normal(5.0, 0.3, (4, 3, 3))
+    found = describe_gauge(values, confidence=0.9)["repeatability"]
+    square = np.sum((values - values.mean(axis=2, keepdims=True)) ** 2)
+    assert found["low"] == pytest.approx(np.sqrt(square / chi2.isf(0.05, 24)), rel=1e-9)
+    assert found["high"] == pytest.approx(np.sqrt(square / chi2.ppf(0.05, 24)), rel=1e-9)
