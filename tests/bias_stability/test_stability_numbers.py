@@ -272,8 +272,10 @@ def test_a_time_constant_moves_and_is_known_as_in_one_fit_of_all():
 
 
 @pytest.mark.parametrize("ratio", [2.0, 64.0])
-def test_lags_of_two_lengths_have_the_weights_of_trapezoids(ratio):
+def test_lags_of_two_lengths_are_where_windows_meet_with_the_weights_of_trapezoids(ratio):
     lags, weights, _ = allan._kernels(ratio, 4)
     for values in (np.ones(len(lags)), lags, np.cos(lags)):
         expected = np.sum(np.diff(lags) * (values[1:] + values[:-1])) / 2.0
         assert weights @ values == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    # where an edge of one window meets an edge of the other
+    assert {-1.0, ratio - 1.0, 2.0 * ratio - 1.0} <= set(lags.tolist())

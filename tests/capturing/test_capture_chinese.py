@@ -123,12 +123,18 @@ def state_after(path, scheme=None, target=(), limit=None):
     return session, state_of(session)
 
 
-def test_all_of_a_state_is_there_in_chinese(folder):
+@pytest.fixture(scope="module")
+def undone(folder):
+    """The state of a session with poses that repeat others, after the last was taken back."""
     path = log_bench.write_csv(folder / "log.csv", log_bench.columns_of(scheme="all-26+faces-6"))
     session, state = state_after(path, target=["bias=1e-7"])
     assert "out of reach" in state["findings"][0]["text"]
     session.undo()
-    state = state_of(session)
+    return state_of(session)
+
+
+def test_all_of_a_state_is_there_in_chinese(folder, undone):
+    state = undone
     reasons = [pose for pose in state["taken"] if pose["reason"]]
     assert len({pose["reason"].split()[0] for pose in reasons}) == 2  # repeats, taken back
     for pose in reasons:
@@ -142,11 +148,8 @@ def test_all_of_a_state_is_there_in_chinese(folder):
     require_chinese(few["problem"], few["problem_zh"])
 
 
-def test_the_text_screen_speaks_chinese(folder):
-    path = log_bench.write_csv(folder / "log.csv", log_bench.columns_of(scheme="all-26+faces-6"))
-    session, _ = state_after(path, target=["bias=1e-7"])
-    session.undo()
-    text = "\n".join(picture_of(state_of(session), "zh"))
+def test_the_text_screen_speaks_chinese(undone):
+    text = "\n".join(picture_of(undone, "zh"))
     assert "下一个姿态: " in text
     assert "重复" in text
     left = re.sub(r"\b[a-z]+_a[xyz](_[xyz])?\b|fit --model.*|--[a-z-]+", "", text)

@@ -287,9 +287,6 @@ def test_regress_draws_correction_and_paths(tmp_path, capsys):
     assert said.count("+ temperature") == 2
     high = chamber(1)["temperature"].max()
     assert f"temperature 20 to {high:.5g}" in said
-    first = figure.read_bytes()
-    assert run(capsys, *options, "-o", figure)[0] == 0
-    assert figure.read_bytes() == first
     assert run(capsys, *options[:-1], "--hierarchy", "-o", figure)[0] == 0
     assert "all segments" in words(figure)
 

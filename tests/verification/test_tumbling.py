@@ -18,7 +18,7 @@ from multipos.verification.coefficients import fitted_coefficients
 from multipos.verification.tumbling import passes
 
 
-@pytest.mark.parametrize("steps", [8, 12, 24])
+@pytest.mark.parametrize("steps", [8, 12])
 @pytest.mark.parametrize("rolls", ["zyx", "xyz", "zx", "yx"])
 def test_every_mix_of_rolls_returns_what_it_can_tell(rolls, steps):
     scheme = "+".join(f"roll-{axis}-{steps}" for axis in rolls)
