@@ -211,8 +211,7 @@ class Keyed(Result, Mapping[str, Any]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, the fields as keys in their order."""
-        result: dict[str, Any] = plain(self)
-        return result
+        return plain_dict(self)
 
 
 class Columns(Frozen[str, Any]):
@@ -279,8 +278,13 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return plain_dict(value)
     return value
+
+
+def plain_dict(value: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping as the object that JSON can carry."""
+    return {str(key): plain(item) for key, item in value.items()}
 
 
 _SINGLE = (float, str, int, type(None))  # most of what there is

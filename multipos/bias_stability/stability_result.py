@@ -44,7 +44,7 @@ from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import Array
-from multipos.results import Drawn, Result, Tabular, frozen, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain_dict
 from multipos.units import MICRO_G
 
 # What a unit of the readings is in µg, where it is one of acceleration.
@@ -275,7 +275,7 @@ STABILITY = Fields({"outputs": Named(_OUTPUT), **_WHOLE.needed}, FINDINGS)
 
 def stability_dict(found: Stability) -> dict[str, Any]:
     """Return a result as JSON carries it."""
-    result: dict[str, Any] = plain(
+    return plain_dict(
         {
             "schema": SCHEMA,
             "outputs": {name: _output(found, each) for name, each in found.outputs.items()},
@@ -283,7 +283,6 @@ def stability_dict(found: Stability) -> dict[str, Any]:
             "findings": found.findings,
         }
     )
-    return result
 
 
 def _output(found: Stability, each: OutputStability) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import pose_words
 from multipos.positions.headers import field_of_outputs, named_axes
 from multipos.reports.sections import Translator
-from multipos.results import plain
+from multipos.results import plain_dict
 from multipos.sensor.calibration import force_residuals
 from multipos.sensor.gravity import GRAVITY, MAGNETIC, Field, worded
 from multipos.sensor.model import Model
@@ -445,7 +445,7 @@ def chinese(text: str, field: Field = GRAVITY) -> str:
 def state_of(session: Session) -> dict[str, Any]:
     """Return what there is to show, as JSON can carry it; keys as in the reference."""
     live, found = live_of(session), session.evaluation
-    shown: dict[str, Any] = plain(
+    return plain_dict(
         {
             "live": live,
             "taken": _entries(session),
@@ -471,7 +471,6 @@ def state_of(session: Session) -> dict[str, Any]:
             ],
         }
     )
-    return shown
 
 
 def live_of(session: Session) -> dict[str, Any]:
@@ -479,7 +478,7 @@ def live_of(session: Session) -> dict[str, Any]:
     rows, rests, under_way = session.rows, session.rests, session.under_way
     motion = Motion(None, False, 0) if rests is None else rests.motion()
     refused = None if under_way is None else under_way.reason
-    live: dict[str, Any] = plain(
+    return plain_dict(
         {
             "values": session.newest,
             "direction": session.direction(session.newest),
@@ -495,12 +494,11 @@ def live_of(session: Session) -> dict[str, Any]:
             "gaps": 0 if rows is None else rows.gaps,
         }
     )
-    return live
 
 
 def line_of(session: Session) -> dict[str, Any]:
     """Return the newest pose, with what follows from all of them: a line of ``--headless``."""
-    line: dict[str, Any] = plain(
+    return plain_dict(
         {
             **_entries(session)[-1],
             "next": _next(session),
@@ -510,7 +508,6 @@ def line_of(session: Session) -> dict[str, Any]:
             "rate": session.rate,
         }
     )
-    return line
 
 
 def _chinese(text: str | None, field: Field) -> str | None:

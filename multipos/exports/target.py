@@ -19,7 +19,7 @@ from multipos.files.numbers import number, table
 from multipos.files.whole import written
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
-from multipos.results import Result, frozen, plain
+from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import GRAVITY, Field
 
@@ -160,7 +160,7 @@ class Verification(Result):
             {"position": label, **dict(zip(self.axes, row, strict=True))}
             for label, row in zip(self.positions, self.residuals.tolist(), strict=True)
         ]
-        result: dict[str, Any] = plain(
+        return plain_dict(
             {
                 "target": self.target,
                 "residuals": residuals,
@@ -172,7 +172,6 @@ class Verification(Result):
                 "findings": self.findings,
             }
         )
-        return result
 
     def __str__(self) -> str:
         return f"{self.in_short}\n\n{self.by_position}\n"

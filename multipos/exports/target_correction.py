@@ -35,7 +35,7 @@ from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
 from multipos.regression.observations import filter_time, number_labels
 from multipos.regression.prediction import clear_of_limits, predict_clamped
 from multipos.regression.regression import Regression
-from multipos.results import Result, frozen, plain
+from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration
 
 _BEYOND = 0.05  # of a range, on both sides
@@ -293,7 +293,7 @@ class Replay(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""
-        found: dict[str, Any] = plain(
+        return plain_dict(
             {
                 "target": self.target,
                 "rows": self.rows,
@@ -310,7 +310,6 @@ class Replay(Result):
                 "findings": self.findings,
             }
         )
-        return found
 
     def __str__(self) -> str:
         what = "made up over all that was fitted: every segment, edge, and a gap in time"

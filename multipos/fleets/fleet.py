@@ -33,7 +33,7 @@ from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
 from multipos.fleets.workers import Engine, open_engine
-from multipos.results import Columns, Drawn, Result, frozen, plain
+from multipos.results import Columns, Drawn, Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration
 
 
@@ -185,8 +185,7 @@ class Fleet(Result, Drawn):
     def to_dict(self) -> dict[str, Any]:
         """Return what `fleet.json` holds."""
         head = {"schema": SCHEMA, "multipos_version": self.version, "created": self.created}
-        found: dict[str, Any] = plain(head | dict(self.summary))
-        return found
+        return plain_dict(head | dict(self.summary))
 
     def to_pandas(self) -> Any:
         """Return the table of calibrations, with the verdicts, as a pandas data frame."""

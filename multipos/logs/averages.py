@@ -16,7 +16,7 @@ from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import UP
 from multipos.positions.readings import Readings
-from multipos.results import Result, Tabular, frozen, plain
+from multipos.results import Result, Tabular, frozen, plain_dict
 
 
 @frozen
@@ -168,7 +168,7 @@ class Averages(Result, Tabular):
             }
             for rest in self.rests
         ]
-        result: dict[str, Any] = plain(
+        return plain_dict(
             {
                 "positions": positions,
                 "sample_rate": self.sample_rate,
@@ -178,7 +178,6 @@ class Averages(Result, Tabular):
                 "unit": self.unit,
             }
         )
-        return result
 
 
 def averages_text(found: Averages) -> str:

@@ -29,7 +29,7 @@ from multipos.logs.averages import Averages
 from multipos.logs.table import Log
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Places, median
 from multipos.positions.readings import Readings
-from multipos.results import Result, frozen, plain
+from multipos.results import Result, frozen, plain_dict
 
 _KEPT = 600  # rows that a fit is made of
 _LEAST = 60  # rows that are kept whatever their correlation
@@ -84,8 +84,7 @@ class Waved(Result):
             "rests": (),
             "findings": self.findings,
         }
-        result: dict[str, Any] = plain(content)
-        return result
+        return plain_dict(content)
 
     def __str__(self) -> str:
         return f"{self.source}: {len(self.readings)} of {self.rows} rows, as they are\n"

@@ -49,7 +49,7 @@ from multipos.regression.junctions import BRANCHES, Junction
 from multipos.regression.region import Region
 from multipos.regression.regression import Balance, Regression, Regressions
 from multipos.regression.segment import Between, Coefficient, LeftOut, Robust, Segment
-from multipos.results import plain
+from multipos.results import plain_dict
 
 _PAIR = Listed(ANY_NUMBER, 2, 2)
 _FUNCTION = AnyOf((ANY_TEXT, Flag()))  # which are known is said in `numerics.factors`
@@ -305,8 +305,7 @@ def regression_dict(r: Regression) -> dict[str, Any]:
     }
     if r.balance is not None:
         content["balance"] = r.balance.rows()
-    result: dict[str, Any] = plain(content)
-    return result
+    return plain_dict(content)
 
 
 def load_regression(path: str | os.PathLike[str]) -> Regression | Regressions:

@@ -51,7 +51,7 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.rotations import directions
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
-from multipos.results import plain
+from multipos.results import plain_dict
 from multipos.sensor import fit_diagnostics, inverse
 from multipos.sensor.calibration import Calibration, Status
 from multipos.sensor.expressions import ExpressionModel
@@ -310,8 +310,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         **({} if c.orientations is None else _ORIENTATIONS.write(c.orientations)),
         "findings": c.findings,
     }
-    result: dict[str, Any] = plain(content)
-    return result
+    return plain_dict(content)
 
 
 def _gravity(field: Field) -> dict[str, float] | None:

@@ -65,7 +65,7 @@ from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, List
 from multipos.finding import Findings
 from multipos.numerics import quantiles
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
-from multipos.results import Result, frozen, plain
+from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.model import Model
 
 _ALIKE = 0.7  # chance, before anything is seen, that rows are alike
@@ -277,8 +277,7 @@ class ModelTest(Result):
         if self.outputs:
             triples = zip(self.outputs, self.ratios, self.dofs, strict=True)
             said["outputs"] = {output: {"F": f, "dof": dof} for output, f, dof in triples}
-        result: dict[str, Any] = plain(said)
-        return result
+        return plain_dict(said)
 
 
 def model_test_from_dict(said: Mapping[str, Any]) -> ModelTest:

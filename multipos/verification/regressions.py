@@ -59,7 +59,7 @@ from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
-from multipos.results import Drawn, Result, Tabular, frozen, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain_dict
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
 from multipos.verification.consistency import Words, judge_together
 from multipos.verification.repeat_findings import find_repeated_regressions
@@ -389,7 +389,7 @@ class RegressionComparison(Result, Drawn, Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
         runs = zip(self.files, self.created, strict=True)
-        found: dict[str, Any] = plain(
+        return plain_dict(
             {
                 "regressions": [{"file": file, "created": made} for file, made in runs],
                 "terms": [vars(term) for term in self.terms],
@@ -397,7 +397,6 @@ class RegressionComparison(Result, Drawn, Tabular):
                 "consistent": self.consistent,
             }
         )
-        return found
 
     def __str__(self) -> str:
         header = ["segment", "term", *(str(i + 1) for i in range(len(self.files))), "sd", "p"]
