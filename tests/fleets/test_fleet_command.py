@@ -175,7 +175,7 @@ def test_a_unit_has_a_report_of_its_own(tmp_path, monkeypatch, capsys, kind):
     capsys.readouterr()
     monkeypatch.setattr("multipos.commands.report.build_content", lambda c, **_: made.append(c))
     for form in ("html", "markdown", "plain"):
-        monkeypatch.setattr(f"multipos.commands.report.{form}_report", lambda content: "")
+        monkeypatch.setattr(f"multipos.reports.documents.{form}_report", lambda content: "")
     made = []
     stations = {u: set(table["station"][table["unit"] == u].tolist()) for u in range(6)}
     one = next(u for u, names in stations.items() if len(names) == 1)
