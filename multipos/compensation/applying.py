@@ -71,6 +71,7 @@ from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_til
 from multipos.uncertainty.validity import applied, unseen_covariance
 
 _TOGETHER = 1 << 12  # rows, whose arrays stay in the processor's cache
+_PLAIN = 8 * _TOGETHER  # without uncertainties, whose arrays are the larger ones
 _DIGITS = 4  # of an uncertainty in text
 FAULT_LEVEL = 1e-3  # share of sound readings that are called a fault
 
@@ -141,9 +142,10 @@ def add_columns(
     beside: Calibration | None = None,
 ) -> dict[str, Array]:
     """Return the columns that a table gets, each row from itself alone, in order."""
-    if table.rows > 2 * _TOGETHER:
-        starts = range(0, table.rows, _TOGETHER)
-        some = [_rows_of(table, start) for start in starts]
+    together = _PLAIN if uncertainty is None else _TOGETHER
+    if table.rows > 2 * together:
+        starts = range(0, table.rows, together)
+        some = [_rows_of(table, start, together) for start in starts]
         how: dict[str, Any] = {
             "tilt": tilt,
             "uncertainty": uncertainty,
@@ -232,12 +234,12 @@ def find_turn(calibration: Calibration, beside: Calibration | None) -> Findings:
     return (Finding("triads-turned", "warning", text, action),)
 
 
-def _rows_of(table: tables.Table, start: int) -> tables.Table:
+def _rows_of(table: tables.Table, start: int, together: int) -> tables.Table:
     """Return some rows of a table, as many as are worked on together."""
-    rows = slice(start, start + _TOGETHER)
+    rows = slice(start, start + together)
     columns = {name: column[rows] for name, column in table.columns.items()}
     lines = None if table.lines is None else table.lines[rows]
-    count = min(_TOGETHER, table.rows - start)
+    count = min(together, table.rows - start)
     return replace(table, columns=columns, rows=count, lines=lines, first=table.first + start)
 
 
@@ -648,7 +650,7 @@ def apply(
     if wanted is not None:
         said = (*wanted.held, *wanted.find_samples(table, table.columns))
     said = (*said, *find_turn(calibration, beside))
-    findings = found_applying(calibration, said, int(sum(added["outside"])), table.rows)
+    findings = found_applying(calibration, said, int(added["outside"].sum()), table.rows)
     noise = None if wanted is None else wanted.noise.text
     return Applied({**kept, **added}, noise, findings)
 

@@ -55,7 +55,7 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import Array, Mask, median, require_rate
+from multipos.numerics.arrays import Array, Mask, Places, median, require_rate
 from multipos.results import frozen
 
 BLOCKS = 8  # of a window
@@ -83,6 +83,7 @@ _NOISE = 1.0  # steps of resolution: with more no window is constant by chance
 
 # Spikes.
 _CHUNK = 16  # samples
+_AT_ONCE = 1 << 9  # chunks, of a size that stays in the processor's cache
 _LONGEST_SPIKE = 2  # samples: longer is motion
 _LIKELY = 3.5  # times the mean deviation of a chunk: without spikes hardly a sample is so far
 _SPIKE = 12.0  # times what a quarter of the samples is beyond: 14 standard deviations
@@ -219,10 +220,10 @@ class Spikes:
     def _clean(self, samples: Array, kept: Array) -> None:
         """Put medians for spikes of chunks (M, n), with two samples more before and behind."""
         chunks = kept.reshape(self._outputs, -1, _CHUNK)
-        off = np.abs(chunks - chunks @ np.full((_CHUNK, 1), 1.0 / _CHUNK))
-        likely = off.max(axis=2) > _LIKELY * (off @ np.full(_CHUNK, 1.0 / _CHUNK))
-        for j in np.flatnonzero(likely.any(axis=1)).tolist():
-            at = np.flatnonzero(likely[j]) * _CHUNK
+        for j, own in enumerate(chunks):
+            at = _likely_chunks(own) * _CHUNK
+            if not len(at):
+                continue
             around = samples[j, at[:, None] + np.arange(_CHUNK + 2 * _LONGEST_SPIKE)]
             for which, middle, places in self._spikes(around, j):
                 for i in (int(at[which]) + place for place in places):
@@ -245,6 +246,22 @@ class Spikes:
             for i in np.flatnonzero(beyond.any(axis=1)).tolist()
             if (places := _short_runs(beyond[i].tolist()))
         ]
+
+
+def _likely_chunks(chunks: Array) -> Places:
+    """Return which chunks (K, n) have a sample much further from their mean than is usual.
+
+    Few have fourth powers of which one may be so large, and are looked at.
+    """
+    mean, found = np.full((_CHUNK, 1), 1.0 / _CHUNK), []
+    for first in range(0, len(chunks), _AT_ONCE):
+        some = chunks[first : first + _AT_ONCE]
+        off = np.abs(some - some @ mean)
+        least = _LIKELY * (off @ mean)[:, 0]
+        square = off * off
+        few = np.flatnonzero(np.einsum("kn,kn->k", square, square) >= least**4)
+        found.append(first + few[off[few].max(axis=1) > least[few]])
+    return np.concatenate(found)
 
 
 def _short_runs(beyond: list[bool]) -> list[int]:

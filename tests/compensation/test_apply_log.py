@@ -290,7 +290,7 @@ def test_many_rows_are_those_of_their_parts(monkeypatch):
     cal = mp.demo().calibration
     log = {name: np.linspace(-0.5, 0.5, 7) for name in cal.outputs}
     whole = mp.apply(cal, log, tilt=True)
-    monkeypatch.setattr("multipos.compensation.applying._TOGETHER", 2)
+    monkeypatch.setattr("multipos.compensation.applying._PLAIN", 2)
     parts = mp.apply(cal, log, tilt=True)
     assert list(parts) == list(whole)
     for name in whole:

@@ -49,10 +49,9 @@ def test_a_heading_of_nothing_is_none_and_one_of_a_full_turn_is_0():
     assert math.isnan(found[2])
 
 
-def test_rows_that_are_worked_on_together(monkeypatch):
-    monkeypatch.setattr(applying, "_TOGETHER", 4)
+def test_rows_that_are_worked_on_together():
     table = Table("s", {"a": np.arange(10.0)}, rows=10, lines=np.arange(20, 30), first=3)
-    parts = [_rows_of(table, start) for start in (0, 4, 8)]
+    parts = [_rows_of(table, start, 4) for start in (0, 4, 8)]
     assert [part.rows for part in parts] == [4, 4, 2]
     assert [part.first for part in parts] == [3, 7, 11]
     assert_allclose(np.concatenate([part.columns["a"] for part in parts]), np.arange(10.0))
