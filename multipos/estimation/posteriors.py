@@ -41,7 +41,7 @@ NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
-_NEAR = 1e-6  # a step of Newton's method that leaves its square
+_NEAR = 1e-4  # a step of Halley's method that leaves its cube
 _ROOT, _AREA = np.sqrt(2.0), np.sqrt(2.0 * np.pi)
 _AT_ONCE = 40_000  # normal laws of all units, so that what a step needs stays in the cache
 
@@ -209,10 +209,10 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
     count, nodes, p = means.shape
     step = max(1, _AT_ONCE // (nodes * p))
     some = [slice(first, first + step) for first in range(0, count, step)]
-    return np.concatenate([_newton(means[k], sds[k], weights[k], share) for k in some])
+    return np.concatenate([_halley(means[k], sds[k], weights[k], share) for k in some])
 
 
-def _newton(means: Array, sds: Array, weights: Array, share: float) -> Array:
+def _halley(means: Array, sds: Array, weights: Array, share: float) -> Array:
     low = np.zeros((len(means), means.shape[2]))
     high = 2.0 * np.max(np.abs(means) + 2.0 * sds, axis=1)
     spread = np.sqrt(np.einsum("bg,bgp->bp", weights, sds**2 + means**2))
@@ -225,7 +225,10 @@ def _newton(means: Array, sds: Array, weights: Array, share: float) -> Array:
         low = np.where(inside < share, guess, low)
         high = np.where(inside < share, high, guess)
         density = np.einsum("bg,bgp->bp", weights, (normal[0] + normal[1]) / sds)
-        following = guess + (share - inside) / np.maximum(density / _AREA, 1e-300)
+        falls = np.einsum("bg,bgp->bp", weights, (above * normal[0] + below * normal[1]) / sds**2)
+        density = np.maximum(density, 1e-300)
+        step = (share - inside) * _AREA / density
+        following = guess + step / (1.0 - 0.5 * step * falls / density)
         near = np.abs(following - guess) <= _NEAR * guess
         bad = ~near & ~((following > low) & (following < high))
         following = np.where(bad, 0.5 * (low + high), following)

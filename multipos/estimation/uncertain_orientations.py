@@ -285,7 +285,7 @@ class _Units(SearchedUnits):
         return self.under(variance=self.stated.variance + excess[:, None], orientation_sd=sd)
 
 
-_AT_ONCE = 1500  # readings of an output, so that what they need stays small
+_AT_ONCE = 3000  # readings of an output, so that what they need stays small
 _WORST = 1e-8  # eigenvalue of the scaled information below which a fit is doubted for it
 _NOISY = 0.01  # of a scale factor: noise or U from which on a unit is fitted singly
 
