@@ -12,7 +12,7 @@ from multipos.finding import Finding, Level
 from multipos.logs.rest_means import Counts, RestMean, is_one_code
 from multipos.logs.rests import Rest, Survey
 from multipos.logs.samples import Kept, Samples
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import SMALLEST, Array, median
 
 # A share of the samples at one value, the extreme of the log, that noise does not explain.
 _SATURATED = 0.01
@@ -68,7 +68,7 @@ def _semi_axes(means: Array) -> Array | None:
     if means.shape[1] != 3 or len(means) < 6:
         return None
     half = np.ptp(means, axis=0) / 2.0
-    if not half.all():
+    if not (half >= SMALLEST).all():  # what stands still or is lost has no scale
         return None
     y = (means - means.min(axis=0)) / half - 1.0
     rows = np.column_stack([y**2, y])

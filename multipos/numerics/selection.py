@@ -441,9 +441,7 @@ class _TermSearch:
 
     def refuse(self, found: Tested) -> None:
         """Keep a term out for good, for what it makes of the coefficients."""
-        column = list(self.names).index(found.term)
-        self.inside.discard(column)
-        self.cancelling.add(column)
+        self.cancelling.add(list(self.names).index(found.term))
 
     def take(
         self, step: int, found: Tested, runner_up: Tested | None, tested: tuple[Tested, ...]

@@ -265,11 +265,14 @@ def draw_balance(regression: Regression, axes: "Axes") -> None:
 def draw_path(segment: Segment, axes: "Axes") -> None:
     """Draw the F of every step of a selection; a removal hangs open, the runner-up is a bar's mark.
 
-    F spans decades, so its axis is logarithmic; steps read downward as the path went.
+    F spans decades, so its axis is logarithmic; steps read downward as the path went. A term that
+    leaves no residual has an infinite F, drawn a decade beyond the others.
     """
     steps = segment.path
+    drawn = [t.F for step in steps for t in (step, step.runner_up) if t is not None]
+    far = 10.0 * max([1.0, *(F for F in drawn if F < np.inf)])
     for row, step in enumerate(steps):
-        _draw_step(step, row, axes)
+        _draw_step(step, row, axes, far)
     axes.set_yticks(
         range(len(steps)),
         [f"{'+' if step.action == 'add' else '−'} {step.term}" for step in steps],
@@ -281,18 +284,22 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     axes.set(xlabel="F to enter or to remove; ◆ the runner-up")
 
 
-def _draw_step(step: Step, row: int, axes: "Axes") -> None:
+def _draw_step(step: Step, row: int, axes: "Axes", far: float) -> None:
     added = step.action == "add"
     axes.barh(
         row,
-        step.F,
+        min(step.F, far),
         color=style.COLOURS[0] if added else "none",
         edgecolor=style.COLOURS[0],
         hatch="" if added else "//",
         linewidth=1.0,
     )
+    if step.F == np.inf:
+        axes.text(far, row, "∞ ", ha="right", va="center", color="white")
     if step.runner_up is not None and step.runner_up.F > 0.0:
-        axes.plot(step.runner_up.F, row, marker="D", color=style.COLOURS[1], linestyle="none")
+        axes.plot(
+            min(step.runner_up.F, far), row, marker="D", color=style.COLOURS[1], linestyle="none"
+        )
 
 
 def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":

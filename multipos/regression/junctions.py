@@ -31,7 +31,7 @@ from multipos.numerics.terms import Term, evaluate_terms
 from multipos.regression.correlation import effective_size
 from multipos.regression.observations import Data, Rows, rows_of_runs
 from multipos.regression.robust import within_runs
-from multipos.regression.segment import Segment
+from multipos.regression.segment import Segment, combined_variance
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result, frozen
 
@@ -193,7 +193,7 @@ def _junction(
         X = s.design(columns, rows)
         C = s.covariance if s.robust is None else s.robust.covariance
         jump += sign * (X @ s.values)
-        variance += np.einsum("ij,jk,ik->i", X, C, X)
+        variance += combined_variance(X, C)
     i = int(np.argmax(np.abs(jump)))
     u = float(np.sqrt(variance[i]))
     nu = min(float(s.dof[1]) if s.robust is None else s.robust.t_dof for s in (below, above))

@@ -370,12 +370,12 @@ def read_observations(
     cluster, run : str, optional
     drop_missing : bool
     largest : mapping of str to float
-        How large a variable may be for its powers to be numbers.
+        How large a variable may be, and its inverse at least, for its powers to be numbers.
 
     Raises
     ------
     MultiposError
-        A column is missing, a cell is empty, no number or too large a one.
+        A column is missing, a cell is empty, no number or too large or small a one.
     """
     said: Findings = ()
     if time is None:
@@ -394,6 +394,7 @@ def read_observations(
     rates: dict[str, float] = {}
     if time is not None:
         rates = _form_rates(table, columns, kept, formed, time, rate_window, causal, runs, largest)
+    _refuse_lost(table.source, {name: columns[name] for name in (response, *wanted)}, largest)
     clock = np.arange(float(len(kept))) if time is None else columns[time]
     order = time_order(clock, runs)
     groups = None if cluster is None else _labelled(table, cluster, kept, "cluster")
@@ -412,7 +413,8 @@ def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, Findings
         if name == "time":
             return name, ()
         values = table.number(name, empty=True)
-        if not (np.diff(values[np.isfinite(values)]) < 0.0).any():
+        values = values[np.isfinite(values)]
+        if not (values[1:] < values[:-1]).any():
             return name, (Finding("time-column", "note", f"column '{name}' is the time"),)
     text = "no time column: rows are taken as consecutive in the order of the table"
     return None, (Finding("no-time-column", "note", text),)
@@ -449,6 +451,17 @@ def _read_complete(
     if len(kept) < table.rows:
         columns = {name: column[kept] for name, column in columns.items()}
     return columns, kept, found
+
+
+def _refuse_lost(source: str, columns: Mapping[str, Array], largest: Mapping[str, float]) -> None:
+    """Refuse columns whose powers are lost, and with them what is divided by these."""
+    for name, column in columns.items():
+        size = float(np.abs(column).max())
+        if 0.0 < size * largest.get(name, LARGEST) < 1.0:
+            raise MultiposError(
+                f"{source}: column '{name}' is {size:g} at most, too small a number to be squared; "
+                "give it in a smaller unit."
+            )
 
 
 def _form_rates(

@@ -28,6 +28,7 @@ from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_by_tenths, coverage_factor
 from multipos.regression.observations import Rows
 from multipos.regression.regression import Balance, Regression
+from multipos.regression.segment import combined_variance
 
 _POINTS = 21  # over the range of temperature
 
@@ -83,7 +84,7 @@ def predict_uncertainty(
         X = segment.design(columns, rows)
         robust = segment.robust
         C = segment.covariance if robust is None else robust.covariance
-        own = np.einsum("ij,jk,ik->i", X, C, X)
+        own = combined_variance(X, C)
         variance = own + (segment.rms**2 if sd is None else sd[rows] ** 2)
         nu = float(segment.dof[1]) if robust is None else robust.t_dof
         k: Array | float = coverage_factor(regression.confidence, nu)

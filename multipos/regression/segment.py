@@ -26,6 +26,13 @@ from multipos.regression.region import Region
 from multipos.results import Result, frozen
 
 
+def combined_variance(X: Array, covariance: Array) -> Array:
+    """Return x'Cx (n,) of rows x of X (n, q), at least what its own rounding leaves unknown."""
+    sums = np.abs(X) @ np.sqrt(np.diag(covariance))
+    found = np.einsum("ij,jk,ik->i", X, covariance, X)
+    return np.maximum(found, np.finfo(np.float64).eps * sums**2)
+
+
 class Coefficient(NamedTuple):
     """One term with its coefficient.
 
@@ -109,7 +116,7 @@ class Between(Result):
     def variance(self, columns: Mapping[str, Array], rows: Places) -> Array:
         """Return z'Ψz of eq. (3) there, at some rows of a table's columns."""
         z = self.columns(columns, rows)
-        return np.asarray(np.einsum("ij,jk,ik->i", z, self.covariance, z))
+        return combined_variance(z, self.covariance)
 
     def columns(self, columns: Mapping[str, Array], rows: Places) -> Array:
         """Return z, what runs may differ by, at some rows of a table's columns."""

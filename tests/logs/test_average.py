@@ -391,6 +391,7 @@ def test_units_are_told_by_the_semi_axes_of_what_was_seen():
         said = compare_scales(("a", "b", "c"), means)
         assert (said is None) == (axis < 3.0)
         assert said is None or re.match(r"'c' is 3\.1 times as sensitive as '[ab]'", said.text)
+    assert compare_scales(("a", "b", "c"), seen * [1.0, 1.0, 1e-310]) is None  # no number is left
 
 
 # --- bad input: clear words, nothing written

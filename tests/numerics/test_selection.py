@@ -14,6 +14,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.selection import (
+    Guard,
     Thresholds,
     all_subsets,
     compress,
@@ -80,6 +81,14 @@ def test_every_f_of_a_step_is_that_of_two_fits():
 def test_hald_backward_reaches_x1_x2():
     found = select_backward(HALD, NAMES, Thresholds(), forced=[0])
     assert [(s.action, s.term) for s in found.path] == [("remove", "x3"), ("remove", "x4")]
+    assert found.columns == (0, 1, 2)
+
+
+def test_backward_removes_the_weakest_of_terms_that_cancel():
+    """Whatever its F: 13 rows less 5 terms, then less 4, are left."""
+    full = Guard(HALD, np.zeros(5), lambda columns, b: len(columns) > 3)
+    found = select_backward(HALD, NAMES, Thresholds(remove=1.0), forced=[0], guard=full)
+    assert [(step.term, step.dof) for step in found.path] == [("x3", 8), ("x4", 9)]
     assert found.columns == (0, 1, 2)
 
 

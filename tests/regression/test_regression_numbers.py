@@ -36,6 +36,7 @@ from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
 from multipos.regression.regression import _segment_text
 from multipos.regression.robust import _by_law, _tested, robust_fit, within_runs
+from multipos.regression.segment import combined_variance
 from multipos.regression.segmentation import hinges
 
 
@@ -232,6 +233,13 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
         own, L = _local(chosen, below)
         here = sum(value * term.evaluate(at) for value, term in zip(L @ b, own, strict=True))
         assert here[i] == pytest.approx(whole[i], rel=1e-10)
+
+
+def test_a_variance_is_at_least_its_rounding():
+    """Of 3 a + 2 b with u 2 and 3, r = −1: nothing but what 2⁻⁵² of (6 + 6)² leaves unknown."""
+    C = np.array([[4.0, -6.0], [-6.0, 9.0]])
+    found = combined_variance(np.array([[3.0, 2.0], [3.0, 0.0]]), C)
+    assert_allclose(found, [144.0 * 2.0**-52, 36.0], rtol=1e-12)
 
 
 def test_leverage_of_a_region_is_the_square_of_its_factor():

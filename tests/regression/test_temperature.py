@@ -1,6 +1,7 @@
 """Calibration over temperature: terms chosen, parameters as functions, and the study's chamber."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -264,6 +265,9 @@ def test_figures_draw_what_they_are_given(tmp_path):
     plots.draw_path(found.segments[0], axes[1])
     widths = [bar.get_width() for bar in axes[1].patches]
     assert widths == [step.F for step in found.segments[0].path]
+    exact = replace(found.segments[0].path[0], F=np.inf)  # leaves no residual
+    plots.draw_path(replace(found.segments[0], path=(exact,)), axes[2])
+    assert axes[2].patches[0].get_width() == 10.0 * max(exact.runner_up.F, 1.0)
     cal = mp.fit(readings(1), model=FORMULA, unit="g")
     curve = mp.over_temperature(cal)[0]
     plots.draw_curve(curve, axes[2])
