@@ -272,7 +272,7 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
     if not best[1].converged:
         raise fault or _why_not(problem, *best)
     _require_sphere(problem, best[1])
-    fisher = _require_information(problem, best[1])
+    fisher = require_information(problem, best[1])
     if np.isinf(problem.orientation_sd).all():  # where lever arms come from the readings themselves
         _require_above_noise(problem, *best)
     return best[1], fisher
@@ -287,7 +287,7 @@ def _why_not(problem: Problem, start: State, optimum: Optimum) -> MultiposError:
     """Return the error of a search that did not converge, with what positions do not determine."""
     try:
         _require_sphere(problem, optimum)
-        _require_information(problem, optimum)
+        require_information(problem, optimum)
         _require_above_noise(problem, start, optimum)
     except MultiposError as error:
         return error
@@ -392,7 +392,7 @@ def _positive(problem: Problem, optimum: Optimum) -> Optimum:
     )
 
 
-def _require_information(problem: Problem, optimum: Optimum) -> FisherInformation:
+def require_information(problem: Problem, optimum: Optimum) -> FisherInformation:
     """Return the information at an optimum, where it determines every parameter."""
     fisher = information_at(problem, optimum.state, optimum.point)
     information = reduced_information(fisher.information, len(problem.model.keys))

@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.estimation.gains import FisherInformation, information_at
+from multipos.estimation.gains import FisherInformation
 from multipos.estimation.identifiability import condition, formal_only
 from multipos.estimation.noise import (
     NoiseEstimate,
@@ -35,7 +35,13 @@ from multipos.estimation.noise import (
     with_degrees,
 )
 from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
-from multipos.estimation.starts import own_starts, reduced_information, search, too_few
+from multipos.estimation.starts import (
+    own_starts,
+    reduced_information,
+    require_information,
+    search,
+    too_few,
+)
 from multipos.finding import Finding, Findings, about
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.losses import Loss
@@ -117,7 +123,7 @@ def solve_uncertain(
         )
     noise = replace(noise, findings=(*held, *noise.findings))
     if problem is not searched or optimum is not reached or problem.robust is not None:
-        fisher = information_at(problem.plain, optimum.state, optimum.point)
+        fisher = require_information(problem.plain, optimum)
     found = _solution(problem, optimum, fisher, readings, nu, noise, parts)
     return found if dof is None else with_degrees(found, problem, optimum, dof)
 
