@@ -30,7 +30,7 @@ def combined_variance(X: Array, covariance: Array) -> Array:
     """Return x'Cx (n,) of rows x of X (n, q), at least what its own rounding leaves unknown."""
     sums = np.abs(X) @ np.sqrt(np.diag(covariance))
     found = np.einsum("ij,jk,ik->i", X, covariance, X)
-    return np.maximum(found, np.finfo(np.float64).eps * sums**2)
+    return np.asarray(np.maximum(found, np.finfo(np.float64).eps * sums**2))
 
 
 class Coefficient(NamedTuple):
