@@ -270,7 +270,7 @@ def draw_path(segment: Segment, axes: "Axes") -> None:
     """
     steps = segment.path
     drawn = [t.F for step in steps for t in (step, step.runner_up) if t is not None]
-    far = 10.0 * max([1.0, *(F for F in drawn if F < np.inf)])
+    far = 10.0 * max([1.0, *(F for F in drawn if np.inf > F)])
     for row, step in enumerate(steps):
         _draw_step(step, row, axes, far)
     axes.set_yticks(
@@ -294,7 +294,7 @@ def _draw_step(step: Step, row: int, axes: "Axes", far: float) -> None:
         hatch="" if added else "//",
         linewidth=1.0,
     )
-    if step.F == np.inf:
+    if np.inf == step.F:
         axes.text(far, row, "∞ ", ha="right", va="center", color="white")
     if step.runner_up is not None and step.runner_up.F > 0.0:
         axes.plot(
