@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 from multipos.errors import MultiposError, warn_of
 from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Record, Text
+from multipos.files.spelling import visible
 from multipos.results import Keyed, frozen
 
 NOT_FIT = "This calibration is not fit for use."
@@ -54,6 +55,12 @@ class Finding(Keyed):
     rows: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     p: float | None = None
+
+    def __post_init__(self) -> None:
+        """Keep its sentences on one line: some quote a file, which may hold tabs."""
+        super().__post_init__()
+        for name in ("text", "action"):
+            object.__setattr__(self, name, visible(getattr(self, name)))
 
     def __str__(self) -> str:
         if not self.action:

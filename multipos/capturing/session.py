@@ -8,6 +8,7 @@ looks at it from another thread holds `changed`, its lock.
 What is shown of a session is the same by page, text screen, JSON lines and ``/state``.
 """
 
+import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -540,7 +541,7 @@ def _entries(session: Session) -> list[dict[str, Any]]:
                 "direction": direction,
                 "residual": residual,
                 "residual_u": u,
-                "residual_text": None if residual is None else _shown(session, residual),
+                "residual_text": _shown(session, residual),
                 "accepted": pose.accepted,
                 "reason": pose.reason,
                 "reason_zh": _chinese(pose.reason, session.field),
@@ -565,8 +566,10 @@ def _residuals(session: Session) -> dict[str, tuple[float, float]]:
     return dict(zip(keys, zip(off.tolist(), u.tolist(), strict=True), strict=True))
 
 
-def _shown(session: Session, residual: float) -> str:
-    """Return a residual as people read it."""
+def _shown(session: Session, residual: float | None) -> str | None:
+    """Return a residual as people read it, where there is one."""
+    if residual is None or not math.isfinite(residual):  # no force is found by such a model
+        return None
     calibration = session.evaluation.calibration
     if calibration is None or not session.field.magnetic:
         return f"{1e6 * residual:+.0f} µg"

@@ -116,7 +116,8 @@ def read_clock(log: Log, column: str, time: Array, given: TimeUnit | None) -> Cl
 def counts_rows(log: Log, column: str, time: Array, data: Array) -> bool:
     """Tell whether a column (n,) whose unit nothing tells counts rows of outputs (M, n)."""
     stated = column in log.dates or column in log.units or _named_unit(column) is not None
-    by_ones = not stated and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
+    with np.errstate(invalid="ignore"):  # of an infinite time, which is refused where it matters
+        by_ones = not stated and len(time) > _FEW and bool((np.diff(time) == 1.0).all())
     return by_ones and _turns_slowly(data)
 
 

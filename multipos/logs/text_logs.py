@@ -439,7 +439,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     line = body[start:].decode("utf-8", "replace")
     if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
-    shown = line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"
+    shown = (line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…").replace("\t", " ")
     text = f"the last row, '{shown}', is incomplete and was omitted"
     return _Cut(begin + start, (Finding("cut-row", "note", text),))
 

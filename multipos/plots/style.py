@@ -307,7 +307,8 @@ def _scaled() -> Any:
             shown = sorted(self._factor * float(x) for x in values)
             step = min((b - a for a, b in pairwise(shown) if b > a), default=0.0)
             fits = (d for d in range(_MOST_DECIMALS) if _on_grid(shown, 10.0**-d, step))
-            self._form = f".{next(fits, _MOST_DECIMALS)}f" if step > 0.0 else ".4g"
+            short = step > 0.0 and max(map(abs, shown)) < 10.0**_MOST_DECIMALS
+            self._form = f".{next(fits, _MOST_DECIMALS)}f" if short else ".4g"
             return [self(x) for x in values]
 
         def __call__(self, x: float, pos: int | None = None) -> str:

@@ -799,6 +799,9 @@ def test_a_last_row_that_is_cut_off(last, cut, tmp_path):
         path.write_text("a,b,c\n1,2,x\n" + "7" * width)
         shown = "7" * 40 + "…" * (width > 40)
         assert f"'{shown}'" in text_logs._cut_row(path, layout).found[0].text
+    tabbed = SimpleNamespace(delimiter="\t", width=3, numeric=(True, True, False))
+    path.write_text("a\tb\tc\n1\t2\tx\n5\t6\0")  # what is said holds no control characters
+    assert r"'5 6\u0000'" in text_logs._cut_row(path, tabbed).found[0].text
 
 
 def test_a_log_is_read_in_whole_lines(tmp_path, monkeypatch):

@@ -161,6 +161,7 @@ def test_an_axis_has_the_unit_that_its_numbers_are_read_in():
         "12.5",
         "25.0",
     ]
+    assert axes.yaxis.get_major_formatter().format_ticks([0.0, 3e70]) == ["0", "3e+76"]
 
 
 @pytest.mark.parametrize(
