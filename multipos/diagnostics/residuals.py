@@ -75,6 +75,7 @@ _ITERATIONS = 20
 _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up
 _SETTLED = 0.01  # of the deviance
+_SINGULAR = 1e-14  # of what is one, that is rounding
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _ROWS = 20_000  # whose products are made at once
@@ -297,7 +298,10 @@ def _held(theta: Array, here: _Slopes) -> Mask:
 
 def _fixed_point(theta: Array, here: _Slopes, least: Array) -> Array:
     """Return θ_j e'P C_j P e / tr P C_j, at once the answer where one component is all of V."""
-    found = np.maximum(theta, least) * here.observed / np.maximum(here.expected, 1e-300)
+    found = np.maximum(theta, least)
+    share = found * here.expected  # of the degrees of freedom
+    found = np.where(share > _SINGULAR, found * found * here.observed, found)
+    found /= np.where(share > _SINGULAR, share, 1.0)
     return np.where(_held(theta, here), 0.0, found)
 
 
@@ -322,7 +326,10 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
         V = V + theta[:, j, None, None, None] * component
     W, log_det = _inverse(V)
     S = _information(of, W)
-    inverse = np.linalg.inv(S)
+    size = np.sqrt(np.einsum("bpp->bp", S))  # outputs, and columns, may be of very unlike size
+    scales = size[:, :, None] * size[:, None, :]
+    unit = S / scales + _SINGULAR * np.eye(size.shape[1])  # columns may be alike but for rounding
+    inverse = np.linalg.inv(unit) / scales
 
     def projected(v: Array) -> Array:
         """Return P v of J vectors (J, B, n, M)."""
@@ -334,7 +341,8 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
         return np.asarray(white - np.einsum("bnij,kbnj->kbni", W, back))
 
     q = projected(e[None])[0]
-    deviance = log_det + np.linalg.slogdet(S)[1] + np.einsum("bnm,bnm->b", e, q)
+    log_det = log_det + np.linalg.slogdet(unit)[1] + 2.0 * np.log(size).sum(axis=1)
+    deviance = log_det + np.einsum("bnm,bnm->b", e, q)
     expected = np.empty((count, len(components)))
     pulled = np.empty((len(components), *e.shape))
     for j, component in enumerate(components):
@@ -350,13 +358,16 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
 
 def _inverse(V: Array) -> tuple[Array, Array]:
     """Return V⁻¹ (B, n, M, M) and Σ ln det V (B,)."""
+    size = V.max(axis=(1, 2, 3), initial=np.finfo(float).tiny)  # no determinant underflows
+    V, offset = V / size[:, None, None, None], np.log(size) * V[0].size / V.shape[2]
     if V.shape[2] != 3:
-        return np.asarray(np.linalg.inv(V)), np.asarray(np.linalg.slogdet(V)[1].sum(axis=1))
+        W = np.linalg.inv(V) / size[:, None, None, None]
+        return np.asarray(W), np.asarray(np.linalg.slogdet(V)[1].sum(axis=1) + offset)
     moved = np.moveaxis(V, (2, 3), (0, 1))
     cofactors = cofactors_of(moved)
     det = np.einsum("kbn,kbn->bn", moved[0], cofactors[0])
-    W = np.ascontiguousarray(np.moveaxis(cofactors / det, (0, 1), (2, 3)))
-    return W, np.asarray(np.log(det).sum(axis=1))
+    W = np.ascontiguousarray(np.moveaxis(cofactors / (det * size[:, None]), (0, 1), (2, 3)))
+    return W, np.asarray(np.log(det).sum(axis=1) + offset)
 
 
 def _information(of: Residuals, W: Array) -> Array:

@@ -211,14 +211,15 @@ def compensated(
     start = force[:, :, sensed]
     size = np.full(count, np.inf)
     columns = {name: np.tile(column, count) for name, column in environment.items()}
-    for _ in range(_STEPS):
-        step = misfit @ inverse
-        left += step
-        size = np.abs(step).max(axis=(1, 2))
-        if not (size > _XTOL).any():
-            break
-        force[:, :, sensed] = start + left
-        basis = model.basis(force.reshape(-1, 3), columns).reshape(count, n, -1)
-        misfit = raw - basis @ theta.transpose(0, 2, 1)
+    with np.errstate(over="ignore", invalid="ignore"):  # a unit may run away, and is not sound
+        for _ in range(_STEPS):
+            step = misfit @ inverse
+            left += step
+            size = np.abs(step).max(axis=(1, 2))
+            if not (size > _XTOL).any():
+                break
+            force[:, :, sensed] = start + left
+            basis = model.basis(force.reshape(-1, 3), columns).reshape(count, n, -1)
+            misfit = raw - basis @ theta.transpose(0, 2, 1)
     sound = inverted.sound & (size <= 10.0 * _XTOL)
     return Compensated(left, inverted._replace(sound=sound))

@@ -489,6 +489,9 @@ def _off_positions(
     found = across_the_force(of) & asked
     score = np.full(count, -np.inf)
     units = np.flatnonzero(found)
+    # three outputs that sense no rotation tell nothing of it
+    found[units] = np.linalg.matrix_rank(of.slopes[units].mean(axis=1)) == len(COMPONENTS)
+    units = np.flatnonzero(found)
     if len(units):
         some = of.some(units)
         moved = explain_orientations(some)

@@ -210,7 +210,8 @@ def _draw_panel(
     mark = _mark(largest)
     factor, shown = readable_unit(mark, unit)
     middle, scale = top + _MIDDLE, _HALF / (mark or 1.0)
-    picture.write(0.0, top + 12.0, head.format(shown), "start")
+    before, _, after = head.rpartition("{}")  # a name may hold braces
+    picture.write(0.0, top + 12.0, f"{before}{shown}{after}", "start")
     for at in (-mark, 0.0, mark):
         y = middle - scale * at
         picture.path(f"M{_LEFT} {y:.1f}H{_WIDTH}", COLOURS[6], 0.4 if at else 0.8)

@@ -47,6 +47,7 @@ from multipos.diagnostics.repairs import (
 from multipos.diagnostics.residuals import (
     Explained,
     _information,
+    _inverse,
     _separable,
     _signs_lost,
     prefers_unequal,
@@ -1231,3 +1232,14 @@ def test_rows_in_another_unit_are_nearer_divided_by_outputs_of_any_size():
         found = repairs._too_large(view, rows, factor)
         assert found.tolist() == (divided < as_is).tolist()
         assert 0 < found.sum() < 24
+
+
+@pytest.mark.parametrize("outputs", [2, 3])
+def test_variances_far_below_one_have_an_inverse(outputs):
+    """1e-120 V: its determinant is no number, its logarithm −120 ln 10 less an output and row."""
+    A = np.random.default_rng(2).normal(size=(2, 5, outputs, outputs))
+    V = A @ A.transpose(0, 1, 3, 2) + np.eye(outputs)
+    W, log_det = _inverse(1e-120 * V)
+    assert_allclose(W * 1e-120, np.linalg.inv(V), rtol=1e-9)
+    wanted = np.linalg.slogdet(V)[1].sum(axis=1) - 5 * outputs * 120.0 * math.log(10.0)
+    assert_allclose(log_det, wanted, rtol=1e-12)

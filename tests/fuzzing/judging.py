@@ -178,7 +178,7 @@ def _folder(case: Case, run: Run) -> Iterator[str]:
         if strange:
             yield f"files: beside the output, {_shape(case, min(strange))} ({case.argv[0]})"
         yield from _written(case, run)
-    elif changed and case.stdout != "open":
+    elif case.output in changed and case.stdout != "open":
         yield from _written(case, run)  # the output was whole before stdout failed
     elif changed := changed - _kept(case):
         what = "made" if min(changed) not in run.before else "touched"

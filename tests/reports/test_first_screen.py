@@ -10,7 +10,13 @@ from findings_bench import texts
 import multipos as mp
 from multipos.cli import main
 from multipos.files.numbers import beside, in_unit
-from multipos.plots.pictures import error_picture, residual_picture, split_errors
+from multipos.plots.pictures import (
+    _draw_panel,
+    _Picture,
+    error_picture,
+    residual_picture,
+    split_errors,
+)
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import (
     aligned_rows,
@@ -208,6 +214,9 @@ def test_dots_of_residuals_stand_where_they_are(cal):
     assert (marks < 1.5 * largest).all()
     expected = 102 * np.arange(3) + 59.0 - 36.0 * cal.residuals / marks
     assert np.abs(heights.reshape(3, 26).T - expected).max() < 0.051
+    named = _Picture(102)  # an output may be called so
+    _draw_panel(named, 0.0, "{% raw %} [{}]", "V", np.ones(1), np.ones(1), np.ones(1), 0)
+    assert "{% raw %} [V]" in str(named)
 
 
 def test_paper_needs_the_extra_or_a_browser(cal, tmp_path, capsys, monkeypatch):
