@@ -22,7 +22,8 @@ def seconds(path):
 def test_reading_is_linear_in_the_columns(tmp_path, capsys):
     few, many = wide(tmp_path / "few.csv", 2_000), wide(tmp_path / "many.csv", 16_000)
     seconds(few)  # imports
-    assert seconds(many) < 24 * seconds(few)  # 8 where linear, 64 where quadratic
+    # 8 where linear, 64 where quadratic; one run may collect what all tests before it left
+    assert any(seconds(many) < 24 * seconds(few) for _ in range(3))
 
 
 @pytest.mark.parametrize("command", ["fit", "calibrate", "average", "tumble"])
