@@ -298,10 +298,9 @@ def _held(theta: Array, here: _Slopes) -> Mask:
 
 def _fixed_point(theta: Array, here: _Slopes, least: Array) -> Array:
     """Return θ_j e'P C_j P e / tr P C_j, at once the answer where one component is all of V."""
-    found = np.maximum(theta, least)
-    share = found * here.expected  # of the degrees of freedom
-    found = np.where(share > _SINGULAR, found * found * here.observed, found)
-    found /= np.where(share > _SINGULAR, share, 1.0)
+    start = np.maximum(theta, least)
+    tells = start * here.expected > _SINGULAR  # of the degrees of freedom
+    found = start * np.where(tells, here.observed / np.where(tells, here.expected, 1.0), 1.0)
     return np.where(_held(theta, here), 0.0, found)
 
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import Array, Places, quadratic
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Subset, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
@@ -29,8 +29,7 @@ from multipos.results import Result, frozen
 def combined_variance(X: Array, covariance: Array) -> Array:
     """Return x'Cx (n,) of rows x of X (n, q), at least what its own rounding leaves unknown."""
     sums = np.abs(X) @ np.sqrt(np.diag(covariance))
-    found = np.einsum("ij,jk,ik->i", X, covariance, X)
-    return np.asarray(np.maximum(found, np.finfo(np.float64).eps * sums**2))
+    return np.maximum(quadratic(X, covariance), np.finfo(np.float64).eps * sums**2)
 
 
 class Coefficient(NamedTuple):
