@@ -1,9 +1,10 @@
 """One step of an exported regression in C, against C written by hand for the same regression.
 
 The peer is what an engineer writes: coefficients and limits in tables, the same low passes for the
-rate, Horner's rule, the same limits and return codes. Both are compiled with -O2, by gcc and by
-clang where these are installed, and make two million steps in a process of their own; the steps end
-at the same sum.
+rate, Horner's rule, the same limits, the same leverage beyond which a row is told to be none of
+those that were fitted, by a triangle of products, and return codes. Both are compiled with -O2, by
+gcc and by clang where these are installed, and make two million steps in a process of their own;
+the steps end at the same sum, of codes too.
 """
 
 import shutil
@@ -39,7 +40,7 @@ int main(void)
     for (int i = 0; i < 2000000; ++i) {
         in[0] = T[i & 4095];
         in[1] = V[i & 4095];
-        multipos_correct(&state, i, in, out);
+        sum += multipos_correct(&state, i, in, out);
         sum += out[0];
     }
     printf("%.9g\\n", sum);
@@ -52,6 +53,7 @@ PEER = """\
 static const double edge[2] = EDGES;
 static const double limit[3][3][2] = LIMITS;
 static const double c[3][7] = COEFFICIENTS;
+static const double factor[3][7][7] = FACTORS;
 
 void multipos_start(multipos_state *s) { *s = (multipos_state){0}; }
 
@@ -82,6 +84,14 @@ int multipos_correct(multipos_state *s, double time, const double in[2], double 
     const double V = held(in[1], limit[k][1], &beyond);
     const double R = held(s->rate[0], limit[k][2], &beyond);
     const double *b = c[k];
+    const double row[7] = {1.0, T, V, T * T, T * V, R, T * R};
+    double leverage = 0.0;
+    for (int i = 0; i < 7; ++i) {
+        double z = 0.0;
+        for (int j = 0; j <= i; ++j) z += factor[k][i][j] * row[j];
+        leverage += z * z;
+    }
+    if (leverage > MOST) beyond = 1;
     out[0] = b[0] + b[2] * V + b[5] * R + T * (b[1] + b[3] * T + b[4] * V + b[6] * R);
     return beyond;
 }
@@ -133,16 +143,22 @@ def fitted() -> Regression:
 
 def by_hand(regression: Regression) -> str:
     """Return the peer with the numbers of a regression."""
-    coefficients, limits = [], []
+    coefficients, limits, factors = [], [], []
     for segment in regression.segments:
         value = {c.term: c.value for c in segment.coefficients}
         coefficients.append([value[term] for term in COLUMNS])
         beside = [list(segment.limits[name]) for name in ("V", "T_rate")]
         limits.append([list(segment.range), *beside])
+        assert segment.region is not None
+        assert tuple(map(str, segment.region.terms)) == COLUMNS
+        factors.append(segment.region.factor.tolist())
+        most = segment.region.limit  # the same of all segments
     return (
         PEER.replace("EDGES", braces(list(regression.edges)))
         .replace("LIMITS", braces(limits))
         .replace("COEFFICIENTS", braces(coefficients))
+        .replace("FACTORS", braces(factors))
+        .replace("MOST", repr(most))
         .replace("WINDOW", repr(regression.rates["T_rate"] / 4.0))
     )
 

@@ -31,7 +31,7 @@ NOISE, SHAKING = 1e-3, 0.2  # [g]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_capture")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.capture_cost")
     parser.add_argument("what", choices=["latency", "long"])
     parser.add_argument("--seconds", type=float, default=120.0, help="of the session to be timed")
     parser.add_argument("--hours", type=float, default=8.0, help="of the long session")
