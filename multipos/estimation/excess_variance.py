@@ -46,7 +46,9 @@ from multipos.numerics.least_squares import block_design
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import are_unequal
 
-_ROWS = 20_000  # readings worked on at once
+_ROWS = 20_000  # readings of a unit worked on at once
+_AT_ONCE = 40_000  # variances of readings of several units, so that they stay in the cache
+_EXPONENTS = 1000.0  # of two, within those of numbers
 _RIDGE = 1e-13  # of rounding, so that variances of any size leave a matrix that can be inverted
 
 
@@ -81,6 +83,10 @@ class Part:
         """Degrees of freedom of all its outputs."""
         n, m = self.residuals.shape[1:]
         return float(m * (n - self.parameters))
+
+    def of(self, units: slice) -> "Part":
+        """Return it of some units."""
+        return Part(self.basis, self.inverse, self.residuals[units], self.stated_variance[units])
 
     @cached_property
     def equal(self) -> bool:
@@ -164,45 +170,57 @@ def estimate_excess(
     everyone = np.arange(count)
     dof = np.array([n - design.shape[1] for design in designs], dtype=np.float64)
     if noise.ndim == 2:
-        parts = [_rotated(designs, residuals[0], noise)]
-        return _gather([(everyone, np.arange(m), parts)], designs, count)
-    parts = _parts(designs, residuals, noise, range(m))
-    found = _gather([(everyone, np.arange(m), parts)], designs, count)
+        return _gather([_share(everyone, designs, [_rotated(designs, residuals[0], noise)])])
+    pooled = _share(everyone, designs, _parts(designs, residuals, noise, range(m)))
+    found = _gather([pooled])
     if pool or m == 1 or dof.min() <= 0.0:
         return found
     chi2 = np.sum(residuals**2 / (noise + found.variance[:, None]), axis=1)
     unequal = are_unequal(chi2, dof)
     if not unequal.any():
         return found
-    groups = []
-    if not unequal.all():
-        units = np.flatnonzero(~unequal)
-        parts = _parts(designs, residuals[units], noise[units], range(m))
-        groups.append((units, np.arange(m), parts))
     units = np.flatnonzero(unequal)
+    groups = [] if unequal.all() else [pooled.of(np.flatnonzero(~unequal))]
     for i in range(m):
         parts = _parts(designs, residuals[units], noise[units], [i])
-        groups.append((units, np.array([i]), parts))
-    return _gather(groups, designs, count)
+        groups.append(_share(units, designs, parts))
+    return _gather(groups)
 
 
-def _gather(
-    groups: Sequence[tuple[Places, Places, list[tuple[list[int], Part]]]],
-    designs: Sequence[Array],
-    count: int,
-) -> ExcessVariance:
-    """Return the excess variance of groups of units and outputs, each of which has its own."""
-    m = len(designs)
-    variance, u, dof = np.empty((count, m)), np.empty((count, m)), np.empty((count, m))
+class _Sharing(NamedTuple):
+    """Units and outputs that share an excess variance, and the places of their parameters."""
+
+    units: Places
+    outputs: Places
+    members: Places
+    posterior: Posterior
+
+    def of(self, units: Places) -> "_Sharing":
+        """Return some of the units, of all of them."""
+        return self._replace(units=units, posterior=self.posterior.of(units))
+
+
+def _share(
+    units: Places, designs: Sequence[Array], parts: list[tuple[list[int], Part]]
+) -> _Sharing:
     ends = np.cumsum([0, *(design.shape[1] for design in designs)])
-    posteriors = []
-    for units, outputs, parts in groups:
-        posterior = integrate_parts([part for _, part in parts])
-        order = [np.arange(ends[i], ends[i + 1]) for members, _ in parts for i in members]
-        posteriors.append((units, np.concatenate(order), posterior))
-        here = np.ix_(units, outputs)
-        variance[here], u[here], dof[here] = (each[:, None] for each in posterior.summary)
-    return ExcessVariance(variance, u, dof, tuple(posteriors))
+    outputs = [i for members, _ in parts for i in members]
+    members = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in outputs])
+    posterior = integrate_parts([part for _, part in parts])
+    return _Sharing(units, np.array(outputs), members, posterior)
+
+
+def _gather(groups: Sequence[_Sharing]) -> ExcessVariance:
+    """Return the excess variance of all units and outputs."""
+    count = 1 + max(int(group.units[-1]) for group in groups)
+    m = 1 + max(int(group.outputs.max()) for group in groups)
+    variance, u, dof = np.empty((3, count, m))
+    for group in groups:
+        here = np.ix_(group.units, group.outputs)
+        variance[here], u[here], dof[here] = (each[:, None] for each in group.posterior.summary)
+    return ExcessVariance(
+        variance, u, dof, tuple((g.units, g.members, g.posterior) for g in groups)
+    )
 
 
 def _parts(
@@ -297,40 +315,48 @@ def _equal(part: Part, nodes: Array) -> _Terms:
 
 def _unequal(part: Part, nodes: Array, *, whole: bool) -> _Terms:
     """Return the terms of unequal stated variances, of the parameters only if `whole`."""
+    (count, n), G = part.stated_variance.shape, nodes.shape[1]
+    step = max(1, _AT_ONCE // (n * G))
+    some = [slice(first, first + step) for first in range(0, count, step)]
+    terms = [_unequal_terms(part.of(k), nodes[k], whole=whole) for k in some]
+    return terms[0] if len(terms) == 1 else _Terms(*map(np.concatenate, zip(*terms, strict=True)))
+
+
+def _unequal_terms(part: Part, nodes: Array, *, whole: bool) -> _Terms:
+    """By Q'V⁻¹Q = L D L', nodes in step: g'(Q'V⁻¹Q)⁻¹g is the sum of (L⁻¹g)²/D."""
     p, m = part.parameters, part.residuals.shape[2]
     sums = _sums(part, nodes)
-    scale = 1.0 / np.sqrt(np.einsum("ppbg->pbg", sums.square))
-    both = scale[:, None] * scale
-    scaled = np.multiply(sums.square, both, order="C")  # long runs of nodes side by side
-    np.einsum("ppbg->pbg", scaled)[...] += _RIDGE
-    inverse, determinants = _inverted(scaled)
-    inverse *= both
-    determinants -= 2.0 * np.log(scale).sum(axis=0)
-    step = np.einsum("pqbg,qmbg->mpbg", inverse, sums.right)
-    gained = np.einsum("pmbg,mpbg->bg", sums.right, step)
-    log = 0.5 * (m * (sums.log_weight - determinants) - sums.misfit + gained)
+    columns = sums.right
+    if whole:  # and R⁻¹ (Q'V⁻¹Q)⁻¹ R⁻ᵀ of the parameters
+        root = np.broadcast_to(part.inverse.T[:, :, None, None], (p, p, *nodes.shape))
+        columns = np.concatenate([columns, root], axis=1)
+    pivots = _eliminate(sums.square, columns)
+    right, over = columns[:, :m], columns / pivots[:, None]
+    gained = np.einsum("pmbg,pmbg->bg", right, over[:, :m])
+    log = 0.5 * (m * (sums.log_weight - _log_of_product(pivots)) - sums.misfit + gained)
     if not whole:
         return _Terms(log, m * sums.weight2, *np.empty((2, *nodes.shape, 0)))
-    squares = (part.inverse[:, :, None] * part.inverse[:, None, :]).reshape(p, -1)
-    own = (squares @ inverse.reshape(p * p, -1)).T.reshape(*nodes.shape, p)
-    moves = (part.inverse @ step.reshape(m, p, -1)).transpose(2, 0, 1)
-    return _Terms(log, m * sums.weight2, moves.reshape(*nodes.shape, -1), np.tile(own, (1, 1, m)))
+    own = np.einsum("kpbg,kpbg->bgp", columns[:, m:], over[:, m:])
+    moves = np.einsum("kmbg,kpbg->bgmp", right, over[:, m:]).reshape(*nodes.shape, -1)
+    return _Terms(log, m * sums.weight2, moves, np.tile(own, (1, 1, m)))
 
 
-def _inverted(A: Array) -> tuple[Array, Array]:
-    """Return positive definite matrices (p, p, B, G) with inverses in their places, and ln det.
+def _eliminate(A: Array, columns: Array) -> Array:
+    """Return the pivots D (p, B, G) of A = L D L' (p, p, B, G), and put L⁻¹ before columns."""
+    np.einsum("ppbg->pbg", A)[...] *= 1.0 + _RIDGE
+    for k in range(len(A) - 1):
+        factor = A[k + 1 :, k] / A[k, k]
+        A[k + 1 :, k + 1 :] -= factor[:, None] * A[k, k + 1 :]
+        columns[k + 1 :] -= factor[:, None] * columns[k]
+    return np.asarray(np.einsum("ppbg->pbg", A))
 
-    By Gauss and Jordan, matrix after matrix in step: many small ones are done sooner so.
-    """
-    log_det = np.zeros(A.shape[2:])
-    for k in range(len(A)):
-        pivot = A[k, k].copy()
-        row, column = A[k] / pivot, A[:, k].copy()
-        log_det += np.log(np.abs(pivot))
-        A -= column[:, None] * row
-        A[k], A[:, k] = row, -column / pivot
-        A[k, k] = 1.0 / pivot
-    return A, log_det
+
+def _log_of_product(values: Array) -> Array:
+    """Return the logarithms of the products of positive values (k, …) along their first axis."""
+    largest = np.abs(np.log2([values.max(), values.min()])).max()
+    step = max(1, int(_EXPONENTS / max(1.0, largest)))
+    firsts = np.arange(0, len(values), step)
+    return np.asarray(np.log(np.multiply.reduceat(values, firsts, axis=0)).sum(axis=0))
 
 
 class _Sums(NamedTuple):
@@ -345,25 +371,27 @@ class _Sums(NamedTuple):
 
 def _sums(part: Part, nodes: Array) -> _Sums:
     p, m = part.parameters, part.residuals.shape[2]
-    (count, G), n = nodes.shape, part.stated_variance.shape[1]
-    square = np.zeros((count, p * p, G))
-    right = np.zeros((count, p * m + 1, G))
-    log_weight, weight2 = np.zeros((count, G)), np.zeros((count, G))
+    n, shape = part.stated_variance.shape[1], nodes.shape
+    square, right = np.zeros((p * p, nodes.size)), np.zeros((p, m, nodes.size))
+    misfit, log_weight, weight2 = np.zeros((3, *shape))
     for first in range(0, n, _ROWS):
         rows = slice(first, first + _ROWS)
-        Q, e = part.basis[rows], part.residuals[:, rows]
-        weight = 1.0 / (part.stated_variance[:, None, rows] + nodes[:, :, None])  # (B, G, n)
-        each = np.swapaxes(weight, 1, 2)
-        square += (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1).T @ each
-        products = (Q[:, :, None] * e[:, :, None, :]).reshape(count, len(Q), -1)
-        misfit = np.einsum("bnm,bnm->bn", e, e)[:, :, None]
-        right += np.swapaxes(np.concatenate([products, misfit], axis=2), 1, 2) @ each
-        log_weight += np.log(weight).sum(axis=2)
-        weight2 += np.einsum("bgn,bgn->bg", weight, weight)
+        Q = part.basis[rows]
+        weight = np.add(part.stated_variance.T[rows, :, None], nodes, order="C")  # (n, B, G)
+        np.reciprocal(weight, out=weight)
+        square += (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1).T @ weight.reshape(len(Q), -1)
+        for i in range(m):
+            e = part.residuals[:, rows, i].T[:, :, None]
+            weighted = np.multiply(e, weight, order="C")
+            right[:, i] += Q.T @ weighted.reshape(len(Q), -1)
+            weighted *= e
+            misfit += weighted.sum(axis=0)
+        log_weight += _log_of_product(weight)
+        weight2 += np.einsum("nbg,nbg->bg", weight, weight)
     return _Sums(
-        square=square.transpose(1, 0, 2).reshape(p, p, count, G),
-        right=right[:, :-1].transpose(1, 0, 2).reshape(p, m, count, G),
-        misfit=right[:, -1],
+        square=square.reshape(p, p, *shape),
+        right=right.reshape(p, m, *shape),
+        misfit=misfit,
         log_weight=log_weight,
         weight2=weight2,
     )

@@ -69,7 +69,7 @@ _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
 _REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
 _ROWS = 10_000  # at which (2) is worked out at once
-_AT_ONCE = 4000  # readings of an output, so that the weights of eq. (3) stay in cache
+_AT_ONCE = 8000  # readings of an output, so that the weights of eq. (3) stay in cache
 _UNSUPPORTED = Finding(
     "unequal-pool",
     "warning",

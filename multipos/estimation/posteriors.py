@@ -24,7 +24,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from multipos.numerics.arrays import Array, Mask, median
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf
 from multipos.results import frozen
 
@@ -42,8 +42,8 @@ _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
 _SAME = 1e-9  # relative difference of mixtures that are one
 _NEAR = 1e-4  # a step of Halley's method that leaves its cube
-_ROOT, _AREA = np.sqrt(2.0), np.sqrt(2.0 * np.pi)
-_AT_ONCE = 40_000  # normal laws of all units, so that what a step needs stays in the cache
+_ROOT, _AREA = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+_AT_ONCE = 10_000  # normal laws of all units, so that what a step needs stays in the cache
 
 
 class Found(NamedTuple):
@@ -90,7 +90,7 @@ class Posterior:
     def _mean(self, values: Array) -> Array:
         return np.asarray(np.einsum("bg,bg->b", self.weights, values))
 
-    def of(self, units: Mask) -> "Posterior":
+    def of(self, units: Mask | Places) -> "Posterior":
         """Return some of the units."""
         arrays = (self.nodes, self.weights, self.moves, self.variances, self.size)
         return Posterior(*(each[units] for each in arrays))
@@ -213,29 +213,48 @@ def _search_half(means: Array, sds: Array, weights: Array, share: float) -> Arra
 
 
 def _halley(means: Array, sds: Array, weights: Array, share: float) -> Array:
-    low = np.zeros((len(means), means.shape[2]))
-    high = 2.0 * np.max(np.abs(means) + 2.0 * sds, axis=1)
-    spread = np.sqrt(np.einsum("bg,bgp->bp", weights, sds**2 + means**2))
-    guess = coverage_factor(share, math.inf) * spread
-    for _ in range(60):
-        above, below = (guess[:, None] - means) / sds, (guess[:, None] + means) / sds
-        normal = [np.exp(-0.5 * z * z) for z in (above, below)]
-        covered = erf(above / _ROOT, normal[0]) + erf(below / _ROOT, normal[1])
-        inside = np.einsum("bg,bgp->bp", weights, covered) / 2.0
+    """Search from the interval of a normal law of the same spread, in units of that spread.
+
+    The first step leads only to its cube, for which single precision does.
+    """
+    spread = np.sqrt(np.einsum("bg,bgp->bp", weights, sds * sds + means * means))
+    precision = spread[:, None] / sds
+    mixture = means / sds, precision, weights
+    low = np.zeros(spread.shape)
+    high = 2.0 * np.max((np.abs(mixture[0]) + 2.0) / precision, axis=1)
+    guess = np.full(spread.shape, coverage_factor(share, math.inf))
+    for trial in range(60):
+        kind = np.dtype(np.float64 if trial else np.float32)
+        inside, density, falls = _mixed(guess, *(np.asarray(each, kind) for each in mixture))
         low = np.where(inside < share, guess, low)
         high = np.where(inside < share, high, guess)
-        density = np.einsum("bg,bgp->bp", weights, (normal[0] + normal[1]) / sds)
-        falls = np.einsum("bg,bgp->bp", weights, (above * normal[0] + below * normal[1]) / sds**2)
-        density = np.maximum(density, 1e-300)
+        density = np.maximum(density, 1e-30)
         step = (share - inside) * _AREA / density
         following = guess + step / (1.0 - 0.5 * step * falls / density)
         near = np.abs(following - guess) <= _NEAR * guess
         bad = ~near & ~((following > low) & (following < high))
         following = np.where(bad, 0.5 * (low + high), following)
-        if near.all():
+        if trial and near.all():
             break
         guess = following
-    return np.asarray(following)
+    return np.asarray(following * spread)
+
+
+def _mixed(half: Array, means: Array, precision: Array, weights: Array) -> tuple[Array, ...]:
+    """Return what lies within ±half (B, p), its density and how this falls, by √2π the larger.
+
+    Of normal laws (B, G, p) with these precisions, 1/sd, and means over their sds.
+    """
+    middle = half[:, None].astype(means.dtype) * precision
+    above, below = middle - means, middle + means
+    normal = [np.exp(-0.5 * z * z) for z in (above, below)]
+    covered = erf(above / _ROOT, normal[0]) + erf(below / _ROOT, normal[1])
+    density = (normal[0] + normal[1]) * precision
+    falls = (above * normal[0] + below * normal[1]) * precision**2
+    of_half, *others = (
+        np.einsum("bg,bgp->bp", weights, each) for each in (covered, density, falls)
+    )
+    return of_half / 2.0, *others
 
 
 def dof_of_tails(ratios: Array) -> Array:
