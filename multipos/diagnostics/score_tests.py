@@ -47,7 +47,7 @@ LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
 FINEST = 3e-7
 _LARGEST = 1e30  # of R, where nothing is left
-_CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
+CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
 
 
 @frozen(eq=True)
@@ -274,9 +274,7 @@ def _as_one(c: Calibration, kinds: tuple[projections.Kind, ...], added: tuple[st
     explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
     asked = np.array([name not in added for name in names])
     explained, q = explained * asked, q * asked
-    faint = [
-        k for k, name in enumerate(names) if least[k] < _CLEAR and name in projections.OF_FORCE
-    ]
+    faint = [k for k, name in enumerate(names) if least[k] < CLEAR and name in projections.OF_FORCE]
     hidden: tuple[str, ...] = ()
     if faint and not added:
         some = np.flatnonzero((kind_of[:, None] == faint).any(axis=1))

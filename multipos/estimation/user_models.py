@@ -37,7 +37,7 @@ sensitivities has as zeros, slopes along a later axis. Where no rotation leaves 
 the model itself fixes its axes, and nothing is held.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -45,16 +45,20 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, UsageError
+from multipos.estimation.batches import Estimates
 from multipos.estimation.descent import maximise, resume
-from multipos.estimation.known import solve_known
+from multipos.estimation.known import ROUNDING, solve_known
 from multipos.estimation.problem import Optimum, Problem, Solution, State, start_state
+from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import COMPONENTS, Array, Mask
+from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask
 from multipos.numerics.rotations import cross_matrix
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
+from multipos.results import frozen
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.inverse import inverses, invert, parameter_jacobian
 from multipos.sensor.model import Block, Gauge, Model
 from multipos.sensor.own_models import Fixed, hold
 
@@ -205,6 +209,10 @@ _MANY = 200  # readings from which on the bias (3) is not computed
 _STATED = 0.1  # of u
 _EQUAL = 5.0  # of ln: residuals that differ by so much leave each output its digits in one search
 _LEAST = 1e-14  # of an output's spread, below which no residual is known
+_WELL_POSED = 1e4  # condition up to which normal equations keep the digits of a step
+_MOST_STEPS = 12  # from the parameters of a unit beside it
+_SETTLED = 1e-8  # of u: the next step is less by as much as residuals bend the model
+_MAY_BE = 0.5  # of the bias that is stated, which differs from unit to unit by more than its noise
 
 
 def is_untied(model: Model, readings: Readings) -> bool:
@@ -278,12 +286,8 @@ def _curvature_bias(
     sd = solution.residual_sd
     if len(readings) > _MANY or not (np.isfinite(sd) & (sd > 0.0)).all():
         return ()
-    bend = model.second_derivatives(best.state.theta, reference, readings.environment)
-    moved = np.tensordot(bend, solution.covariance) / sd**2
-    right = np.zeros(len(solution.parameters))
-    for output, (places, slopes) in enumerate(best.point.blocks):
-        right[places] += moved[:, output] @ slopes
-    bias = -0.5 * solution.covariance @ right
+    found = solution.covariance, sd, reference, readings.environment
+    bias = _bias(model, best.state.theta, *found)
     u = np.sqrt(np.diag(solution.covariance))
     far = np.abs(bias) > _STATED * u
     return tuple(
@@ -299,6 +303,153 @@ def _curvature_bias(
         for name, off, stated in zip(model.names, bias.tolist(), far.tolist(), strict=True)
         if stated
     )
+
+
+def _bias(
+    model: ExpressionModel,
+    parameters: Array,
+    covariance: Array,
+    sd: Array,
+    reference: Array,
+    environment: Environment,
+) -> Array:
+    """Return E p − p (p,) of eq. (3); `sd` (M,) are those of residuals."""
+    bend = model.second_derivatives(parameters, reference, environment)
+    moved = np.tensordot(bend, covariance) / sd**2
+    right = np.zeros(len(parameters))
+    blocks = model.respond(parameters, reference, environment)[1]
+    for output, (places, slopes) in enumerate(blocks):
+        right[places] += moved[:, output] @ slopes
+    return np.asarray(-0.5 * covariance @ right)
+
+
+@frozen
+class SharedExpression:
+    """A user-defined model at positions that units share, about the parameters of one of them.
+
+    Attributes
+    ----------
+    model : ExpressionModel
+    reference : (n, 3) array [g]
+    environment : mapping of str to (n,) array
+        Other columns of the model.
+    start : (p,) array
+        Parameters of that unit.
+    bias : (p,) array
+        Size of eq. (3) in u, for a residual standard deviation of 1.
+    """
+
+    model: ExpressionModel
+    reference: Array
+    environment: Mapping[str, Array]
+    start: Array
+    bias: Array
+
+    def respond(self, parameters: Array) -> tuple[Array, list[Array]]:
+        """Return the outputs (B, n, M) and dy/dp (B, n, p_i) of parameters (B, p)."""
+        count, n = len(parameters), len(self.reference)
+        rows = np.repeat(parameters, n, axis=0), *self.rows(count)
+        outputs, blocks = self.model.respond(*rows)
+        slopes = [each.reshape(count, n, -1) for _, each in blocks]
+        return outputs.reshape(count, n, -1), slopes
+
+    def rows(self, count: int) -> tuple[Array, dict[str, Array]]:
+        """Return the reference and the environment of so many units, one after the other."""
+        columns = {name: np.tile(each, count) for name, each in self.environment.items()}
+        return np.tile(self.reference, (count, 1)), columns
+
+
+def share_expression(c: Calibration) -> SharedExpression | None:
+    """Return what units share with one whose outputs were fitted apart, without stated noise.
+
+    None where their search cannot begin at its parameters, or where the bias (3) is not known.
+    """
+    model, sd = c.model, c.residual_sd
+    assert isinstance(model, ExpressionModel)
+    posed = model.apart and c.diagnostics.condition <= _WELL_POSED
+    if not posed or c.noise is not None or not (np.isfinite(sd) & (sd > 0.0)).all():
+        return None
+    columns = {name: c.readings.environment[name] for name in model.environment}
+    bias = np.zeros(len(c.parameters))
+    if len(c.readings) <= _MANY:
+        bias = _bias(model, c.parameters, c.covariance, sd, c.reference, columns)
+    per_sd = np.abs(bias) / (c.u * model.per_parameter(sd))
+    return SharedExpression(model, c.reference, columns, c.parameters, per_sd)
+
+
+def estimate_expression(shared: SharedExpression, values: Sequence[Array]) -> Estimates:
+    """Fit B units, as `fit` each of them, by steps of Gauss and Newton from the shared start.
+
+    Those whose steps do not settle are not sound, nor is one whose bias (3) may be stated.
+
+    Parameters
+    ----------
+    shared : SharedExpression
+    values : sequence of M arrays (B, n)
+    """
+    model, n, y = shared.model, len(shared.reference), np.stack(list(values), axis=2)
+    theta = np.tile(shared.start, (len(y), 1))
+    u, step = np.ones(theta.shape), np.full(theta.shape, np.inf)
+    with np.errstate(all="ignore"):
+        for _ in range(_MOST_STEPS):
+            outputs, slopes = shared.respond(theta)
+            left = y - outputs
+            for i, (places, A) in enumerate(zip(model.places, slopes, strict=True)):
+                cofactor = cofactors(A)
+                r = left[:, :, i, None]
+                step[:, places] = (cofactor @ (A.transpose(0, 2, 1) @ r))[:, :, 0]
+                variance = np.einsum("bnk,bnk->b", r, r) / (n - len(places))
+                u[:, places] = np.sqrt(variance[:, None] * np.einsum("bpp->bp", cofactor))
+            theta += step
+            moving = np.abs(step) > _SETTLED * u
+            if not moving.any():
+                break
+        sound = ~moving.any(axis=1) & (np.abs(theta).max(axis=1) <= LARGEST)
+        theta[~sound] = shared.start
+        left = y - shared.respond(theta)[0]
+        square = np.einsum("bnm,bnm->bm", left, left)
+        sound &= (square > ROUNDING**2 * np.einsum("bnm,bnm->bm", y, y)).all(axis=1)
+        dof = np.array([float(n - len(places)) for places in model.places])
+        sd = np.sqrt(square / dof)
+        sound &= (shared.bias * model.per_parameter(sd) < _MAY_BE * _STATED).all(axis=1)
+        rms, sensitivity = _compensated(shared, theta, y)
+    return Estimates(
+        parameters=theta,
+        u=u,
+        dof=model.per_parameter(dof),
+        rms=rms,
+        residuals=np.moveaxis(left, 2, 0),
+        sensitivity=sensitivity,
+        inverse=inverses(sensitivity),
+        sound=sound,
+    )
+
+
+def cofactors(A: Array) -> Array:
+    """Return (A'A)⁻¹ (B, p, p) of designs (B, n, p), NaN where there is none."""
+    size = np.sqrt(np.einsum("bnp,bnp->bp", A, A))
+    scaled = A / size[:, None]
+    gram = scaled.transpose(0, 2, 1) @ scaled
+    good = np.isfinite(gram).all(axis=(1, 2))
+    good[good] = np.linalg.det(gram[good]) > _WELL_POSED**-2.0
+    gram[~good] = np.eye(gram.shape[1])
+    result = np.linalg.inv(gram) / (size[:, :, None] * size[:, None])
+    result[~good] = np.nan
+    return np.asarray(result)
+
+
+def _compensated(shared: SharedExpression, theta: Array, y: Array) -> tuple[Array, Array]:
+    """Return what is left after compensation (B,) [g], and sensitivities (B, M, K)."""
+    model, count, n = shared.model, len(theta), len(shared.reference)
+    sensed = list(model.sensed_axes)
+    force, columns = shared.rows(count)
+    raw = y.reshape(count * n, -1)
+    own = np.repeat(theta, n, axis=0)
+    found = invert(model, own, raw, columns, unseen=force, start=force)
+    off = (found - force[:, sensed]).reshape(count, -1)
+    means = {name: np.full(count, np.mean(each)) for name, each in shared.environment.items()}
+    slopes = model.force_jacobian(theta, np.zeros((count, 3)), means)
+    return np.sqrt(np.einsum("br,br->b", off, off) / n), slopes[:, :, sensed]
 
 
 def _searched(

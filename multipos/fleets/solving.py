@@ -38,7 +38,12 @@ from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.projections import Kind
 from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
-from multipos.estimation import correlated_rows, robust_known, uncertain_orientations
+from multipos.estimation import (
+    correlated_rows,
+    robust_known,
+    uncertain_orientations,
+    user_models,
+)
 from multipos.estimation.batches import Estimates
 from multipos.estimation.known import REJECTED, SharedDesign, estimate_known, share_design
 from multipos.estimation.unknown_orientations import SharedSphere, estimate_unknown, share_sphere
@@ -50,6 +55,7 @@ from multipos.fleets import unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
+from multipos.positions.headers import TEMPERATURE
 from multipos.positions.orientations import orient, place
 from multipos.positions.reading_tables import read_readings
 from multipos.results import frozen
@@ -130,7 +136,12 @@ def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
     return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))
 
 
-Shared = SharedDesign | SharedSphere | uncertain_orientations.SharedOrientations
+Shared = (
+    SharedDesign
+    | SharedSphere
+    | uncertain_orientations.SharedOrientations
+    | user_models.SharedExpression
+)
 
 
 class Solved(NamedTuple):
@@ -167,8 +178,8 @@ class Pattern:
 
     Attributes
     ----------
-    shared : SharedDesign, SharedSphere or SharedOrientations
-        Known orientations, unknown ones, or uncertain ones.
+    shared : SharedDesign, SharedSphere, SharedOrientations or SharedExpression
+        Known orientations, unknown ones, uncertain ones, or known ones of a user-defined model.
     fixture : Fixture or None
         Where the angles of the positions can be identified from residuals.
     gravity : Field or None
@@ -179,7 +190,7 @@ class Pattern:
     tests : UnitTests or None
         Of the residuals at known orientations.
     kinds : tuple of Kind
-        Terms that robust fits may lack.
+        Terms that robust fits, or user-defined models, may lack.
     robust : Calibration or None
         The unit that was fitted, of robust fits.
     timed : bool
@@ -248,14 +259,15 @@ def find_pattern(
     """
     c = calibration
     plain = (
-        not isinstance(c.model, ExpressionModel)
-        and c.readings.covariance is None
+        c.readings.covariance is None
         and (c.robust_weight is None or _is_robust_batch(c, options))
         and c.budget is None
         and c.model.drift_per is None
         and not c.readings.forced.any()
     )
+    own = isinstance(c.model, ExpressionModel)  # of which no correlation is asked
     timed = c.robust_weight is None and correlated_rows.order_in_time(c.readings) is not None
+    timed &= not own
     asked = c.robust_weight is None and correlated_rows.are_asked(
         c.model, c.readings, c.reference, c.estimator
     )
@@ -278,7 +290,7 @@ def find_pattern(
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
     codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
-    kinds = () if robust is None else unit_findings.lacking_in_batch(c)
+    kinds = unit_findings.lacking_in_batch(c) if own or robust is not None else ()
     return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
 
 
@@ -290,6 +302,8 @@ def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
     columns = c.readings.environment
+    if isinstance(c.model, ExpressionModel):
+        return _share_expression(c, options)
     if c.estimator is Estimator.LINEAR:
         if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
             return None
@@ -302,6 +316,16 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     if c.estimator is Estimator.UNKNOWN and sd is not None and np.isinf(sd).all():
         return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
     return None
+
+
+def _share_expression(
+    c: Calibration, options: Mapping[str, Any]
+) -> user_models.SharedExpression | None:
+    """Return what units share at known orientations and, if any, one temperature; else None."""
+    plain = c.estimator is Estimator.LINEAR and c.robust_weight is None and not options.get("pool")
+    asked = TEMPERATURE in set(c.readings.environment) - set(c.model.environment)
+    sized = c.gravity is not None and c.gravity.u > 0.0
+    return user_models.share_expression(c) if plain and not asked and not sized else None
 
 
 def _share_uncertain(
@@ -410,6 +434,9 @@ def solve_task(task: Task) -> Solved:
         tested = unit_findings.find_aside(task.pattern.robust, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
         looked_at |= unit_findings.may_lack_terms(task.pattern.kinds, shared, found)
+    if isinstance(shared, user_models.SharedExpression):
+        tested = unit_findings.find_in_expressions(task.pattern.kinds, shared, found)
+        named, looked_at = tested.found, looked_at | tested.singly
     reasons = [LEFT if left else "" for left in looked_at.tolist()]
     return Solved(
         task.units,
@@ -449,6 +476,8 @@ def _estimate(shared: Shared, task: Task) -> Estimates:
         return uncertain_orientations.estimate_uncertain(
             shared, task.values, task.stated, task.stated_dof
         )
+    if isinstance(shared, user_models.SharedExpression):
+        return user_models.estimate_expression(shared, task.values)
     loss = task.options.get("robust")
     if loss is not None:
         return robust_known.estimate_robust(shared, task.values, loss)

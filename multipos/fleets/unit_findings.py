@@ -37,11 +37,12 @@ from multipos.diagnostics.residuals import (
     prefers_orientations,
 )
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
-from multipos.diagnostics.score_tests import FINEST, LEVEL, explained_by, ratios_of
+from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.identifiability import condition
 from multipos.estimation.known import SharedDesign
 from multipos.estimation.robustness import ASIDE
+from multipos.estimation.user_models import SharedExpression, cofactors
 from multipos.fleets.grouping import ONE_TEMPERATURE
 from multipos.numerics.arrays import COMPONENTS, Array, coarse_steps, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
@@ -377,6 +378,61 @@ def find_aside(
         )
         outlying[unit] |= said is not None
     return UnitFindings({"outlier": outlying, "set-aside": aside}, singly)
+
+
+def find_in_expressions(
+    kinds: Sequence[projections.Kind], shared: SharedExpression, found: Estimates
+) -> UnitFindings:
+    """Return of which units (B,) of a user-defined model terms are missing.
+
+    The score test has the derivatives of each unit. Fitted singly are those in which a term that
+    the positions hardly show is significant, and all that lie beyond the first bound of outliers
+    and lack of fit.
+    """
+    m, count, n = found.residuals.shape
+    columns = np.column_stack([shared.reference, *shared.environment.values()])
+    repeats = np.unique(np.array(row_keys(columns)), return_inverse=True)[1]
+    shape = count, len(kinds)
+    gain, freedom, least = np.zeros(shape), np.zeros(shape), np.ones(shape)
+    singly: Mask = np.zeros(count, dtype=np.bool_)
+    left = 0.0
+    for i, A in enumerate(shared.respond(found.parameters)[1]):
+        e, nu = found.residuals[i], float(n - A.shape[2])
+        left += nu
+        cofactor = cofactors(A)
+        leverage = np.sum((A @ cofactor) * A, axis=2)
+        r2 = fit_diagnostics.studentised_squares(e, leverage, np.full(1, nu))
+        singly |= ~(r2 <= _limit(nu, m * n)).all(axis=1)
+        tested = fit_diagnostics.lack_of_fit_ratios(e, repeats, A.shape[2], np.ones(n))
+        if tested is not None:
+            f, lack, pure = tested
+            singly |= ~(f <= f_quantile(1.0 - LEVEL / m, float(lack), float(pure)))
+        variance = np.einsum("bn,bn->b", e, e) / nu
+        for k, kind in enumerate(kinds):
+            Z = columns_of([kind], i, shared.reference, shared.environment)
+            if not Z.shape[1]:
+                continue
+            Z = Z / np.maximum(np.linalg.norm(Z, axis=0), _LEAST)
+            across = Z.T @ A
+            gram = Z.T @ Z - across @ cofactor @ across.transpose(0, 2, 1)
+            sizes, vectors = np.linalg.eigh(gram)
+            seen = sizes > projections.IDENTIFIABLE
+            along = (e[:, None] @ (Z @ vectors))[:, 0] ** 2 / np.where(seen, sizes, np.inf)
+            gain[:, k] += along.sum(axis=1) / variance
+            freedom[:, k] += seen.sum(axis=1)
+            least[:, k] = np.minimum(least[:, k], sizes[:, 0])
+    ratio, free, asked = ratios_of(gain, left, freedom, left, np.zeros(1))
+    significant = np.zeros_like(asked)
+    number = asked.sum(axis=1)
+    for q, dof, tests in {
+        *zip(freedom[asked], free[asked], np.repeat(number, number), strict=True)
+    }:
+        limit = f_quantile((1.0 - LEVEL) ** (1.0 / tests), float(q), float(dof))
+        mine = asked & (freedom == q) & (number == tests)[:, None]
+        significant |= mine & ~(ratio < limit)
+    singly |= (significant & (least < CLEAR)).any(axis=1)
+    missing: Mask = np.asarray(significant.any(axis=1))
+    return UnitFindings({"missing-term": missing}, singly)
 
 
 def follow_temperature(

@@ -287,14 +287,16 @@ class RowFunction:
         ----------
         force : (n, 3) array [g]
         columns : (n, E) array
-        parameters : (p,) array
+        parameters : (p,) or (n, p) array
+            Of all rows, or of each.
         """
-        known = parameters.tolist()
+        known: list[Any] = parameters.tolist() if parameters.ndim == 1 else []
         result = np.zeros((self._count, len(force)))
         with np.errstate(all="ignore"):
             for begin in range(0, len(force), _BLOCK):
                 rows = slice(begin, begin + _BLOCK)
-                self._run([*force[rows].T, *columns[rows].T, *known], result[:, rows])
+                of_rows = known or parameters[rows].T
+                self._run([*force[rows].T, *columns[rows].T, *of_rows], result[:, rows])
         return result
 
     def _run(self, given: list[Any], result: Array) -> None:
@@ -360,7 +362,8 @@ class Compiled:
         ----------
         force : (n, 3) array [g]
         columns : (n, E) array
-        parameters : (p,) array
+        parameters : (p,) or (n, p) array
+            Of all rows, or of each.
         """
         found = self._values(force, columns, parameters)
         slopes = found[len(self._outputs) :]

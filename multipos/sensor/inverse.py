@@ -60,10 +60,11 @@ def invert(
     Parameters
     ----------
     model, parameters, raw, environment
-        Of the calibration, and the readings to compensate.
+        Of the calibration, and the readings to compensate; of a user-defined model each reading
+        may have parameters (n, p) of its own.
     unseen : (n, 3) array, optional [g]
         Force whose components that no output senses are taken as known; zero otherwise.
-    start : (3,) array, optional [g]
+    start : (3,) or (n, 3) array, optional [g]
         Where eq. (1) starts instead of zero.
 
     Raises
@@ -76,7 +77,7 @@ def invert(
         return _solve_linear(model, parameters, raw, unseen)
     force = np.zeros((len(raw), 3))
     if start is not None:
-        force[:, sensed] = start[sensed]
+        force[:, sensed] = start[..., sensed]
     if unseen is not None:
         others = list(model.unseen_axes)
         force[:, others] = unseen[:, others]
@@ -85,8 +86,9 @@ def invert(
     columns = {name: np.asarray(environment[name], dtype=np.float64) for name in used}
     for _ in range(STEPS):
         here = {name: column[active] for name, column in columns.items()}
-        misfit = raw[active] - model.predict(parameters, force[active], here)
-        jacobian = model.force_jacobian(parameters, force[active], here)[:, :, sensed]
+        own = parameters if parameters.ndim == 1 else parameters[active]
+        misfit = raw[active] - model.predict(own, force[active], here)
+        jacobian = model.force_jacobian(own, force[active], here)[:, :, sensed]
         step = _apply_inverse(jacobian, misfit)
         force[active[:, None], sensed] += step
         size = np.abs(step).max(axis=1)

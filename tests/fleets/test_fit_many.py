@@ -34,8 +34,11 @@ def worst_difference(found, table, **options):
     return worst
 
 
+OWN = "each = b + s*own/(1 + k*own^2)"
+
+
 @pytest.mark.parametrize(
-    "model", ["linear", "own-quadratic", "ieee", "ieee-odd", "1 + x + y + z + own*|own|"]
+    "model", ["linear", "own-quadratic", "ieee", "ieee-odd", "1 + x + y + z + own*|own|", OWN]
 )
 def test_a_batch_is_the_fit_of_each_unit(model):
     table = line(6)
@@ -57,6 +60,9 @@ def test_a_batch_is_the_fit_of_each_unit(model):
         {"outputs": "ax,ay"},
         {"outputs": "az", "axes": "z"},
         {"level_sd": 0.0, "axes": "y,x,z"},
+        {"model": OWN, "outputs": "ax,ay"},
+        {"model": "each = p + q*x + r*y + t*z", "convention": "gravity"},
+        {"model": OWN, "pool": True},
         {"range": (-2.0, 2.0)},
     ],
     ids=str,

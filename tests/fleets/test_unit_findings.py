@@ -1,5 +1,6 @@
 """Every unit of a fleet at known positions has the findings of `fit`."""
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from multipos.diagnostics.model_error import columns_of
 from multipos.diagnostics.projections import lacking
 from multipos.diagnostics.residuals import residuals_of
 from multipos.diagnostics.score_tests import LEVEL, score_of_term
+from multipos.estimation import user_models
 from multipos.finding import Finding, serious
 from multipos.fleets import solving, unit_findings
 from multipos.fleets.fixtures import Fixture
@@ -20,6 +22,7 @@ from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 10
+OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
 def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, repeats=1, seed=5):
@@ -57,6 +60,9 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
         ("fibonacci-24", {"cubic": 2e-3}, {"robust": "huber"}, "missing-term"),
         ("fibonacci-24", {"out": 4e-3}, {"robust": "cauchy"}, "outlier;set-aside"),
         ("faces-corners-14", {"out": 2e-3}, {"robust": "huber", "model": "ieee"}, ""),
+        ("faces-corners-14", {"repeats": 2}, {"model": OWN}, ""),
+        ("faces-corners-14", {"cubic": 1e-3, "repeats": 2}, {"model": OWN}, "missing-term"),
+        ("all-26", {"out": 5e-3}, {"model": OWN}, "outlier"),
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
@@ -83,6 +89,27 @@ def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
         mp.fit_many(fleet("fibonacci-24", **flaw), unit_column="unit")
     mp.fit_many(fleet("fibonacci-24", out=5e-3), unit_column="unit", robust="huber")
     assert len(count) < 10  # the first of each, and a few that a cause of time may explain
+    count.clear()
+    mp.fit_many(fleet("fibonacci-24"), unit_column="unit", model=OWN)
+    assert len(count) <= 2  # the first, and one of a hundred by chance
+
+
+def test_units_whose_model_bends_within_u_are_fitted_singly():
+    """Half of the bias that `fit` reports, a tenth of u, is enough: noise differs by unit."""
+    up = mp.read_scheme("all-26").up
+    rng = np.random.default_rng(3)
+    values = up / (1.0 + 0.03 * up**2) + 0.1 * rng.standard_normal((4, 26, 3))
+    one = mp.fit(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)")
+    shared = user_models.share_expression(one)
+    assert (shared.bias * one.model.per_parameter(one.residual_sd)).max() > 0.1  # and so reported
+    assert "model-bias" in {each.code for each in one.findings}
+    for share, sound in ((0.49, True), (0.51, False)):
+        limit = share * 0.1 / one.model.per_parameter(one.residual_sd)
+        held = replace(shared, bias=limit)
+        found = user_models.estimate_expression(
+            held, [each[:1] for each in np.moveaxis(values, 2, 0)]
+        )
+        assert found.sound.tolist() == [sound]
 
 
 def test_interchanged_rows_are_seen_behind_an_outlier():
