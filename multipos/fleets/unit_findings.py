@@ -407,7 +407,7 @@ def find_in_expressions(
         if tested is not None:
             f, lack, pure = tested
             singly |= ~(f <= f_quantile(1.0 - LEVEL / m, float(lack), float(pure)))
-        variance = np.einsum("bn,bn->b", e, e) / nu
+        variance = np.maximum(np.einsum("bn,bn->b", e, e) / nu, _LEAST)
         for k, kind in enumerate(kinds):
             Z = columns_of([kind], i, shared.reference, shared.environment)
             if not Z.shape[1]:
