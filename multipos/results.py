@@ -31,6 +31,7 @@ _SHOWING = "multipos.reports.showing"
 K = TypeVar("K")
 V = TypeVar("V")
 T = TypeVar("T")
+R = TypeVar("R", bound="Result")
 
 
 @overload
@@ -306,6 +307,14 @@ def freeze(value: Any) -> Any:
     elif isinstance(value, Mapping):
         return Frozen(value)
     return value
+
+
+def changed(result: R, **others: Any) -> R:
+    """Return a result with other values of some fields; the rest is frozen, and not looked at."""
+    made = object.__new__(type(result))
+    kept = {name: getattr(result, name) for name in result.__dataclass_fields__}
+    made.__dict__.update(kept, **{name: freeze(value) for name, value in others.items()})
+    return made
 
 
 def require(value: object, *kinds: type, reader: str = "multipos.load") -> None:

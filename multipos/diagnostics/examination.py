@@ -50,6 +50,7 @@ from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.numerics.arrays import Array, Mask, median
 from multipos.positions.order import share_absorbed
 from multipos.positions.readings import diagonal
+from multipos.results import changed
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
@@ -481,8 +482,8 @@ def in_words(text: str) -> str:
 
 def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
     tested = score_tests.judge_model(calibration)
-    of_model = replace(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
-    calibration = replace(calibration, diagnostics=of_model)
+    of_model = changed(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
+    calibration = changed(calibration, diagnostics=of_model)
     found = _answers(OF_COLUMNS, calibration)
     if not found:
         found += gross_errors.explained(calibration)
@@ -508,7 +509,7 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
             replace(each, level="note") if _is_allowed_for(calibration, each.code) else each
             for each in every
         )
-    return replace(calibration, diagnostics=replace(before, findings=without_explained(every)))
+    return changed(calibration, diagnostics=changed(before, findings=without_explained(every)))
 
 
 def without_explained(every: Sequence[Finding]) -> Findings:

@@ -41,6 +41,7 @@ what a fit with the term would give, without the fit.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -216,6 +217,12 @@ class Projection:
     left: Array
     names: tuple[str, ...]
     hidden: tuple[str, ...]
+
+    @cached_property
+    def of_outputs(self) -> list[slice]:
+        """The rows of every column of residuals."""
+        ends = np.searchsorted(self.output, np.arange(len(self.left) + 1)).tolist()
+        return [slice(*each) for each in pairwise(ends)]
 
     def whitened(self, residuals: Array) -> Array:
         """Return residuals (n, M) as columns that the rows take."""

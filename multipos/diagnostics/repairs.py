@@ -566,9 +566,10 @@ def refuse_drowned(readings: Readings) -> None:
     MultiposError
     """
     size = np.abs(readings.values)
-    if not size.any():
-        return
-    largest, typical = float(size.max()), float(median(size[size > 0.0]))
+    largest = float(size.max())
+    if 2 * np.count_nonzero(_DROWNED * size >= largest) > size.size + 1 or not largest > 0.0:
+        return  # more than half of them have digits left
+    typical = float(median(size[size > 0.0]))
     if not largest > _DROWNED * typical:
         return
     row, column = divmod(int(size.argmax()), size.shape[1])

@@ -76,6 +76,7 @@ _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up
 _SETTLED = 0.01  # of the deviance
 _SINGULAR = 1e-14  # of what is one, that is rounding
+_REGULAR = 1e-6  # of the cube of its size, a determinant of full rank
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _ROWS = 20_000  # whose products are made at once
@@ -571,10 +572,10 @@ def rejected_noise(c: Calibration) -> Finding | None:
 
 def orientation_error(c: Calibration, residuals: Callable[[], Residuals]) -> Finding | None:
     """Find readings that scatter across the force, as orientation errors make them."""
-    if c.noise is not None or not _separable(c) or significant(c.diagnostics.model_tests):
+    if c.noise is not None or not _separable(c):
         return None
     of = residuals()
-    if not across_the_force(of)[0]:
+    if not across_the_force(of)[0] or significant(c.diagnostics.model_tests):
         return None
     degrees = _orientation_error(explain_equal(of), of.oriented)
     if degrees is None:
@@ -802,4 +803,6 @@ def _is_triad(c: Calibration) -> bool:
     if not three or isinstance(c.model, ExpressionModel):
         return False
     linear = c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
-    return int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)
+    # |det| is the product of the singular values: far from zero none is
+    regular = abs(np.linalg.det(linear)) > _REGULAR * np.einsum("ij,ij->", linear, linear) ** 1.5
+    return bool(regular) or int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)

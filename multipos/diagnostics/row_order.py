@@ -324,13 +324,15 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
 
     `along` (3, n, B) is what columns see of outputs that move together.
     """
-    _, m, count = e.shape
+    n, m, count = e.shape
     each = m if test.family.apart else 1
     explained = np.empty((len(test.limits), each, count))
     for part in test.parts:
-        for output in part.outputs[:each].tolist():
-            seen = part.seen(e[None, :, output] if test.family.apart else along)
-            explained[:, output] = np.einsum("kqb,kqb->kb", seen, seen) * (each / m)
+        outputs = part.outputs[:each]
+        for own in outputs[:, None] if part.matrix is None else [outputs]:
+            seen = part.seen(e[:, own].reshape(1, n, -1) if test.family.apart else along)
+            square = np.einsum("kqb,kqb->kb", seen, seen) * (each / m)
+            explained[:, own] = square.reshape(-1, len(own), count)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
     # the largest Λ less its limit, by its exponential: one logarithm a unit
     left = np.prod(1.0 - explained, axis=1)

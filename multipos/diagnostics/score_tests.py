@@ -180,8 +180,7 @@ def explained_by(found: projections.Projection, errors: Array) -> Array:
     """Return Δ of eq. (1) (B, kinds, outputs) of B units, by whitened residuals (outputs, B, n)."""
     explained = np.zeros((errors.shape[1], found.q.size))
     along = np.empty((errors.shape[1], len(found.rows)))
-    for output, each in enumerate(errors):
-        mine = slice(*np.searchsorted(found.output, [output, output + 1]))
+    for mine, each in zip(found.of_outputs, errors, strict=True):
         along[:, mine] = each @ found.rows[mine].T
     explained[:, found.place] = np.add.reduceat(along**2, found.starts, axis=1)
     return explained.reshape(-1, *found.q.shape)

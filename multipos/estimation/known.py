@@ -33,11 +33,12 @@ JCGM 100:2008, clauses 4.2 and 6.2. Å. Björck, *Numerical Methods for Least Sq
 Numer. Algorithms 59, 2012 (products of split matrices without rounding).
 """
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import RankError
 from multipos.estimation.batches import Estimates, join_estimates, rms_of
@@ -69,6 +70,7 @@ _SPLIT = 26  # bits of the design that they multiply
 _WORST = 1e6  # condition, or ratio of variances, beyond which (2) and (3) lack digits
 _REFINEMENTS = 2  # of eq. (3), the second for the rounding of the first
 _ROWS = 10_000  # at which (2) is worked out at once
+_KEPT, _MANY = 16, 1000  # factored designs, of no more positions than so many
 _AT_ONCE = 8000  # readings of an output, so that the weights of eq. (3) stay in cache
 _UNSUPPORTED = Finding(
     "unequal-pool",
@@ -117,6 +119,11 @@ class Design:
         """Products of the columns of Q (n, p²)."""
         return np.asarray(self.Q[:, :, None] * self.Q[:, None, :]).reshape(len(self.Q), -1)
 
+    @cached_property
+    def pieces(self) -> "list[_Piece]":
+        """The rows of X, split for eq. (2)."""
+        return list(_pieces(self.design))
+
 
 @frozen
 class SharedDesign:
@@ -155,10 +162,24 @@ class SharedDesign:
         """X⁺ of every output."""
         return [each.inverse for each in self.by_output]
 
-    @property
+    @cached_property
     def dof(self) -> Array:
         """Degrees of freedom n − p of every output (M,)."""
-        return np.array([np.subtract(*each.design.shape) for each in self.by_output], np.float64)
+        shapes = [each.design.shape for each in self.by_output]
+        return np.array([n - p for n, p in shapes], dtype=np.float64)
+
+    @cached_property
+    def cofactor(self) -> Array:
+        """The cofactor (p, p) of all parameters, of equal weights of one."""
+        whole = np.zeros((len(self.model.keys), len(self.model.keys)))
+        for mine, each in zip(self.model.slices, self.by_output, strict=True):
+            whole[mine, mine] = each.cofactor
+        return whole
+
+    @cached_property
+    def magnitude(self) -> float:
+        """Mean size of the reference [g]."""
+        return float(np.linalg.norm(self.reference, axis=1).mean())
 
     @property
     def well_posed(self) -> bool:
@@ -188,6 +209,38 @@ def share_design(
     RankError
         The positions cannot separate the parameters; the message names them and a way out.
     """
+    if basis is not None or type(model) is not Model or len(reference) > _MANY:
+        return _shared(model, reference, environment, basis)
+    return _kept(_Positions(model, reference, environment))
+
+
+class _Positions:
+    """A model at positions, equal where it is the same one and these are equal."""
+
+    def __init__(self, model: Model, reference: Array, environment: Mapping[str, Array]) -> None:
+        self.model = model
+        self.reference = reference
+        self.environment = environment
+        used = (environment.get(name) for name in (*model.environment, *model.of_session))
+        columns = (None if each is None else each.tobytes() for each in used)
+        self._key = id(model), reference.tobytes(), *columns
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Positions) and self._key == other._key
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept(at: _Positions) -> SharedDesign:
+    """Return designs that are kept from one fit to the next."""
+    return _shared(at.model, at.reference, at.environment, None)
+
+
+def _shared(
+    model: Model, reference: Array, environment: Mapping[str, Array], basis: Array | None
+) -> SharedDesign:
     phi = model.basis(reference, environment) if basis is None else basis
     equal: dict[tuple[int, ...], list[int]] = {}
     for output, columns in enumerate(model.columns):
@@ -298,9 +351,7 @@ def _from_residuals(shared: SharedDesign, parameters: Array, residuals: Array, p
         squares = np.broadcast_to(squares.sum(axis=1, keepdims=True), squares.shape)
         dof = np.full(squares.shape, shared.dof.sum())
     variance = np.where(dof > 0.0, squares / np.maximum(dof, 1.0), np.nan)
-    u = np.empty_like(parameters)
-    for i, each in enumerate(shared.by_output):
-        u[:, shared.model.slices[i]] = np.sqrt(variance[:, i, None] * np.diag(each.cofactor))
+    u = np.sqrt(shared.model.per_parameter(variance) * np.diag(shared.cofactor))
     return Fits(parameters, u, dof, residuals, residuals)
 
 
@@ -311,7 +362,8 @@ def _fit_plain(shared: SharedDesign, values: Array) -> tuple[Array, Array]:
     for each in shared.groups:
         y = values[each.outputs].reshape(-1, n)
         if each.condition <= _WORST:
-            b, r = fit_output(each.design, each.inverse, y)
+            few = n <= _MANY
+            b, r = fit_output(each.design, each.inverse, y, each.pieces if few else None)
         else:
             found = least_squares.solve(each.design, y.T, least_norm=ZERO_NORM)
             b, r = found.coefficients.T, found.residuals.T
@@ -329,33 +381,55 @@ def _put(
     residuals[group.outputs] = r.reshape(len(group.outputs), count, -1)
 
 
-def fit_output(design: Array, inverse: Array, y: Array) -> tuple[Array, Array]:
+class _Piece(NamedTuple):
+    """Rows of X', columns below 1 by powers of two: X₁', then X₂' and both."""
+
+    rows: slice
+    high: Array
+    beside: Array
+
+
+def _pieces(design: Array) -> Iterator[_Piece]:
+    power = np.ldexp(1.0, -_shift(design))[:, None]
+    for first in range(0, len(design), _ROWS):
+        rows = slice(first, first + _ROWS)
+        scaled = design[rows].T * power
+        high = np.rint(scaled * 2.0**_SPLIT) * 2.0**-_SPLIT
+        yield _Piece(rows, high, np.concatenate((scaled - high, scaled)))
+
+
+def _shift(design: Array) -> NDArray[np.integer[Any]]:
+    """Return powers of two (p,) beyond the columns."""
+    return np.asarray(np.frexp(np.abs(design).max(axis=0))[1])
+
+
+def fit_output(
+    design: Array, inverse: Array, y: Array, pieces: Iterable[_Piece] | None = None
+) -> tuple[Array, Array]:
     """Return coefficients (B, p) and exact residuals (B, n) of one output, eq. (2).
 
     Parameters
     ----------
     design, inverse : (n, p), (p, n) arrays
     y : (B, n) array
+    pieces : as of `Design`, where they are kept
     """
-    shift = np.frexp(np.abs(design).max(axis=0))[1]  # columns below 1 by powers of two: exact
-    columns, power = design.T, np.ldexp(1.0, -shift)[:, None]
+    shift = _shift(design)
     b = y @ np.ldexp(inverse, shift[:, None]).T
     grid = np.frexp(np.abs(b).max(axis=1, keepdims=True))[1] - _COARSE
     unit = np.ldexp(1.0, np.maximum(grid, _FINEST))
     coarse = np.rint(b / unit) * unit
     both = np.hstack((coarse, b - coarse))
     r, step = np.empty(y.shape), np.zeros(b.shape)
-    blocks = [slice(first, first + _ROWS) for first in range(0, y.shape[1], _ROWS)]
-    for rows in blocks:
-        scaled = columns[:, rows] * power
-        high = np.rint(scaled * 2.0**_SPLIT) * 2.0**-_SPLIT
+    for rows, high, beside in _pieces(design) if pieces is None else pieces:
         left = y[:, rows] - coarse @ high
-        left -= both @ np.concatenate((scaled - high, scaled))
+        left -= both @ beside
         step += left @ inverse[:, rows].T
         r[:, rows] = left
-    for rows in blocks:
-        r[:, rows] -= step @ columns[:, rows]
-    b *= power.T
+    for first in range(0, len(design), _ROWS):
+        rows = slice(first, first + _ROWS)
+        r[:, rows] -= step @ design[rows].T
+    b *= np.ldexp(1.0, -shift)
     b += step
     return b, r
 
@@ -429,15 +503,14 @@ def cofactors(shared: SharedDesign, variances: Array | None) -> tuple[Array, Arr
     Without variances those of equal weights of one, of one unit.
     """
     model, n = shared.model, len(shared.reference)
-    p, m = len(model.keys), len(model.outputs)
-    count = 1 if variances is None else variances.shape[1]
+    if variances is None:
+        return shared.cofactor[None], np.stack([each.leverage for each in shared.by_output])[
+            :, None
+        ]
+    p, (m, count, _) = len(model.keys), variances.shape
     whole, leverage = np.zeros((count, p, p)), np.empty((m, count, n))
     for each in shared.groups:
-        if variances is None:
-            own, h = each.cofactor[None], each.leverage[None]
-            own, h = (np.tile(a, (len(each.outputs), *[1] * (a.ndim - 1))) for a in (own, h))
-        else:
-            own, h = _cofactors_of(shared, each, variances[each.outputs].reshape(-1, n))
+        own, h = _cofactors_of(shared, each, variances[each.outputs].reshape(-1, n))
         leverage[each.outputs] = h.reshape(-1, count, n)
         for row, output in enumerate(each.outputs):
             mine = model.slices[output]
@@ -576,7 +649,7 @@ def solve_known(
             model,
             found.parameters,
             np.sqrt(np.diag(covariance)),
-            float(np.linalg.norm(reference, axis=1).mean()),
+            shared.magnitude,
         ),
         variance_components=_components(model, found.excess),
         claim=claim,
@@ -693,10 +766,15 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
     """Return which readings are beyond chance, by the variances that weighted them."""
     noise, model = readings.noise, shared.model
     if noise is None or noise.ndim == 1:
-        means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
-        slopes = model.linear_part(found.parameters, means)[:, 1:]
-        per_g = np.linalg.norm(slopes, axis=1)
-        in_force = not model.field.magnetic and np.isfinite(per_g).all() and (per_g > 0.0).all()
+
+        def per_g() -> Array | None:
+            """Return the responses to one g, None where one is none, or of a magnetometer."""
+            means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
+            slopes = model.linear_part(found.parameters, means)[:, 1:]
+            size = np.linalg.norm(slopes, axis=1)
+            in_force = not model.field.magnetic and np.isfinite(size).all() and (size > 0.0).all()
+            return size if in_force else None
+
         return fit_diagnostics.find_outliers(
             found.residuals,
             found.leverage,
@@ -706,7 +784,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
             found.sd,
             design=shared.basis,
             columns=model.columns,
-            per_g=per_g if in_force else None,
+            per_g=per_g,
         )
     assert found.sd is not None  # of the stated noise and the excess variance
     more = found.sd.ravel() ** 2 - np.diag(noise)

@@ -31,6 +31,7 @@ References
 import math
 import random
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -57,10 +58,12 @@ _STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
 _KEPT = 4  # starts that go on
 _SAMPLE = 2000  # rows, of more of which a sample is searched first
 _ROWS = 10_000  # of many, worked out at once
+_FEW, _HELD = 100, 16  # rows of designs whose columns and starts are kept, and how many of them
 _BLOCK = 40  # rows, of more of which several are put back at once
 _ROUNDING = 1e-9  # of the readings: residuals that are nothing
 _RIDGE = 1e-12
 _SINGULAR = 1e-9
+_ALONE = 1e-3  # root of what others leave of a row, below which it all but determines a parameter
 
 
 @frozen
@@ -357,13 +360,26 @@ def view_of(designs: Sequence[Array], values: Array, variance: Array | None = No
 
 def _parts(X: Array, y: Array) -> list[Part]:
     """Return readings (G, m, n) on whitened designs (G, n, p): one part where these have rank p."""
+    few = X.shape[1] <= _FEW
+    bases = _kept_bases(X.tobytes(), X.shape) if few else _orthonormal(X)
+    if len(bases) == 1:
+        return [_part(bases[0], y)]
+    return [_part(basis, values[None]) for basis, values in zip(bases, y, strict=True)]
+
+
+def _orthonormal(X: Array) -> list[Array]:
+    """Return orthonormal columns of designs (G, n, p) as rows, each alone where one lacks rank."""
     Q, R = factor(Covariance(None, 0), X)
     left, sizes, _ = np.linalg.svd(R / column_scales(R)[:, None], full_matrices=False)
     full = sizes > _SINGULAR * sizes[:, :1]
     if full.all():
-        return [_part(Q.swapaxes(1, 2), y)]
-    each = zip(Q, left, full, y, strict=True)
-    return [_part((q @ turn[:, own]).T[None], values[None]) for q, turn, own, values in each]
+        return [Q.swapaxes(1, 2)]
+    return [(q @ turn[:, own]).T[None] for q, turn, own in zip(Q, left, full, strict=True)]
+
+
+@lru_cache(maxsize=_HELD)
+def _kept_bases(designs: bytes, shape: tuple[int, int, int]) -> list[Array]:
+    return _orthonormal(np.frombuffer(designs).reshape(shape))
 
 
 def _part(basis: Array, y: Array) -> Part:
@@ -384,10 +400,12 @@ def find_outliers(views: Sequence[View]) -> Places:
     while (fewer := _fewer(counts[-1])) > 0:
         counts.append(fewer)
     for view in views:
-        left = _trimmed(view, most)
+        left = _best(view, most)[1]
         (far,) = _far(left)
         first = np.sort(np.argpartition(far, n - most - 1)[n - most - 1 :])  # fewer to be sorted
         order = first[np.argsort(-far[first], kind="stable")]
+        if n <= _FEW and not _may_be_beyond(view, order, counts):
+            continue
         beyond = _whole_is_beyond(view, left, order, counts)
         sets = np.ones((len(beyond), n), dtype=np.bool_)
         for kept, out in zip(sets, beyond, strict=True):
@@ -406,11 +424,6 @@ def _fewer(out: int) -> int:
 
 
 _Left = list[tuple[Array, Array]]
-
-
-def _trimmed(view: View, most: int) -> _Left:
-    """Return what the least trimmed squares leave, most of the rows left out, as a set of one."""
-    return _best(view, most)[1]
 
 
 def _best(view: View, most: int) -> tuple[Mask, _Left]:
@@ -433,9 +446,10 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         p = max(part.basis.shape[1] for part in view)
         good = (1.0 - most / n) ** (p + 1)
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
-        starts = _drawn(n, number, n).argsort(axis=1) <= p
+        starts = _started(n, number, p)
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
-    kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
+    left = _left_of(view, kept) if n > _FEW else _left_at(view, kept)
+    kept, left = _concentrated(view, kept, left, most, _STEPS)
     if n <= _SAMPLE:
         best = np.argsort(_objective(left), kind="stable")[:_KEPT]
         some = [(e[best], squares[best]) for e, squares in left]
@@ -450,27 +464,56 @@ def _drawn(seed: int, rows: int, columns: int) -> NDArray[np.uint64]:
     return np.frombuffer(drawn, "<u8").reshape(rows, columns)
 
 
+@lru_cache(maxsize=_HELD)
+def _started(n: int, number: int, p: int) -> Mask:
+    """Return random sets (number, n) of p + 1 rows."""
+    return np.asarray(_drawn(n, number, n).argsort(axis=1) <= p)
+
+
 def _left_of(view: View, kept: Mask) -> _Left:
     """Return of every part residuals (B, m, n), and sums (B, m) of squares of the B sets kept."""
     found = []
     for part in view:
         (G, p, n), m = part.basis.shape, part.least.shape[1]
-        blocks = [slice(first, first + _ROWS) for first in range(0, n, _ROWS)]
-        weights = [1.0 * kept[:, rows].T for rows in blocks]
         sums = np.zeros((G * p * (p + m), len(kept)))
-        for rows, weight in zip(blocks, weights, strict=True):
+        for first in range(0, n, _ROWS):
+            rows = slice(first, first + _ROWS)
             products = part.basis[:, :, None, rows] * part.both[:, None, :, rows]
-            sums += products.reshape(len(sums), -1) @ weight
+            sums += products.reshape(len(sums), -1) @ (1.0 * kept[:, rows].T)
         sums = sums.T.reshape(-1, G, p, p + m)
         fitted = np.linalg.solve(sums[..., :p] + _RIDGE * np.eye(p), sums[..., p:])
-        away = fitted.swapaxes(2, 3)
-        e, squares = np.empty((len(kept), G, m, n)), np.zeros((len(kept), G, m))
-        for rows, weight in zip(blocks, weights, strict=True):
-            e[..., rows] = part.values[..., rows] - away @ part.basis[..., rows]
-            squares += (e[..., rows] ** 2 @ weight.T[:, None, :, None])[..., 0]
-        squares += part.least
-        found.append((e.reshape(len(kept), -1, n), squares.reshape(len(kept), -1)))
+        found.append(_residuals(part, kept, np.asarray(fitted.transpose(1, 3, 0, 2))))
     return found
+
+
+def _left_at(view: View, kept: Mask) -> _Left:
+    """Return the same of few rows, whose sets are often asked of other readings too."""
+    found, sets = [], kept.tobytes()
+    for part in view:
+        basis, m = part.basis, part.least.shape[1]
+        fits = _fits_at(basis.tobytes(), basis.shape, sets)
+        coefficients = (part.values @ fits).reshape(len(basis), m, len(kept), -1)
+        found.append(_residuals(part, kept, coefficients))
+    return found
+
+
+@lru_cache(maxsize=_HELD)
+def _fits_at(basis: bytes, shape: tuple[int, int, int], sets: bytes) -> Array:
+    """Return by what readings are multiplied for coefficients (G, n, B p) of sets that are kept."""
+    G, p, n = shape
+    Q, kept = np.frombuffer(basis).reshape(shape), np.frombuffer(sets, np.bool_).reshape(-1, n)
+    some = Q * kept[:, None, None]
+    gram = some @ Q.swapaxes(1, 2) + _RIDGE * np.eye(p)
+    return np.ascontiguousarray(np.linalg.solve(gram, some).transpose(1, 3, 0, 2)).reshape(G, n, -1)
+
+
+def _residuals(part: Part, kept: Mask, coefficients: Array) -> tuple[Array, Array]:
+    """Return residuals (B, G m, n) by coefficients (G, m, B, p), and squares of the sets kept."""
+    G, m, count, p = coefficients.shape
+    e = (coefficients.reshape(G, m * count, p) @ part.basis).reshape(G * m, count, -1)
+    np.subtract(part.values.reshape(G * m, 1, -1), e, out=e)
+    squares = np.einsum("kbn,kbn,bn->bk", e, e, kept)
+    return e.transpose(1, 0, 2), squares + part.least.ravel()
 
 
 def _objective(left: _Left) -> Array:
@@ -498,6 +541,45 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
             break
         left = _left_of(view, kept)
     return kept, left
+
+
+def _may_be_beyond(view: View, order: Places, counts: list[int]) -> bool:
+    """Tell whether `_whole_is_beyond` may find any, of few rows: by eq. (1) at j = 0 alone.
+
+    Rows S less, a sum of squares is e'e − e_S'(1 − H_SS)⁻¹e_S, of which the roots of a Cholesky
+    factorization give every first part of S its own.
+    """
+    rows, x = order[: counts[0]], []
+    for part in view:
+        e, Q = part.values, part.basis[..., rows]
+        try:
+            L = np.linalg.cholesky(np.eye(len(rows)) - Q.swapaxes(1, 2) @ Q)
+        except np.linalg.LinAlgError:
+            return True
+        if L.diagonal(axis1=1, axis2=2).min() < _ALONE:
+            return True
+        lost = np.cumsum(np.linalg.solve(L, e[..., rows].swapaxes(1, 2)) ** 2, axis=1)
+        ratio = 1.0 - lost / (np.einsum("gmn,gmn->gm", e, e) + part.least)[:, None]
+        x.append(ratio.swapaxes(0, 1).reshape(len(rows), -1)[np.array(counts) - 1])
+    outputs = sum(part.least.size for part in view)
+    n = view[0].both.shape[2]
+    limits = [_largest_ratios(n, part.dof, outputs, tuple(counts)) for part in view]
+    return any((each < limit).any() for each, limit in zip(x, limits, strict=True))
+
+
+@lru_cache(maxsize=_HELD)
+def _largest_ratios(n: int, dof: int, outputs: int, counts: tuple[int, ...]) -> Array:
+    """Return x (K, 1), a little larger than any of so many rows that eq. (1) has beyond chance."""
+    found = []
+    for i in counts:
+        limit = math.log(_LEVEL / (counts[0] * outputs)) - _log_choices(n, i)
+        low, high = 0.0, 1.0
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            beyond = _log_beta_tail(middle, 0.5 * (dof - i), 0.5 * i) <= limit
+            low, high = (middle, high) if beyond else (low, middle)
+        found.append(high)
+    return np.array(found)[:, None]
 
 
 def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) -> list[int]:

@@ -53,7 +53,7 @@ microarray experiments*, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3: variances wit
 """
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -297,6 +297,7 @@ def _pair(dof: Sequence[float]) -> tuple[float, float]:
 
 UNEQUAL = 0.05  # level at which outputs are called unequally noisy
 OUTLIER_LEVEL = 0.01  # chance that a clean data set has an outlier named
+_SUSPECT = 4.0  # squared studentised residual, below which no position is an outlier
 ROWS_NAMED = 8.0  # degrees of freedom of an output, from which on rows tell that they are unlike
 
 
@@ -353,7 +354,7 @@ def find_outliers(
     *,
     design: Array,
     columns: Sequence[Places],
-    per_g: Array | None = None,
+    per_g: Callable[[], Array | None] | None = None,
 ) -> tuple[str, ...]:
     """Name the positions whose studentised residual, eq. (1), is beyond chance.
 
@@ -367,29 +368,32 @@ def find_outliers(
         Stated standard uncertainty of each reading; all are alike if not given.
     design : (n, K) array
     columns : of every output, which columns of the design its terms are
-    per_g : (M,) array, optional
-        How outputs respond to one g; deviations are in mg then, and in reading units if not given.
+    per_g : function of nothing, optional
+        Returns how outputs (M,) respond to one g, in which deviations are in mg; where there is
+        none they are in reading units.
     """
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
     r2 = studentised_squares(error.T, leverage.T, nu[:, None]).T
-    suspect = r2 > 4.0  # below 2 sd no position can be one
     beyond = []
-    for column in np.flatnonzero(suspect.any(axis=0)).tolist():
-        suspects = np.flatnonzero(suspect[:, column])
-        squares = r2[suspects, column]
-        for place in np.argsort(-squares, kind="stable").tolist():
-            if not _is_outlier(float(squares[place]), float(nu[column]), residuals.size):
+    for column, largest in enumerate(np.fmax.reduce(r2, axis=0, initial=0.0).tolist()):
+        if not _is_outlier(largest, float(nu[column]), residuals.size):
+            continue
+        for row in np.argsort(-r2[:, column], kind="stable").tolist():
+            if not _is_outlier(float(r2[row, column]), float(nu[column]), residuals.size):
                 break  # and none that is smaller is beyond chance
-            beyond.append((column, int(suspects[place])))
+            beyond.append((column, row))
+    if not beyond:
+        return ()
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
-    if beyond and error.shape[1] > 1 and judged:
+    if error.shape[1] > 1 and judged:
         each_once = {own.tobytes(): design[:, own] for own in columns}
         weighed = [each_once[own.tobytes()] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)
-    sizes, unit = (residuals, "") if per_g is None else (1e3 * residuals / per_g, " mg")
+    response = None if per_g is None else per_g()
+    sizes, unit = (residuals, "") if response is None else (1e3 * residuals / response, " mg")
     return tuple(
         f"position {labels[row] if labels else row + 1}: {outputs[column]} deviates by "
         f"{sizes[row, column]:.3g}{unit}, "
@@ -418,7 +422,7 @@ def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
 
 def largest_square(nu: float, readings: int) -> float:
     """Return the r²/s² beyond which `find_outliers` names one of so many readings."""
-    low, high = 4.0, nu
+    low, high = _SUSPECT, nu
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _is_outlier(middle, nu, readings) else (middle, high)
@@ -442,6 +446,8 @@ def _beyond_unlike_rows(
 
 def _is_outlier(r2: float, nu: float, readings: int) -> bool:
     """Tell whether a squared studentised residual is beyond chance among so many readings."""
+    if r2 <= _SUSPECT:
+        return False
     rest = nu - r2
     t = math.inf if rest <= 0.0 else math.sqrt(r2 * (nu - 1.0) / rest)
     level = OUTLIER_LEVEL / readings
@@ -485,7 +491,7 @@ def find_correlated_outliers(
     identifiable = np.diag(Q) > 1e-9 * np.diag(inverse)
     r2 = np.where(identifiable, shift**2 / np.where(identifiable, np.diag(Q), 1.0), 0.0) / s2
     found = []
-    for place in np.flatnonzero(r2 > 4.0).tolist():
+    for place in np.flatnonzero(r2 > _SUSPECT).tolist():
         if _is_outlier(float(r2[place]), nu, n * m):
             row, column = divmod(place, m)
             found.append(

@@ -728,7 +728,7 @@ def test_the_step_of_a_change_is_where_most_is_left_above_its_limit(apart):
     shares = rng.uniform(0.1, 0.5, (4, m if apart else 1, count))
     roots = np.sqrt(shares / 2.0)  # of two columns each
     parts = [
-        SimpleNamespace(outputs=np.array(mine), seen=lambda e, mine=mine: np.stack(
+        SimpleNamespace(outputs=np.array(mine), matrix=None, seen=lambda e, mine=mine: np.stack(
             [roots[:, mine[int(e.flat[0])]] if apart else roots[:, 0]] * 2, axis=1))
         for mine in (([0, 2], [1]) if apart else ([0, 1, 2],))
     ]  # fmt: skip
