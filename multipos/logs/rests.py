@@ -83,7 +83,8 @@ _NOISE = 1.0  # steps of resolution: with more no window is constant by chance
 
 # Spikes.
 _CHUNK = 16  # samples
-_AT_ONCE = 1 << 9  # chunks, of a size that stays in the processor's cache
+_FED = 1 << 17  # samples at a time, of a log in memory
+_AT_ONCE = 1 << 10  # chunks, of a size that stays in the processor's cache
 _LONGEST_SPIKE = 2  # samples: longer is motion
 _LIKELY = 3.5  # times the mean deviation of a chunk: without spikes hardly a sample is so far
 _SPIKE = 12.0  # times what a quarter of the samples is beyond: 14 standard deviations
@@ -204,10 +205,9 @@ class Spikes:
         self._left = data[:, whole:].copy()
         if not whole:
             return data[:, :0]
-        samples = np.concatenate([self._before, data[: self._outputs]], axis=1)
-        self._before = samples[:, whole : whole + _LONGEST_SPIKE].copy()
         kept = data[:, :whole].copy()
-        self._clean(samples, kept[: self._outputs])
+        self._clean(data, kept[: self._outputs])
+        self._before = data[: self._outputs, whole - _LONGEST_SPIKE : whole].copy()
         self._row += whole
         return kept
 
@@ -218,13 +218,16 @@ class Spikes:
         return left
 
     def _clean(self, samples: Array, kept: Array) -> None:
-        """Put medians for spikes of chunks (M, n), with two samples more before and behind."""
+        """Put medians for spikes of chunks (M, n), of samples with two more behind."""
+        reach = np.arange(-_LONGEST_SPIKE, _CHUNK + _LONGEST_SPIKE)
         chunks = kept.reshape(self._outputs, -1, _CHUNK)
         for j, own in enumerate(chunks):
             at = _likely_chunks(own) * _CHUNK
             if not len(at):
                 continue
-            around = samples[j, at[:, None] + np.arange(_CHUNK + 2 * _LONGEST_SPIKE)]
+            around = samples[j, np.maximum(at[:, None] + reach, 0)]
+            if at[0] == 0:
+                around[0, :_LONGEST_SPIKE] = self._before[j]
             for which, middle, places in self._spikes(around, j):
                 for i in (int(at[which]) + place for place in places):
                     self.found.append((self._row + i, j, float(kept[j, i])))
@@ -249,18 +252,13 @@ class Spikes:
 
 
 def _likely_chunks(chunks: Array) -> Places:
-    """Return which chunks (K, n) have a sample much further from their mean than is usual.
-
-    Few have fourth powers of which one may be so large, and are looked at.
-    """
-    mean, found = np.full((_CHUNK, 1), 1.0 / _CHUNK), []
+    """Return which chunks (K, n) have a sample much further from their mean than is usual."""
+    found = []
     for first in range(0, len(chunks), _AT_ONCE):
-        some = chunks[first : first + _AT_ONCE]
-        off = np.abs(some - some @ mean)
-        least = _LIKELY * (off @ mean)[:, 0]
-        square = off * off
-        few = np.flatnonzero(np.einsum("kn,kn->k", square, square) >= least**4)
-        found.append(first + few[off[few].max(axis=1) > least[few]])
+        off = np.ascontiguousarray(chunks[first : first + _AT_ONCE].T)  # long rows are fast
+        off -= off.sum(axis=0) / _CHUNK
+        np.abs(off, out=off)
+        found.append(first + np.flatnonzero(_CHUNK * off.max(axis=0) > _LIKELY * off.sum(axis=0)))
     return np.concatenate(found)
 
 
@@ -280,6 +278,7 @@ class Windows:
         self._left: Array | None = None  # samples short of a block
         self._mean: Array | None = None  # the blocks that the next windows need
         self._square: Array | None = None
+        self._room: Array = np.empty((0, 0))  # of the last piece, which is in the cache
 
     def feed(self, samples: Array) -> tuple[Array, Array]:
         """Return means (M, k) and s, v (2, k) of the windows that samples (M, n) complete."""
@@ -291,7 +290,9 @@ class Windows:
         # Sums over a block as products with ones: for rows so short that is the fastest way.
         blocks = samples[:, : count * block].reshape(outputs * count, block)
         mean = blocks @ np.full(block, 1.0 / block)
-        spread = blocks - mean[:, None]
+        if self._room.shape != blocks.shape:
+            self._room = np.empty(blocks.shape)
+        spread = np.subtract(blocks, mean[:, None], out=self._room)
         square = np.einsum("bi,bi->b", spread, spread).reshape(outputs, count)
         mean = mean.reshape(outputs, count)
         if self._mean is not None and self._square is not None:
@@ -631,8 +632,15 @@ def _change(samples: Array, reach: int, limits: Limits) -> int | None:
 def _onset(z: Array, change: int, astray: float) -> int:
     """Return up to which of samples (M, n) nothing moves, no more than `change`, by eq. (4)."""
     first = np.arange(change, -1, -(change // _ONSETS + 1))[::-1]
-    ramp = np.maximum(np.arange(1, z.shape[1] + 1) - first[:, None], 0.0) ** 2
-    explained = ((ramp @ z.T) ** 2).sum(axis=1) / (ramp**2).sum(axis=1)
+    n = z.shape[1]
+    t = np.arange(n) - float(change)
+    # of (i − k)² = (t + h)² with h = change − k + 1 > 0, sums over i from k on
+    between = np.add.reduceat(np.stack([z, t * z, t * t * z]), first, axis=2)
+    moments = between[..., ::-1].cumsum(axis=2)[..., ::-1]
+    h, m = change + 1.0 - first, n - first.astype(np.float64)
+    along = moments[2] + 2.0 * h * moments[1] + h * h * moments[0]
+    fourth = m * (m + 1.0) * (2.0 * m + 1.0) * (3.0 * m * m + 3.0 * m - 1.0) / 30.0
+    explained = (along**2).sum(axis=0) / fourth
     return int(first[np.flatnonzero(explained >= explained.max() - astray)[-1]])
 
 
@@ -686,32 +694,52 @@ def detect_static(
     MultiposError
         There is nothing like a rest, or a sample is not finite or beyond what sensors give.
     """
-    columns = np.ascontiguousarray(np.asarray(samples, dtype=np.float64).T)
-    bad = ~(np.abs(columns) <= LARGEST_SAMPLE)
-    if bad.any():
-        output, row = np.argwhere(bad)[0].tolist()
-        raise MultiposError(
-            f"`samples[{row}, {output}]` is {columns[output, row]:g}, no reading of a sensor; "
-            "leave the row out."
-        )
+    values = np.asarray(samples, dtype=np.float64)
     grid = choose_grid(rate, min_duration)
-    spikes, scan = Spikes(len(columns)), Windows(grid.block)
-    columns = np.concatenate([spikes.feed(columns), spikes.finish()], axis=1)
-    survey, seen = Survey(len(columns), grid), []
-    for i in range(0, columns.shape[1], PIECE):
-        piece = columns[:, i : i + PIECE]
-        mean, spread = scan.feed(piece)
-        survey.add(piece, mean, spread)
-        seen.append(spread)
+    columns, survey, seen = _survey(values, grid)
     limits = survey.limits() if threshold is None else Limits(threshold)
     finder = Finder(grid, limits)
-    finder.add(np.concatenate(seen, axis=1))
+    finder.add(seen)
 
     def read(stretches: list[Rest]) -> list[Array]:
         return [columns[:, each.start : each.end] for each in stretches]
 
     found = find_edges(finder.runs(), columns.shape[1], grid, limits, read)
     return long_enough(found, grid)[0], limits.size
+
+
+def _survey(values: Array, grid: Grid) -> tuple[Array, Survey, Array]:
+    """Return samples (M, n) without spikes, what they are like, and s, v (2, k) of their windows.
+
+    Pieces go through all of it while they are in the processor's cache.
+    """
+    n, outputs = values.shape
+    columns, spikes, scan = np.empty((outputs, n)), Spikes(outputs), Windows(grid.block)
+    survey, seen, clean, done = Survey(outputs, grid), [], 0, 0
+    for i in range(0, n, _FED):
+        piece = np.ascontiguousarray(values[i : i + _FED].T)
+        if not -LARGEST_SAMPLE <= piece.min() <= piece.max() <= LARGEST_SAMPLE:
+            raise _not_of_a_sensor(values)
+        last = i + _FED >= n
+        for kept in (spikes.feed(piece), spikes.finish()) if last else (spikes.feed(piece),):
+            columns[:, clean : clean + kept.shape[1]] = kept
+            clean += kept.shape[1]
+        while clean - done >= PIECE or (last and done < n):
+            whole = columns[:, done : done + PIECE]
+            mean, spread = scan.feed(whole)
+            survey.add(whole, mean, spread)
+            seen.append(spread)
+            done += PIECE
+    return columns, survey, np.concatenate(seen, axis=1)
+
+
+def _not_of_a_sensor(values: Array) -> MultiposError:
+    """Return the error of the first output that has samples which are no readings."""
+    output, row = np.argwhere(~(np.abs(values.T) <= LARGEST_SAMPLE))[0].tolist()
+    return MultiposError(
+        f"`samples[{row}, {output}]` is {values[row, output]:g}, no reading of a sensor; "
+        "leave the row out."
+    )
 
 
 @frozen(eq=True)
