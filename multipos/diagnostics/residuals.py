@@ -230,9 +230,15 @@ def across_the_force(of: Residuals) -> Mask:
         along = np.sum(np.einsum("bnm,bnm->bn", of.normals, of.error) ** 2 / square, axis=1)
         total = of.freedom
         suspect = (variance > 0.0).all(axis=1) & (along * m <= total)  # else it is along the force
+        # R rises with the contrasts, of which there are n − p to n − 1; where its limit exists it
+        # falls with both degrees of freedom
+        fewest, most = float(n - len(of.parameters)), n - 1.0
+        if fewest >= TELLING:
+            largest = (total - along) / (total - most) / (along / most)
+            suspect &= largest > f_quantile(1.0 - _SUSPECT, total - fewest, most)
         if not suspect.any() or of.contrasts < TELLING:
             return np.zeros(len(along), dtype=np.bool_)
-        nu, left = of.freedom - of.contrasts, float(of.contrasts)
+        nu, left = total - of.contrasts, float(of.contrasts)
         ratio = (total - along) / nu / (along / left)
     return np.asarray(suspect & (ratio > f_quantile(1.0 - _SUSPECT, nu, left)))
 

@@ -404,7 +404,7 @@ def find_outliers(views: Sequence[View]) -> Places:
         (far,) = _far(left)
         first = np.sort(np.argpartition(far, n - most - 1)[n - most - 1 :])  # fewer to be sorted
         order = first[np.argsort(-far[first], kind="stable")]
-        if n <= _FEW and not _may_be_beyond(view, order, counts):
+        if not _may_be_beyond(view, order, counts):
             continue
         beyond = _whole_is_beyond(view, left, order, counts)
         sets = np.ones((len(beyond), n), dtype=np.bool_)
@@ -475,12 +475,15 @@ def _left_of(view: View, kept: Mask) -> _Left:
     found = []
     for part in view:
         (G, p, n), m = part.basis.shape, part.least.shape[1]
-        sums = np.zeros((G * p * (p + m), len(kept)))
+        sums = np.zeros((len(kept), G, p, p + m))
         for first in range(0, n, _ROWS):
             rows = slice(first, first + _ROWS)
-            products = part.basis[:, :, None, rows] * part.both[:, None, :, rows]
-            sums += products.reshape(len(sums), -1) @ (1.0 * kept[:, rows].T)
-        sums = sums.T.reshape(-1, G, p, p + m)
+            Q, both, weight = part.basis[..., rows], part.both[..., rows], 1.0 * kept[:, rows]
+            if n > _SAMPLE:  # of one set or two
+                sums += (Q * weight[:, None, None]) @ both.swapaxes(1, 2)
+                continue
+            products = (Q[:, :, None] * both[:, None]).reshape(-1, weight.shape[1])
+            sums += (weight @ products.T).reshape(sums.shape)
         fitted = np.linalg.solve(sums[..., :p] + _RIDGE * np.eye(p), sums[..., p:])
         found.append(_residuals(part, kept, np.asarray(fitted.transpose(1, 3, 0, 2))))
     return found
@@ -544,32 +547,43 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
 
 
 def _may_be_beyond(view: View, order: Places, counts: list[int]) -> bool:
-    """Tell whether `_whole_is_beyond` may find any, of few rows: by eq. (1) at j = 0 alone.
-
-    Rows S less, a sum of squares is e'e − e_S'(1 − H_SS)⁻¹e_S, of which the roots of a Cholesky
-    factorization give every first part of S its own.
-    """
-    rows, x = order[: counts[0]], []
-    for part in view:
-        e, Q = part.values, part.basis[..., rows]
-        try:
-            L = np.linalg.cholesky(np.eye(len(rows)) - Q.swapaxes(1, 2) @ Q)
-        except np.linalg.LinAlgError:
-            return True
-        if L.diagonal(axis1=1, axis2=2).min() < _ALONE:
-            return True
-        lost = np.cumsum(np.linalg.solve(L, e[..., rows].swapaxes(1, 2)) ** 2, axis=1)
-        ratio = 1.0 - lost / (np.einsum("gmn,gmn->gm", e, e) + part.least)[:, None]
-        x.append(ratio.swapaxes(0, 1).reshape(len(rows), -1)[np.array(counts) - 1])
+    """Tell whether `_whole_is_beyond` may find any: by x of eq. (1) at j = 0 alone, or less."""
+    rows, n = order[: counts[0]], view[0].both.shape[2]
+    least = None if n <= _FEW else _left_of(view, _without(rows, n)[None])
     outputs = sum(part.least.size for part in view)
-    n = view[0].both.shape[2]
-    limits = [_largest_ratios(n, part.dof, outputs, tuple(counts)) for part in view]
-    return any((each < limit).any() for each, limit in zip(x, limits, strict=True))
+    for i, part in enumerate(view):
+        e = part.values
+        whole = (np.einsum("gmn,gmn->gm", e, e) + part.least)[..., None]
+        x = 1.0 - _lost(part, rows)[..., np.array(counts) - 1] / whole
+        if least is not None:  # fewer rows leave no less than all of them do
+            x = np.maximum(x, least[i][1].reshape(whole.shape) / whole)
+        if (x < _largest_ratios(n, part.dof, outputs, tuple(counts))).any():
+            return True
+    return False
+
+
+def _lost(part: Part, rows: Places) -> Array:
+    """Return what sums of squares (G, m, K) lose without the first 1 to K of rows, or more.
+
+    Without rows S it is e_S'(1 − H_SS)⁻¹e_S, of which the roots of a Cholesky factorization give
+    every first part of S its own; of many rows e_S'e_S/(1 − tr H_SS) is no less.
+    """
+    e, Q = part.values[..., rows], part.basis[..., rows]
+    if part.both.shape[2] > _FEW:
+        left = 1.0 - np.cumsum(np.einsum("gpk,gpk->gk", Q, Q), axis=1)
+        return np.asarray(np.cumsum(e**2, axis=2) / np.maximum(left, 1e-300)[:, None])
+    try:
+        L = np.linalg.cholesky(np.eye(len(rows)) - Q.swapaxes(1, 2) @ Q)
+    except np.linalg.LinAlgError:
+        return np.full(e.shape, np.inf)
+    if L.diagonal(axis1=1, axis2=2).min() < _ALONE:
+        return np.full(e.shape, np.inf)
+    return np.asarray(np.cumsum(np.linalg.solve(L, e.swapaxes(1, 2)) ** 2, axis=1).swapaxes(1, 2))
 
 
 @lru_cache(maxsize=_HELD)
 def _largest_ratios(n: int, dof: int, outputs: int, counts: tuple[int, ...]) -> Array:
-    """Return x (K, 1), a little larger than any of so many rows that eq. (1) has beyond chance."""
+    """Return x (K,), a little larger than any of so many rows that eq. (1) has beyond chance."""
     found = []
     for i in counts:
         limit = math.log(_LEVEL / (counts[0] * outputs)) - _log_choices(n, i)
@@ -579,7 +593,7 @@ def _largest_ratios(n: int, dof: int, outputs: int, counts: tuple[int, ...]) -> 
             beyond = _log_beta_tail(middle, 0.5 * (dof - i), 0.5 * i) <= limit
             low, high = (middle, high) if beyond else (low, middle)
         found.append(high)
-    return np.array(found)[:, None]
+    return np.array(found)
 
 
 def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) -> list[int]:
