@@ -44,7 +44,7 @@ References
 import os
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -719,7 +719,7 @@ def _survey(values: Array, grid: Grid) -> tuple[Array, Survey, Array]:
     for i in range(0, n, _FED):
         piece = np.ascontiguousarray(values[i : i + _FED].T)
         if not -LARGEST_SAMPLE <= piece.min() <= piece.max() <= LARGEST_SAMPLE:
-            raise _not_of_a_sensor(values)
+            _refuse_readings(values)
         last = i + _FED >= n
         for kept in (spikes.feed(piece), spikes.finish()) if last else (spikes.feed(piece),):
             columns[:, clean : clean + kept.shape[1]] = kept
@@ -733,10 +733,10 @@ def _survey(values: Array, grid: Grid) -> tuple[Array, Survey, Array]:
     return columns, survey, np.concatenate(seen, axis=1)
 
 
-def _not_of_a_sensor(values: Array) -> MultiposError:
-    """Return the error of the first output that has samples which are no readings."""
+def _refuse_readings(values: Array) -> NoReturn:
+    """Name the first sample, output by output, that is no reading."""
     output, row = np.argwhere(~(np.abs(values.T) <= LARGEST_SAMPLE))[0].tolist()
-    return MultiposError(
+    raise MultiposError(
         f"`samples[{row}, {output}]` is {values[row, output]:g}, no reading of a sensor; "
         "leave the row out."
     )
