@@ -37,6 +37,8 @@ class Estimates(NamedTuple):
         Of the residuals under the stated noise alone, where there is one.
     variance : (B, M) array or None
         Of a reading, stated and in excess, where it is equal in all readings of an output.
+    variances, weighted : (M, B, n) arrays or None
+        Of readings, where it is not, and residuals of the fit that is weighted by them.
     weight : (B, M, n) array or None
         Of readings under a robust loss, 0 where one is set aside.
     outlying : (B,) array of bool or None
@@ -53,6 +55,8 @@ class Estimates(NamedTuple):
     sound: NDArray[np.bool_]
     chi2: Array | None = None
     variance: Array | None = None
+    variances: Array | None = None
+    weighted: Array | None = None
     weight: Array | None = None
     outlying: NDArray[np.bool_] | None = None
 
@@ -89,22 +93,25 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
     if len(parts) == 1:
         return parts[0]
 
-    def joined(name: str) -> Any:
-        return np.concatenate([getattr(part, name) for part in parts])
+    def joined(name: str, axis: int = 0) -> Any:
+        each = [getattr(part, name) for part in parts]
+        return None if any(one is None for one in each) else np.concatenate(each, axis=axis)
 
     return Estimates(
-        joined("parameters"),
-        joined("u"),
-        np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
-        joined("rms"),
-        np.concatenate([part.residuals for part in parts], axis=1),
-        joined("sensitivity"),
-        joined("inverse"),
-        joined("sound"),
-        None if parts[0].chi2 is None else joined("chi2"),
-        None if any(part.variance is None for part in parts) else joined("variance"),
-        None if parts[0].weight is None else joined("weight"),
-        None if parts[0].outlying is None else joined("outlying"),
+        parameters=joined("parameters"),
+        u=joined("u"),
+        dof=np.concatenate([np.broadcast_to(part.dof, part.u.shape) for part in parts]),
+        rms=joined("rms"),
+        residuals=joined("residuals", 1),
+        sensitivity=joined("sensitivity"),
+        inverse=joined("inverse"),
+        sound=joined("sound"),
+        chi2=joined("chi2"),
+        variance=joined("variance"),
+        variances=joined("variances", 1),
+        weighted=joined("weighted", 1),
+        weight=joined("weight"),
+        outlying=joined("outlying"),
     )
 
 

@@ -589,6 +589,8 @@ def _estimates(
         sound=sound,
         chi2=found.chi2,
         variance=_level_of(found.variances),
+        variances=found.variances,
+        weighted=found.residuals,
     )
 
 

@@ -12,7 +12,8 @@ leverages, quantiles. The tests are then contractions over units:
 - causes of time and table (`multipos.diagnostics.row_order`), with which all others compete by S of
   eq. (3) there; where two are as good, or several rows are off, the unit is left to the fit of one.
 
-Readings state no noise, or one that is equal in all readings of an output.
+Where readings weigh unequally, each unit has its own leverages and its own scores: projections on
+the terms span the same beside the design, whatever the weights.
 """
 
 import math
@@ -40,7 +41,7 @@ from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.identifiability import condition
-from multipos.estimation.known import SharedDesign
+from multipos.estimation.known import SharedDesign, cofactors
 from multipos.estimation.robustness import ASIDE
 from multipos.estimation.user_models import SharedExpression, cofactors
 from multipos.fleets.grouping import ONE_TEMPERATURE
@@ -105,11 +106,13 @@ class UnitFindings(NamedTuple):
 def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     """Return the tests of units that share the positions of one that was fitted.
 
-    None where readings weigh unequally, or are fitted robustly.
+    None where readings are fitted robustly.
     """
-    level = c.noise is None or projections.is_level(c)
-    if c.estimator is not Estimator.LINEAR or c.robust_weight is not None or not level:
+    if c.estimator is not Estimator.LINEAR or c.robust_weight is not None:
         return None
+    stated = c.noise is not None
+    if stated and not projections.is_level(c):
+        c = replace(c, readings=replace(c.readings, u=None), variance_components=None)
     temperature = c.readings.environment.get(TEMPERATURE)
     kinds = lacking_in_batch(c)
     try:
@@ -128,7 +131,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
         leverage=np.stack([each.leverage for each in shared.by_output]),
         repeats=position if position.max() + 1 < len(position) else None,
         nearest=_COMPARABLE * _nearest(c.reference),
-        stated=c.noise is not None,
+        stated=stated,
         order=plan_of(c),
     )
 
@@ -166,23 +169,19 @@ def find_in_units(
         Readings of each output.
     found : Estimates
     """
-    residuals, sensitivity = found.residuals, found.sensitivity
-    variance = None if found.variance is None else found.variance.T[:, :, None]
-    error = residuals if variance is None else residuals / np.sqrt(variance)
-    r2 = fit_diagnostics.studentised_squares(
-        error, tests.leverage[:, None], shared.dof[:, None, None]
-    )
-    outlying, singly = _outliers(tests, shared, sensitivity, residuals, error, r2)
+    of, sensitivity = _weigh(tests, shared, found), found.sensitivity
+    residuals = of.residuals
     lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
-    significant, of_terms = _missing_terms(tests, values, error)
-    missing = _admissible(tests, shared, sensitivity, residuals, significant)
+    significant, of_terms = _missing_terms(tests, values, of.error, of.explained)
+    if of.leverage is None:
+        outlying, singly = _outliers(tests, shared, sensitivity, residuals, of.error, of.r2)
+        missing = _admissible(tests, shared, sensitivity, residuals, significant)
+    else:
+        outlying, singly, missing = _one_by_one(tests, shared, of, sensitivity, significant)
     scored: Mask = np.zeros(len(missing), dtype=np.bool_)
     shown = None
     if tests.order is not None:
-        slopes = sensitivity
-        if variance is not None:
-            slopes = sensitivity / np.sqrt(variance).transpose(1, 0, 2)
-        shown = search_units(tests.order, error, slopes)
+        shown = search_units(tests.order, *_in_order(of, sensitivity))
         scored = scored | np.isfinite(shown.score.max(axis=0))
     misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
     if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
@@ -196,9 +195,11 @@ def find_in_units(
     }
     if tests.soaks:
         singly |= missing | scored
+    if of.leverage is not None:  # repeats and order were asked as of readings that weigh equally
+        singly |= scored | lacking_fit
     if tests.order is not None and shown is not None and scored.any():
         of_row, several = np.full(len(scored), -np.inf), np.zeros_like(scored)
-        share = r2[:, scored] / shared.dof[:, None, None]
+        share = of.r2[:, scored] / shared.dof[:, None, None]
         of_row[scored], several[scored] = _one_row(tests.order, share)
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
@@ -243,12 +244,95 @@ def _one_row(order: Plan, share: Array) -> tuple[Array, Mask]:
     return score, gain[:, 1] > _COMPARABLE * gain[:, 0]
 
 
+class _Weighed(NamedTuple):
+    """Residuals of M outputs of B units, and what is tested of them.
+
+    Attributes
+    ----------
+    residuals, error, r2 : (M, B, n) arrays
+        As fitted, whitened, and the squares of studentised ones.
+    sd : (M, B, n) or (M, B, 1) array, or None
+        Of readings, if they state any.
+    leverage : (M, B, n) array or None
+    explained : (B, K, M) array or None
+        By each kind of term; both where readings weigh unequally.
+    """
+
+    residuals: Array
+    error: Array
+    r2: Array
+    sd: Array | None
+    leverage: Array | None = None
+    explained: Array | None = None
+
+
+def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed:
+    """Return the residuals of a batch, as its readings weigh."""
+    dof = shared.dof[:, None, None]
+    if found.variance is None and found.variances is not None and found.weighted is not None:
+        sd, residuals = np.sqrt(found.variances), found.weighted
+        error, leverage = residuals / sd, cofactors(shared, found.variances)[1]
+        r2 = fit_diagnostics.studentised_squares(error, leverage, dof)
+        explained = _explained_under(tests, shared, 1.0 / found.variances, residuals)
+        return _Weighed(residuals, error, r2, sd, leverage, explained)
+    level = None if found.variance is None else np.sqrt(found.variance.T[:, :, None])
+    error = found.residuals if level is None else found.residuals / level
+    r2 = fit_diagnostics.studentised_squares(error, tests.leverage[:, None], dof)
+    return _Weighed(found.residuals, error, r2, level)
+
+
+def _in_order(of: _Weighed, sensitivity: Array) -> tuple[Array, Array]:
+    """Return residuals (M, B, n) and slopes (B, M, 3) that causes are held against.
+
+    Weights W leave residuals r with X'W r = 0, so that W r is as right of level weights; what
+    causes have in common with it is that of W, their size that of its mean.
+    """
+    if of.sd is None:
+        return of.error, sensitivity
+    root = np.sqrt(np.mean(of.sd**-2.0, axis=2, keepdims=True))
+    return of.error / (of.sd * root), sensitivity * root[:, :, 0].T[:, :, None]
+
+
+def _one_by_one(
+    tests: UnitTests, shared: SharedDesign, of: _Weighed, sensitivity: Array, significant: Mask
+) -> tuple[Mask, Mask, Mask]:
+    """Return units (B,) with outliers, to be fitted singly, and that lack terms, each by itself."""
+    outlying, singly, missing = np.zeros((3, len(significant)), dtype=np.bool_)
+    assert of.sd is not None
+    assert of.leverage is not None
+    asked = significant.any(axis=1) | _beyond(shared, of.r2).any(axis=(0, 2))
+    for unit in np.flatnonzero(asked).tolist():
+        one, sd = slice(unit, unit + 1), of.sd[:, unit]
+        pairs = zip(shared.designs, sd, strict=True)
+        on = [np.linalg.qr(X / each[:, None])[0] for X, each in pairs], sd
+        own, error = replace(tests, leverage=of.leverage[:, unit]), of.error[:, one]
+        given = sensitivity[one], of.residuals[:, one], error, of.r2[:, one]
+        outlying[one], singly[one] = _outliers(own, shared, *given, on=on)
+        missing[one] = _admissible(own, shared, sensitivity[one], error, significant[one], on=on)
+    return outlying, singly, missing
+
+
+_On = tuple[Sequence[Array], Array]  # Q of whitened designs, and the sd (M, n) that whitens them
+
+
+def _as_one(shared: SharedDesign) -> _On:
+    """Return what units share whose readings weigh equally."""
+    return [each.Q for each in shared.by_output], np.ones((len(shared.by_output), 1))
+
+
 def _admissible(
-    tests: UnitTests, shared: SharedDesign, sensitivity: Array, residuals: Array, significant: Mask
+    tests: UnitTests,
+    shared: SharedDesign,
+    sensitivity: Array,
+    error: Array,
+    significant: Mask,
+    *,
+    on: _On | None = None,
 ) -> Mask:
     """Return of which units (B,) one of the kinds (B, K) is a term that a sensor can have."""
     found = np.zeros(len(significant), dtype=np.bool_)
     size = np.linalg.norm(sensitivity, axis=2).T
+    bases, sd = on or _as_one(shared)
     for place in np.flatnonzero(significant.any(axis=0)).tolist():
         assert tests.projection is not None
         name = tests.projection.names[place]
@@ -256,27 +340,28 @@ def _admissible(
         if name in tests.projection.hidden:
             continue
         units = np.flatnonzero(significant[:, place] & ~found)
-        outputs = range(len(residuals))
-        added = [columns_of(kinds, i, shared.reference, shared.environment) for i in outputs]
+        outputs = range(len(error))
+        added = [
+            columns_of(kinds, i, shared.reference, shared.environment) / sd[i][:, None]
+            for i in outputs
+        ]
         largest = [np.outer(largest_coefficients(kinds, i), size[i, units]) for i in outputs]
-        found[units] = are_better_with(
-            [each.Q for each in shared.by_output],
-            added,
-            largest,
-            residuals[:, units].transpose(0, 2, 1),
-        )
+        found[units] = are_better_with(bases, added, largest, error[:, units].transpose(0, 2, 1))
     return found
 
 
-def _missing_terms(tests: UnitTests, values: Sequence[Array], error: Array) -> tuple[Mask, Array]:
+def _missing_terms(
+    tests: UnitTests, values: Sequence[Array], error: Array, explained: Array | None = None
+) -> tuple[Mask, Array]:
     """Return of which units a kind of term is significant (B, K), and S (B,) of the best.
 
-    By whitened residuals (M, B, n).
+    By whitened residuals (M, B, n), and what terms explain of them (B, K, M) where weights differ.
     """
     on, count = tests.projection, error.shape[1]
     if on is None:
         return np.zeros((count, 0), dtype=np.bool_), np.full(count, -np.inf)
-    explained = explained_by(on, error)
+    if explained is None:
+        explained = explained_by(on, error)
     whole = np.einsum("mbn,mbn->bm", error, error)[:, None]
     q, left, least_variance = on.q, on.left, np.zeros(1)
     if tests.stated:
@@ -316,40 +401,69 @@ def may_lack_terms(
 ) -> Mask:
     """Return in which units (B,) of a robust fit a kind of term may be significant.
 
-    The score test with the weights of each unit, by sums of products, on the most degrees of
-    freedom that it may have, so that none is missed.
+    The score test with the weights of each unit, on the most degrees of freedom that it may have,
+    so that none is missed.
     """
     assert found.weight is not None
     count, _, n = found.weight.shape
     logs, used = np.zeros((count, len(kinds))), np.zeros((count, len(kinds)), dtype=np.intp)
-    for i, X in enumerate(shared.designs):
+    for i, each in enumerate(shared.by_output):
         terms = [columns_of([kind], i, shared.reference, shared.environment) for kind in kinds]
-        p, e, weight = X.shape[1], found.residuals[i], np.maximum(found.weight[:, i], ASIDE)
-        A = np.concatenate([shared.by_output[i].Q, *terms], axis=1)
-        k = A.shape[1]
-        G = (weight @ (A[:, :, None] * A[:, None]).reshape(n, -1)).reshape(count, k, k)
-        g = ((weight * e) @ A)[:, :, None]
-        fitted = np.linalg.solve(G[:, :p, :p], np.concatenate([G[:, :p, p:], g[:, :p]], axis=2))
-        V = G[:, p:, p:] - G[:, p:, :p] @ fitted[:, :, :-1]
-        along = g[:, p:] - G[:, p:, :p] @ fitted[:, :, -1:]
-        whole = (
-            np.einsum("bn,bn->b", weight, e * e) - (g[:, None, :p, 0] @ fitted[:, :, -1:])[:, 0, 0]
-        )
-        left, first = weight.sum(axis=1) - p, 0
-        for place, each in enumerate(terms):
-            mine = slice(first, first + each.shape[1])
-            first, q = mine.stop, float(each.shape[1])
+        p, weight = each.Q.shape[1], np.maximum(found.weight[:, i], ASIDE)
+        scores, whole = _scores(each.Q, terms, weight, found.residuals[i])
+        left = weight.sum(axis=1) - p
+        for place, (term, explained) in enumerate(zip(terms, scores, strict=True)):
+            q = float(term.shape[1])
             if not q or n - p - q < 1.0:
                 continue
-            inverse = np.linalg.pinv(
-                V[:, mine, mine], rcond=projections.IDENTIFIABLE, hermitian=True
-            )
-            explained = np.einsum("bq,bqr,br->b", along[:, mine, 0], inverse, along[:, mine, 0])
             rest = np.maximum(whole - explained, _LEAST)
             ratio = np.maximum(explained, 0.0) * np.maximum(left - q, 1.0) / (q * rest)
             logs[:, place] += f_log_tails(ratio, q, n - p - q)
             used[:, place] += 1
     return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
+
+
+def _scores(
+    Q: Array, terms: Sequence[Array], weight: Array, error: Array
+) -> tuple[list[Array], Array]:
+    """Return Δ (B,) of each kind of terms (n, q), and e'e (B,), under weights (B, n) of units.
+
+    By sums of products of the design Q and the terms, with residuals (B, n) of whatever weights.
+    """
+    A, p = np.concatenate([Q, *terms], axis=1), Q.shape[1]
+    count, k = len(weight), A.shape[1]
+    G = (weight @ (A[:, :, None] * A[:, None]).reshape(len(A), -1)).reshape(count, k, k)
+    g = ((weight * error) @ A)[:, :, None]
+    fitted = np.linalg.solve(G[:, :p, :p], np.concatenate([G[:, :p, p:], g[:, :p]], axis=2))
+    V = G[:, p:, p:] - G[:, p:, :p] @ fitted[:, :, :-1]
+    along = (g[:, p:] - G[:, p:, :p] @ fitted[:, :, -1:])[:, :, 0]
+    whole = np.einsum("bn,bn->b", weight, error * error)
+    whole -= np.einsum("bp,bp->b", g[:, :p, 0], fitted[:, :, -1])
+    explained, first = [], 0
+    for each in terms:
+        mine = slice(first, first + each.shape[1])
+        first = mine.stop
+        inverse = np.linalg.pinv(V[:, mine, mine], rcond=projections.IDENTIFIABLE, hermitian=True)
+        explained.append(np.einsum("bq,bqr,br->b", along[:, mine], inverse, along[:, mine]))
+    return explained, whole
+
+
+def _explained_under(
+    tests: UnitTests, shared: SharedDesign, weights: Array, residuals: Array
+) -> Array | None:
+    """Return Δ (B, K, M) of the kinds under weights (M, B, n) of units; None where none lack."""
+    on = tests.projection
+    if on is None:
+        return None
+    explained = np.zeros((residuals.shape[1], on.q.size))
+    blocks = np.split(on.rows, on.starts[1:])
+    outputs = on.place % on.q.shape[1]
+    for i, each in enumerate(shared.by_output):
+        mine = np.flatnonzero(outputs == i)
+        if len(mine):
+            scores, _ = _scores(each.Q, [blocks[b].T for b in mine], weights[i], residuals[i])
+            explained[:, on.place[mine]] = np.stack(scores, axis=1)
+    return explained.reshape(-1, *on.q.shape)
 
 
 def find_aside(
@@ -491,17 +605,18 @@ def _outliers(
     residuals: Array,
     error: Array,
     r2: Array,
+    *,
+    on: _On | None = None,
 ) -> tuple[Mask, Mask]:
     """Return of which units a reading is an outlier, and which are to be fitted singly."""
     m, count, n = error.shape
     outlying, singly = np.zeros((2, count), dtype=np.bool_)
-    limit = np.array([_limit(float(nu), m * n) for nu in shared.dof.tolist()])
-    beyond = r2 > limit[:, None, None]
+    beyond = _beyond(shared, r2)
     units = np.flatnonzero(beyond.any(axis=(0, 2)))
     outlying[units] = True
     if len(units) and m > 1 and shared.dof.min() >= fit_diagnostics.ROWS_NAMED:
         questioned = np.moveaxis(beyond[:, units], 0, 2)
-        bases = [each.Q for each in shared.by_output]
+        bases, _ = on or _as_one(shared)
         given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned
         p = fit_diagnostics.p_values_of_units(*given)
         few = (np.isnan(p) & questioned).any(axis=(1, 2))
@@ -513,6 +628,12 @@ def _outliers(
     largest = sizes[:, -1]
     singly[outlying] = (sizes[:, -2] > _COMPARABLE * largest) & (largest > tests.nearest**2)
     return outlying, singly
+
+
+def _beyond(shared: SharedDesign, r2: Array) -> Mask:
+    """Return which of the studentised squares (M, B, n) are beyond the 1 % point."""
+    limit = np.array([_limit(float(nu), len(r2) * r2.shape[2]) for nu in shared.dof.tolist()])
+    return np.asarray(r2 > limit[:, None, None])
 
 
 @lru_cache(64)

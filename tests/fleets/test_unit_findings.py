@@ -25,7 +25,7 @@ UNITS = 10
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
-def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, repeats=1, seed=5):
+def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, u=0.0, repeats=1, seed=5):
     """Units with one flaw each, of a size that the noise of one position does not hide."""
     rng = np.random.default_rng(seed)
     up = np.repeat(mp.read_scheme(scheme).up, repeats, axis=0)
@@ -41,6 +41,7 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
     table = {"unit": np.repeat(np.arange(UNITS), n)}
     for i, axis in enumerate("xyz"):
         table |= {f"up_{axis}": np.tile(up[:, i], UNITS), f"a{axis}": values[:, :, i].ravel()}
+        table |= {f"u_a{axis}": u * rng.uniform(0.5, 2.0, UNITS * n)} if u else {}
     return table
 
 
@@ -55,6 +56,8 @@ def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, rep
         ("fibonacci-24", {"drift": 2e-3}, {}, ""),
         ("fibonacci-24", {"cubic": 2e-3}, {"reading_sd": 1e-4}, "missing-term"),
         ("fibonacci-24", {"out": 5e-3}, {"reading_sd": [1e-4, 1e-4, 2e-4]}, "outlier"),
+        ("fibonacci-24", {"cubic": 1e-3, "u": 1e-4}, {}, "missing-term"),
+        ("fibonacci-24", {"out": 5e-3, "u": 1e-4}, {}, "outlier"),
         ("all-26", {"cubic": 2e-3}, {"model": "own-quadratic"}, "missing-term"),
         ("icosahedron-12", {"cubic": 2e-4, "repeats": 3}, {"model": "linear"}, ""),
         ("fibonacci-24", {"cubic": 2e-3}, {"robust": "huber"}, "missing-term"),
@@ -88,6 +91,7 @@ def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
     for flaw in ({"cubic": 2e-3}, {"out": 5e-3}, {"off_deg": 0.1}):
         mp.fit_many(fleet("fibonacci-24", **flaw), unit_column="unit")
     mp.fit_many(fleet("fibonacci-24", out=5e-3), unit_column="unit", robust="huber")
+    mp.fit_many(fleet("fibonacci-24", cubic=1e-3, u=1e-4), unit_column="unit")
     assert len(count) < 10  # the first of each, and a few that a cause of time may explain
     count.clear()
     mp.fit_many(fleet("fibonacci-24"), unit_column="unit", model=OWN)
