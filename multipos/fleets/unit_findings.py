@@ -39,9 +39,10 @@ from multipos.diagnostics.residuals import (
 )
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
+from multipos.estimation import known
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.identifiability import condition
-from multipos.estimation.known import SharedDesign, cofactors
+from multipos.estimation.known import SharedDesign
 from multipos.estimation.robustness import ASIDE
 from multipos.estimation.user_models import SharedExpression, cofactors
 from multipos.fleets.grouping import ONE_TEMPERATURE
@@ -271,7 +272,7 @@ def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed
     dof = shared.dof[:, None, None]
     if found.variance is None and found.variances is not None and found.weighted is not None:
         sd, residuals = np.sqrt(found.variances), found.weighted
-        error, leverage = residuals / sd, cofactors(shared, found.variances)[1]
+        error, leverage = residuals / sd, known.cofactors(shared, found.variances)[1]
         r2 = fit_diagnostics.studentised_squares(error, leverage, dof)
         explained = _explained_under(tests, shared, 1.0 / found.variances, residuals)
         return _Weighed(residuals, error, r2, sd, leverage, explained)

@@ -25,7 +25,9 @@ UNITS = 10
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
-def fleet(scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, u=0.0, repeats=1, seed=5):
+def fleet(
+    scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, u=0.0, repeats=1, seed=5
+):
     """Units with one flaw each, of a size that the noise of one position does not hide."""
     rng = np.random.default_rng(seed)
     up = np.repeat(mp.read_scheme(scheme).up, repeats, axis=0)
