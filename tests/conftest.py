@@ -1,5 +1,6 @@
 """Settings that all tests share."""
 
+import gc
 import os
 
 # As the commands do: threads of linear algebra that wait for each other beside other processes
@@ -9,6 +10,15 @@ if not any(f"{name}_NUM_THREADS" in os.environ for name in ("OMP", "OPENBLAS", "
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+gc.disable()  # what collecting makes stays: there is no rubbish to look for
+
+
+def pytest_collection_finish() -> None:
+    """Leave what all tests share out of what each collection of rubbish looks through."""
+    gc.freeze()
+    gc.enable()
+
 
 # Wall-clock never decides a test; on a shared machine the same examples are drawn every time.
 settings.register_profile(
@@ -26,3 +36,10 @@ def without_findings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Findings change no number, and take as long as the fit: simulations of claims leave them."""
     for finds in ("examine", "_with_rolls"):
         monkeypatch.setattr(f"multipos.fitting.fit_readings.{finds}", lambda c, **_: c)
+
+
+@pytest.fixture
+def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, which takes half the time of a report: words need none."""
+    drawn = '<svg width="1" height="1" xmlns="http://www.w3.org/2000/svg"></svg>'
+    monkeypatch.setattr("multipos.plots.style.to_svg", lambda figure, words=str: drawn)

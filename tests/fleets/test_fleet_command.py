@@ -19,6 +19,8 @@ from multipos.cli import main
 from multipos.fleets import folder as fleet_folder
 from multipos.fleets.fleet_text import fleet_sentence
 
+pytestmark = pytest.mark.usefixtures("without_drawing")
+
 LIMITS = "name,lsl,usl\nbias_ax,-0.02,0.02\nscale_ax,0.9,\nU:bias_ay,,0.01\n"
 APART = ["--unit-column", "unit", "--station-column", "station"]
 

@@ -14,6 +14,8 @@ import multipos as mp
 from multipos.reports.dcc import DCC, NEEDED, SI
 from tests.reports.dcc_structure import faults
 
+pytestmark = pytest.mark.usefixtures("without_drawing")
+
 LAB = {
     "report": {"number": "K-7 <&>", "authorised_by": "the head", "issued": "2026-03-09"},
     "laboratory": {"name": "Laboratory", "address": "Street 1", "country": "DE"},

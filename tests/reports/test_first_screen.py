@@ -47,6 +47,7 @@ def unknown():
     return mp.fit(mp.Readings(values(), outputs=("ax", "ay", "az")), unknown_orientation=True)
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_the_result_comes_before_what_the_laboratory_says(cal, forms):
     found = mp.check(cal, mp.Readings(values(2), outputs=cal.outputs, up=UP), limit_g=0.002)
     content = build_content(cal, check=found)

@@ -21,6 +21,8 @@ from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report, markdown_report, plain_report, readable
 from multipos.reports.findings import column, with_u
 
+pytestmark = pytest.mark.usefixtures("without_drawing")
+
 ALL = mp.read_scheme("all-26").up
 
 

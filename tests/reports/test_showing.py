@@ -57,6 +57,7 @@ def words_of(html):
 LONG = {"Calibration, robust", "Calibration with uncertain orientations", "Tumbles", "Curves"}
 
 
+@pytest.mark.usefixtures("without_drawing")
 @pytest.mark.parametrize("name", slow_where(LONG.__contains__, RESULTS))
 def test_every_result_shows_itself_in_a_notebook_and_in_print(name):
     found = result_of(name)
