@@ -524,7 +524,7 @@ def _missing(session: Session) -> Array | None:
         for pose, up in zip(session.poses, session.directions(), strict=True)
         if pose.accepted and up is not None
     ]
-    return missing_directions(np.array(shown).reshape(-1, 3))[0] + 0.0
+    return missing_directions(np.array(shown).reshape(-1, 3))[0]
 
 
 def _entries(session: Session) -> list[dict[str, Any]]:

@@ -279,3 +279,33 @@ def test_lags_of_two_lengths_are_where_windows_meet_with_the_weights_of_trapezoi
         assert weights @ values == pytest.approx(expected, rel=1e-12, abs=1e-12)
     # where an edge of one window meets an edge of the other
     assert {-1.0, ratio - 1.0, 2.0 * ratio - 1.0} <= set(lags.tolist())
+
+
+def test_block_means_covary_by_hand():
+    """A constant is added to flicker and walk, which the mean takes up: 2 · 3 L / 2 of walk."""
+    index = np.abs(np.subtract.outer(range(4), range(4)))
+    next_to = np.where(index == 0, 2.0, np.where(index == 1, -1.0, 0.0))
+    by_hand = {  # of the squares 2 at L = 5: N²/L, L (−k/2) and −L/6 at k = 0, Q²/L²
+        (2.0, 0.0, 0.0): 2.0 / 5.0 * np.eye(4),
+        (0.0, 0.0, 2.0): 2.0 * 5.0 * (3.0 - index / 2.0 - np.eye(4) / 6.0),
+        (0.0, 0.0, 0.0, 2.0): 2.0 / 25.0 * next_to,
+    }
+    for squares, expected in by_hand.items():
+        found = trends._covariance(4, 5, np.array(squares))
+        assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_a_warm_up_pays_for_a_constant_and_a_size_of_each_record(monkeypatch):
+    """Of two records: two drifts beside, and with the time constant five parameters more."""
+    asked = []
+    monkeypatch.setattr(trends, "_better", lambda *given: bool(asked.append(given[-1])))
+    monkeypatch.setattr(trends, "_warming", lambda *_: object())
+    monkeypatch.setattr(
+        trends,
+        "_describe",
+        lambda *_: SimpleNamespace(laws=SimpleNamespace(squares=None), found={}, likelihood=0.0),
+    )
+    coefficients = SimpleNamespace(coefficients={trends.DRIFT: None})
+    monkeypatch.setattr(trends, "_least_squares", lambda *_: coefficients)
+    trends.describe([SimpleNamespace(temperature=None)] * 2, ())
+    assert asked == [2, 5]

@@ -39,7 +39,7 @@ from multipos.capturing.poses import (
     refuse_rest,
     refuse_unit,
 )
-from multipos.capturing.running import Kept, make_plan, make_reading, run_session
+from multipos.capturing.running import Kept, _goes_on, make_plan, make_reading, run_session
 from multipos.capturing.screen import _draw, _language_of_terminal, obey, picture_of
 from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
@@ -892,3 +892,16 @@ def test_what_is_known_before_a_fit_of_the_same_terms(monkeypatch):
     assert_allclose(
         _state(cal.model, None, none, unknown_orientation=True).present, np.eye(9) / 0.09
     )
+
+
+def test_a_device_that_has_started_before_says_its_columns_no_more():
+    """Without names columns are the same where as many stand and the numbers among them too."""
+
+    def log(columns, numeric, headless=True):
+        return SimpleNamespace(columns=columns, numeric=numeric, headless=headless)
+
+    named = log(("t", "ax", "at"), ("t", "ax"), headless=False)
+    assert _goes_on(named, log(("1", "2", "3"), ("1", "2")))
+    assert not _goes_on(named, log(("1", "2", "3"), ("1", "3")))
+    assert not _goes_on(named, log(("1", "2"), ("1", "2")))
+    assert not _goes_on(named, log(("1", "2", "3"), ("1", "2"), headless=False))

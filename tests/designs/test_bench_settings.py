@@ -87,3 +87,12 @@ def test_a_range_of_tilts_leans_the_axes_that_are_not_upright():
     assert leaning == [2]
     assert (up[:, 2].min(), up[:, 2].max()) == (-0.3, 0.3)
     assert up[:, 0].min() == pytest.approx(np.sqrt(1.0 - 0.09))
+
+
+def test_positions_that_are_given_are_named_so():
+    found = mp.design(
+        "linear", 6, include={"up_x": [0.0, 0.6], "up_y": [0.0, 0.0], "up_z": [1.0, 0.8]}
+    )
+    rows = [line.split() for line in design_text(found).splitlines()]
+    rows = [row for row in rows if row and row[0] in "123456"]
+    assert [row[-1] == "given" for row in rows[:6]] == [True, True, False, False, False, False]

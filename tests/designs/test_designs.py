@@ -26,6 +26,7 @@ from multipos.designs.criteria import (
 from multipos.designs.exchange import _Bordered, _descend, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
+    _FINE,
     _derivatives,
     _pivots,
     maxima,
@@ -832,3 +833,16 @@ def test_positions_to_a_target_by_hand():
     assert _ahead(present, pieces, 2.0, 0.01, 0, 0.1) is None
     assert _mean_fall(np.array([[0.5, 0.125]]), np.ones(2)) == pytest.approx(0.75)
     assert _pivots(np.array([[1.0, 0.0], [0.0, 3.0], [2.0, 0.0]])) == [1, 2]
+
+
+def test_a_certificate_is_looked_at_closer_before_it_is_said(monkeypatch):
+    looked = []
+
+    def noted(sensed, *fine):
+        looked.append(fine)
+        return maxima(sensed, *fine)
+
+    monkeypatch.setattr("multipos.designs.optimum.maxima", noted)
+    optimise_sphere(setting("linear"), Criterion("D"))
+    assert looked[-1] == (_FINE,)
+    assert looked.count((_FINE,)) == 1  # as it takes longer

@@ -18,7 +18,7 @@ from multipos.diagnostics.repairs import (
     look,
     rows_in_another_unit,
 )
-from multipos.diagnostics.scales import facing
+from multipos.diagnostics.scales import facing, turned
 from multipos.numerics.arrays import resolution
 
 MATRIX = np.array([[0.98, 0.01, -0.005], [0.004, 1.02, 0.01], [-0.01, 0.003, 0.99]])
@@ -217,6 +217,7 @@ def test_the_other_convention_is_a_warning_and_no_gross_error():
     found, cal = codes(sense(-up), up)
     assert found == []
     assert any("--convention gravity" in said for said in texts(cal))
+    assert turned(cal, 0.1 * cal.sensitivity) is None  # in whatever unit
 
 
 def test_one_outlier_is_no_gross_error():

@@ -1,6 +1,7 @@
 """Models of one's own: fitted as written, held to SciPy, to polynomials and to numbers by hand."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -318,6 +319,24 @@ def test_an_output_is_no_parameter():
             model="each = s + b*own",
             outputs="a,b,c",
         )
+
+
+def test_a_bias_is_half_the_curvature_of_the_estimate_times_the_variance():
+    """Box's bias by a second route: each reading is moved, and the model fitted again."""
+    # eq. (3) of estimation.user_models
+    up = np.tile([[1.0, 0, 0], [0.6, 0.8, 0], [-0.6, 0.8, 0], [-1.0, 0, 0], [0, 0, 1.0]], (2, 1))
+    clean = up[:, 0] / (1 + 1.5 * up[:, 0] ** 2)
+    sd, step = 0.03, 2e-3
+
+    def fit(noise):
+        readings = mp.Readings((clean + noise)[:, None], up=up)
+        return mp.fit(readings, model="each = b + s*own/(1 + k*own^2)", axes="x")
+
+    each = [fit(step * way).parameters[2] - 1.5 for way in (*np.eye(10), *-np.eye(10))]
+    by_moving = sd**2 / 2.0 * np.sum(each) / step**2
+    # every position twice, off by as much either way: the estimate is exact, and s is sd
+    (said,) = (w for w in texts(fit(sd * 0.7**0.5 * np.repeat([1.0, -1.0], 5))) if w[:3] == "`k_")
+    assert float(re.search(r"about ([\d.]+)", said)[1]) == pytest.approx(by_moving, rel=0.05)
 
 
 @pytest.mark.slow

@@ -473,3 +473,13 @@ def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):
     codes = re.search(r"codes\[COUNT\] = \{(.*)\};", target_correction._self_test(c, "c", False))
     left_out = [i for i, code in enumerate(codes[1].split(", ")) if code == "-1"]
     assert left_out == [*range(3, 60, 7)]
+
+
+@pytest.mark.parametrize("columns", [{"time": ("t", "s")}, {"run": ("a", "b")}])
+def test_rows_that_are_steps_of_one_regression_alone_are_refused(columns):
+    regressions = [
+        SimpleNamespace(**{"time": None, "run": None, **dict.fromkeys(columns, name)})
+        for name in next(iter(columns.values()))
+    ]
+    with pytest.raises(mp.MultiposError, match="one row is not one step of both"):
+        fitted_rows(SimpleNamespace(inputs=(), regressions=regressions), {})

@@ -35,6 +35,7 @@ _BESIDE = {
     "diagnostics": (
         "tests/fleets/test_unit_findings.py",
         "tests/sensor/test_diagnostics.py",
+        "tests/sensor/test_magnetometer.py",
         "tests/uncertainty/test_claims.py",
     ),
     "compensation": (

@@ -17,6 +17,7 @@ from multipos.numerics.terms import (
     factor_from_list,
     factor_to_list,
     formula_columns,
+    largest_value,
     parse_terms,
 )
 
@@ -131,3 +132,12 @@ def test_what_is_odd_and_its_degree():
     odd = {str(f): (f.is_odd, f.degree) for f in (Factor("x", 3), Factor("x", 1, "modulus"))}
     assert odd == {"x^3": (True, 3), "x*|x|": (True, 2)}
     assert math.isclose(_mean_product(*parse_terms("x^2 + |x|")), 0.25)  # of |x|^3
+
+
+def test_a_variable_may_be_as_large_as_its_powers_can_be_squared():
+    """A term of 1e100: t^4 of 1e25, t^5 of 1e20; of lower powers what is measured, 1e40."""
+    terms = parse_terms("1 + t + t^4 + x*t^5 + x^2")
+    assert largest_value(terms, "t") == pytest.approx(1e20)
+    assert largest_value(terms[:-2], "t") == pytest.approx(1e25)
+    assert largest_value(terms, "x") == 1e40
+    assert largest_value(terms, "none") == 1e40

@@ -298,3 +298,11 @@ def test_true_terms_are_found_and_false_ones_come_at_the_stated_rate():
     # each false term that is in takes its own chance part out of s², so the rest pass a little
     # more easily: (1 + 17 · 0.05 · 4.6/180), 2 % of the rate at most
     assert trials * level - bound * sd < false < 1.05 * trials * level + bound * sd
+
+
+def test_as_many_rows_as_columns_leave_what_least_squares_leave():
+    rng = np.random.default_rng(6)
+    X, y = rng.standard_normal((4, 4)), rng.standard_normal(4)
+    for index, value in enumerate(residual_sums(compress(X, y))):
+        columns = tuple(j for j in range(4) if index >> j & 1)
+        assert value == pytest.approx(rss_of(X, y, columns), abs=1e-12)

@@ -286,3 +286,13 @@ def test_u_of_the_next_session_by_quadrature():
 
     assert U[0] == pytest.approx(brentq(excess, 1.0, 1e3), rel=0.02)  # 61 nodes, t on 2,000
     assert dof[0] == 2.0
+
+
+def test_u_of_the_next_session_is_the_same_in_any_unit():
+    rng = np.random.default_rng(3)
+    p, own, share = rng.standard_normal((3, 4)), np.full((3, 4), 0.2), np.full((3, 4), 1.0 / 3.0)
+    U, dof = combining.predict_next(p, own, share, 30.0)
+    for unit in (1e-6, 1e5):
+        again = combining.predict_next(unit * p, unit**2 * own, share, 30.0)
+        assert_allclose(again[0], unit * U, rtol=1e-9)
+        assert again[1] == pytest.approx(dof, rel=1e-9)

@@ -192,3 +192,13 @@ def test_readings_without_noise_find_no_errors_of_the_table():
     found = mp.tumble(triad(read_scheme(scheme).up), scheme=scheme, unit="V")
     assert found.table_errors.beside.p == 1.0
     assert "Beside the table" not in tumbles_text(found)
+
+
+def test_what_the_table_hides_stands_in_units_of_the_coefficients():
+    """An angle off by .01° is 1.745e-4 of g, and the error of it of g per g²."""
+    angle = np.arange(0.0, 360.0, 15.0)
+    volt = 0.012 + 2.5 * np.cos(np.radians(angle))
+    volt += 1e-5 * np.random.default_rng(1).standard_normal(24)
+    found = mp.tumble({"E": volt, "roll_axis": ["z"] * 24, "angle_deg": angle}, unit="V")
+    (said,) = texts(found)
+    assert "change K0 by 175 µg, Kip by 175 µg/g². " in said
