@@ -200,7 +200,8 @@ def _at(column: Column, rows: Places) -> Column:
     return [read[row] for row in rows.tolist()]
 
 
-_READINGS = 48_000  # of an output in a task, whose arrays stay in cache
+_READINGS = 96_000  # of an output in a task: what a task costs by itself is then some percent
+_SLOW = 2  # so many times fewer where a unit takes long, so that workers share them
 _ALONE = 64  # units of a task that are fitted one by one
 _TRIED = 3  # units of a group that may be at fault before it is taken one by one
 _FEWEST = 2  # units that share anything
@@ -335,7 +336,7 @@ class Piece:
 
     def _batches(self, units: Places, pattern: Pattern) -> Iterator[Task]:
         n = int(self._grouped.counts[units[0]])
-        size = max(1, _READINGS // n)
+        size = max(1, _READINGS // (n if pattern.quick else _SLOW * n))
         for start in range(0, len(units), size):
             mine = units[start : start + size]
             read = self._conditions

@@ -207,6 +207,12 @@ class Pattern:
     robust: Calibration | None = None
     timed: bool = False
 
+    @property
+    def quick(self) -> bool:
+        """Whether units take some microseconds: known orientations, of which no noise is stated."""
+        known = isinstance(self.shared, SharedDesign) and self.robust is None
+        return known and self.tests is not None and not self.tests.stated
+
 
 @frozen
 class Task:
