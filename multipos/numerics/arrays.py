@@ -92,7 +92,7 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
         gaps = np.where(gaps > 1e-6 * np.abs(values).max(axis=0), gaps, np.inf)
         if (gaps.min(axis=0) <= 2.0 * scatter).all():
             return np.zeros(values.shape[1])
-    ordered = np.sort(values, axis=0)
+    ordered = np.ascontiguousarray(np.sort(values, axis=0))
     gaps = np.diff(ordered, axis=0)
     span = ordered[-1] - ordered[0]
     equal = 1e-9 * np.abs(ordered[[0, -1]]).max(axis=0)
