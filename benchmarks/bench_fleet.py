@@ -32,7 +32,7 @@ def run() -> list[Ratio]:
         ),
         _paired("--reading-sd", 4000, 1 / 20, known | {"reading_sd": 3e-4}),
         _paired("--robust huber", 2000, 1 / 10, known | {"robust": "huber"}),
-        _paired("u of every reading", 4000, 1 / 10, known, stated=True),
+        _paired("u of every reading", 4000, 1 / 20, known, stated=True),
         _paired("--orientation-sd 0.1", 1000, 1 / 10, known | {"orientation_sd": 0.1}),
         _paired("--orientation-sd auto", 200, 1 / 10, known | {"orientation_sd": "auto"}),
     ]
