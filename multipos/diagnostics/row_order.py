@@ -58,6 +58,7 @@ _FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
+_SELDOM = 2.0  # standard deviations that the hundredth part of a law lies beyond
 _MANY = 100_000  # positions, whose plan is too large to keep
 _TURN = 12  # positions of a roll on a table
 UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
@@ -601,6 +602,8 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
     T = 2.0 * np.einsum("ncb,ncb->b", w, before) - np.einsum("ncb,ncb->b", w, w)
     mean, sd, skewness = plan.slow
     k = 8.0 / skewness**2
+    if k >= 1.0 and not (mean + _SELDOM * sd < T).any():
+        return  # of so skew a law its hundredth lies further out than a normal one's
     limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
     units = np.flatnonzero((limit < T) & whole)
     if not len(units):

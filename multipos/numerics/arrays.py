@@ -13,6 +13,7 @@ fast as LAPACK's substitution of two diagonals, whose import takes longer than m
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,19 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     scatter : (C,) array
         Standard deviation of the readings about their model.
     """
+    if len(values) <= _SEEN:  # a fit asks twice
+        return _kept_steps(values.tobytes(), values.shape, scatter.tobytes())
+    return _coarse_steps(values, scatter)
+
+
+@lru_cache(maxsize=2)
+def _kept_steps(values: bytes, shape: tuple[int, int], scatter: bytes) -> Array:
+    steps = _coarse_steps(np.frombuffer(values).reshape(shape), np.frombuffer(scatter))
+    steps.setflags(write=False)
+    return steps
+
+
+def _coarse_steps(values: Array, scatter: Array) -> Array:
     if len(values) > _SEEN:  # the gaps of all are no larger than those of some
         some = np.sort(values[:_SEEN], axis=0)
         gaps = np.diff(some, axis=0)
