@@ -60,7 +60,7 @@ from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, resolution
-from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.factoring import cofactors_of, is_regular
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_quantile
 from multipos.positions.readings import diagonal
 from multipos.results import frozen
@@ -76,7 +76,6 @@ _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up
 _SETTLED = 0.01  # of the deviance
 _SINGULAR = 1e-14  # of what is one, that is rounding
-_REGULAR = 1e-6  # of the cube of its size, a determinant of full rank
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _ROWS = 20_000  # whose products are made at once
@@ -809,6 +808,4 @@ def _is_triad(c: Calibration) -> bool:
     if not three or isinstance(c.model, ExpressionModel):
         return False
     linear = c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
-    # |det| is the product of the singular values: far from zero none is
-    regular = abs(np.linalg.det(linear)) > _REGULAR * np.einsum("ij,ij->", linear, linear) ** 1.5
-    return bool(regular) or int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)
+    return is_regular(linear) or int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)

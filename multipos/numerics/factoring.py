@@ -187,6 +187,17 @@ def singular_values(R: Array) -> Array:
     return np.asarray(np.linalg.svd(scaled, compute_uv=False))
 
 
+_REGULAR = 1e-6  # determinant of entries up to one, whose smallest singular value has digits
+
+
+def is_regular(matrix: Array) -> bool:
+    """Tell whether a determinant shows a small square matrix to have full rank; others may too."""
+    size = float(np.abs(matrix).max())  # no singular value is beyond size times the number of rows
+    if matrix.shape[0] != matrix.shape[1] or not 0.0 < size < np.inf:
+        return False
+    return bool(abs(np.linalg.det(matrix / size)) > _REGULAR)
+
+
 def design_matrix(design: ArrayLike) -> Array:
     """Return a design as an array (n, p), or refuse it."""
     X = np.asarray(design, dtype=np.float64)

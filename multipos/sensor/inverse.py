@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Environment, Mask, median
+from multipos.numerics.factoring import is_regular
 from multipos.sensor.model import Model
 
 if TYPE_CHECKING:
@@ -258,6 +259,8 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
 
 def _rank(matrix: Array) -> int:
     """Return the rank of a matrix by powers of two of its largest entry, which overflow nowhere."""
+    if is_regular(matrix):
+        return len(matrix)
     exponent = int(np.frexp(np.abs(matrix).max())[1])
     return int(np.linalg.matrix_rank(np.ldexp(matrix, -exponent)))
 
