@@ -43,6 +43,7 @@ CONVERGED = 1e-4  # relative change of the noise far below its uncertainty
 CONVERGED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
 _NOTHING = 1e-4  # of the stated noise, as a variance
 _AT_ONCE = 60_000  # weights of all units, so that what they need stays in the cache
+_FACTORS = 30_000  # of products that are made at once, so that they stay in cache
 _FEWEST = 64  # nodes of a product of matrices
 _TOUCHED = 1e-6  # of the largest slope, below which an angle moves nothing
 _LEAST = 0.03  # of what orientation errors do to a reading: noise of that size changes nothing
@@ -428,7 +429,13 @@ def _rotated(linear: Linear, *, joined: bool) -> _Rotated:
 def _products(rows: Array) -> Array:
     """Return the products of the numbers of rows (B, N, P) with each other (B, N, P(P + 1)/2)."""
     first, second = np.triu_indices(rows.shape[2])
-    return rows.take(first, axis=2) * rows.take(second, axis=2)
+    each = rows.reshape(-1, rows.shape[2])
+    products, step = np.empty((len(each), len(first))), max(1, _FACTORS // len(first))
+    for start in range(0, len(each), step):
+        some = each[start : start + step]
+        out = products[start : start + step]
+        np.multiply(some.take(first, axis=1), some.take(second, axis=1), out=out)
+    return products.reshape(*rows.shape[:2], len(first))
 
 
 def _without_unmoved(still: Array, moving: Array) -> tuple[Array, Array, _Unmoved]:
