@@ -1,5 +1,6 @@
 """A static record, read once: its phases to the disk, its blocks to memory."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -11,7 +12,7 @@ from multipos.logs.clock import time_columns
 from multipos.logs.log_columns import Outputs, choose_outputs
 from multipos.logs.samples import Progress, Samples, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import COMPONENTS, Array, median
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, median
 from multipos.positions.headers import require_units
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -96,6 +97,7 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
             blocks.feed(np.vstack([values, piece[warmth]]))
             gaps.feed(piece)
         lengths, means = octaves(samples.rows), blocks.means()
+        _require_sizes(log.source, names, means)
         if wanted.calibration is not None:
             _require_one_g(log.source, wanted.calibration, means[: len(names)])
         return RawRecord(
@@ -133,6 +135,16 @@ def _rate(samples: Samples) -> float:
             f"needs at least {_FEWEST}, and hours for its slow part."
         )
     return samples.rate
+
+
+def _require_sizes(source: str, names: Sequence[str], means: Array) -> None:
+    """Refuse outputs, of block means (M …, n), whose variances would be no numbers."""
+    for name, size in zip(names, np.abs(means).max(axis=1).tolist(), strict=False):
+        if 0.0 < size < SMALLEST:
+            raise MultiposError(
+                f"{source}: column '{name}' is {size:g} at most, too small a number to be squared; "
+                "give the readings in a smaller unit."
+            )
 
 
 def _dropped(samples: Samples) -> list[Finding]:

@@ -48,7 +48,7 @@ from multipos.diagnostics.scales import (
 )
 from multipos.files.spelling import listed, quoted
 from multipos.finding import Finding
-from multipos.numerics.arrays import COMPONENTS, Array, median
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, median
 from multipos.numerics.quantiles import f_tail
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
@@ -341,7 +341,7 @@ def _positions(rows: tuple[str, ...]) -> str:
 
 def _no_signal(c: Calibration, view: View) -> Finding | None:
     """Find residuals as large as the signal, or outputs of a triad that are not three."""
-    own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), np.finfo(float).tiny)
+    own = c.residual_sd / np.maximum(np.linalg.norm(c.sensitivity, axis=1), SMALLEST)
     poor = np.isnan(own) | (own > _SUSPICIOUS)
     if not is_gross(view, _orientation_sd(c)) or not poor.any():
         return None

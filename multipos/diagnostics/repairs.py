@@ -40,7 +40,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import listed
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, Mask, Places, median
 from multipos.positions.order import lay_out
 from multipos.positions.readings import Readings
 from multipos.results import frozen
@@ -584,16 +584,14 @@ def rows_in_another_unit(readings: Readings) -> tuple[tuple[str, ...], float]:
     """Return the labels of rows by eq. (2), and the factor; none where no factor is known."""
     size = np.linalg.norm(readings.values, axis=1)
     middle = float(np.sort(size)[(len(size) - 1) // 2])  # of halves the smaller
-    if not middle > 0.0:
+    if not middle > SMALLEST * float(size.max()):
         return (), 1.0
     ratio = size / middle
     odd = np.flatnonzero((ratio > _APART) | (ratio < 1.0 / _APART))
     if not len(odd) or 2 * len(odd) > len(size):
         return (), 1.0
-    typical = float(np.exp(np.mean(np.log(np.maximum(ratio[odd], np.finfo(float).tiny)))))
-    known = np.array(FACTORS)
-    nearest = float(known[np.argmin(np.abs(np.log(known / typical)))])
-    spread = np.abs(np.log(np.maximum(ratio[odd], np.finfo(float).tiny) / nearest))
-    if float(spread.max()) > np.log(_NEAR):
+    logs, known = np.log(np.maximum(ratio[odd], np.finfo(float).tiny)), np.array(FACTORS)
+    nearest = float(known[np.argmin(np.abs(np.log(known) - logs.mean()))])
+    if float(np.abs(logs - np.log(nearest)).max()) > np.log(_NEAR):
         return (), 1.0
     return tuple(readings.labels[i] for i in odd.tolist()), nearest

@@ -312,10 +312,11 @@ def _fixed_point(theta: Array, here: _Slopes, least: Array) -> Array:
 
 def _step(theta: Array, here: _Slopes) -> tuple[Array, Array]:
     """Return steps (B, J) of what is not held at zero, and what they should gain (B,)."""
-    held = _held(theta, here)
+    own = np.einsum("bjj->bj", here.curvature)
+    held = _held(theta, here) | ~(own > 1e-280)  # of what changes nothing a step has no length
     gradient = np.where(held, 0.0, here.expected - here.observed)
     free = ~held[:, :, None] & ~held[:, None, :]
-    size = np.sqrt(np.maximum(np.einsum("bjj->bj", here.curvature), 1e-300))
+    size = np.sqrt(np.where(held, 1.0, own))
     A = np.where(free, here.curvature / (size[:, :, None] * size[:, None, :]), 0.0)
     A += np.where(held, 1.0, 1e-9)[:, :, None] * np.eye(theta.shape[1])
     step = -np.linalg.solve(A, (gradient / size)[:, :, None])[:, :, 0] / size

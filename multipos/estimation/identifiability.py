@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.errors import RankError
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import SMALLEST, Array
 from multipos.numerics.factoring import name_combinations, separability
 from multipos.sensor.model import Model
 
@@ -108,7 +108,8 @@ def helpful_positions(information: Array, gains: Array, count: int) -> list[int]
     count : int
     """
     gains = np.where(np.isfinite(gains).all(axis=(1, 2), keepdims=True), gains, 0.0)
-    scale = np.sqrt(np.maximum(np.diag(gains.sum(axis=0)), 1e-300))
+    seen = np.maximum(np.diag(gains.sum(axis=0)), SMALLEST * np.diag(information))
+    scale = np.sqrt(np.maximum(seen, 1e-300))
     unit = np.outer(scale, scale)
     # A ridge far below any real information lets the determinant rank singular ones.
     current = information / unit + 1e-9 * np.eye(len(scale))

@@ -317,8 +317,9 @@ def eliminate(
     along, across = c * one + s * two, c * two - s * one
     large = _dot(c * first + s * second, along) + prior
     small = np.maximum(_dot(c * second - s * first, across), 0.0) + prior
-    determinant = large * small
-    sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact & ~rolled
+    with np.errstate(over="ignore"):  # where slopes are beyond any sensor's, H is not taken
+        determinant = large * small
+        sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact & ~rolled
     by_large = (sound / np.where(sound, large, 1.0))[:, None]
     by_small = (sound / np.where(sound, small, 1.0))[:, None]
     n, m = one.shape

@@ -385,7 +385,7 @@ def _kept_bases(designs: bytes, shape: tuple[int, int, int]) -> list[Array]:
 def _part(basis: Array, y: Array) -> Part:
     both = np.concatenate([basis, y], axis=1)
     left = both[:, basis.shape[1] :]
-    least = (_ROUNDING * np.abs(left).max(axis=2)) ** 2
+    least = np.maximum((_ROUNDING * np.abs(left).max(axis=2)) ** 2, 1e-300)  # of an output of zeros
     left -= (y @ basis.swapaxes(1, 2)) @ basis
     return Part(both, least)
 

@@ -339,7 +339,7 @@ def correction_of(
     Raises
     ------
     MultiposError
-        A regression needs rows that come later.
+        A regression needs rows that come later, or none has an input.
     UsageError
         `correct` names more or fewer columns than there are regressions.
     """
@@ -356,7 +356,13 @@ def correction_of(
                 f"the regression of '{r.response}' has '{later[0]}' from rows before and after "
                 "each, which a device does not have; fit it again with --causal."
             )
-    return Correction(calibration, tuple(regressions), columns)
+    found = Correction(calibration, tuple(regressions), columns)
+    if not found.inputs:
+        raise MultiposError(
+            f"the regression of '{regressions[0].response}' is a constant, a function of no input; "
+            "subtract it as it stands, or name the column with --correct."
+        )
+    return found
 
 
 def write_correction(c: Correction, name: str, *, single: bool) -> Exported:

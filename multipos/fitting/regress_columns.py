@@ -172,6 +172,8 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
     k, nu = segment.dof
     if k == 0:
         text = f"{where}: no term is supported by the data; the model is the mean alone"
+        if not plan.constant:
+            text = f"{where}: no term is supported by the data; the model is zero, as it lacks 1"
         said.append(Finding("mean-only", "warning", text))
     elif nu > 0 and not segment.significant:
         text = f"{where} is not significant: F = {segment.F:.3g} is below {segment.F_critical:.3g}"

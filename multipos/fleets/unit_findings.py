@@ -182,7 +182,9 @@ def find_in_units(
     scored: Mask = np.zeros(len(missing), dtype=np.bool_)
     shown = None
     if tests.order is not None:
-        shown = search_units(tests.order, *_in_order(of, sensitivity))
+        slopes = np.zeros((*sensitivity.shape[:2], len(COMPONENTS)))
+        slopes[:, :, list(shared.model.sensed_axes)] = sensitivity
+        shown = search_units(tests.order, *_in_order(of, slopes))
         scored = scored | np.isfinite(shown.score.max(axis=0))
     misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
     if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
@@ -282,16 +284,16 @@ def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed
     return _Weighed(found.residuals, error, r2, level)
 
 
-def _in_order(of: _Weighed, sensitivity: Array) -> tuple[Array, Array]:
+def _in_order(of: _Weighed, slopes: Array) -> tuple[Array, Array]:
     """Return residuals (M, B, n) and slopes (B, M, 3) that causes are held against.
 
     Weights W leave residuals r with X'W r = 0, so that W r is as right of level weights; what
     causes have in common with it is that of W, their size that of its mean.
     """
     if of.sd is None:
-        return of.error, sensitivity
+        return of.error, slopes
     root = np.sqrt(np.mean(of.sd**-2.0, axis=2, keepdims=True))
-    return of.error / (of.sd * root), sensitivity * root[:, :, 0].T[:, :, None]
+    return of.error / (of.sd * root), slopes * root[:, :, 0].T[:, :, None]
 
 
 def _one_by_one(

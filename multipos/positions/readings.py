@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import control_characters, numbered, require_columns, visible
 from multipos.finding import Findings
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask
+from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask
 from multipos.positions import attitudes
 from multipos.positions.headers import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular, frozen
@@ -145,6 +145,7 @@ class Readings(Result, Tabular):
             _set(self, "source", visible(self.source))
         self._check_text()
         self._check_signs()
+        self._check_dof()
         self._check_sizes()
         if self.u is not None and self.covariance is not None:
             raise MultiposError("`u` and `covariance` both state the reading noise; give one.")
@@ -245,7 +246,6 @@ class Readings(Result, Tabular):
     def _check_signs(self) -> None:
         for name, lowest in (
             ("u", "above 0"),
-            ("dof", "above 0"),
             ("sd", "0 or more"),
             ("samples", "above 0"),
             ("orientation_sd", "0 or more"),
@@ -260,6 +260,17 @@ class Readings(Result, Tabular):
                 raise MultiposError(
                     f"`{name}` of row {row + 1} is {array[bad][0]:g}; it must be {lowest}."
                 )
+
+    def _check_dof(self) -> None:
+        if self.dof is None:
+            return
+        bad = (self.dof < FEWEST) | ((self.dof > LARGEST) & np.isfinite(self.dof))
+        if bad.any():
+            row = int(np.argwhere(bad)[0][0])
+            raise MultiposError(
+                f"`dof` of row {row + 1} is {self.dof[bad][0]:g}; it must be from {FEWEST:g} to "
+                f"{LARGEST:g}."
+            )
 
     def _normalise_up(self) -> None:
         if self.force is not None:

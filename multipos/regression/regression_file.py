@@ -248,7 +248,7 @@ def _numbers(value: Any) -> Array:
 def _square(c: Mapping[str, Any], key: str) -> Array:
     """Return a covariance of the segment's terms, null as NaN."""
     size = len(c["terms"])
-    array = _numbers(c[key]).reshape(-1, size) if not size else _numbers(c[key])
+    array = _numbers(c[key]) if size else _numbers(c[key]).reshape(0, 0)
     if array.shape != (size, size):
         raise ValueError(f"'{key}' of a segment has shape {array.shape} for {size} terms")
     return array

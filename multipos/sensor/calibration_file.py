@@ -47,7 +47,7 @@ from multipos.files.records import (
 )
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, read_findings
-from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
 from multipos.numerics.rotations import directions
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
@@ -218,7 +218,7 @@ CALIBRATION = Fields(
         "residual_sd": Named(Maybe(NOT_NEGATIVE)),
         "dof": Named(_DOF),
         "readings": Numbers(2),
-        "reference": Numbers(2),
+        "reference": Numbers(2, low=-LARGEST, high=LARGEST),
         "diagnostics": Fields(
             _DIAGNOSTICS.needed,
             {**FINDINGS, **_DIAGNOSTICS.optional, "model_tests": fit_diagnostics.MODEL_TESTS},

@@ -50,7 +50,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.trees import read_toml
-from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
+from multipos.numerics.arrays import COMPONENTS, FEWEST, LARGEST, Array
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.units import normal_gravity
@@ -159,7 +159,6 @@ DIVISORS = {
 }
 UNSEEN = ("own^2", "own^3", "own*|own|", "own*other")
 OF_FORCE_ALONE = ("third_order", "unseen")  # no part of the uncertainty of parameters
-_FEWEST = 1e-3  # degrees of freedom: of fewer nothing can be said
 _SPREAD = ("u", "U", "k", "half_width", "distribution", "dof")
 
 
@@ -290,8 +289,8 @@ def _quantity(where: str, name: str, table: Any) -> Quantity:
         spread |= _from_step(where, spread, settings)
     u, distribution = _size(where, spread, suffix)
     dof = _number(where, spread, "dof") if "dof" in spread else math.inf
-    if not dof >= _FEWEST:
-        raise MultiposError(f"{where}: 'dof' must be above 0, at least {_FEWEST:g}, got {dof:g}.")
+    if not dof >= FEWEST:
+        raise MultiposError(f"{where}: 'dof' must be above 0, at least {FEWEST:g}, got {dof:g}.")
     _check_settings(where, name, settings)
     return Quantity(name, u, kind.unit, distribution, dof, settings)
 

@@ -140,6 +140,8 @@ def judge_run(
     run = _whiten(c, data, known, noise, estimated)
     if run.r.size <= run.free.shape[2] or not np.isfinite(run.r).all():
         return no_agreement("too few rows at which the model has a value"), carried
+    if not (run.nu > 0.0).all():
+        return no_agreement("the noise of the readings is not known"), carried
     found, moved = _judge(run), _moved(c, run)
     whole = found.p < RATE / 2.0
     if not (whole or moved):

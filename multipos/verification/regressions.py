@@ -191,6 +191,8 @@ def _judge_run(
     r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, order: TimeOrder, run: Rows
 ) -> Agreement:
     """Return the test of eq. (2) of rows within what was fitted."""
+    if not all(np.isfinite(_covariance(s)).all() for s in r.segments):
+        return no_agreement("the noise of the readings is not known")
     rows = _rows(r, columns, place, e, run)
     noise = find_noise(np.hstack([rows.X, rows.Z]), e, order)
     laws = [*(noise.plausible[:_LAWS] if noise else ()), Law(0.0, 0.0, np.zeros(0))]
@@ -203,6 +205,11 @@ def _judge_run(
     return max(tested, key=lambda one: one.p)
 
 
+def _covariance(segment: Segment) -> Array:
+    """Return that of the coefficients (q, q); NaN where rows were too few to tell."""
+    return segment.covariance if segment.robust is None else segment.robust.covariance
+
+
 def _rows(r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, run: Rows) -> _Rows:
     blocks, roots = [], []
     between: Array | None = None
@@ -210,9 +217,8 @@ def _rows(r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, ru
         mine = np.flatnonzero(place == i)
         block = np.zeros((len(e), len(s.terms)))
         block[mine] = s.design(columns, mine)
-        C = s.covariance if s.robust is None else s.robust.covariance
         blocks.append(block)
-        roots.append(root_of(C))
+        roots.append(root_of(_covariance(s)))
         if s.between is not None and len(mine):
             z = s.between.columns(columns, mine)
             between = np.zeros((len(e), z.shape[1])) if between is None else between
@@ -238,9 +244,9 @@ def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
     left, terms = e - Q @ (Q.T @ e), X - Q @ (Q.T @ X)
     scale = np.linalg.norm(terms, axis=0)
     U, d, _ = np.linalg.svd(terms / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    B = U[:, d > _RANK * d[0]]
+    B = U[:, d > _RANK * d.max(initial=0.0)]
     nu = len(e) - Z.shape[1] - B.shape[1]
-    if nu < 1:
+    if nu < 1 or not B.shape[1]:
         return None
     b = B.T @ left
     rest = left - B @ b

@@ -56,6 +56,7 @@ def fleet(
         ("fibonacci-24", {"out": 5e-3}, {}, "outlier"),
         ("fibonacci-24", {"off_deg": 0.1}, {}, "placement"),
         ("fibonacci-24", {"drift": 2e-3}, {}, ""),
+        ("fibonacci-24", {"drift": 2e-3}, {"outputs": "ax,ay", "model": "1 + own"}, ""),
         ("fibonacci-24", {"cubic": 2e-3}, {"reading_sd": 1e-4}, "missing-term"),
         ("fibonacci-24", {"out": 5e-3}, {"reading_sd": [1e-4, 1e-4, 2e-4]}, "outlier"),
         ("fibonacci-24", {"cubic": 1e-3, "u": 1e-4}, {}, "missing-term"),

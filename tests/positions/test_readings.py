@@ -149,6 +149,7 @@ def test_unknown_outputs_are_named():
         ({"values": [[1.0]], "outputs": ("a", "b")}, "`outputs` must name 1 columns, got 2"),
         ({"values": [[1.0, 2]], "outputs": ("a", "a")}, "names a column twice"),
         ({"values": [[1.0]], "u": [[0.0]]}, "`u` of row 1 is 0; it must be above 0"),
+        ({"values": [[1.0]], "dof": [[1e-9]]}, "`dof` of row 1 is 1e-09; it must be from 0.1"),
         ({"values": [[1.0]], "sd": [[-1.0]]}, "`sd` of row 1 is -1; it must be 0 or more"),
         ({"values": [[1.0]], "u": [1.0]}, r"`u` must have shape \(1, 1\), got \(1,\)"),
         ({"values": [[1.0]], "positions": ("a", "b")}, "`positions` must have 1 labels, got 2"),

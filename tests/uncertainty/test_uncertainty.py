@@ -418,7 +418,7 @@ def test_a_third_order_term_that_was_fitted_is_not_unseen():
         ("[gravity]\nvalue = 5\nu = 1e300", "'u' must be no more than 1e+40, got 1e+300"),
         ("[gain]\nU = 1\nk = 1e-300", "'k' is 1e-300, too small for a coverage factor"),
         ("[gain]\nu = 1\ndof = 0", "'dof' must be above 0"),
-        ("[gain]\nu = 1\ndof = 1e-9", "'dof' must be above 0, at least 0.001, got 1e-09"),
+        ("[gain]\nu = 1\ndof = 1e-9", "'dof' must be above 0, at least 0.1, got 1e-09"),
         ("[gain]\nu = 1\ndof = 1e300", "'dof' must be no more than 1e+40"),
         ("[gain]\nhalf_width = 1\ndistribution = 'normal'", "has no half-width"),
         ("[gain]\nu = 1\ndistribution = 'flat'", "unknown distribution 'flat'"),

@@ -416,3 +416,28 @@ def test_the_agreement_of_a_run_by_dense_covariances(between):
     else:
         assert found.statistic == pytest.approx(Q / 3, rel=1e-9)
         assert found.p == pytest.approx(p[0], rel=1e-9)
+
+
+def test_a_model_of_no_term_is_written_read_and_checked(tmp_path):
+    """Noise shows no slope; without a constant nothing is left, and the error stays as it was."""
+    rng = np.random.default_rng(4)
+    columns = {"T": rng.standard_normal(40), "y": rng.standard_normal(40)}
+    found = mp.regress(columns, response="y", variables="T", terms="T", stepwise=True)
+    assert any("the model is zero, as it lacks 1" in text for text in texts(found))
+    found.save(tmp_path / "r.json")
+    r = mp.load_regression(tmp_path / "r.json")
+    check = mp.check(r, columns)
+    assert r.segments[0].terms == ()
+    assert_allclose(np.ravel(check.after), columns["y"])
+    with pytest.raises(MultiposError, match="is a constant, a function of no input"):
+        mp.export(r, to="c")
+
+
+@pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+def test_a_run_is_not_judged_where_fewer_rows_are_independent_than_there_are_terms():
+    rng = np.random.default_rng(1)
+    T, H, y = rng.standard_normal((3, 14))
+    columns = {"t": np.arange(14.0), "T": T.cumsum(), "H": H, "y": y.cumsum()}
+    r = mp.regress(columns, response="y", variables="T,H", robust="effective")
+    assert r.segments[0].robust.n_effective < 3.0
+    assert mp.check(r, columns).consistency.test == "none: the noise of the readings is not known"
