@@ -255,7 +255,7 @@ def _likely_chunks(chunks: Array) -> Places:
     """Return which chunks (K, n) have a sample much further from their mean than is usual."""
     found = []
     for first in range(0, len(chunks), _AT_ONCE):
-        off = np.ascontiguousarray(chunks[first : first + _AT_ONCE].T)  # long rows are fast
+        off = chunks[first : first + _AT_ONCE].T.copy()  # long rows are fast
         off -= off.sum(axis=0) / _CHUNK
         np.abs(off, out=off)
         found.append(first + np.flatnonzero(_CHUNK * off.max(axis=0) > _LIKELY * off.sum(axis=0)))
