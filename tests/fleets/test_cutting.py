@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -42,6 +43,11 @@ def ragged():
     keep = np.ones(N * UNITS, dtype=bool)
     keep[N * 30 + 5] = False
     return {name: column[keep] for name, column in table.items()}
+
+
+@cache
+def at_once():
+    return mp.fit_many(ragged(), **APART)
 
 
 def by_position(table):
@@ -93,8 +99,7 @@ def same(found, whole, *, alone=False):
     [("csv", 1, 100), ("csv", 3, 333), ("csv", 1, 1), ("parquet", 3, 100), ("parquet", 1, 333)],
 )
 def test_pieces_of_any_size_are_the_whole(tmp_path, monkeypatch, kind, files, rows):
-    table = ragged()
-    whole = mp.fit_many(table, **APART)
+    table, whole = ragged(), at_once()
     in_pieces(monkeypatch, rows)
     together = mp.fit_many(write(tmp_path / "together", table, kind, files), **APART)
     apart = mp.fit_many(write(tmp_path / "apart", by_position(table), kind, files), **APART)
@@ -107,8 +112,7 @@ def test_pieces_of_any_size_are_the_whole(tmp_path, monkeypatch, kind, files, ro
 
 
 def test_rows_in_memory_are_cut_as_well(monkeypatch):
-    table = ragged()
-    whole = mp.fit_many(table, **APART)
+    table, whole = ragged(), at_once()
     in_pieces(monkeypatch, 100)
     same(mp.fit_many(table, **APART), whole)
     same(mp.fit_many(by_position(table), **APART), whole)

@@ -22,6 +22,7 @@ from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 10
+FEW = 5  # of them, where each is fitted alone as well
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
@@ -73,18 +74,17 @@ def fleet(
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
     table = fleet(scheme, **flaw)
-    found = mp.fit_many(table, unit_column="unit", **options)
     n = len(table["unit"]) // UNITS
+    table = {name: column[: FEW * n] for name, column in table.items()}
+    found = mp.fit_many(table, unit_column="unit", **options)
     singly = [
         mp.fit({k: v[i * n : (i + 1) * n] for k, v in table.items() if k != "unit"}, **options)
-        for i in range(UNITS)
+        for i in range(FEW)
     ]
     said = [";".join(dict.fromkeys(d.code for d in serious(c.findings))) for c in singly]
-    assert found.get("findings", np.array([""] * UNITS)).tolist() == said
+    assert found.get("findings", np.array([""] * FEW)).tolist() == said
     # chance makes an outlier of a position that is off in one of a hundred, which explains the rest
-    assert (
-        not code or sum(set(code.split(";")) <= set(each.split(";")) for each in said) >= UNITS - 1
-    )
+    assert not code or sum(set(code.split(";")) <= set(each.split(";")) for each in said) >= FEW - 1
 
 
 def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amounts import rest_slow
 from log_bench import ar1, shared
 from scipy.special import ndtr
 
@@ -246,7 +247,8 @@ def means_of(series):
 
 
 @pytest.mark.parametrize(
-    ("phi", "n"), [(0.0, 1000), (0.5, 1000), (0.9, 1000), (0.95, 1000), (0.95, 3000)]
+    ("phi", "n"),
+    rest_slow([(0.0, 1000), (0.9, 1000), (0.95, 1000), (0.5, 1000), (0.95, 3000)], quick=3),
 )
 def test_standard_error_is_the_true_scatter(phi, n):
     """The issue's claim: within 10 % of the scatter, which for AR(1) has a closed form."""
