@@ -253,7 +253,13 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     of_session = np.isin([str(term) for _, term in model.keys], model.of_session)
     known = model.beliefs + np.where(of_session, 1.0 / calibration.u**2, 0.0)
     present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(known))
-    ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
+    try:
+        ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
+    except np.linalg.LinAlgError:
+        raise MultiposError(
+            "the positions of this calibration leave a parameter open, so nothing can be predicted "
+            "from them; add positions that differ more, and fit again."
+        ) from None
     covered = np.empty(len(ratio))
     for part in setting.blocks:
         # gravity adds nothing to a bias: the least ratio is that of the noise alone

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
+from multipos.files.records import LARGEST
 from multipos.files.tables import Column, Source, Table
 from multipos.fitting.fit_readings import FitOptions
 from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
@@ -386,7 +387,8 @@ class Piece:
     def _time(self) -> Array:
         """The column `time` of every row, NaN where there is none."""
         try:
-            return self._grouped.arranged(self._rows.numbers("time"))
+            time = self._grouped.arranged(self._rows.numbers("time"))
+            return np.where(np.abs(time) <= LARGEST, time, np.nan)
         except (KeyError, MultiposError):
             return np.full(self._grouped.starts[-1], np.nan)
 

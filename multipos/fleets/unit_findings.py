@@ -627,7 +627,8 @@ def _outliers(
     # as readings are off from the fit without their row, in units of the output's scale factor
     off = residuals[:, outlying] / np.maximum(1.0 - tests.leverage, _LEAST)[:, None]
     size = np.linalg.norm(sensitivity[outlying], axis=2).T[:, :, None]
-    sizes = np.sort(np.sum((off / size) ** 2, axis=0), axis=1)
+    with np.errstate(over="ignore"):  # of any size
+        sizes = np.sort(np.sum((off / size) ** 2, axis=0), axis=1)
     largest = sizes[:, -1]
     singly[outlying] = (sizes[:, -2] > _COMPARABLE * largest) & (largest > tests.nearest**2)
     return outlying, singly

@@ -419,7 +419,7 @@ def density_with_dof(lagged: Array, count: Counts, removed: Counts) -> tuple[Arr
         phi[:, : order - 1] = before - partial[:, None] * before[:, ::-1]
         phi[:, order - 1] = partial
         memory = phi[:, :order].sum(axis=1)
-        variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST)
+        variance = np.maximum(variance * (1.0 - partial**2), _SMALLEST**0.5)
         criterion = _criterion(variance, order, count)
         better = (criterion < best) & (order <= highest)
         best = np.where(better, criterion, best)

@@ -280,7 +280,7 @@ def robust_test(
         F, k = correlation.wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
         nu = fit.nu
         if fit.kind != "effective":  # Hotelling's law for an estimated covariance
-            F, nu = F * (nu - k + 1.0) / nu, nu - k + 1.0
+            F, nu = F * (nu - k + 1.0) / nu if nu > 0.0 else np.nan, nu - k + 1.0
         found = _tested(F, k, nu)
     dof = found.k, found.nu
     covariance = fit.covariance

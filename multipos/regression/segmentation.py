@@ -138,6 +138,8 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
     least_rss = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
     for m in range(1, MOST + 1):
         if m > 1:
+            if len(best) < 2:  # rows make no more segments
+                break
             total = best[:-1, np.newaxis] + cost[1:]
             last.append(total.argmin(axis=0))
             best = total.min(axis=0)

@@ -138,7 +138,7 @@ class Check(Result, Drawn):
     @property
     def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)
         """Error over expanded uncertainty (n, K), ``|e|/U``; NaN where there is no U."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(np.where(self.U > 0.0, np.abs(self.after) / self.U, np.nan))
 
     @property

@@ -442,7 +442,7 @@ def test_a_table_of_errors_is_row_by_row(monkeypatch):
 )
 def test_a_run_disagrees_as_a_whole_or_by_what_moved(p, moved, said, monkeypatch):
     """Half of a hundredth each."""
-    run = SimpleNamespace(r=np.ones((4, 2)), free=np.zeros((4, 2, 0)))
+    run = SimpleNamespace(r=np.ones((4, 2)), free=np.zeros((4, 2, 0)), nu=np.ones((4, 2)))
     told = []
     monkeypatch.setattr(agreement, "_whiten", lambda *_: run)
     monkeypatch.setattr(agreement, "_judge", lambda run: SimpleNamespace(p=p))
