@@ -1,6 +1,7 @@
 """`fit`: weights, covariances, pooling, stated noise, gravity, options, and coverage."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy import stats
 
 import multipos as mp
 from multipos.errors import MultiposError, RankError, UsageError
+from multipos.fitting.completion import _require_in_files
 
 UP14 = mp.read_scheme("faces-corners-14").up
 LINEAR = np.column_stack([np.ones(14), UP14])
@@ -485,3 +487,18 @@ def test_badly_separated_parameters_warn():
 def test_the_time_is_that_of_the_source_date_epoch(monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     assert mp.fit(mp.Readings(UP14, up=UP14)).created == "1970-01-01T00:00:00+00:00"
+
+
+def test_a_covariance_without_digits_and_a_number_of_samples_beyond_measure_are_refused(tmp_path):
+    covariance = np.array([[4.0, 6.1], [6.1, 9.0]])
+    solution = SimpleNamespace(parameters=np.array([1.0, 2.0]), covariance=covariance)
+    with pytest.raises(mp.MultiposError, match="covariances have no digits"):
+        _require_in_files(solution)
+    solution.covariance[[0, 1], [1, 0]] = 5.9  # a correlation of 59/60
+    _require_in_files(solution)
+    path = tmp_path / "six.csv"
+    path.write_text("position,ax,ay,az,n\n1,1,0,0,1e102\n", encoding="utf-8")
+    with pytest.raises(
+        mp.MultiposError, match="column 'n': 1e\\+102 is no number that is measured"
+    ):
+        mp.fit(path, scheme="faces-6")

@@ -21,6 +21,7 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import add_gravity
 from multipos.sensor.model import Model
 
+_CORRELATED = 1.0 + 1e-6  # the largest correlation, which rounding may pass
 _CARRIED = (  # from a solution as they are
     *("model", "parameters", "covariance", "parameter_dof", "dof", "residuals", "residual_sd"),
     *("reference", "status", "variance_components", "orientations", "robust_weight"),
@@ -92,6 +93,12 @@ def _require_in_files(solution: Solution) -> None:
             f"the parameter '{solution.model.names[far]}' is {solution.parameters[far]:g}, which "
             "no file takes; give the columns of the model in a smaller unit, or the readings in a "
             "larger one."
+        )
+    u = np.sqrt(np.diag(solution.covariance))
+    if (np.abs(solution.covariance) > _CORRELATED * np.outer(u, u)).any():
+        raise MultiposError(
+            "sizes of readings or columns are so far apart that covariances have no digits; set "
+            "aside what is of another size, or give columns in another unit."
         )
 
 

@@ -413,7 +413,7 @@ def nonnegative_column(
     table: Table, name: str, *, zero: bool = False, empty: bool = False
 ) -> Array:
     """Return a column of numbers above 0, or with `zero` of 0 or more; `empty` cells are NaN."""
-    values = table.number(name, empty=empty)
+    values = table.number(name, empty=empty, largest=LARGEST)
     bad = values < 0.0 if zero else values <= 0.0
     if bad.any():
         row = int(np.argmax(bad))
