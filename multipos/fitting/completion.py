@@ -97,7 +97,7 @@ def _require_in_files(solution: Solution) -> None:
     u = np.sqrt(np.diag(solution.covariance))
     if (np.abs(solution.covariance) > _CORRELATED * np.outer(u, u)).any():
         raise MultiposError(
-            "sizes of readings or columns are so far apart that covariances have no digits; set "
+            "sizes of readings or columns differ so much that covariances have no digits; set "
             "aside what is of another size, or give columns in another unit."
         )
 

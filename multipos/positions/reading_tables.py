@@ -4,6 +4,7 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 `docs/reference/formats`.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -92,7 +93,7 @@ def read_readings(
         u=_beside(table, "u", names, findings),
         dof=_beside(table, "dof", names, findings),
         sd=_beside(table, "sd", names, findings),
-        samples=nonnegative_column(table, "n") if "n" in table else None,
+        samples=nonnegative_column(table, "n", largest=LARGEST) if "n" in table else None,
         orientation_sd=spread,
         group=table.text("group") if "group" in table else None,
         force=force,
@@ -410,10 +411,15 @@ def _stands_beside(name: str, prefix: str, table: Table) -> bool:
 
 
 def nonnegative_column(
-    table: Table, name: str, *, zero: bool = False, empty: bool = False
+    table: Table,
+    name: str,
+    *,
+    zero: bool = False,
+    empty: bool = False,
+    largest: float = math.inf,
 ) -> Array:
     """Return a column of numbers above 0, or with `zero` of 0 or more; `empty` cells are NaN."""
-    values = table.number(name, empty=empty, largest=LARGEST)
+    values = table.number(name, empty=empty, largest=largest)
     bad = values < 0.0 if zero else values <= 0.0
     if bad.any():
         row = int(np.argmax(bad))
