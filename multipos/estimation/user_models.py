@@ -51,7 +51,7 @@ from multipos.estimation.known import ROUNDING, solve_known
 from multipos.estimation.problem import Optimum, Problem, Solution, State, start_state
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask
+from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.rotations import cross_matrix
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
@@ -286,8 +286,8 @@ def _curvature_bias(
     sd = solution.residual_sd
     if len(readings) > _MANY or not (np.isfinite(sd) & (sd > 0.0)).all():
         return ()
-    found = solution.covariance, sd, reference, readings.environment
-    bias = _bias(model, best.state.theta, *found)
+    bend = model.second_derivatives(best.state.theta, reference, readings.environment)
+    bias = _bias(bend, best.point.blocks, solution.covariance, sd)
     u = np.sqrt(np.diag(solution.covariance))
     far = np.abs(bias) > _STATED * u
     return tuple(
@@ -305,19 +305,10 @@ def _curvature_bias(
     )
 
 
-def _bias(
-    model: ExpressionModel,
-    parameters: Array,
-    covariance: Array,
-    sd: Array,
-    reference: Array,
-    environment: Environment,
-) -> Array:
-    """Return E p − p (p,) of eq. (3); `sd` (M,) are those of residuals."""
-    bend = model.second_derivatives(parameters, reference, environment)
+def _bias(bend: Array, blocks: Sequence[Block], covariance: Array, sd: Array) -> Array:
+    """Return E p − p (p,) of eq. (3), by d²y/dp² (n, M, p, p); `sd` (M,) are of residuals."""
     moved = np.tensordot(bend, covariance) / sd**2
-    right = np.zeros(len(parameters))
-    blocks = model.respond(parameters, reference, environment)[1]
+    right = np.zeros(len(covariance))
     for output, (places, slopes) in enumerate(blocks):
         right[places] += moved[:, output] @ slopes
     return np.asarray(-0.5 * covariance @ right)
@@ -372,7 +363,8 @@ def share_expression(c: Calibration) -> SharedExpression | None:
     columns = {name: c.readings.environment[name] for name in model.environment}
     bias = np.zeros(len(c.parameters))
     if len(c.readings) <= _MANY:
-        bias = _bias(model, c.parameters, c.covariance, sd, c.reference, columns)
+        at = c.parameters, c.reference, columns
+        bias = _bias(model.second_derivatives(*at), model.respond(*at)[1], c.covariance, sd)
     per_sd = np.abs(bias) / (c.u * model.per_parameter(sd))
     return SharedExpression(model, c.reference, columns, c.parameters, per_sd)
 
