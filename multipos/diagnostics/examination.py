@@ -420,7 +420,7 @@ CAUTIONS: tuple[Question, ...] = (
     columns.temperature_kelvin,
     open_headings,
 )
-# Cautions about what the residuals show, and cannot show.
+# Cautions about what the residuals show beside outliers, and cannot show.
 OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     poorly_determined,
     model_error.hidden_terms,
@@ -428,7 +428,6 @@ OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
     hidden_table,
     model_error.zero_per_soak,
     model_error.missing_term,
-    outlier,
     lack_of_fit,
     rejected_noise,
     orientation_error,
@@ -490,12 +489,11 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
     found += _answers(OF_OPTIONS, calibration) + _answers(CAUTIONS, calibration)
     if not errors_of(found):
         residuals = cache(partial(residuals_of, calibration))
-        more: dict[object, dict[str, Any]] = {
-            outlier: {"sought": sought},
-            orientation_error: {"residuals": residuals},
-        }
+        beyond = outlier(calibration, sought=sought)
+        off = {"residuals": residuals, "outlying": () if beyond is None else beyond.rows}
+        more: dict[object, dict[str, Any]] = {orientation_error: off}
         questions = [partial(ask, **more.get(ask, {})) for ask in OF_RESIDUALS]
-        of_rows = _answers(questions, calibration)
+        of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):
             residuals.cache_clear()  # of many rows they are large
         if any(each.code == "quantized" for each in found):  # roundings follow no law

@@ -46,6 +46,7 @@ Biometrics 51 (3).
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -79,6 +80,7 @@ _SINGULAR = 1e-14  # of what is one, that is rounding
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _ROWS = 20_000  # whose products are made at once
+_EQUAL = np.eye(3)[..., None, None]  # of three outputs
 
 
 @frozen
@@ -112,6 +114,11 @@ class Residuals:
         return np.asarray(np.mean(self.error**2 + self.stated, axis=(1, 2)))
 
     @cached_property
+    def by_output(self) -> Array:
+        """Residuals and stated variances (2, M, B, n)."""
+        return np.stack([np.moveaxis(self.error, 2, 0), np.moveaxis(self.stated, 2, 0)])
+
+    @cached_property
     def normals(self) -> Array:
         """Vectors (B, n, 3) of readings that no rotation of the position moves."""
         cofactors = cofactors_of(np.moveaxis(self.slopes, (2, 3), (0, 1)))
@@ -119,11 +126,11 @@ class Residuals:
 
     @cached_property
     def across(self) -> Array:
-        """J J' (B, n, M, M) per rad²."""
-        moved = np.einsum("bnik,nk->bni", self.slopes, self.force)
-        square = np.einsum("nk,nk->n", self.force, self.force)[:, None, None]
-        both = self.slopes @ self.slopes.transpose(0, 1, 3, 2)
-        return np.asarray(square * both - moved[..., :, None] * moved[..., None, :])
+        """J J' (M, M, B, n) per rad²."""
+        moved = np.einsum("bnik,nk->ibn", self.slopes, self.force)
+        square = np.einsum("nk,nk->n", self.force, self.force)
+        both = np.einsum("bnik,bnjk->ijbn", self.slopes, self.slopes)
+        return np.asarray(square * both - moved[:, None] * moved)
 
     @cached_property
     def parameters(self) -> Places:
@@ -168,7 +175,7 @@ class Explained(NamedTuple):
 
 def explain_equal(of: Residuals) -> Explained:
     """Return τ² equal in all outputs."""
-    unit = np.eye(of.error.shape[2])[None, None]
+    unit = np.eye(of.error.shape[2])[..., None, None]
     square = np.einsum("bnm,bnm->b", of.error, of.error) / of.freedom
     return _fit(of, [unit], (square - of.stated.mean(axis=(1, 2)))[:, None])
 
@@ -176,7 +183,7 @@ def explain_equal(of: Residuals) -> Explained:
 def explain_unequal(of: Residuals) -> Explained:
     """Return τ_i² of every output."""
     n, m = of.error.shape[1:]
-    each = [np.diag(row)[None, None] for row in np.eye(m)]
+    each = [np.diag(row)[..., None, None] for row in np.eye(m)]
     dof = np.array([n - len(own) for own in of.columns])
     return _fit(of, each, np.sum(of.error**2, axis=1) / dof - of.stated.mean(axis=1))
 
@@ -186,12 +193,12 @@ def explain_orientations(of: Residuals) -> Explained:
     unit = of.normals / np.linalg.norm(of.normals, axis=2, keepdims=True)
     square = np.einsum("bnm,bnm->b", of.error, of.error)
     along = np.sum(np.einsum("bnm,bnm->bn", unit, of.error) ** 2, axis=1)
-    size = np.einsum("bnmm->b", of.across) / (2.0 * of.error.shape[1])
+    size = np.einsum("mmbn->b", of.across) / (2.0 * of.error.shape[1])
     tau2 = along / max(of.contrasts, 1) - of.stated.mean(axis=(1, 2))
     tau2 = np.maximum(tau2, 1e-3 * of.scale * (of.stated.max(axis=(1, 2)) == 0.0))
     rest = (square - along) / max(of.freedom - of.contrasts, 1.0)
     s2 = (rest - np.maximum(tau2, 0.0) - of.stated.mean(axis=(1, 2))) / size
-    return _fit(of, [np.eye(3)[None, None], of.across], np.stack([tau2, s2], axis=1))
+    return _fit(of, [_EQUAL, of.across], np.stack([tau2, s2], axis=1))
 
 
 def hints_at_orientations(of: Residuals, equal: Explained) -> Mask:
@@ -200,7 +207,7 @@ def hints_at_orientations(of: Residuals, equal: Explained) -> Mask:
     Where it does not, s² = 0 is a minimum, and `explain_orientations` need not search.
     """
     theta = np.concatenate([equal.variances, np.zeros((len(equal.variances), 1))], axis=1)
-    slopes = _evaluate(of, [np.eye(3)[None, None], of.across], theta)
+    slopes = _evaluate(of, [_EQUAL, of.across], theta)
     return ~_held(theta, slopes)[:, 1]
 
 
@@ -252,7 +259,7 @@ class _Slopes(NamedTuple):
 
 
 def _fit(of: Residuals, components: Sequence[Array], start: Array) -> Explained:
-    """Return the variances θ (B, J) of components C_j at the minimum of eq. (2)."""
+    """Return the variances θ (B, J) of components C_j (M, M, B, n) at the minimum of eq. (2)."""
     theta = np.maximum(start, 0.0)
     here = _evaluate(of, components, theta)
     deviance = here.deviance.copy()
@@ -264,7 +271,7 @@ def _fit(of: Residuals, components: Sequence[Array], start: Array) -> Explained:
             break
         units, step, here = units[going], step[going], _some(here, going)
         left = of.some(units)
-        parts = [each if len(each) == 1 else each[units] for each in components]
+        parts = [_of_units(each, units) for each in components]
         fixed = _fixed_point(theta[units], here, _RIDGE * left.scale[:, None])
         newton = np.maximum(theta[units] + step, 0.0)
         trials = [fixed, newton] if turn < _FIXED_POINTS else [newton, fixed]
@@ -286,11 +293,15 @@ def _first_down(
         if not len(up):
             break
         trial[up] = following[up]
-        parts = [each if len(each) == 1 else each[up] for each in components]
+        parts = [_of_units(each, up) for each in components]
         other = _evaluate(of.some(up), parts, trial[up])
         for mine, each in zip(there, other, strict=True):
             mine[up] = each
     return trial, there
+
+
+def _of_units(component: Array, units: Places) -> Array:
+    return component if component.shape[2] == 1 else component[:, :, units]
 
 
 def _some(slopes: _Slopes, which: Mask) -> _Slopes:
@@ -325,69 +336,73 @@ def _step(theta: Array, here: _Slopes) -> tuple[Array, Array]:
 
 def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slopes:
     """Return the deviance with its slopes at variances θ (B, J)."""
-    (count, _, m), e = of.error.shape, of.error
-    diagonal = of.stated + (_RIDGE * of.scale)[:, None, None]
-    V = diagonal[..., None] * np.eye(m)
+    e, stated = of.by_output
+    m, count, _ = e.shape
+    V = np.zeros((m, *e.shape))
+    V[np.arange(m), np.arange(m)] = stated + (_RIDGE * of.scale)[:, None]
     for j, component in enumerate(components):
-        V = V + theta[:, j, None, None, None] * component
+        V += theta[:, [j]] * component
     W, log_det = _inverse(V)
-    S = _information(of, W)
+    WC = [np.einsum("ikbn,kjbn->ijbn", W, component) for component in components]
+    WCW = [np.einsum("ikbn,kjbn->ijbn", each, W) for each in WC]
+    S, *lost = _information(of, np.stack([W, *WCW]))
     size = np.sqrt(np.einsum("bpp->bp", S))  # outputs, and columns, may be of very unlike size
     scales = size[:, :, None] * size[:, None, :]
     unit = S / scales + _SINGULAR * np.eye(size.shape[1])  # columns may be alike but for rounding
     inverse = np.linalg.inv(unit) / scales
 
     def projected(v: Array) -> Array:
-        """Return P v of J vectors (J, B, n, M)."""
-        white = np.einsum("bnij,kbnj->kbni", W, v)
-        fitted = np.zeros((len(v), count, m * of.basis.shape[1]))
-        own = (of.basis.T @ white).swapaxes(2, 3).reshape(fitted.shape)[..., of.parameters]
-        fitted[..., of.parameters] = np.einsum("bpq,kbq->kbp", inverse, own)
-        back = of.basis @ fitted.reshape(len(v), count, m, -1).swapaxes(2, 3)
-        return np.asarray(white - np.einsum("bnij,kbnj->kbni", W, back))
+        """Return P v of J vectors (J, M, B, n)."""
+        white = np.einsum("ijbn,kjbn->kibn", W, v)
+        own = (white @ of.basis).swapaxes(1, 2).reshape(len(v), count, -1)
+        fitted = np.zeros_like(own)
+        fitted[..., of.parameters] = np.einsum("bpq,kbq->kbp", inverse, own[..., of.parameters])
+        back = fitted.reshape(len(v), count, m, -1).swapaxes(1, 2) @ of.basis.T
+        return np.asarray(white - np.einsum("ijbn,kjbn->kibn", W, back))
 
     q = projected(e[None])[0]
     log_det = log_det + np.linalg.slogdet(unit)[1] + 2.0 * np.log(size).sum(axis=1)
-    deviance = log_det + np.einsum("bnm,bnm->b", e, q)
-    expected = np.empty((count, len(components)))
-    pulled = np.empty((len(components), *e.shape))
-    for j, component in enumerate(components):
-        pulled[j] = np.einsum("bnij,bnj->bni", component, q)
-        WC = W @ component
-        lost = np.einsum("bpq,bqp->b", inverse, _information(of, WC @ W))
-        expected[:, j] = np.einsum("bnii->b", WC) - lost
-    observed = np.einsum("bnm,jbnm->bj", q, pulled)
+    pulled = np.stack([np.einsum("ijbn,jbn->ibn", component, q) for component in components])
+    traces = [
+        np.einsum("iibn->b", each) - np.einsum("bpq,bqp->b", inverse, own)
+        for each, own in zip(WC, lost, strict=True)
+    ]
     return _Slopes(
-        deviance, expected, observed, np.einsum("jbnm,kbnm->bjk", pulled, projected(pulled))
+        deviance=log_det + np.einsum("mbn,mbn->b", e, q),
+        expected=np.stack(traces, axis=1),
+        observed=np.einsum("mbn,jmbn->bj", q, pulled),
+        curvature=np.einsum("jmbn,kmbn->bjk", pulled, projected(pulled)),
     )
 
 
 def _inverse(V: Array) -> tuple[Array, Array]:
-    """Return V⁻¹ (B, n, M, M) and Σ ln det V (B,)."""
-    size = V.max(axis=(1, 2, 3), initial=np.finfo(float).tiny)  # no determinant underflows
-    V, offset = V / size[:, None, None, None], np.log(size) * V[0].size / V.shape[2]
-    if V.shape[2] != 3:
-        W = np.linalg.inv(V) / size[:, None, None, None]
-        return np.asarray(W), np.asarray(np.linalg.slogdet(V)[1].sum(axis=1) + offset)
-    moved = np.moveaxis(V, (2, 3), (0, 1))
-    cofactors = cofactors_of(moved)
-    det = np.einsum("kbn,kbn->bn", moved[0], cofactors[0])
-    W = np.ascontiguousarray(np.moveaxis(cofactors / (det * size[:, None]), (0, 1), (2, 3)))
-    return W, np.asarray(np.log(det).sum(axis=1) + offset)
+    """Return V⁻¹ (M, M, B, n) and Σ ln det V (B,)."""
+    size = V.max(axis=(0, 1, 3), initial=np.finfo(float).tiny)[:, None]  # no det underflows
+    V = V / size
+    if len(V) == 3:
+        cofactors = cofactors_of(V)
+        det = np.einsum("kbn,kbn->bn", V[0], cofactors[0])
+        W = cofactors / (det * size)
+    else:
+        last = np.moveaxis(V, (0, 1), (2, 3))
+        det = np.linalg.det(last)
+        W = np.moveaxis(np.linalg.inv(last), (2, 3), (0, 1)) / size
+    return W, np.asarray(np.sum(np.log(det) + len(V) * np.log(size), axis=1))
 
 
 def _information(of: Residuals, W: Array) -> Array:
-    """Return X'WX (B, p, p) of symmetric W (B, n, M, M)."""
-    count, n, m, _ = W.shape
+    """Return X'WX (K, B, p, p) of symmetric W (K, M, M, B, n)."""
+    kinds, m, _, count, n = W.shape
     width = of.basis.shape[1]
-    total = np.zeros((count, m * m, width * width))
+    total = np.zeros((kinds, count, m * m, width * width))
     for first in range(0, n, _ROWS):
         phi = of.basis[first : first + _ROWS]
         products = (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
-        total += W[:, first : first + _ROWS].reshape(count, -1, m * m).transpose(0, 2, 1) @ products
-    whole = total.reshape(count, m, m, width, width).transpose(0, 1, 3, 2, 4)
-    whole = whole.reshape(count, m * width, m * width)
-    return np.asarray(whole[:, of.parameters[:, None], of.parameters])
+        own = W[..., first : first + _ROWS].reshape(kinds, m * m, count, -1)
+        total += own.swapaxes(1, 2) @ products
+    whole = total.reshape(kinds, count, m, m, width, width).swapaxes(3, 4)
+    whole = whole.reshape(kinds, count, m * width, m * width)
+    return np.asarray(whole[..., of.parameters[:, None], of.parameters])
 
 
 _LEVEL = 0.01  # at which repeats reject the model, all outputs together
@@ -576,13 +591,23 @@ def rejected_noise(c: Calibration) -> Finding | None:
     )
 
 
-def orientation_error(c: Calibration, residuals: Callable[[], Residuals]) -> Finding | None:
-    """Find readings that scatter across the force, as orientation errors make them."""
+def orientation_error(
+    c: Calibration, residuals: Callable[[], Residuals], outlying: Sequence[str] = ()
+) -> Finding | None:
+    """Find readings that scatter across the force, as orientation errors make them.
+
+    Where positions are outlying, those that are not must do so too.
+    """
     if c.noise is not None or not _separable(c):
         return None
     of = residuals()
     if not across_the_force(of)[0] or significant(c.diagnostics.model_tests):
         return None
+    if outlying:
+        kept = np.array([label not in outlying for label in c.readings.labels])
+        others = _of_rows(c, kept, c.reference)
+        if others is None or not across_the_force(others)[0]:
+            return None
     degrees = _orientation_error(explain_equal(of), of.oriented)
     if degrees is None:
         return None
@@ -642,12 +667,15 @@ def understated_orientations(c: Calibration) -> Finding | None:
 
 
 def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | None:
-    """Return residuals of rows at their listed positions, by least squares; None without any.
+    """Return residuals of rows at their listed positions, whose slopes are larger where sd is."""
+    of = _of_rows(c, kept, c.sign * np.linalg.norm(c.reference, axis=1, keepdims=True) * up)
+    relative = sd[kept] / np.sqrt(np.mean(sd[kept] ** 2))
+    return None if of is None else replace(of, slopes=of.slopes * relative[:, None, None])
 
-    The slopes are larger where an orientation sd is.
-    """
-    listed = c.sign * np.linalg.norm(c.reference, axis=1, keepdims=True) * up
-    force, values = listed[kept], c.readings.values[kept]
+
+def _of_rows(c: Calibration, kept: Mask, reference: Array) -> Residuals | None:
+    """Return residuals of rows at known positions, by least squares; None without any."""
+    force, values = reference[kept], c.readings.values[kept]
     columns = {name: column[kept] for name, column in c.readings.environment.items()}
     basis, error = c.model.basis(force, columns), np.empty_like(values)
     for i, own in enumerate(c.model.columns):
@@ -656,12 +684,10 @@ def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | 
         Q = np.linalg.qr(basis[:, own])[0]
         error[:, i] = values[:, i] - Q @ (Q.T @ values[:, i])
     slopes = c.model.force_jacobian(c.parameters, force, columns)
-    relative = sd[kept] / np.sqrt(np.mean(sd[kept] ** 2))
     stated = np.zeros_like(values)
     if c.readings.noise is not None:
         stated = diagonal(c.readings.noise).reshape(c.residuals.shape)[kept]
-    scaled = slopes * relative[:, None, None]
-    return Residuals(error[None], basis, c.model.columns, scaled[None], force, stated[None])
+    return Residuals(error[None], basis, c.model.columns, slopes[None], force, stated[None])
 
 
 def _least_deviance(of: Residuals, s2: float) -> float:
@@ -669,7 +695,7 @@ def _least_deviance(of: Residuals, s2: float) -> float:
     tau2 = of.scale[0] * np.geomspace(1e-8, 1.0, 33)
     theta = np.column_stack([tau2, np.full_like(tau2, s2)])
     same = of.some(np.zeros(len(tau2), dtype=np.intp))
-    return float(_evaluate(same, [np.eye(3)[None, None], of.across], theta).deviance.min())
+    return float(_evaluate(same, [_EQUAL, of.across], theta).deviance.min())
 
 
 def unequal_noise(c: Calibration) -> Finding | None:

@@ -397,13 +397,15 @@ def _refined(plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows) -> t
     """Return the step (U,) and Λ (U,) with the slopes (U, M, 3) and scatters of each unit."""
     moved = _moved(test.family.base, slopes) * plan.weight[..., None]
     unit, last = np.moveaxis(e, 2, 0), len(test.limits) - 1
-    best, gain = place, np.full(len(place), -np.inf)
-    for step in (0, -1, 1) if last else (0,):  # a plan's slopes may be those of another unit
-        tried = np.clip(place + step, 0, last)
-        after = np.arange(len(e)) >= test.family.steps[tried][:, None]
-        found = fit_sizes(plan.bases, moved * after[:, :, None, None], unit)[1]
-        best, gain = np.where(found > gain, tried, best), np.maximum(found, gain)
-    return best, gain
+    near = np.array([0, -1, 1] if last else [0])  # a plan's slopes may be those of another unit
+    tried = np.clip(place + near[:, None], 0, last)
+    after = np.arange(len(e)) >= test.family.steps[tried][..., None]
+    Z = moved * after[..., None, None]
+    every = fit_sizes(plan.bases, Z.reshape(-1, *Z.shape[2:]), np.tile(unit, (len(near), 1, 1)))[1]
+    gain = every.reshape(tried.shape)
+    gain = np.where(gain > -np.inf, gain, -np.inf)  # of readings beyond all numbers
+    best = np.argmax(gain, axis=0), np.arange(len(place))
+    return tried[best], gain[best]
 
 
 def _moved(base: Array, slopes: Array) -> Array:

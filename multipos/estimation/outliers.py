@@ -160,7 +160,9 @@ def _off_line(
             for X, axis in zip(designs, model.axes, strict=True)
         ]
 
-    each = tuple(view_of([X], y[:, [m]])[0] for m, X in enumerate(designs))
+    each = views[-1]
+    if len(each_once) > 1:
+        each = tuple(view_of([X], y[:, [m]])[0] for m, X in enumerate(designs))
     if _is_explained(each, kept, y, map(with_terms, _KINDS)):
         return None
     left, response = fitted(kept)

@@ -196,6 +196,7 @@ def find_in_units(
         "lack-of-fit": lacking_fit,
         "placement": misplaced,
     }
+    singly |= scored & outlying & misplaced  # are the other rows so as well?
     if tests.soaks:
         singly |= missing | scored
     if of.leverage is not None:  # repeats and order were asked as of readings that weigh equally

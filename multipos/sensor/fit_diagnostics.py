@@ -176,8 +176,9 @@ def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Arr
     total = np.einsum("bn,bn->b", weight, left)[:, None]
     v = np.repeat(np.einsum("bn,bn->b", weight, q[:, 0])[:, None] / total, len(_DS), axis=1)
     both = np.stack([weight * q[:, 0], weight], axis=2)
+    dofs, w = d + m, np.empty(np.broadcast_shapes(d.shape, q.shape))
     for _ in range(_STEPS):  # of a parameter-expanded EM, whose w has the mean one
-        w = (d + m) / (d + q / v[:, :, None])
+        np.divide(dofs, np.add(d * v[:, :, None], q, out=w), out=w)  # over v, which cancels
         sums = w @ both
         v = sums[:, :, 0] / sums[:, :, 1] / total * weight.sum(axis=1)[:, None]
     gammas = [[math.lgamma((each + k) / 2.0) for k in range(outputs + 1)] for each in _DS.tolist()]

@@ -176,7 +176,7 @@ def test_steps_follow_the_slopes_of_the_deviance():
         force,
         np.full((2, 24, 3), 4e-9),
     )
-    parts = [np.eye(3)[None, None], found.across]
+    parts = [np.eye(3)[..., None, None], found.across]
     theta, by = np.array([[9e-9, 2e-9], [4e-9, 1e-9]]), np.diag([1e-12, 1e-12])
     here = residuals._evaluate(found, parts, theta)
     slopes = np.empty((2, 2))

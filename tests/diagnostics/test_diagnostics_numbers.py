@@ -531,10 +531,11 @@ def test_information_of_outputs_whose_weights_covary():
     rng = np.random.default_rng(2)
     phi, roots = rng.normal(size=(5, 3)), rng.normal(size=(2, 5, 2, 3))
     W = roots @ roots.transpose(0, 1, 3, 2)
+    by_output = np.moveaxis(W, (2, 3), (0, 1))
     of = SimpleNamespace(basis=phi, parameters=np.array([0, 2, 3, 4]))
     X = np.stack([np.kron(np.eye(2), row) for row in phi])[:, :, of.parameters]  # (n, M, p)
     by_hand = np.einsum("nmp,bnmk,nkq->bpq", X, W, X)
-    assert_allclose(_information(of, W), by_hand, rtol=1e-10)
+    assert_allclose(_information(of, by_output[None])[0], by_hand, rtol=1e-10)
 
 
 # --- outputs, units and temperatures
@@ -1239,7 +1240,7 @@ def test_variances_far_below_one_have_an_inverse(outputs):
     """1e-120 V: its determinant is no number, its logarithm −120 ln 10 less an output and row."""
     A = np.random.default_rng(2).normal(size=(2, 5, outputs, outputs))
     V = A @ A.transpose(0, 1, 3, 2) + np.eye(outputs)
-    W, log_det = _inverse(1e-120 * V)
-    assert_allclose(W * 1e-120, np.linalg.inv(V), rtol=1e-9)
+    W, log_det = _inverse(1e-120 * np.moveaxis(V, (2, 3), (0, 1)))
+    assert_allclose(np.moveaxis(W, (0, 1), (2, 3)) * 1e-120, np.linalg.inv(V), rtol=1e-9)
     wanted = np.linalg.slogdet(V)[1].sum(axis=1) - 5 * outputs * 120.0 * math.log(10.0)
     assert_allclose(log_det, wanted, rtol=1e-12)
