@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.mutation.__main__ import draw
-from tests.mutation.changes import changes_of
+from tests.mutation.changes import Change, changes_of
 from tests.mutation.trying import Reached, _waited
 
 SOURCE = '''
@@ -47,6 +47,15 @@ def test_every_change_is_code(tmp_path):
         assert ast.dump(ast.parse(copy.read_bytes())) != ast.dump(
             ast.parse(Path(change.path).read_bytes())
         )
+
+
+def test_tests_of_the_line_come_first_and_those_that_a_cache_hides_last():
+    reached = Reached(
+        {"a": 0.3, "b[0]": 0.2, "b[1]": 0.1, "c": 0.05, "d": 0.01, "e": 50.0},
+        {"known.py": {7: ["a", "b[0]", "b[1]"], 8: ["c", "a"]}},
+    )
+    change = Change(Path("known.py"), 7, "1", "2", 0, 1)
+    assert reached.tests_of(change) == ["b[1]", "a", "b[0]", "c", "d"]
 
 
 def test_what_waits_without_the_processor_is_given_up():

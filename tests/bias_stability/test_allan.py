@@ -48,6 +48,12 @@ def test_small_sums_by_hand():
     assert_allclose(variances, [341.0 / (2 * 5), (81 + 324 + 1296) / (2 * 4 * 3)], rtol=1e-15)
 
 
+def test_samples_far_from_zero_keep_their_digits():
+    """Alternating by 2⁻¹⁰ about 10⁹, which a sum of 20,000 would leave no digit of: z = ±2⁻¹⁰."""
+    _, variances = curve(1e9 + 2.0**-10 * (np.arange(20_000) % 2))
+    assert variances[0] == pytest.approx(2.0**-20 / 2.0, rel=1e-9, abs=0.0)
+
+
 def test_published_deviations_of_the_nbs_and_the_thousand_point_set():
     """W. J. Riley, *The Calculation of Time Domain Frequency Stability*: its two sets of data."""
     # eq. (1) of bias_stability.allan

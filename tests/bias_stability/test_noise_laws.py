@@ -59,6 +59,15 @@ def test_a_filter_at_short_times_is_left_out():
     assert found.root(0, 1.0)[0] == pytest.approx(1.0, rel=0.05)
 
 
+def test_without_the_shortest_time_the_rest_is_as_if_it_had_never_been():
+    lengths = octaves(100_000)
+    curve = law_variances(np.array(lengths, dtype=float))[:, :3] @ [4.0, 0.01, 1e-6]
+    curve[0] *= 0.3
+    found, alone = fit_laws(lengths, curve, [100_000]), fit_laws(lengths[1:], curve[1:], [100_000])
+    assert (found.first, alone.first) == (1, 0)
+    assert_allclose(found.covariance, alone.covariance, rtol=1e-12)
+
+
 def test_u_of_a_coefficient_by_hand():
     # eq. (5) of bias_stability.allan
     laws = Laws(np.array([4.0, 0.0, 1.0]), np.diag([0.04, 0.09, 4.0]), 0, 0.0, 1)

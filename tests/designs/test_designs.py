@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.designs import exchange
+from multipos.designs.assessment import schemes_text
 from multipos.designs.criteria import (
     Criterion,
     kernels,
@@ -270,6 +271,14 @@ def test_efficiencies_of_uneven_faces_by_hand():
     assert entry["u"]["ay:1"] == pytest.approx(0.002 / math.sqrt(8))
     assert entry["u"]["ay:x"] == pytest.approx(0.002 * math.sqrt(2 / 8))
     assert entry["u"]["ay:y"] == pytest.approx(0.002 * math.sqrt(4 / 8))
+
+
+def test_a_scheme_alone_is_printed_with_its_positions_and_u():
+    alone, both = (schemes_text(mp.schemes("faces-6", *more)) for more in ((), ("all-26",)))
+    rows = [line.split() for line in alone.splitlines()]
+    assert ["4", "0.000000", "-1.000000", "0.000000"] in rows
+    assert ["az", "x", "0.7071"] in rows  # √½
+    assert "0.7071" not in both
 
 
 def test_all_named_schemes_come_best_first():

@@ -19,7 +19,6 @@ from multipos.diagnostics.repairs import (
     rows_in_another_unit,
 )
 from multipos.diagnostics.scales import facing, turned
-from multipos.numerics.arrays import resolution
 
 MATRIX = np.array([[0.98, 0.01, -0.005], [0.004, 1.02, 0.01], [-0.01, 0.003, 0.99]])
 G = 9.80665
@@ -237,14 +236,6 @@ def test_copies_are_told_from_repeats():
     # repeats of a converter so coarse that noise does not show are repeats all the same
     coarse, _ = codes(np.round(sense(up, noise=1e-4), 2), up, "warning")
     assert not {"repeated-rows", "lack-of-fit"} & set(coarse)
-
-
-@pytest.mark.parametrize(
-    ("values", "step"),
-    [([0.25, 1.0, -0.5, 0.0], 0.25), ([3.0, 12.0, 21.0], 9.0), ([0.1, 0.1 + np.pi, 2.0], 0.0)],
-)
-def test_the_step_of_a_converter(values, step):
-    assert resolution(np.array(values)) == pytest.approx(step, abs=1e-12)
 
 
 def test_the_linear_view_is_least_squares():

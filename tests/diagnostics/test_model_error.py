@@ -224,6 +224,9 @@ def test_a_term_is_hidden_by_hand():
     r = (0.125 + np.sqrt(0.125**2 - 4.0 * 0.03 / 16.0)) / 0.06
     assert hides(gram, error, np.eye(2), 0.99 * r / 4.0)
     assert not hides(gram, error, np.eye(2), 1.01 * r / 4.0)
+    for k in (1e-15, 1e15):  # the same in any unit of the readings
+        assert hides(k * gram, error, np.eye(2), 0.99 * r / 4.0 / k)
+        assert not hides(k * gram, error, np.eye(2), 1.01 * r / 4.0 / k)
 
 
 def test_the_terms_that_a_model_may_lack_by_name():

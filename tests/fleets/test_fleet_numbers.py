@@ -15,7 +15,7 @@ from multipos.estimation.known import share_design
 from multipos.files.tables import Table
 from multipos.fleets import line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
-from multipos.fleets.grouping import find_trials, group_rows
+from multipos.fleets.grouping import Conditions, find_trials, group_rows
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import _ends_repeat, _findings, _with_gravity, find_suspects
 from multipos.fleets.sources import _labelled
@@ -387,6 +387,22 @@ def test_the_part_of_gravity_and_what_comes_of_single_fits():
     np.testing.assert_allclose(freedom, 11.0 * (wanted / u) ** 4)
     pattern.gravity.u = 0.0
     assert _with_gravity(pattern, found)[0] is u
+
+
+def test_units_whose_numbers_no_fit_takes_come_alone():
+    """Of eight alike u3 and u4 are of n = 0, u6 and u7 of an sd below 0; none and 0 are taken."""
+    n, sd = np.full(16, 50.0), np.full(16, 0.0)
+    n[[4, 5, 6, 7]], sd[[10, 12]] = 0.0, -1e-3
+    columns = {"ax": np.tile([0.1, -0.2], 8), "n": n, "sd_ax": sd}
+    table = SimpleNamespace(
+        unit=labels_from(np.repeat([f"u{k}" for k in range(1, 9)], 2).tolist()),
+        station=labels_from([""] * 16),
+        columns=tuple(columns),
+        numbers=columns.__getitem__,
+        written=str,
+    )
+    groups = Conditions(table, group_rows(table), ["ax"], ()).groups()
+    assert [units.tolist() for units in groups] == [[2], [3], [5], [6], [0, 1, 4, 7]]
 
 
 def test_trials_are_of_what_all_units_were_at():

@@ -77,11 +77,14 @@ class Reached:
     lines: dict[str, dict[int, list[str]]]
 
     def tests_of(self, change: Change) -> list[str]:
-        """Return the tests to try a change with: those of its line, then those of its file."""
+        """Return the tests to try a change with: those of its line, of its file, and the others.
+
+        What a cache or a fixture kept of a line shows which test asked first, and no other.
+        """
         file = self.lines.get(str(change.path), {})
         rest = {name for names in file.values() for name in names}
         chosen: list[str] = []
-        for names in (file.get(change.line, []), rest):
+        for names in (file.get(change.line, []), rest, self.seconds):
             known = sorted(self.seconds.keys() & set(names), key=self.seconds.__getitem__)
             chosen += [name for name in _each_function_first(known) if name not in set(chosen)]
         left = _ENOUGH

@@ -7,6 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
+from multipos.errors import UsageError
+from multipos.numerics.arrays import require_rate, resolution
 from multipos.numerics.levenberg_marquardt import _Going, _rise, _step
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 
@@ -56,3 +58,19 @@ def test_chi_square_of_billions_of_degrees_of_freedom(z):
     x = dof + z * np.sqrt(2.0 * dof)
     assert chi2_tail(x, dof) == pytest.approx(norm.sf(z), rel=1e-3)
     assert chi2_quantile(norm.cdf(z), dof) - dof == pytest.approx(x - dof, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("values", "step"),
+    [([0.25, 1.0, -0.5, 0.0], 0.25), ([3.0, 12.0, 21.0], 9.0), ([0.1, 0.1 + np.pi, 2.0], 0.0)],
+)
+def test_the_step_of_a_converter(values, step):
+    assert resolution(np.array(values)) == pytest.approx(step, abs=1e-12)
+
+
+@pytest.mark.parametrize("rate", [1e-12, 1e7])
+def test_rates_are_from_a_sample_in_thirty_thousand_years_to_ten_megahertz(rate):
+    require_rate(rate)
+    for beyond in (rate * (0.9 if rate < 1.0 else 1.1), 0.0, np.nan):
+        with pytest.raises(UsageError, match=r"^--rate must be above 0, from 1e-12 to 1e\+07 Hz"):
+            require_rate(beyond)

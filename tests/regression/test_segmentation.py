@@ -146,6 +146,13 @@ def test_a_response_that_is_nothing_has_no_edges():
         assert find_edges(values, design, response, minimum=5) == ()
 
 
+@pytest.mark.parametrize(("values", "edges"), [((20.0, 30.0), (25.0,)), ((20.0, 20.0), ())])
+def test_one_kind_of_value_has_no_edge_and_two_have_one(values, edges):
+    t = np.repeat(values, 12)
+    y = np.repeat([0.0, 1.0], 12) + 1e-3 * np.random.default_rng(7).normal(size=24)
+    assert find_edges(t, np.ones((24, 1)), y, minimum=4) == edges
+
+
 def test_causal_rate_by_hand():
     """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
     # eq. (2) of regression.observations

@@ -156,6 +156,14 @@ def test_autopilots_correct_by_their_own_equation(target, unit, form, tmp_path):
     assert not verified.findings
 
 
+@pytest.mark.parametrize(("single", "tolerance"), [(False, 5e-8), (True, 2.5e-5)])
+def test_c_is_held_to_digits_of_the_field(single, tolerance):
+    """1e-9 of some 50 µT, and 5e-7 of it in single precision."""
+    cal = mp.fit(readings(sd=0.0)[0], unit="uT", field_size=SIZE)
+    (said,) = re.findall(r"\(off < ([-.e\d]+)", mp.export(cal, "c", float=single).test)
+    assert float(said) == pytest.approx(tolerance)
+
+
 @pytest.mark.parametrize(("factor", "more", "kind"), [(1.0, 400.0, "OFS"), (6.0, 0.0, "DIA")])
 def test_ardupilot_takes_offsets_to_1800_milligauss_and_scales_from_a_fifth(factor, more, kind):
     rows, _ = readings(sd=0.0)

@@ -288,6 +288,16 @@ def test_u_of_the_next_session_by_quadrature():
     assert dof[0] == 2.0
 
 
+@pytest.mark.parametrize(
+    ("sources", "source"), [(("a.csv", "b.csv", "a.csv"), "a.csv, b.csv"), ((None,) * 3, None)]
+)
+def test_readings_of_all_sessions_name_their_files_once(sources, source):
+    one = session(np.random.default_rng(2))[0].readings
+    joined = combining._joined([replace(one, source=each) for each in sources])
+    assert joined.source == source
+    assert joined.labels == one.labels * 3
+
+
 def test_u_of_the_next_session_is_the_same_in_any_unit():
     rng = np.random.default_rng(3)
     p, own, share = rng.standard_normal((3, 4)), np.full((3, 4), 0.2), np.full((3, 4), 1.0 / 3.0)

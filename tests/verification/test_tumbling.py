@@ -1,20 +1,22 @@
 """Tumbles of several outputs, any mix of rolls, passes both ways, forces beside gravity."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose, assert_array_equal
-from tumble_bench import TRUTH, output, triad
+from tumble_bench import TRUTH, output, triad, tumble
 
 import multipos as mp
 from multipos import cli
 from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
-from multipos.verification.coefficients import fitted_coefficients
+from multipos.verification import coefficients
+from multipos.verification.coefficients import find_hidden_table, fitted_coefficients
 from multipos.verification.tumbling import passes
 
 
@@ -202,3 +204,13 @@ def test_what_the_table_hides_stands_in_units_of_the_coefficients():
     found = mp.tumble({"E": volt, "roll_axis": ["z"] * 24, "angle_deg": angle}, unit="V")
     (said,) = texts(found)
     assert "change K0 by 175 µg, Kip by 175 µg/g². " in said
+
+
+def test_what_the_table_hides_is_said_only_where_all_have_a_u(monkeypatch):
+    """And not of a table that is known, or of rolls that show every harmonic."""
+    one = tumble("roll-z-24", sd=1e-5)
+    assert find_hidden_table(one.coefficients, one.calibration, "x")
+    bare = one.coefficients | {"K0": replace(one.coefficients["K0"], U=np.nan)}
+    assert find_hidden_table(bare, one.calibration, "x") == ()
+    monkeypatch.setattr(coefficients, "changes_unseen", lambda c: np.zeros(len(c.parameters)))
+    assert find_hidden_table(one.coefficients, one.calibration, "x") == ()
