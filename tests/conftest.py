@@ -17,6 +17,7 @@ gc.disable()  # what collecting makes stays: there is no rubbish to look for
 def pytest_collection_finish() -> None:
     """Leave what all tests share out of what each collection of rubbish looks through."""
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)  # rubbish is little, and each look for it walks all results
     gc.enable()
 
 

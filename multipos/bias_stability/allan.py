@@ -326,15 +326,24 @@ def _best(lengths: Sequence[int], variances: Array, records: Sequence[int], firs
 
 def _not_negative(A: Array, y: Array) -> Array:
     """Return the least-squares solution of A x = y with x ≥ 0, over all sets of a few columns."""
-    best, least = np.zeros(A.shape[1]), math.inf
-    for count in range(1, A.shape[1] + 1):
-        for chosen in combinations(range(A.shape[1]), count):
-            x = np.linalg.lstsq(A[:, chosen], y, rcond=None)[0]
-            left = y - A[:, chosen] @ x
-            if (x >= 0.0).all() and float(left @ left) < least:
-                best, least = np.zeros(A.shape[1]), float(left @ left)
-                best[list(chosen)] = x
+    information, moment = A.T @ A, A.T @ y
+    np.fill_diagonal(information, (1.0 + 1e-13) * np.diag(information))  # columns may be equal
+    chosen = _sets(A.shape[1])
+    # In rows and columns outside a set stands the identity, so that all are solved in one call.
+    normal = np.where(chosen[:, :, None] & chosen[:, None, :], information, np.eye(A.shape[1]))
+    found = np.linalg.solve(normal, (chosen * moment)[:, :, None])[:, :, 0]
+    gain = np.where((found >= 0.0).all(axis=1), found @ moment, -math.inf)  # of |y|²
+    best, used = np.zeros(A.shape[1]), chosen[int(np.argmax(gain))]
+    if gain.max() > 0.0:
+        best[used] = np.linalg.lstsq(A[:, used], y, rcond=None)[0].clip(0.0)
     return best
+
+
+@cache
+def _sets(count: int) -> Array:
+    """Return all sets (2^n − 1, n) of some columns but the empty one, the smallest first."""
+    sets = [set(s) for k in range(1, count + 1) for s in combinations(range(count), k)]
+    return np.array([[i in each for i in range(count)] for each in sets])
 
 
 def _fit(
