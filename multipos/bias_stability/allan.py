@@ -59,7 +59,7 @@ from typing import IO, NamedTuple, Self
 
 import numpy as np
 
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.quantiles import chi2_tail
 
 FLICKER = 2.0 * np.log(2.0) / np.pi  # of B² in eq. (2); its root is .664
@@ -340,7 +340,7 @@ def _not_negative(A: Array, y: Array) -> Array:
 
 
 @cache
-def _sets(count: int) -> Array:
+def _sets(count: int) -> Mask:
     """Return all sets (2^n − 1, n) of some columns but the empty one, the smallest first."""
     sets = [set(s) for k in range(1, count + 1) for s in combinations(range(count), k)]
     return np.array([[i in each for i in range(count)] for each in sets])
