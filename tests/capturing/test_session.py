@@ -111,6 +111,20 @@ def test_rows_that_are_no_longer_needed_are_let_go(folder):
     assert kept < 0.5 * session.rows.rows
 
 
+@pytest.mark.parametrize(
+    ("asked", "stated", "unit"),
+    [("V", " [mg]", "V"), (None, " [mg]", "mg"), ("V", "", "V"), (None, "", "reading")],
+)
+def test_readings_are_in_the_unit_asked_for_or_that_of_the_log(asked, stated, unit, tmp_path):
+    head = np.array([np.arange(40) / 100.0, *np.tile([[0.1], [0.2], [0.9]], 40)])
+    names = ("time", *(f"{name}{stated}" for name in ("ax", "ay", "az")))
+    log = log_bench.write_csv(tmp_path / "log.csv", dict(zip(names, head, strict=True)))
+    fitting = {} if asked is None else {"unit": asked}
+    session = Session(make_plan((), None, None, fitting), make_reading(*[None] * 6))
+    session.begin(open_log(log), head)
+    assert session.model.unit == unit
+
+
 def test_rows_of_the_log_are_counted_with_those_left_out_and_let_go(folder):
     path = log_of(folder / "short.csv", "faces-6", seed=5)
     source = open_log(path)

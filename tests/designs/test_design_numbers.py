@@ -1,6 +1,7 @@
 """Numbers of designs by hand or by a second route, at points without symmetry."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -32,6 +33,7 @@ from multipos.designs.exchange import _roughly, _tidy, polish
 from multipos.designs.information import Setting, tangents
 from multipos.designs.optimum import _length, _spread
 from multipos.designs.prospects import information_of, measured, worth_sentence, worth_text
+from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 
@@ -240,6 +242,35 @@ def test_the_drift_of_a_session_is_as_well_known_as_it_is():
     known = np.zeros(len(cal.u))
     known[drifts] = 1.0 / cal.u[drifts] ** 2
     assert_allclose(present - without, np.diag(known), rtol=1e-9, atol=1e-3)
+
+
+def test_slow_noise_of_a_bias_falls_with_more_readings_and_what_gravity_adds_does_not(monkeypatch):
+    """Biases 2 times as uncertain as by the noise alone, scales 1.5 times, crosses as by it."""
+    up = read_scheme("all-26").up
+    cal = mp.fit(mp.Readings(up + 1e-3 * away_from_zero((26, 3)), up=up, unit="g"), reading_sd=1e-3)
+    size = np.tile([2.0, 1.0, 1.0, 1.0], 3)
+    size[[1, 6, 11]] = 1.5
+    known = replace(cal, covariance=cal.covariance * np.outer(size, size))
+    for order, bias in ((np.arange(26), 4.0), (None, 1.0)):
+        monkeypatch.setattr(
+            "multipos.designs.prospects.order_in_time", lambda _, order=order: order
+        )
+        found = measured(known)[2] / measured(cal)[2]
+        assert_allclose(found, np.tile([bias, 1.0, 1.0, 1.0], 3), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "u"), [(0.0, 1e-3), (np.nan, 1e-3), (1e-3, np.nan)])
+def test_without_noise_or_u_nothing_is_predicted(size, u):
+    cal = SimpleNamespace(
+        model=SimpleNamespace(environment=(), outputs=("ax",)),
+        readings=None,
+        estimator=None,
+        residual_sd=np.array([size]),
+        noise=None,
+        u=np.array([u]),
+    )
+    with pytest.raises(MultiposError, match="no reading noise to predict from"):
+        measured(cal)
 
 
 def test_included_positions_stay_and_a_curve_has_eight_points():

@@ -11,6 +11,7 @@ import multipos as mp
 from multipos.diagnostics.row_order import (
     _MOST,
     LEVEL,
+    _along_normals,
     _correlation,
     _law_of_slow,
     _some,
@@ -97,6 +98,23 @@ def test_settling_of_one_output_is_named():
     (finding,) = mp.fit(mp.Readings(y[:, None], up=up), model="linear").findings
     assert finding.code == "settling"
     assert abs(float(re.search(r"([\d.]+) %", finding.text)[1]) - 5.0) < 0.5
+
+
+def test_misfits_along_the_force_have_the_variance_of_their_outputs():
+    """e_i = n·r / √(n's²n), n = K⁻ᵀf of an unknown orientation; axes of .1, .2 and .4 mg."""
+    c = world("", 4, unknown_orientation=True, reading_sd=[1e-4, 2e-4, 4e-4])
+    X, e, across = _along_normals(c)
+    inverse = np.linalg.inv(c.sensitivity)
+    for row in (0, 7, 23):
+        normal, sd = inverse.T @ c.reference[row], c.sd_of_readings[row]
+        size = math.sqrt(sum((normal * sd) ** 2))
+        assert e[row] == pytest.approx(normal @ c.residuals[row] / size, rel=1e-9)
+        assert across[row] == pytest.approx(normal * sd / size, rel=1e-9)
+        f = dict(zip("1xyz", (1.0, *c.reference[row]), strict=True))
+        column = [
+            normal[c.outputs.index(output)] * f[str(term)] / size for output, term in c.model.keys
+        ]
+        assert X[row] == pytest.approx(column, rel=1e-9)
 
 
 @pytest.mark.parametrize("cause", ["slipped", "replaced"])

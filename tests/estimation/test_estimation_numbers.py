@@ -14,6 +14,7 @@ from scipy.stats import chi2, t
 
 import multipos as mp
 from multipos.estimation import (
+    batches,
     correlated_rows,
     excess_variance,
     known,
@@ -25,6 +26,7 @@ from multipos.estimation import (
     starts,
     stated_uncertainty,
     uncertain,
+    uncertain_orientations,
 )
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
 from multipos.estimation.gains import information_at
@@ -1137,3 +1139,35 @@ def test_outputs_of_one_design_have_their_degrees_of_freedom_together():
     basis = np.linalg.qr(np.random.default_rng(1).normal(size=(5, 2)))[0]
     part = excess_variance.Part(basis, np.eye(2), np.zeros((1, 5, 3)), np.ones((1, 5)))
     assert part.degrees == 9.0
+
+
+@pytest.mark.parametrize(("near", "clear"), [(1e-7, True), (1e-9, False)])
+def test_a_unit_is_clear_whatever_the_size_of_its_parameters(near, clear):
+    """Two parameters with a correlation of 1 − near, of eigenvalues near and 2, in units of 10⁶."""
+    scale = np.array([1e-6, 1e6])
+    information = np.array([[1.0, 1.0 - near], [1.0 - near, 1.0]]) * np.outer(scale, scale)
+    place = SimpleNamespace(theta=np.array([[0.5, 3.0]]), q=np.full((1, 4), 2.5))
+    units = SimpleNamespace(
+        found=place,
+        search=SimpleNamespace(
+            variance=np.full((3, 1, 4), 1e-6),
+            linearise=lambda at: SimpleNamespace(information=information[None]),
+        ),
+    )
+    shared = SimpleNamespace(model=SimpleNamespace(own_scales=(1,)), dof=9.0)
+    found = uncertain_orientations._are_clear(shared, units, np.array([[1.0, 1e-3]]))
+    assert found.tolist() == [clear]
+
+
+def test_outputs_beside_three_axes_are_not_compensated_by_steps():
+    """A fourth output with a square: no steps of an inverse end at the force that acts."""
+    model = build_model("1 + own + own^2", ("ax", "ay", "az", "a2"), ("x", "y", "z", "x"))
+    theta = np.zeros((2, 4, len(model.basis_terms)))
+    for column, term in enumerate(model.basis_terms):
+        theta[:, :, column] = [str(term) == axis for axis in "xyzx"]
+    force = np.eye(3)
+    values = np.repeat(force[:, [0, 1, 2, 0]].T[:, None], 2, axis=1)
+    left, inverted = batches.compensated(model, {}, force, theta, values, 0.0 * values)
+    assert np.isnan(left).all()
+    assert left.shape == (2, 3, 3)
+    assert inverted.sound.tolist() == [False, False]

@@ -1,6 +1,7 @@
 """Noise parameters of a static record, as Kalibr and ROS define them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError, UsageError
+from multipos.exports import target_matrices
 
 RATE, SD = 50.0, 2e-3  # [Hz], of one sample [g]
 
@@ -68,3 +70,23 @@ def test_a_density_of_zero_is_none(to):
     assert min(each.white_noise.value for each in found.outputs.values()) == 0.0
     with pytest.raises(mp.MultiposError, match=r"hides the white noise of 'a[xyz]'.*at rest"):
         mp.export(found, to=to)
+
+
+def test_densities_of_raw_outputs_are_turned_into_metres_by_the_calibration(monkeypatch):
+    """At 2 V a g: 4e-3 V/√Hz and 6e-5 V/s/√Hz are 2e-3 and 3e-5 of g, of the noisiest output."""
+    monkeypatch.setattr(target_matrices, "in_metres", lambda calibration, to: 9.80665 / 2.0)
+    of = {"ax": (4e-3, 1e-5), "ay": (1e-3, 6e-5), "f_x": (4e-3, 1e-5)}
+    laws = {
+        name: SimpleNamespace(
+            white_noise=SimpleNamespace(value=N), random_walk=SimpleNamespace(value=K)
+        )
+        for name, (N, K) in of.items()
+    }
+    calibration = SimpleNamespace(outputs=("ax", "ay"), model=SimpleNamespace(unit="V"))
+    record = SimpleNamespace(outputs={name: laws[name] for name in ("ax", "ay")}, unit="V")
+    found = target_matrices.densities(calibration, record)
+    assert found == pytest.approx((2e-3 * 9.80665, 3e-5 * 9.80665))
+    for outputs, unit in ((record.outputs, "mV"), ({"f_x": laws["f_x"]}, "V")):
+        other = SimpleNamespace(outputs=outputs, unit=unit)
+        with pytest.raises(MultiposError, match=f"stability is in '{unit}'"):
+            target_matrices.densities(calibration, other)

@@ -219,3 +219,17 @@ def test_a_second_lies_between_the_signal_that_says_why_and_the_end():
     done = subprocess.run(show, capture_output=True, text=True, check=True, preexec_fn=_bound)
     soft = min(_SECONDS, largest)
     assert done.stdout.split() == [f"{soft}", f"{min(soft + 1, largest)}"]
+
+
+@pytest.mark.parametrize(("hard", "seconds"), [(-1, (60, 61)), (30, (30, 30)), (90, (60, 61))])
+def test_what_runs_is_bounded_by_what_the_system_allows(hard, seconds, monkeypatch):
+    resource = pytest.importorskip("resource")
+    limits = {}
+    monkeypatch.setattr(resource, "RLIM_INFINITY", -1)
+    monkeypatch.setattr(resource, "getrlimit", lambda what: (hard, hard))
+    monkeypatch.setattr(resource, "setrlimit", limits.__setitem__)
+    _bound()
+    assert limits[resource.RLIMIT_CPU] == seconds
+    bytes_ = (4 << 30,) * 2 if hard == -1 else (hard, hard)
+    assert limits[resource.RLIMIT_AS] == bytes_
+    assert limits[resource.RLIMIT_CORE] == (0, 0)

@@ -13,7 +13,7 @@ from multipos.diagnostics.examination import are_open
 from multipos.diagnostics.model_error import columns_of
 from multipos.estimation.known import share_design
 from multipos.files.tables import Table
-from multipos.fleets import line, stations, unit_findings
+from multipos.fleets import fleet_text, line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import Conditions, find_trials, group_rows
 from multipos.fleets.labels import Labels
@@ -568,3 +568,29 @@ def test_texts_in_columns_of_labels_become_labels():
     assert found.columns["unit"].names == ("u", "v")
     assert found.columns["weight"] is weight
     assert list(found.columns) == ["unit", "weight", "ax"]
+
+
+def test_of_what_explains_the_residuals_of_a_unit_the_best_is_kept():
+    """Units of a drift alone, of one far better and far worse than a row, of two alike, of none."""
+    shown = SimpleNamespace(score=np.array([[9.0, 30.0, 9.0, 9.5, -np.inf]]), codes=("drift",))
+    codes = {
+        "terms": np.zeros(5, dtype=bool),
+        "outlier": np.array([False, True, True, True, True]),
+        "fit": np.array([False, True, False, False, True]),
+        "placement": np.zeros(5, dtype=bool),
+    }
+    rivals = np.tile([[50.0], [9.25], [9.0], [50.0]], (1, 5))
+    rivals[1, 2] = 40.0
+    assert unit_findings._compete(shown, codes, rivals).tolist() == [False] * 3 + [True, False]
+    assert codes["drift"].tolist() == [True, True, False, True, False]
+    assert codes["outlier"].tolist() == [False, False, True, False, True]
+    assert codes["fit"].tolist() == [False, False, False, False, True]
+
+
+@pytest.mark.parametrize(("sd", "mean"), [(2.34e-5, "1.2346"), (None, "1.23")])
+def test_a_mean_of_a_fleet_is_said_to_a_third_digit_of_its_sd(sd, mean):
+    """In mg: an sd of .0234 has two digits in three decimals, and one decimal more is shown."""
+    each = {"unit": "g", "mean": 1.2345678e-3, "sd": sd, "sd_true": None, "lsl": -2e-3, "usl": None}
+    unit, shown, plain, *limits = fleet_text._spread(each)
+    assert (unit, shown, limits) == ("mg", mean, ["-", "-2", "-"])
+    assert plain == ("-" if sd is None else "0.0234")

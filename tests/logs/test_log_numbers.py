@@ -24,7 +24,7 @@ from multipos.logs import (
 )
 from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.faults import find_stuck, find_wrapped
-from multipos.logs.joining import _alike, _from_lines, _match_rows
+from multipos.logs.joining import _alike, _are_usual, _from_lines, _match_rows
 from multipos.logs.log_columns import _variation
 from multipos.logs.rest_means import (
     RestMean,
@@ -355,6 +355,20 @@ def test_outputs_are_judged_together_unless_they_differ(by, together):
     size[:, 0] = low**by
     assert _alike(size, usable) == ([[0, 2]] if together else [[0], [2]])
     assert _alike(size[:, :1], usable[:, :1]) == [[0]]
+
+
+@pytest.mark.parametrize("few", [True, False])
+@pytest.mark.parametrize("by", [0.9, 1.1])
+def test_a_rest_far_beyond_the_others_takes_no_part(few, by):
+    """By the mean of its outputs: one of four rests has three where the others have one, or one."""
+    usable = np.zeros((4, 3), dtype=bool)
+    usable[:, 0] = True
+    usable[1:] |= few
+    usable[0] |= not few
+    dof = joining._DOF * usable[0].sum()
+    limit = chi2.isf(1e-3, dof) / chi2.ppf(0.5, dof)
+    size = np.where(usable, [[by * limit], [0.9], [1.0], [1.0]], 77.0)
+    assert _are_usual(size, usable).tolist() == [by < 1.0, True, True, True]
 
 
 def test_what_a_memory_makes_likely():

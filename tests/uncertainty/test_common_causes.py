@@ -168,8 +168,9 @@ def test_beside_a_covariance_as_beside_variances():
         rotation=rotation,
         up=rotation[:, :, 2],
         unit="g",
-        covariance=NOISE**2 * np.eye(36),
+        covariance=NOISE**2 * (np.eye(36) + 1e-3 * np.eye(36, k=1) + 1e-3 * np.eye(36, k=-1)),
     )
+    assert fitted(full).noise.ndim == 2
     # one scatter of all outputs either way, but settled to a hundredth
     assert_allclose(fitted(full).u, fitted(readings).u, rtol=2e-2)
 

@@ -285,6 +285,19 @@ def test_forces_that_were_seen_with_their_margins():
     assert plain.in_words([0]) == "up to 2 g"
 
 
+@pytest.mark.parametrize(("unit", "said"), [("g", "g"), (None, "times the local field")])
+def test_forces_that_were_seen_are_in_the_unit_of_the_field(unit, said):
+    c = SimpleNamespace(
+        readings=SimpleNamespace(forced=np.array([False, False, True])),
+        reference=np.array([[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.0, 3.0, -4.0]]),
+        rms=0.0,
+        field=SimpleNamespace(magnetic=False, unit=unit),
+    )
+    seen = validity.applied(c)
+    assert (seen.sphere, seen.largest, seen.unit) == (1.0, 5.0, said)
+    assert (seen.low.tolist(), seen.high.tolist()) == ([-1.0, -1.0, -4.0], [1.0, 3.0, 1.0])
+
+
 def test_how_much_a_parameter_loses_by_the_others():
     """1/√(1 − R²) of each column on the rest, the largest of all outputs."""
     rng = np.random.default_rng(6)

@@ -31,8 +31,9 @@ def test_welch_by_hand():
     assert pytest.approx(2.0) == F
     assert p == pytest.approx(f_tail(2.0, 1, 20.0))
     # three: F = 1/(1 + 2 Λ/8), Λ = 3 (2/3)²/10
-    F, _ = welch(np.array([0.0, 1.0, 2.0]), np.ones(3), np.full(3, 10.0))
+    F, p = welch(np.array([0.0, 1.0, 2.0]), np.ones(3), np.full(3, 10.0))
     assert pytest.approx(1.0 / (1.0 + 0.25 * 3 * (4 / 9) / 10)) == F
+    assert p == pytest.approx(f_tail(F, 2, 20.0))  # 8/(3 Λ)
 
 
 def test_false_alarms_are_as_stated():
