@@ -47,6 +47,7 @@ _BESIDE = {
     "exports": ("tests/sensor/test_magnetometer.py",),
     "capturing": ("tests/sensor/test_magnetometer.py",),
     "fleets": ("tests/uncertainty/test_claims.py",),
+    "uncertainty": ("tests/verification/test_inclinometer.py",),
 }
 _LIBRARIES = (
     "numpy",

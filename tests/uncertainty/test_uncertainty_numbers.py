@@ -457,6 +457,15 @@ def test_what_a_degree_does_to_readings():
         sensitivities._temperature_moves(c, SimpleNamespace(settings={}))
 
 
+def test_errors_of_a_table_move_force_by_the_gravity_that_is_there():
+    """About z from x to y with 1.25 of gravity as stated, which pulls: at 30° and at 90°."""
+    c = SimpleNamespace(sign=-1.0, field=SimpleNamespace(magnitude=1.25))
+    roll = SimpleNamespace(axis="z", plane=("x", "y"), rows=(3, 5), angle=np.radians([30.0, 90.0]))
+    assert_allclose(turntable._along(c, roll), [[0.0, 0.0, -1.25]] * 2)
+    turn = [[0.625, -1.25 * 0.75**0.5, 0.0], [1.25, 0.0, 0.0]]
+    assert_allclose(turntable._turn(c, roll), turn, atol=1e-15)
+
+
 @pytest.mark.parametrize(("off", "count"), [(0.9e-3, 2), (1.1e-3, 3)])
 def test_rows_of_a_roll_belong_to_mountings_by_their_sense(off, count):
     """Two meet where .3 + h is 1.2 − h: such rows go with their neighbours, the following first."""
