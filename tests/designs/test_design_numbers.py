@@ -80,6 +80,13 @@ def test_one_parameter_weighs_ten_thousand_times_the_others():
     assert_allclose(np.concatenate([np.diag(B) for B in blocks]), wanted)
 
 
+def test_terms_that_a_model_has_or_cannot_sense_are_no_aliases():
+    """Of x in a plane: z is no input, and x² is in the model."""
+    model = build_model("1 + own + other + own^2", ("ax",), ("x",), inputs=("x", "y"))
+    found = find_aliases(Setting(model), read_scheme("roll-x-8+roll-y-8").up)
+    assert [alias["term"] for alias in found] == ["y^2", "x*y", "x^3", "x*|x|"]
+
+
 @pytest.mark.parametrize("size", [1.0, -1.7])
 @pytest.mark.parametrize("turned", [0.0, 0.4])
 def test_aliases_by_least_squares(size, turned):
