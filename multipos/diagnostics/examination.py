@@ -501,6 +501,8 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
         else:
             found += compete(calibration, of_rows, residuals)
     before = calibration.diagnostics
+    if row_order.SLOW in {each.code for each in before.findings}:  # the log has shown it
+        found = [each for each in found if each.code != row_order.SLOW]
     every = (*found, *before.findings)
     if calibration.readings.dof is not None:  # nobody stated this noise
         every = tuple(

@@ -76,6 +76,8 @@ _ITERATIONS = 20
 _FIXED_POINTS = 2  # first steps, far from where A holds
 _PARTS = (0.25, 0.05)  # of a step, where the whole leads up
 _SETTLED = 0.01  # of the deviance
+_LONGEST = 1e3  # times the mean square, beyond which a variance is a trial that runs away
+_NO_SLOPE = 1e-200  # of J J', that moves nothing
 _SINGULAR = 1e-14  # of what is one, that is rounding
 _RIDGE = 1e-9  # of the mean square: what V has at least, so that its inverse has digits
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
@@ -260,7 +262,10 @@ class _Slopes(NamedTuple):
 
 def _fit(of: Residuals, components: Sequence[Array], start: Array) -> Explained:
     """Return the variances θ (B, J) of components C_j (M, M, B, n) at the minimum of eq. (2)."""
-    theta = np.maximum(start, 0.0)
+    moved = [np.einsum("iibn->b", each) / each[0, :, 0].size for each in components]
+    size = np.maximum(np.stack(np.broadcast_arrays(*moved), axis=1), _NO_SLOPE)
+    most = _LONGEST * of.scale[:, None] / size
+    theta = np.clip(start, 0.0, most)
     here = _evaluate(of, components, theta)
     deviance = here.deviance.copy()
     units = np.arange(len(theta))
@@ -273,7 +278,7 @@ def _fit(of: Residuals, components: Sequence[Array], start: Array) -> Explained:
         left = of.some(units)
         parts = [_of_units(each, units) for each in components]
         fixed = _fixed_point(theta[units], here, _RIDGE * left.scale[:, None])
-        newton = np.maximum(theta[units] + step, 0.0)
+        fixed, newton = (np.clip(at, 0.0, most[units]) for at in (fixed, theta[units] + step))
         trials = [fixed, newton] if turn < _FIXED_POINTS else [newton, fixed]
         trials += [theta[units] + part * (newton - theta[units]) for part in _PARTS]
         trial, there = _first_down(left, parts, trials, here)
@@ -347,6 +352,7 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
     WCW = [np.einsum("ikbn,kjbn->ijbn", each, W) for each in WC]
     S, *lost = _information(of, np.stack([W, *WCW]))
     size = np.sqrt(np.einsum("bpp->bp", S))  # outputs, and columns, may be of very unlike size
+    size = np.where(size > 0.0, size, 1.0)  # some rows may be zero in a column
     scales = size[:, :, None] * size[:, None, :]
     unit = S / scales + _SINGULAR * np.eye(size.shape[1])  # columns may be alike but for rounding
     inverse = np.linalg.inv(unit) / scales

@@ -34,6 +34,7 @@ from multipos.estimation.identifiability import (
     position_words,
     require_separable,
 )
+from multipos.estimation.known import ZERO_NORM
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import (
     Optimum,
@@ -131,7 +132,8 @@ def _listed_start(problem: Problem) -> State | None:
     _, blocks = model.respond(theta, reference, environment)
     for output, (places, design) in enumerate(blocks):
         names = [model.names[i] for i in places]
-        theta[places] = solve(design, values[:, output], names=names).coefficients
+        fitted = solve(design, values[:, output], least_norm=ZERO_NORM, names=names)
+        theta[places] = fitted.coefficients
     return _listed_state(problem, theta)
 
 

@@ -140,8 +140,9 @@ def _most_likely(parts: _Parts) -> tuple[Array, Array]:
         information -= mean * np.swapaxes(mean, 1, 2) / parts.dof
         # the inverse of [[a, b], [b, c]], whatever they are
         a, b, c = (information[:, i, j, None] / 2.0 for i, j in ((0, 0), (0, 1), (1, 1)))
-        a, c = a + 1.0 / _SPREAD**2, c + 1.0 / _SPREAD**2
-        determinant = a * c - b**2
+        a, c = (np.maximum(each, 0.0) + 1.0 / _SPREAD**2 for each in (a, c))
+        # no less than that of what is known beforehand, but for rounding
+        determinant = np.maximum(a * c - b**2, 1.0 / _SPREAD**4)
         if not searched.any():
             break
         z = (parts.squares / v)[:, :, None]

@@ -204,9 +204,9 @@ def _at(column: Column, rows: Places) -> Column:
 _READINGS = 96_000  # of an output in a task: what a task costs by itself is then some percent
 _SLOW = 2  # so many times fewer where a unit takes long, so that workers share them
 _ALONE = 64  # units of a task that are fitted one by one
-_TRIED = 3  # units of a group that may be at fault before it is taken one by one
+_TRIED = 3  # units that may be at fault before a group is taken one by one, and outputs are read
 _FEWEST = 2  # units that share anything
-_FIRST = 30  # units that are asked for the outputs
+_FIRST = 30  # units of which outputs are read
 
 
 class Known:
@@ -252,7 +252,7 @@ class Piece:
         """Take units from `first` on, with their stations as numbers."""
         self._rows, self._grouped, self._known = rows, grouped, known
         self._stations, self._first = stations, first
-        self._fitted: dict[int, Calibration] = {}
+        self._fitted: dict[int, Calibration | str] = {}
         self._taken: set[int] = set()  # of these, those whose numbers are their own fit's
         if known.outputs is None:
             known.outputs = self._outputs()
@@ -284,7 +284,7 @@ class Piece:
     def _outputs(self) -> tuple[str, ...]:
         """Return the outputs, as the first units say them that can be fitted, or read."""
         said, first = "", range(min(len(self._grouped), _FIRST))
-        for unit in first:
+        for unit in first[:_TRIED]:
             fitted = self._fit(unit)
             if isinstance(fitted, Calibration):
                 return fitted.outputs
@@ -304,6 +304,7 @@ class Piece:
         fitted = fit_one(self._table(unit), self._known.options)
         if isinstance(fitted, Calibration):
             self._known.learn(fitted)
+        if isinstance(fitted, Calibration) or self._known.outputs is not None:
             self._fitted[unit] = fitted
         return fitted
 

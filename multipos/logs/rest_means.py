@@ -405,7 +405,7 @@ def density_with_dof(lagged: Array, count: Counts, removed: Counts) -> tuple[Arr
     highest = np.minimum(count // 10, (10.0 * np.log10(np.maximum(count, 1))).astype(np.int64))
     orders = int(highest.max())
     lagged = lagged.copy()
-    there = lagged[:, 0] > 0.0
+    there = lagged[:, 0] > _SMALLEST**0.5
     lagged[~there, 0] = 1.0  # equal samples have no density, and are put back to zero below
     variance, phi = lagged[:, 0].copy(), np.zeros((len(lagged), orders))
     memory, inverse = np.zeros(len(lagged)), np.zeros(len(lagged))

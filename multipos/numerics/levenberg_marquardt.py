@@ -21,6 +21,7 @@ from multipos.numerics.arrays import Array, Mask, Places
 
 _XTOL = 1e-13  # relative step that is only rounding
 _STUCK = 1e12  # damping beyond which nothing moves
+_TRIES = 2000  # steps at most, taken or refused: of 700 beside 1 two of three are refused
 _FLAT = 1e-15  # of F, below which a step is lost in the rounding of F
 _SMALL = 1e-6  # of the parameters: no step into what the data do not determine is as short
 _LAST_STEPS = 2
@@ -153,8 +154,9 @@ def descend(
     here = place if len(units) == count else place.of(units)
     mine = steps if len(units) == count else steps.of(units)
     going = _Going.begin(len(units), rules)
-    equations = None
+    equations, tries = None, 0
     while len(units):
+        tries += 1
         if equations is None:
             equations = mine.linearise(here)
         F = here.objective
@@ -181,7 +183,7 @@ def descend(
             if taken.any():
                 here.put(np.flatnonzero(taken), trial.of(taken))
                 equations = None
-        done = over | stuck | (going.iterations >= rules.iterations)
+        done = over | stuck | (going.iterations >= rules.iterations) | (tries >= _TRIES)
         if not done.any():
             continue
         ended.put(units, done, over, going.iterations, relative, fall)

@@ -28,7 +28,7 @@ from multipos.results import Result, frozen
 
 def combined_variance(X: Array, covariance: Array) -> Array:
     """Return x'Cx (n,) of rows x of X (n, q), at least what its own rounding leaves unknown."""
-    sums = np.abs(X) @ np.sqrt(np.diag(covariance))
+    sums = np.abs(X) @ np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return np.maximum(quadratic(X, covariance), np.finfo(np.float64).eps * sums**2)
 
 

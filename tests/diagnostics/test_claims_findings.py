@@ -1,5 +1,7 @@
 """What a denied claim is put down to: placement, a term, scatter, unequal outputs; advice fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from findings_bench import texts
@@ -71,6 +73,41 @@ def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, state
     assert moved.deviance[0] == pytest.approx(least, abs=0.05)
     alone = minimize(lambda x: deviance([x[0], -60.0]), [-18.0], method="Nelder-Mead").fun
     assert equal.deviance[0] == pytest.approx(alone, abs=0.05)
+
+
+def across_only(columns):
+    """Residuals of 24 turned positions, nothing along the force, beside columns of zeros."""
+    rng = np.random.default_rng(4)
+    angle = 2.0 * np.pi * np.arange(24.0) / 24.0
+    f = np.column_stack([np.sin(angle), np.zeros(24), np.cos(angle)])
+    basis = np.column_stack([np.ones(24), *(np.zeros(24) for _ in range(columns))])
+    e = np.cross(1e-3 * rng.standard_normal((24, 3)), f)
+    own, H = np.arange(1 + columns), np.broadcast_to(np.eye(3), (1, 1, 3, 3))
+    return Residuals(e[None], basis, [own] * 3, H, f, np.zeros((1, 24, 3)))
+
+
+def test_a_column_of_zeros_and_no_scatter_at_all_leave_the_orientation_error():
+    alone, beside = (explain_orientations(across_only(columns)) for columns in (0, 1))
+    assert_allclose(beside.variances, alone.variances, rtol=1e-6, atol=1e-12)
+    assert np.sqrt(alone.variances[0, 1]) == pytest.approx(1e-3, rel=0.3)  # 48 numbers
+
+
+def test_a_variance_that_runs_away_is_a_thousand_times_the_mean_square_at_most():
+    of = across_only(0)
+    found = residuals._fit(of, [of.across], np.array([[1e30]]))
+    assert found.variances[0, 0] <= 1.5e3 * of.scale[0]  # J J' has 2/3 on its diagonal
+
+
+def test_slow_noise_that_a_log_has_shown_is_not_told_again():
+    rng = np.random.default_rng(3)
+    up = read_scheme("fibonacci-48").up
+    slow = np.cumsum(rng.standard_normal((48, 3)), axis=0)
+    values = up + 2e-3 * (slow - slow.mean(axis=0)) / slow.std()
+    shown = mp.Finding("time-correlated", "warning", "noise is correlated over 75 rows")
+    for findings in ((), (shown,)):
+        c = mp.fit(replace(mp.Readings(values, up=up, unit="g"), findings=findings))
+        texts = [each.text for each in c.findings if each.code == shown.code]
+        assert [text == shown.text for text in texts] == [bool(findings)]
 
 
 @pytest.mark.parametrize("off_deg", [0.0, 0.3])

@@ -546,6 +546,14 @@ def test_one_listed_position_does_not_fix_the_case():
     assert "add positions such as up" in str(caught.value)
 
 
+def test_directions_that_differ_by_less_than_any_angle_are_refused_by_name():
+    up = np.full((24, 3), 1e-150)
+    up[:, 1] = np.repeat([1.0, -1.0], 12)
+    readings = mp.Readings(SENSOR.read(UP), up=up, orientation_sd=np.full(24, 0.01))
+    with pytest.raises(mp.RankError, match="`scale_ax` has no effect at these positions"):
+        mp.fit(readings, model="1 + own")
+
+
 TURN = rotation_matrix(np.array([0.7, -1.1, 0.4]))
 
 

@@ -11,6 +11,7 @@ from multipos.estimation.unequal_axes import (
     _divide,
     _half_interval,
     _most_likely,
+    _Parts,
     allow_for_axes,
 )
 from multipos.numerics.quantiles import coverage_factor
@@ -159,6 +160,14 @@ def test_a_position_alone_with_its_parameter_says_nothing():
     expected = allowed(a, r, share, inverse)
     # c of the position with leverage 1 is its variance, and no part of what is told
     assert_allclose(found[:P, :P], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+def test_information_that_rounding_makes_negative_leaves_what_is_known_beforehand():
+    """Weights of more than the degrees of freedom take off more than there is."""
+    V = np.full((1, 3, 4), 1.0 / 3.0) * np.array([1.0, 2.0, 4.0])[:, None]
+    parts = _Parts(np.zeros((1, 3, P, P)), V, np.ones((1, 4)), np.full((1, 4), 50.0), 1.0)
+    root = _most_likely(parts)[1][0]
+    assert_allclose(np.linalg.det(root), 4.0**2)  # of two ratios, e⁴ each beforehand
 
 
 def test_a_batch_is_its_units():

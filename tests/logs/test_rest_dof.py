@@ -72,6 +72,11 @@ def test_higher_orders_by_solving_their_equations(memory):
     assert max(order for _, _, order in expected) >= 2
 
 
+def test_scatter_below_the_least_number_is_none():
+    density, dof = density_with_dof(np.full((1, 31), 1e-310), np.array([400]), np.zeros(1))
+    assert (density.tolist(), dof.tolist()) == ([0.0], [np.inf])
+
+
 def by_linear_systems(z):
     """Density, degrees of freedom and order: eqs. (1) and (2) with m = 0, as they are written."""
     b = len(z)

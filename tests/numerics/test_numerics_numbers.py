@@ -1,5 +1,6 @@
 """Numbers of numerics by hand or by a second route, at points without symmetry."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 from multipos.errors import UsageError
+from multipos.numerics import levenberg_marquardt
 from multipos.numerics.arrays import require_rate, resolution
-from multipos.numerics.levenberg_marquardt import _Going, _rise, _step
+from multipos.numerics.levenberg_marquardt import Rules, _Going, _rise, _step, descend
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 
 
@@ -43,6 +45,39 @@ def test_damping_after_steps_that_are_taken_refused_and_stuck():
     assert stuck.tolist() == [False, True, True, False]
     assert after.before.tolist() == [1.5, 6.0, 7.0, 8.0]
     assert after.iterations.tolist() == [1, 2, 3, 3]
+
+
+@dataclass
+class Endless:
+    """A search whose every third step is taken, and none the last."""
+
+    theta: np.ndarray
+    objective: np.ndarray
+    moves: int = 0
+
+    def of(self, units):
+        return self
+
+    def put(self, units, other):
+        self.theta, self.objective = other.theta, other.objective
+
+    def linearise(self, place):
+        return SimpleNamespace(information=np.eye(1)[None], gradient=np.ones((1, 1)))
+
+    def move(self, place, equations, step, damping):
+        self.moves += 1
+        factor = 2.0 if self.moves % 3 else 0.99
+        return Endless(place.theta + step, factor * place.objective)
+
+
+def test_a_search_ends_after_so_many_steps_taken_or_refused(monkeypatch):
+    monkeypatch.setattr(levenberg_marquardt, "_TRIES", 30)
+    steps = Endless(np.ones((1, 1)), np.ones(1))
+    place = Endless(np.ones((1, 1)), np.ones(1))
+    with np.errstate(divide="ignore"):  # as searches have it
+        found, ended = descend(steps, place, Rules(weighted=True), np.ones(1))
+    assert (steps.moves, ended.iterations.tolist(), ended.converged.tolist()) == (30, [10], [False])
+    assert_allclose(found.objective, 0.99**10)
 
 
 def test_how_far_rounding_lets_an_objective_rise():

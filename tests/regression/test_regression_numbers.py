@@ -240,6 +240,8 @@ def test_a_variance_is_at_least_its_rounding():
     C = np.array([[4.0, -6.0], [-6.0, 9.0]])
     found = combined_variance(np.array([[3.0, 2.0], [3.0, 0.0]]), C)
     assert_allclose(found, [144.0 * 2.0**-52, 36.0], rtol=1e-12)
+    rounded = np.array([[-1e-40, 0.0], [0.0, 9.0]])  # what is zero may round to less
+    assert_allclose(combined_variance(np.array([[3.0, 2.0]]), rounded), [36.0])
 
 
 def test_leverage_of_a_region_is_the_square_of_its_factor():
