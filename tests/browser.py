@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-TIMEOUT = 60.0  # [s] for one answer: a hang must end, a busy machine must not fail
+TIMEOUT = 300.0  # [s] for one answer: a hang must end, a busy machine must not fail
 
 
 def find() -> str | None:

@@ -17,7 +17,7 @@ from fuzzing.recipes import file_of
 from fuzzing.running import Limits, run
 
 ROOT = Path(__file__).resolve().parents[1]
-LIMITS = Limits(cpu=1, wall=60, memory=256 << 20)
+LIMITS = Limits(cpu=1, wall=600, memory=256 << 20)
 CASE = Case(("fit", "in.csv", "--json", "-o", "o.json"), {"in.csv": b"1\n"}, old=("o.json",))
 
 

@@ -31,7 +31,7 @@ class Live:
         self.address = ""
         self.ready = threading.Event()
         self.thread.start()
-        assert self.ready.wait(30)
+        assert self.ready.wait(300)
         self.port = int(self.address.rsplit(":", 1)[1].rstrip("/"))
 
     def _run(self):
@@ -45,7 +45,7 @@ class Live:
 
     def ask(self, method, path, headers=None, body=None):
         """Return status, headers and body."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=300)
         connection.request(method, path, body, headers or {})
         answer = connection.getresponse()
         found = answer.status, dict(answer.getheaders()), answer.read()
@@ -56,7 +56,7 @@ class Live:
         return json.loads(self.ask("GET", "/state")[2])
 
     def wait(self, condition):
-        for _ in range(600):
+        for _ in range(6000):
             found = self.state()
             if condition(found):
                 return found
@@ -65,7 +65,7 @@ class Live:
 
     def end(self):
         self.session.asked_to_finish = True
-        self.thread.join(30)
+        self.thread.join(300)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_two_hosts_or_none_are_not_let_in(live):
         b"GET / HTTP/1.1\r\n\r\n",
         b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: x\r\n\r\n",
     ):
-        with socket.create_connection(("127.0.0.1", live.port), timeout=20) as connection:
+        with socket.create_connection(("127.0.0.1", live.port), timeout=300) as connection:
             connection.sendall(head)
             assert b" 403 " in connection.recv(1000)
 
@@ -173,7 +173,7 @@ def test_two_streams_see_the_same(live):
     live.wait(lambda state: len(state["taken"]) == 11)  # all that the log has so far
     seen = []
     for _ in range(2):
-        connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", live.port, timeout=300)
         connection.request("GET", "/events")
         answer = connection.getresponse()
         assert answer.getheader("Content-Type") == "text/event-stream"
@@ -233,7 +233,7 @@ def test_the_page_shows_what_the_state_says(tmp_path):
             assert "倾斜" in page.evaluate("document.getElementById('words').textContent")
             page.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'}))")
             page.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'}))")
-            live.thread.join(30)
+            live.thread.join(300)
             assert live.session.finished
             wait_for(page, "document.getElementById('status').textContent === '已结束'")
             assert page.complaints() == []
@@ -252,7 +252,7 @@ def in_its_unit(text):
 def settled(page, state):
     """What the page shows, once it shows as many poses as the state has."""
     expected = [[p["position"], str(p["accepted"]).lower()] for p in reversed(state["taken"])]
-    for _ in range(200):
+    for _ in range(6000):
         shown = json.loads(page.evaluate(SHOWN))
         if shown["taken"] == expected:
             return shown
@@ -261,7 +261,7 @@ def settled(page, state):
 
 
 def wait_for(page, condition):
-    for _ in range(200):
+    for _ in range(6000):
         if page.evaluate(condition):
             return
         time.sleep(0.05)

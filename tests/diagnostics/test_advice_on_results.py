@@ -1145,12 +1145,12 @@ def comparable(code, *found):
 def test_advice_that_is_followed_helps_in_twenty_sets(code, action, tmp_path, monkeypatch):
     """A test at 1 % may speak again by chance, in one of twenty sets; force is no worse.
 
-    Ten sets decide where none spoke again and force got no worse: a finding that stays in 26 of 100
-    sets speaks in one of ten 95 times of 100, and of twenty twice or more 98 times.
+    Six sets decide where none spoke again and force got no worse: a finding that stays in 40 of 100
+    sets speaks in one of six 95 times of 100, and what is left of 1 % is not seen by twenty either.
     """
     again, count, more = 0, 0, []
     for seed in range(60):
-        if count == 20 or (count == 10 and not again and np.sum(more) <= 0.0):
+        if count == 20 or (count == 6 and not again and np.sum(more) <= 0.0):
             break
         (tmp_path / str(seed)).mkdir()
         monkeypatch.chdir(tmp_path / str(seed))
@@ -1162,7 +1162,7 @@ def test_advice_that_is_followed_helps_in_twenty_sets(code, action, tmp_path, mo
         again += bool(left)
         if comparable(code, before, after):
             more.append(off(after) ** 2 - off(before) ** 2)
-    assert count in (10, 20)
+    assert count in (6, 20)
     assert again <= 1
     if more:  # of pairs: zero or less, but for 2.6 standard errors of the mean
         assert np.mean(more) <= 2.6 * np.std(more, ddof=1) / np.sqrt(count) + 1e-12

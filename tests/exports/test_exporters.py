@@ -155,10 +155,10 @@ def run_c(compiler, cal, exported, rows, folder):
 
 
 def builds():
-    """Return every sensor, with precisions and compilers in turn, and what is left of them."""
+    """Return every sensor, with precisions and compilers in turn, then with the other of both."""
     ways = [(single, compiler) for single in (False, True) for compiler in SANITIZERS]
-    turns = range(len(ways))
-    every = [(case, *ways[(i + k) % len(ways)]) for k in turns for i, case in enumerate(SENSORS)]
+    turns = [*ways, *ways[::-1]]
+    every = [(case, *turns[4 * k + i % 4]) for k in range(2) for i, case in enumerate(SENSORS)]
     return rest_slow(every, quick=len(SENSORS))
 
 

@@ -75,7 +75,7 @@ def fetch(page, form):
     """Press a button that downloads, and return the file."""
     before = set(page.downloads.glob("*")) if page.downloads.exists() else set()
     page.evaluate(f"document.querySelector({form!r}).click()")
-    end = time.monotonic() + 30
+    end = time.monotonic() + 300
     while time.monotonic() < end:
         new = set(page.downloads.glob("*")) - before if page.downloads.exists() else set()
         done = [path for path in new if path.suffix != ".crdownload"]

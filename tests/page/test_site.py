@@ -148,7 +148,7 @@ def test_it_serves_on_loopback_and_ends_well_on_a_signal(made):
         address = process.stdout.readline()
         found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/\n", address)
         assert found
-        connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", int(found[1]), timeout=300)
         for path, name in (("/", "index.html"), ("/worker.js?x=1", "worker.js"), ("/../x", None)):
             connection.request("GET", path)
             answer = connection.getresponse()
@@ -159,4 +159,4 @@ def test_it_serves_on_loopback_and_ends_well_on_a_signal(made):
             assert answer.headers["Content-Security-Policy"] == made.policies[kind]
         connection.close()
         process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0
+        assert process.wait(300) == 0

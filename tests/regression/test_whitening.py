@@ -159,7 +159,7 @@ def test_long_records_take_the_likeliest_law_alone():
 def test_false_models(rho, white, n):
     """5 % are stated, 7 % are granted to the estimate of the law; binomial at 1e-3."""
     rng = np.random.default_rng(3)
-    runs, alarms = 150, 0
+    runs, alarms = 100, 0
     for _ in range(runs):
         x, y = slow(rng, n, rho, 4), slow(rng, n, rho)[:, 0] + white * rng.standard_normal(n)
         table = {f"x{j}": x[:, j] for j in range(4)} | {"y": y, "time": np.arange(float(n))}
