@@ -25,7 +25,7 @@ from multipos.designs.criteria import (
     range_directions,
     sensitivity,
 )
-from multipos.designs.exchange import _Bordered, _descend, choose
+from multipos.designs.exchange import _Bordered, _descend, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
     _FINE,
@@ -786,6 +786,20 @@ def test_slopes_and_curvature_of_a_criterion_by_differences(weighted):
     first, second = (at(h) - at(-h)) / (2 * h), (at(h) - 2.0 * at(0.0) + at(-h)) / h**2
     assert slope @ d == pytest.approx(first, rel=1e-5)
     assert d @ curvature @ d == pytest.approx(-second, rel=1e-2)
+
+
+def test_an_exchange_of_which_rounding_leaves_no_trace_gains_nothing():
+    """The gain is ln t/(t − f); of candidates whose f is t or more it is −∞ and no number less."""
+    rows = np.random.default_rng(4).normal(size=(9, 1, 3))
+    state = _State([rows], Criterion("A", (np.diag([1.0, 2.0, 3.0]),)), [np.zeros((3, 3))])
+    assert state.take([0, 1, 2, 3])
+    falls = state.trace * (1.0 - np.exp(-state.gains(2)))
+    state.trace = np.sort(falls)[-2:].mean()
+    assert state.trace > 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        wanted = -np.log1p(-falls / state.trace)
+    wanted = np.where(falls < state.trace, wanted, -np.inf)
+    assert_allclose(state.gains(2), wanted, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("k", [1, 2])

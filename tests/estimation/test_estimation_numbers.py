@@ -22,6 +22,7 @@ from multipos.estimation import (
     orientation_variance,
     outliers,
     posteriors,
+    robust_known,
     robustness,
     starts,
     stated_uncertainty,
@@ -1171,3 +1172,17 @@ def test_outputs_beside_three_axes_are_not_compensated_by_steps():
     assert np.isnan(left).all()
     assert left.shape == (2, 3, 3)
     assert inverted.sound.tolist() == [False, False]
+
+
+def test_a_unit_without_noise_is_searched_alone_and_left_out_among_others():
+    up = mp.read_scheme("faces-corners-14").up
+    model = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
+    shared = known.share_design(model, up, {})
+    exact, noise = up.T + 0.02, 1e-3 * np.random.default_rng(1).normal(size=(3, 14))
+    both = np.stack([exact, exact + noise], axis=1)
+    with np.errstate(divide="ignore"):
+        alone = robust_known.fit_outputs(shared, both[:, :1], None, "huber")[0]
+        among = robust_known.fit_outputs(shared, both, None, "huber")[0]
+    assert alone.units.converged.tolist() == [True]
+    assert among.units.converged.tolist() == [False, True]
+    assert among.units.iterations[0] == 0

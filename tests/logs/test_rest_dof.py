@@ -36,6 +36,13 @@ def flicker(rng, rows, n=N):
     return (x / x.std())[:, 8 * n : 9 * n]
 
 
+@pytest.mark.parametrize(("removed", "density"), [(0, 19.0), (1, 38.0)])
+def test_a_mean_takes_half_of_a_density_at_most(removed, density):
+    """φ = .9 of ten means: .19/.1² = 19 times the variance; what 1.9 of them lose is half."""
+    found, _ = density_with_dof(np.array([[1.0, 0.9]]), np.array([10]), np.array([removed]))
+    assert found == pytest.approx([density])
+
+
 def test_degrees_of_freedom_by_the_delta_method():
     # eq. (2) of logs.rest_means
     rng = np.random.default_rng(7)
