@@ -675,8 +675,10 @@ def understated_orientations(c: Calibration) -> Finding | None:
 def _at_listed(c: Calibration, kept: Mask, up: Array, sd: Array) -> Residuals | None:
     """Return residuals of rows at their listed positions, whose slopes are larger where sd is."""
     of = _of_rows(c, kept, c.sign * np.linalg.norm(c.reference, axis=1, keepdims=True) * up)
+    if of is None:
+        return None
     relative = sd[kept] / np.sqrt(np.mean(sd[kept] ** 2))
-    return None if of is None else replace(of, slopes=of.slopes * relative[:, None, None])
+    return replace(of, slopes=of.slopes * relative[:, None, None])
 
 
 def _of_rows(c: Calibration, kept: Mask, reference: Array) -> Residuals | None:

@@ -43,6 +43,7 @@ _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly stra
 _SAME = 1e-9  # relative difference of mixtures that are one
 _NEAR = 1e-4  # a step of Halley's method that leaves its cube
 _ROOT, _AREA = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+_POINT = 1e-12  # of the spread, below which a normal law is one value
 _AT_ONCE = 10_000  # normal laws of all units, so that what a step needs stays in the cache
 
 
@@ -218,6 +219,7 @@ def _halley(means: Array, sds: Array, weights: Array, share: float) -> Array:
     The first step leads only to its cube, for which single precision does.
     """
     spread = np.sqrt(np.einsum("bg,bgp->bp", weights, sds * sds + means * means))
+    sds = np.maximum(sds, _POINT * spread[:, None])
     precision = spread[:, None] / sds
     mixture = means / sds, precision, weights
     low = np.zeros(spread.shape)

@@ -98,6 +98,11 @@ def test_a_variance_that_runs_away_is_a_thousand_times_the_mean_square_at_most()
     assert found.variances[0, 0] <= 1.5e3 * of.scale[0]  # J J' has 2/3 on its diagonal
 
 
+def test_no_row_that_is_left_has_no_residuals():
+    c = mp.fit(readings("faces-6", 1))
+    assert residuals._at_listed(c, np.zeros(6, dtype=bool), c.readings.up, np.ones(6)) is None
+
+
 def test_slow_noise_that_a_log_has_shown_is_not_told_again():
     rng = np.random.default_rng(3)
     up = read_scheme("fibonacci-48").up

@@ -236,3 +236,10 @@ def test_axes_of_orientation_errors_are_eigenvectors(r):
     np.testing.assert_allclose(
         axes @ np.swapaxes(axes, 2, 3), np.tile(np.eye(r), (2, 5, 1, 1)), atol=1e-12
     )
+
+
+def test_the_interval_of_a_law_beside_a_value():
+    """Half of all lies at zero: 90 % of the other half make 95 %, 1.6449 of its sd."""
+    sds, weights = np.array([[[1e-30], [2.0]]]), np.array([[0.5, 0.5]])
+    found = _search_half(np.zeros((1, 2, 1)), sds, weights, 0.95)
+    assert found == pytest.approx(2.0 * 1.6449, rel=1e-4)
