@@ -705,8 +705,8 @@ def test_a_board_that_is_turned_or_mirrored_is_known_by_three_poses_in_four():
 
 @pytest.mark.parametrize(("size", "said"), [(9.80665, "9.81 times"), (1.02, None), (0.0, None)])
 def test_a_rest_in_another_unit_is_refused(size, said):
-    frame, means = Frame(np.zeros(3), 1.0, (0, 1, 2), 1.0), np.eye(3)
-    still = SimpleNamespace(found=SimpleNamespace(mean=np.array([0.0, 0.0, size])))
+    frame, means = Frame(np.zeros(3), 1.0, (0, 1, 2), 1.0), 2.0 * np.eye(3)
+    still = SimpleNamespace(found=SimpleNamespace(mean=np.array([0.0, 0.0, 2.0 * size])))
     refused = refuse_unit(still, frame, means)
     assert refused is None if said is None else said in refused
     assert refuse_unit(still, frame, means[:1]) is None

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from findings_bench import texts
+from scipy.stats import f
 
 import multipos as mp
 from multipos.diagnostics import gross_errors
@@ -393,3 +394,17 @@ def test_an_output_without_a_signal_is_as_far_off_as_least_squares_says():
     share = np.sqrt(square[1] / 20.0) / np.linalg.norm(beta[1:, 1])
     assert f" of 'ay' are {100.0 * share:.0f} % of one g" in found.text
     assert found.outputs == ("ay",)
+
+
+@pytest.mark.parametrize(("by", "sticks"), [(0.98, False), (1.02, True)])
+def test_a_row_that_sticks_out_even_so_is_none_that_was_changed(by, sticks, monkeypatch):
+    """Of six degrees of freedom: its square over a fifth of the others', by F on 3 and 15."""
+    monkeypatch.setattr(gross_errors, "_changes", lambda repair, before: np.array([1e-9]))
+    residuals = np.full((8, 3), 0.5)
+    limit = f.isf(1e-4, 3, 15) * 7 * 0.75 / 5.0
+    residuals[2] = np.sqrt(by * limit / 3.0)
+    view = SimpleNamespace(
+        values=residuals, dof=6, basis=np.zeros((8, 4)), residuals=2.0 * residuals, response=2.0
+    )
+    repair = SimpleNamespace(view=view, rows=(2,), tried=8, code="row-unit")
+    assert gross_errors._sticks_out(repair, view) is sticks

@@ -117,6 +117,13 @@ def test_misfits_along_the_force_have_the_variance_of_their_outputs():
         assert X[row] == pytest.approx(column, rel=1e-9)
 
 
+def test_chance_is_shared_by_the_causes_and_slow_noise():
+    plan, _, _ = residuals_in_order(world("", 1))
+    kinds = {test.family.code for test in plan.tests}
+    assert len(kinds) < len(plan.tests)
+    assert plan.codes == len(kinds) + 1
+
+
 @pytest.mark.parametrize("cause", ["slipped", "replaced"])
 def test_the_first_row_after_a_change_is_told(cause):
     (finding,) = world(cause, 3).findings

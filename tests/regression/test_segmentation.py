@@ -137,6 +137,8 @@ def test_rate_refuses_what_has_none():
         smoothed_rate([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], window=5.0)
     with pytest.raises(MultiposError, match=r"window of 1 about row 1; give a longer"):
         smoothed_rate([0.0, 10.0, 20.0], [1.0, 2.0, 3.0], window=1.0)
+    with pytest.raises(MultiposError, match="about row 3;"):
+        smoothed_rate([0.0, 0.4, 10.0], [1.0, 2.0, 3.0], window=1.0)
 
 
 def test_a_response_that_is_nothing_has_no_edges():
