@@ -152,8 +152,8 @@ def test_a_claim_far_above_the_residuals_is_the_noise():
 def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
     """Readings of their own generator; an estimate is normal and independent of its residuals.
 
-    So the coverage is that of the normal law at U, averaged over residuals: 300 of them know it
-    to half a percent. One output alone has two degrees of freedom at six positions.
+    So the coverage is that of the normal law at U, averaged over residuals: 200 of them know it
+    to .6 percent. One output alone has two degrees of freedom at six positions.
     """
     # eq. (1) of estimation.posteriors
     rng = np.random.default_rng(n)
@@ -164,7 +164,7 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
     covered = {}
     for claim in (1.0, 0.7, 0.5, 0.3, 0.1):
         share, length = [], []
-        for _ in range(300):
+        for _ in range(200):
             values = up[:, :outputs] + SD * rng.standard_normal((n, outputs))
             cal = mp.fit(mp.Readings(values, up=up), reading_sd=claim * SD, pool=pool)
             share.append(2.0 * stats.norm.cdf(cal.U[:4] / u) - 1.0)

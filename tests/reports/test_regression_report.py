@@ -72,6 +72,7 @@ def test_before_and_after_have_scales_of_their_own(folder):
     assert "error, after" in labels
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_without_the_rows_there_are_no_figures_of_them(folder, capsys):
     (folder / "data.csv").rename(folder / "else.csv")
     assert main(["report", "reg.json", "-o", "r.txt"]) == 0
@@ -85,6 +86,7 @@ def test_without_the_rows_there_are_no_figures_of_them(folder, capsys):
     assert not (folder / "no.html").exists()
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_chinese_has_every_sentence(folder):
     """Whatever is said in English has its Chinese, but for names, numbers and formulas."""
     columns = {name: mp.read_table("data.csv").number(name) for name in ("time", "error")}

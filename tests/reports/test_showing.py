@@ -79,6 +79,7 @@ def test_what_no_command_prints_is_a_line_a_field():
     assert str(mp.demo()).startswith("Table 2 of Song and Qin (2009)")
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_doubts_come_first_and_nothing_is_markup():
     up = np.tile(mp.read_scheme("faces-6").up, (2, 1))
     names = ("<b>x", "<b>y", "<b>z")

@@ -63,7 +63,7 @@ def at_most(hits, runs, level):
 )
 def test_false_alarms_come_as_often_as_said(count, options):
     rng = np.random.default_rng(42)
-    runs = 300
+    runs = 200
     found = [mp.compare(*repeats(rng, count, **options)) for _ in range(runs)]
     p = np.array([c.p_total for c in found])
     # a claim that is right is not taken on trust, so that differences look a little smaller
