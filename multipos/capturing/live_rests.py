@@ -91,7 +91,7 @@ class LiveRows:
         apart = {*self.outputs, column, *log.nameless}
         self.others: tuple[str, ...] = tuple(name for name in log.numeric if name not in apart)
         names = [*self.outputs, *self.others, *([column] if column else [])]
-        self._order = [log.numeric.index(name) for name in names]
+        self._order = [self._place(name) for name in names]
         self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
         self._store = _Store(len(names))
@@ -105,9 +105,12 @@ class LiveRows:
         self.step = 1.0 / self.rate
 
     def _of(self, head: Array, name: str) -> Array:
+        return np.asarray(head[self._place(name)])
+
+    def _place(self, name: str) -> int:
         if name not in self.log.numeric:
             raise MultiposError(f"{self.log.source}: column '{name}' holds no numbers.")
-        return np.asarray(head[self.log.numeric.index(name)])
+        return self.log.numeric.index(name)
 
     def _arranged(self, columns: Array) -> Array:
         data = columns[self._order]

@@ -125,6 +125,14 @@ def test_readings_are_in_the_unit_asked_for_or_that_of_the_log(asked, stated, un
     assert session.model.unit == unit
 
 
+def test_an_output_of_texts_is_refused_by_name(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0.1,0.2,up\n" for k in range(40)))
+    head = np.array([np.arange(40) / 100.0, *np.tile([[0.1], [0.2]], 40)])
+    with pytest.raises(mp.MultiposError, match=r"log\.csv: column 'az' holds no numbers\."):
+        LiveRows(open_log(log), head, ("ax", "az"), Timing())
+
+
 def test_rows_of_the_log_are_counted_with_those_left_out_and_let_go(folder):
     path = log_of(folder / "short.csv", "faces-6", seed=5)
     source = open_log(path)
