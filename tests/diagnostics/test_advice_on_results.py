@@ -1146,7 +1146,7 @@ def test_advice_that_is_followed_helps_in_twenty_sets(code, action, tmp_path, mo
     """A test at 1 % may speak again by chance, in one of twenty sets; force is no worse.
 
     Six sets decide where none spoke again and force got no worse: a finding that stays in 40 of 100
-    sets speaks in one of six 95 times of 100, and what is left of 1 % is not seen by twenty either.
+    sets speaks in one of six 95 times of 100.
     """
     again, count, more = 0, 0, []
     for seed in range(60):
