@@ -223,7 +223,7 @@ def sample_rate(source: str, column: str, time: Array) -> float:
 
 
 _HOURS = 2  # characters in front of the first colon, of a time without a date
-_ZONE = re.compile(r"[ \t]*(?:Z|UTC|(?<=\d)[+-]\d\d:?\d\d)?$", re.MULTILINE)
+_ZONE = re.compile(r"[^\S\n]*(?:Z|UTC|[+-]\d\d:?\d\d)?$", re.MULTILINE)
 _MILLISECONDS = re.compile(r"(:\d\d):(\d{3})$", re.MULTILINE)  # as a wearable writes them
 _MONTH_FIRST = re.compile(r"^(\d\d?)-(\d\d?)-(\d{4})[T ]", re.MULTILINE)
 _DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})[T ]", re.MULTILINE)
@@ -245,7 +245,7 @@ def read_dates(dates: Sequence[str]) -> Array:
     plain = plain.replace(",", ".").replace("/", "-")
     plain = _MONTH_FIRST.sub(_turned(3, 1, 2), plain)
     plain = _MILLISECONDS.sub(r"\1.\2", plain)
-    plain = re.sub(r"^(\d):", r"0\1:", plain, flags=re.MULTILINE)
+    plain = re.sub(r"(^|[T ])(\d):", r"\g<1>0\2:", plain, flags=re.MULTILINE)
     plain = re.sub(r"^(?=\d\d:)", "1970-01-01 ", plain, flags=re.MULTILINE)
     try:
         times = np.array(plain.split("\n"), dtype="datetime64[ns]")

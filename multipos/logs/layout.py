@@ -31,7 +31,7 @@ _RATE = re.compile(
 )
 DATE = re.compile(
     r"((\d{4}[-/]\d\d[-/]\d\d|\d\d?[/.]\d\d?[/.]\d{4})[T ])?"
-    r"\d\d?:\d\d(:\d\d([.,:]\d+)?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
+    r"\d\d?:\d\d(:\d\d([.,]\d+|:\d{3})?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
 )
 # As a serial monitor shows it: at the beginning of a cell, a number behind it.
 _LABEL = re.compile(r"(?<![^\s,;])([A-Za-z_]\w*)[ \t]*[:=][ \t]*(?=[-+.\d])")

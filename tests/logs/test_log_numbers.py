@@ -70,7 +70,7 @@ def test_times_that_wrap_go_on():
     "cell",
     [
         "2026-11-21 13:04:05.25", "2026/11/21 13:04:05.25", "21.11.2026 13:04:05,25",
-        "11/21/2026 13:04:05.25", "2026-11-21T13:04:05.25",
+        "11/21/2026 13:04:05.25", "2026-11-21T13:04:05.25", "2026-11-21 13:04:05.25 +01:00",
     ],
 )  # fmt: skip
 def test_dates_are_seconds_since_1970(cell):
@@ -82,6 +82,11 @@ def test_dates_are_seconds_since_1970(cell):
 
 def test_times_without_a_date_are_seconds_since_midnight():
     assert_allclose(read_dates(["9:04:05.5", "23:59:59"]), [32645.5, 86399.0])
+    assert_allclose(read_dates(["9:04:05:500", "9:04:05:50000"]), [32645.5, np.nan])
+
+
+def test_an_hour_behind_a_date_may_have_one_digit():
+    assert_allclose(np.diff(read_dates(["1/2/2026 9:04", "2026-01-02 10:05"])), [3660.0])
 
 
 def test_a_column_that_begins_again_has_so_many_turns():
