@@ -490,9 +490,9 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
     if not errors_of(found):
         residuals = cache(partial(residuals_of, calibration))
         beyond = outlier(calibration, sought=sought)
-        off = {"residuals": residuals, "outlying": () if beyond is None else beyond.rows}
-        more: dict[object, dict[str, Any]] = {orientation_error: off}
-        questions = [partial(ask, **more.get(ask, {})) for ask in OF_RESIDUALS]
+        outlying = () if beyond is None else beyond.rows
+        across = partial(orientation_error, residuals=residuals, outlying=outlying)
+        questions = [across if ask is orientation_error else ask for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):
             residuals.cache_clear()  # of many rows they are large
