@@ -32,9 +32,7 @@ import numpy as np
 
 from multipos.diagnostics import columns, gross_errors, model_error, row_order, scales, score_tests
 from multipos.diagnostics.residuals import (
-    Residuals,
     effective_number,
-    explain_unequal,
     lack_of_fit,
     orientation_error,
     outlier,
@@ -44,6 +42,7 @@ from multipos.diagnostics.residuals import (
     understated_orientations,
     unequal_noise,
 )
+from multipos.diagnostics.variances import Residuals, explain_unequal
 from multipos.estimation.gains import estimator_gain
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order

@@ -8,7 +8,7 @@ leverages, quantiles. The tests are then contractions over units:
   `multipos.sensor.fit_diagnostics`, in which rows may be unequally noisy. Where two rows are off by
   similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
   the unit is left to the fit of one;
-- lack of fit and orientation errors (`multipos.diagnostics.residuals`);
+- lack of fit and orientation errors (`multipos.diagnostics.variances`);
 - causes of time and table (`multipos.diagnostics.row_order`), with which all others compete by S of
   eq. (3) there; where two are as good, or several rows are off, the unit is left to the fit of one.
 
@@ -28,17 +28,17 @@ from numpy.typing import NDArray
 from multipos.diagnostics import projections
 from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
-from multipos.diagnostics.residuals import (
+from multipos.diagnostics.residuals import outlier_of_rows
+from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
+from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
+from multipos.diagnostics.variances import (
     Residuals,
     across_the_force,
     explain_equal,
     explain_orientations,
     explain_unequal,
-    outlier_of_rows,
     prefers_orientations,
 )
-from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
-from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.estimation import known
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.identifiability import condition

@@ -11,13 +11,9 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.diagnostics import residuals
-from multipos.diagnostics.residuals import (
-    Residuals,
-    explain_equal,
-    explain_orientations,
-    judge_equality,
-)
+from multipos.diagnostics import residuals, variances
+from multipos.diagnostics.residuals import judge_equality
+from multipos.diagnostics.variances import Residuals, explain_equal, explain_orientations
 from multipos.positions.scheme import read_scheme
 from tests.diagnostics.test_model_error import BIAS, MATRIX
 
@@ -40,7 +36,7 @@ def told(c, code):
 @pytest.mark.parametrize("off_deg", [0.0, 0.02, 0.5])
 def test_causes_stand_at_the_minimum_of_the_restricted_likelihood(off_deg, stated):
     """Against eq. (2) in one dense matrix, by a search without slopes."""
-    # eqs. (1), (2), (3) of diagnostics.residuals
+    # eqs. (1), (2), (3) of diagnostics.variances
     c = mp.fit(readings("fibonacci-24", 3, off_deg=off_deg), model="own-quadratic")
     e = c.residuals.ravel()
     f, H = c.reference, c.model.force_jacobian(c.parameters, c.reference, {})
@@ -94,7 +90,7 @@ def test_a_column_of_zeros_and_no_scatter_at_all_leave_the_orientation_error():
 
 def test_a_variance_that_runs_away_is_a_thousand_times_the_mean_square_at_most():
     of = across_only(0)
-    found = residuals._fit(of, [of.across], np.array([[1e30]]))
+    found = variances._fit(of, [of.across], np.array([[1e30]]))
     assert found.variances[0, 0] <= 1.5e3 * of.scale[0]  # J J' has 2/3 on its diagonal
 
 
@@ -123,8 +119,8 @@ def test_where_nothing_hints_at_orientations_the_whole_search_prefers_none(off_d
         c = mp.fit(readings("icosahedron-12", seed, off_deg=off_deg), reading_sd=3e-5)
         found = residuals.residuals_of(c)
         equal, moved = explain_equal(found), explain_orientations(found)
-        hints.append(bool(residuals.hints_at_orientations(found, equal)[0]))
-        assert hints[-1] or not residuals.prefers_orientations(equal, moved)[0]
+        hints.append(bool(variances.hints_at_orientations(found, equal)[0]))
+        assert hints[-1] or not variances.prefers_orientations(equal, moved)[0]
     assert np.mean(hints) >= (0.7 if off_deg else 0.2)
     assert off_deg or np.mean(hints) <= 0.8
 
@@ -220,26 +216,26 @@ def test_steps_follow_the_slopes_of_the_deviance():
     )
     parts = [np.eye(3)[..., None, None], found.across]
     theta, by = np.array([[9e-9, 2e-9], [4e-9, 1e-9]]), np.diag([1e-12, 1e-12])
-    here = residuals._evaluate(found, parts, theta)
+    here = variances._evaluate(found, parts, theta)
     slopes = np.empty((2, 2))
     for j in range(2):
-        up, down = (residuals._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
+        up, down = (variances._evaluate(found, parts, theta + s * by[j]) for s in (1, -1))
         slopes[:, j] = (up.deviance - down.deviance) / 2e-12
     assert_allclose(here.expected - here.observed, slopes, rtol=1e-3)
-    step, gain = residuals._step(theta, here)
+    step, gain = variances._step(theta, here)
     for b in range(2):
         newton = -np.linalg.solve(here.curvature[b], slopes[b])
         assert_allclose(step[b], newton, rtol=3e-3)
         assert gain[b] == pytest.approx(-0.5 * newton @ slopes[b], rel=3e-3)
     held = here._replace(observed=np.where([[True, False]], 0.5 * here.expected, here.observed))
-    still = residuals._step(theta * [0.0, 1.0], held)[0]
+    still = variances._step(theta * [0.0, 1.0], held)[0]
     assert_array_equal(still[:, 0], 0.0)
     assert_allclose(still[:, 1], -slopes[:, 1] / here.curvature[:, 1, 1], rtol=3e-3)
 
 
 def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     """R with projections of its own and SciPy's F, half of the units with rows turned."""
-    # eq. (4) of diagnostics.residuals
+    # eq. (4) of diagnostics.variances
     rng = np.random.default_rng(2)
     force = read_scheme("fibonacci-24").up
     design = np.column_stack([np.ones(24), force])
@@ -259,14 +255,14 @@ def test_what_lies_across_the_force_by_an_f_test_of_four_hundred_units():
     along = np.sum(np.sum(normal * (e / sd), axis=2) ** 2, axis=1)
     ratio = (60.0 - along) / across_nu / (along / along_nu)
     said = (ratio > fisher.ppf(0.98, across_nu, along_nu)) & (3.0 * along <= 60.0)
-    assert_array_equal(residuals.across_the_force(found), said)
+    assert_array_equal(variances.across_the_force(found), said)
     assert said[:200].mean() < 0.06
     assert said[200:].mean() > 0.3
 
 
 def test_equal_noise_is_judged_by_its_score():
     """In one dense matrix, of positions so nearly known that their angles change nothing."""
-    # eq. (5) of diagnostics.residuals
+    # eq. (1) of diagnostics.residuals
     data = readings("fibonacci-24", 5, sd=[1e-4, 1.3e-4, 0.8e-4])
     c = mp.fit(data, orientation_sd=1e-5)
     X = np.kron(np.column_stack([np.ones(24), data.up]), np.eye(3))

@@ -44,14 +44,7 @@ from multipos.diagnostics.repairs import (
     _wrap_of,
     look,
 )
-from multipos.diagnostics.residuals import (
-    Explained,
-    _information,
-    _inverse,
-    _separable,
-    _signs_lost,
-    prefers_unequal,
-)
+from multipos.diagnostics.residuals import _separable, _signs_lost
 from multipos.diagnostics.row_order import _correlation, _judge_slow, _limit, _traces
 from multipos.diagnostics.scales import (
     _stands_apart,
@@ -60,6 +53,7 @@ from multipos.diagnostics.scales import (
     reversed_or_permuted,
 )
 from multipos.diagnostics.score_tests import ratios_of
+from multipos.diagnostics.variances import Explained, _information, _inverse, prefers_unequal
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
@@ -934,7 +928,7 @@ def test_stated_orientations_are_too_small_by_chi_square(
     monkeypatch.setattr(residuals, "_at_listed", at_listed)
     monkeypatch.setattr(residuals, "explain_orientations", explain)
     monkeypatch.setattr(
-        residuals, "_least_deviance",
+        residuals, "least_deviance",
         lambda of, s2: gain - 20.0 if s2 == pytest.approx(9e-4) else math.nan,
     )  # fmt: skip
     finding = residuals.understated_orientations(c)
