@@ -394,12 +394,10 @@ def _search(
         few = np.concatenate([read_bench("all-26+icosahedron-12+fibonacci-200"), best.up[:60]])
     else:
         few = bench if len(bench) <= _MANY else _promising(setting, criterion, bench, best)
-    # G has no exchange of its own: its candidates are the best for D and for the mean variance
-    stand_in = criterion if criterion.name != "G" else Criterion("D")
     rows, fixed = setting.rows(few), setting.rows(given)
     starts = _STARTS if rows[0].shape[1] == 1 else _STARTS // 3
-    found = choose(rows, count, stand_in, included=fixed, starts=starts, rng=rng)
-    if criterion.name == "G":
+    found = choose(rows, count, criterion, included=fixed, starts=starts, rng=rng)
+    if criterion.name == "G":  # exchanged as D is; the best for the mean variance are tried too
         found += choose(
             rows, count, make_criterion("I", setting), included=fixed, starts=starts, rng=rng
         )
@@ -429,7 +427,7 @@ def _search_largest(
     ranked = sorted((judged(up) for up in choices), key=lambda result: -result[0])
     if bench is None:
         seen = read_bench("all-26+fibonacci-400")
-        moved = [polish_largest(setting, up, given, seen)[1] for _, up in ranked[:2]]
+        moved = [polish_largest(setting, up, given, seen) for _, up in ranked[:2]]
         ranked += [judged(up) for up in moved]
     return max(ranked, key=lambda result: result[0])
 

@@ -280,10 +280,8 @@ def polish(
     return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
 
 
-def polish_largest(
-    setting: Setting, up: Array, included: Array, directions: Array
-) -> tuple[float, Array]:
-    """Return −ln of the largest p s(u) and positions, moved to make it small: criterion G.
+def polish_largest(setting: Setting, up: Array, included: Array, directions: Array) -> Array:
+    """Return positions (n, 3), moved to make the largest p s(u) small: criterion G.
 
     The maximum is smoothed, (mean of s^q)^(1/q) over the directions, and sharpened by steps.
     """
@@ -306,7 +304,7 @@ def polish_largest(
     x = np.zeros(2 * len(up))
     for power in (20.0, 100.0):
         x, _ = _descend(partial(fall, power=power), x, _STEPS // 10)
-    return -smooth(x, 1e4), _tidy(_moved(up, frame, x))
+    return _tidy(_moved(up, frame, x))
 
 
 def _descend(

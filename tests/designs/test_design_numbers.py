@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import combinations_with_replacement
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.designs import designing, information
+from multipos.designs import designing, exchange, information
 from multipos.designs.assessment import (
     Assessor,
     _dof,
     find_aliases,
     positions_table,
+    scheme_details,
+    scheme_rows,
     schemes_sentence,
 )
 from multipos.designs.criteria import Criterion, make_criterion, objective
@@ -25,13 +28,16 @@ from multipos.designs.designing import (
     _efficiency,
     _order,
     _promising,
+    _search,
     _search_largest,
+    _summary,
     _time_s,
+    design_sentence,
     smaller_designs,
 )
 from multipos.designs.exchange import _roughly, _tidy, polish
 from multipos.designs.information import Setting, tangents
-from multipos.designs.optimum import _length, _spread
+from multipos.designs.optimum import _apart, _length, _spread
 from multipos.designs.prospects import information_of, measured, worth_sentence, worth_text
 from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
@@ -319,6 +325,96 @@ def test_candidates_that_promise_most_have_the_largest_variance(monkeypatch):
     variance = np.einsum("ni,ij,nj->n", X, np.linalg.inv(M), X)
     found = _promising(Setting(LINEAR), Criterion("D"), bench, best)
     assert_allclose(found, bench[np.sort(np.argsort(-variance)[:5])])
+
+
+@pytest.mark.parametrize("every", [True, False])
+@pytest.mark.parametrize("turned", [0.0, 0.5])
+@pytest.mark.parametrize("name", ["D", "A", "I", "u:ay:z"])
+def test_positions_of_a_bench_are_the_best_of_all_choices(name, turned, every, monkeypatch):
+    """Four of seven beside two, with repeats: all 210, by X'V⁻¹X of each; and by exchange."""
+    bench, given = read_scheme("fibonacci-7").up, read_scheme("roll-z-2").up
+    choices = [list(each) for each in combinations_with_replacement(range(7), 4)]
+    up = np.array([np.concatenate([bench[each], given]) for each in choices])
+    X = np.einsum("ab,cnk->cnabk", np.eye(3), np.concatenate([np.ones((210, 6, 1)), up], axis=2))
+    X = X.reshape(210, 6, 3, 12)
+    V = np.eye(3) + turned**2 * (np.eye(3) - np.einsum("cni,cnj->cnij", up, up))
+    M = np.einsum("cnap,cnab,cnbq->cpq", X, np.linalg.inv(V), X) / 6.0
+    least = np.where(np.linalg.cond(M) < 1e12, 1.0, np.nan)
+    if name == "D":
+        value = least * np.linalg.slogdet(M)[1] / 12.0
+    else:
+        others = {"A": np.ones(12), "I": np.tile([1.0, 1 / 3, 1 / 3, 1 / 3], 3)}
+        weight = others.get(name, np.where(np.arange(12) == 7, 1.0, 1e-4))
+        inverse = np.linalg.pinv(M, hermitian=True)
+        value = -np.log(least * (np.diagonal(inverse, axis1=1, axis2=2) @ weight))
+    setting = Setting(LINEAR, orientation_sd=turned)
+    if not every:
+        monkeypatch.setattr(exchange, "_ALL", 0)
+    best, found = _search(
+        setting, make_criterion(name, setting), 4, bench, given, None, np.random.default_rng(0)
+    )
+    assert best == pytest.approx(np.nanmax(value), rel=1e-9)
+    places = sorted(int(np.argmax(bench @ each)) for each in found)
+    assert value[choices.index(places)] == pytest.approx(best, rel=1e-9)
+
+
+def test_maxima_that_are_one_are_told_once_the_highest_first():
+    angle = np.radians([20.0, 70.0, 20.002, 69.99])  # cosines of 1 − 6e-10 and 1 − 1.5e-8
+    up = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(4)])
+    found, height = _apart(up, np.array([3.0, 1.0, 3.5, 4.0]))
+    assert height.tolist() == [4.0, 3.5, 1.0]
+    assert_allclose(found, up[[3, 2, 1]])
+
+
+def test_numbers_of_schemes_and_designs_as_text():
+    """Shares of three digits, drift in percent, the largest u and the least dof; what is hidden."""
+    aliases = [
+        {"output": "ax", "term": "x^2", "seen": 0.125, "into": {"bias": 2.1e-3, "cross": 0.9e-3}},
+        {"output": "ay", "term": "y^2", "seen": 0.9e-9, "into": {"bias": -0.5}},
+        {"output": "ay", "term": "x*y", "seen": 1.0, "into": {}},
+    ]
+    entry = SimpleNamespace(
+        name="mine", positions=7, identifiable=True, d_efficiency=0.91, a_efficiency=0.82,
+        g_efficiency=0.73, i_efficiency=0.64, log_det=-9.876543, condition=2.345,
+        drift_absorbed=0.256, u={"ax:1": 2e-4, "ay:y": 7e-4, "ay:1": 3e-4},
+        dof={"ax": 5, "ay": 3}, aliases=aliases, unidentifiable=("a", "b"),
+    )  # fmt: skip
+    none = SimpleNamespace(**vars(entry) | dict.fromkeys(
+        ("d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency", "log_det", "u",
+         "condition", "name"), None) | {"identifiable": False})  # fmt: skip
+    header, rows = scheme_rows([entry, none])
+    one, other = (dict(zip(header, row, strict=True)) for row in rows)
+    assert [one[key] for key in "DAGI"] == ["0.910", "0.820", "0.730", "0.640"]
+    assert (one["drift"], one["largest u"], one["dof left"]) == ("26 %", "0.0007", "3")
+    assert (one["log det"], one["condition"]) == ("-9.87654", "2.35")
+    assert (one["identifiable"], other["identifiable"], other["D"]) == ("yes", "no", "-")
+    u, lacking = scheme_details(entry)
+    assert [line.split() for line in u.splitlines()][2] == ["ay", "y", "0.0007"]
+    assert [line.split() for line in lacking.splitlines()][2:] == [
+        ["ax", "x^2", "0.12", "+0.0021", "bias"],
+        ["ay", "y^2", "hidden", "-0.5", "bias"],
+        ["ay", "x*y", "1.00", "-"],
+    ]
+    assert scheme_details(none) == ["cannot be separated:", "a", "b"]
+    entry.aliases = ()
+    assert len(scheme_details(entry)) == 1
+    found = SimpleNamespace(
+        certificate={"over": "candidates", "max_variance": 12.5, "parameters": 12, "gap": 3e-8},
+        time_s=123.4, efficiency=0.987, log_det=-9.9, optimum_log_det=-9.5, travel_deg=432.1,
+        scheme=entry, bench_efficiency=0.99, criterion="A", positions=range(8),
+    )  # fmt: skip
+    lines = [line.split() for line in _summary(found).splitlines()]
+    assert [line[:2] for line in lines] == [
+        ["efficiency", "0.987000"], ["0.990000", "against"], ["log", "det"],
+        ["certificate", "3.0e-08"], ["travel", "432°"], ["drift", "26"],
+    ]  # fmt: skip
+    assert lines[2][2:] == ["-9.900000", "at", "most", "-9.500000"]
+    assert lines[4][2:] == ["123", "s"]
+    assert "12.5 of the best on these candidates for 12 parameters" in _summary(found)
+    assert design_sentence(found).startswith("8 positions reach 98.7 % of the best A efficiency")
+    found.certificate["over"], found.time_s = "sphere", None
+    assert len(_summary(found).splitlines()) == 5
+    assert "on the whole sphere for 12" in _summary(found)
 
 
 def test_positions_that_separate_nothing_are_no_design(monkeypatch):
