@@ -330,11 +330,13 @@ def test_noise_shows_where_a_step_is_half_of_it(scatter, shows):
 def test_an_output_that_only_scatters_as_the_others_do(own, sd, silent):
     """Below a fiftieth of their response, its scatter above √.019 of theirs and below a fifth."""
     sensitivity = np.array([[1.0, 0.0, 0.0], [0.0, own, 0.0], [0.0, 0.6, 0.8]])
-    c = SimpleNamespace(
-        sensitivity=sensitivity, residual_sd=np.array([0.9, sd, 0.9]), outputs=("a", "b", "c")
-    )
-    found = _silent(c)
-    assert (found is not None and found.outputs == ("b",)) is silent
+    for unit in (1.0, 40.0, 0.03):
+        c = SimpleNamespace(
+            sensitivity=unit * sensitivity, residual_sd=unit * np.array([0.9, sd, 0.9]),
+            outputs=("a", "b", "c"),
+        )  # fmt: skip
+        found = _silent(c)
+        assert (found is not None and found.outputs == ("b",)) is silent
 
 
 @pytest.mark.parametrize(
@@ -714,6 +716,28 @@ def test_steps_of_a_change_are_judged_by_their_ratio_to_chance(monkeypatch):
         assert p[k] == pytest.approx(wanted, rel=1e-6)
         S = gain[k] + 0.3 - q * math.log(31.0) - 2.0 * math.log(6.0)
         assert score[k] == (pytest.approx(S) if wanted < 0.01 else -math.inf)
+
+
+def test_a_step_is_refined_among_its_neighbours(monkeypatch):
+    """The largest Λ of three; what is no number, of readings beyond all, is least."""
+    gains = np.array(
+        [[3.0, np.nan, 1.0, np.nan], [4.0, 5.0, np.nan, np.nan], [2.0, 9.0, 0.5, np.nan]]
+    )
+    asked = []
+    monkeypatch.setattr(
+        row_order, "fit_sizes", lambda bases, Z, e: asked.append(Z) or (None, gains.ravel())
+    )
+    steps = np.array([2, 3, 5, 6])
+    family = SimpleNamespace(base=np.ones((9, 1, 1)), steps=steps)
+    test = SimpleNamespace(family=family, limits=steps)
+    plan = SimpleNamespace(weight=np.ones((1, 2)), bases=())
+    place, gain = row_order._refined(
+        plan, test, np.zeros((9, 2, 4)), np.zeros((4, 2, 3)), np.array([1, 0, 3, 2])
+    )
+    assert place[:3].tolist() == [0, 1, 3]  # before it, behind it, as it was
+    assert gain.tolist() == [4.0, 9.0, 1.0, -math.inf]
+    first = (asked[0][:, :, 0, 0] == 0.0).sum(axis=1)
+    assert first.tolist() == steps[[1, 0, 3, 2, 0, 0, 2, 1, 2, 1, 3, 3]].tolist()
 
 
 @pytest.mark.parametrize("apart", [True, False])

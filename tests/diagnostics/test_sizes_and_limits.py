@@ -253,6 +253,17 @@ def test_rows_that_are_copies_of_others(apart, monkeypatch):
     assert columns.repeated_rows(c) is None
 
 
+@pytest.mark.parametrize(("tops", "others"), [(1, 6), (2, 3), (2, 6)])
+def test_one_largest_reading_is_no_limit_and_few_others_say_nothing(tops, others):
+    """Short by a third of the signal, of two and of more others than parameters."""
+    x = np.array([1.0, 0.98, 0.4, -0.9, 0.1, -0.3, 0.05, -0.6])[: 2 + others]
+    reference = np.column_stack([x, x**2, np.roll(x, 1)])
+    values = 0.1 + reference @ [1.0, 0.02, 0.03]
+    values[:2] = 0.7, 0.7 if tops == 2 else 0.69
+    found = columns._clipped(reference, values)
+    assert (found is not None) is (tops == 2 and others == 6)
+
+
 # --- scales
 
 
@@ -289,6 +300,31 @@ def test_gravity_in_feet(value, feet):
         gravity=SimpleNamespace(value=value, u=0.0), field=SimpleNamespace(magnetic=False)
     )
     assert ("feet" in scales.gravity(c).text) is feet
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "said", "action"),
+    [
+        ((2.9, 3.05), "g", None, None),
+        ((2.99, 3.05), "g", "not in g: 1 g reads 3.02, where 1 is expected", "no --unit."),
+        ((0.32, 0.33), "g", "1 g reads 0.325, where 1 is", "no --unit."),
+        ((0.335, 0.34), "g", None, None),
+        ((6.2, 6.2), "g", "1 g reads 6.2", "State --unit m/s^2."),
+        ((6.1, 6.1), "g", "1 g reads 6.1", "no --unit."),
+        ((1.1, 1.1), "m/s^2", "1 g reads 1.1, where 9.80665 is", "State --unit g."),
+        ((0.9, 1.6), "mg", "1 g reads 1.2, where 1000 is", "State --unit g."),
+        ((0.9, 3.7), "mg", None, None),  # of unequal outputs one is to be mended first
+        ((6.2, 6.2), "V", None, None),
+    ],
+)
+def test_readings_in_another_unit_than_the_one_stated(size, unit, said, action):
+    """Beyond three times what 1 g reads, by the geometric mean; within 1.6 of a unit that is it."""
+    c = SimpleNamespace(model=SimpleNamespace(unit=unit))
+    found = scales.unit(c, np.array([[0.6, 0.8, 0.0], [0.0, -0.6, 0.8]]) * np.array([size]).T)
+    assert (found is None) is (said is None)
+    if found:
+        assert said in found.text
+        assert action in found.action
 
 
 def test_a_turn_in_words():
