@@ -235,6 +235,8 @@ def solve_own_known(
 
     Raises
     ------
+    MultiposError
+        A formula has no value at a position.
     RankError
         The positions cannot separate the parameters, which are named.
     ConvergenceError
@@ -251,6 +253,7 @@ def solve_own_known(
     if model.all_linear:
         start = np.zeros(len(model.keys))
         outputs, blocks = model.respond(start, reference, readings.environment)
+        _require_values(model, outputs, blocks, readings)
         return about(start, readings.values - outputs, blocks)
     problem, best = _searched(model, reference, readings)
     solution = about(best.state.theta, best.point.residuals, best.point.blocks)
@@ -266,6 +269,19 @@ def solve_own_known(
                 break
     said = _curvature_bias(model, best, reference, readings, solution)
     return replace(solution, status=best.status, findings=(*solution.findings, *said))
+
+
+def _require_values(
+    model: ExpressionModel, outputs: Array, blocks: Sequence[Block], readings: Readings
+) -> None:
+    """Raise where a formula that is linear in its parameters has no value at a position."""
+    for name, response, (_, slopes) in zip(model.outputs, outputs.T, blocks, strict=True):
+        none = np.flatnonzero(~(np.isfinite(response) & np.isfinite(slopes).all(axis=1)))
+        if len(none):
+            raise MultiposError(
+                f"the formula of {name} has no value at {len(none)} of {len(response)} positions, "
+                f"first at {readings.labels[none[0]]}; change the formula, or omit these positions."
+            )
 
 
 def _excess(solution: Solution) -> Array:

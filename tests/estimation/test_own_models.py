@@ -305,6 +305,22 @@ def test_gravity_reaches_parameters_as_it_does_in_a_polynomial():
     assert_allclose(saturated["s_ax"].u, g * saturated["s_ax"].value, rtol=1e-2)
 
 
+@pytest.mark.parametrize(
+    ("formula", "places", "first"),
+    [("b + s*own + b/(s - s)", 26, "1"), ("b + s*own + s*log(own + 0.5)", 9, "6")],
+)
+def test_a_formula_without_a_value_is_named_with_its_positions(tmp_path, formula, places, first):
+    """Of 26 directions one points down along an axis and eight lie .577 or .707 below level."""
+    model = written(tmp_path, "", f'ax = "b + s*own"\nay = "b + s*own"\naz = "{formula}"')
+    said = f"formula of az has no value at {places} of 26 positions, first at {first};"
+    with pytest.raises(mp.MultiposError, match=said):
+        mp.fit(readings(), model=model)
+    if places < 26:  # as the message says
+        valued = UP[:, 2] > -0.5
+        kept = mp.Readings(readings().values[valued], up=UP[valued])
+        assert mp.fit(kept, model=model).outputs == ("ax", "ay", "az")
+
+
 def test_an_empty_line_and_a_missing_output_are_errors():
     with pytest.raises(mp.UsageError, match="output 'ay' has no line"):
         mp.fit(readings(), model="ax = b + own")
