@@ -450,8 +450,8 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
         starts = _started(n, number, p)
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
-    left = _left_of(view, kept) if n > _FEW else _left_at(view, kept)
-    kept, left = _concentrated(view, kept, left, most, _STEPS)
+    leave = _left_of if n > _FEW else _left_at
+    kept, left = _concentrated(view, kept, leave(view, kept), most, _STEPS)
     if n <= _SAMPLE:
         best = np.argsort(_objective(left), kind="stable")[:_KEPT]
         some = [(e[best], squares[best]) for e, squares in left]
@@ -544,6 +544,7 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
         kept[np.arange(len(kept))[:, None], far] = False
         if (kept == before).all():
             break
+        del left  # of many rows it is large
         left = _left_of(view, kept)
     return kept, left
 
