@@ -49,6 +49,7 @@ from multipos.designs.information import (
     nothing_to_weigh,
 )
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
+from multipos.errors import MultiposError
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names, spread
@@ -355,16 +356,22 @@ class Assessor:
 
     def separate(self, up: Array) -> tuple[list[str], float]:
         """Return what positions cannot separate, in words, and the condition where they can."""
-        model = self.setting.model
-        if math.isinf(self.setting.orientation_sd):
-            designs = [(model.names, self.setting.rows(up)[0][:, 0, :])]
-        else:
+        model, setting = self.setting.model, self.setting
+        parts: Sequence[slice] = [slice(None)]
+        if not math.isinf(setting.orientation_sd):
             # a finite orientation sd weighs the rows, but takes none away
-            exact = Setting(model, parameters=self.setting.parameters)
-            designs = [
-                (model.names[part], Z.reshape(-1, Z.shape[2]))
-                for part, Z in zip(exact.blocks, exact.rows(up), strict=True)
-            ]
+            setting = Setting(model, parameters=setting.parameters)
+            parts = setting.blocks
+        designs = []
+        for part, Z in zip(parts, setting.rows(up)[: len(parts)], strict=True):
+            none = len(up) - int(np.sum(np.isfinite(Z).all(axis=(1, 2))))
+            if none:
+                outputs = ", ".join(dict.fromkeys(output for output, _ in model.keys[part]))
+                raise MultiposError(
+                    f"the formula of {outputs} has no value at {none} of {len(up)} positions; "
+                    "change the formula."
+                )
+            designs.append((model.names[part], Z.reshape(-1, Z.shape[2])))
         found = [(names, separability(Z, least_norm=ZERO_NORM)) for names, Z in designs]
         problems: list[str] = []
         for names, one in found:

@@ -251,7 +251,8 @@ def _apply_inverse(jacobian: Array, misfit: Array) -> Array:
         return np.asarray(np.linalg.solve(jacobian, misfit[:, :, None])[:, :, 0])
     except np.linalg.LinAlgError:
         # One singular row must not cost the others their answer.
-        sound = np.linalg.matrix_rank(jacobian) == columns
+        sound: Mask = np.asarray(np.isfinite(jacobian).all(axis=(1, 2)))
+        sound[sound] = np.linalg.matrix_rank(jacobian[sound]) == columns
         step = np.full(misfit.shape, np.nan)
         step[sound] = np.linalg.solve(jacobian[sound], misfit[sound][:, :, None])[:, :, 0]
         return step

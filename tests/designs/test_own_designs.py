@@ -38,6 +38,13 @@ def test_six_faces_cannot_tell_a_saturation():
     assert "k_ax" in found.unidentifiable[0]
 
 
+def test_positions_where_a_formula_has_no_value_are_counted():
+    """Of six faces four have no force along an axis."""
+    said = "formula of ax has no value at 4 of 6 positions"
+    with pytest.raises(mp.MultiposError, match=said):
+        mp.schemes("faces-6", model="each = b + s*own + k*own/abs(own)")
+
+
 def test_shared_parameters_are_told_by_all_outputs():
     found = mp.schemes("all-26", model="each = b + s*own + common_k*own^2").schemes[0]
     up = read_scheme("all-26").up

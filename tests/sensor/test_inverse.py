@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import COMPONENTS
 from multipos.numerics.terms import NAMED
-from multipos.sensor.inverse import invert, parameter_jacobian, sensitivities
+from multipos.sensor.inverse import _apply_inverse, invert, parameter_jacobian, sensitivities
 from multipos.sensor.model import build_model
 
 SENSORS = {
@@ -138,3 +138,10 @@ def test_the_uncertainty_of_a_force_against_forces_of_moved_parameters(kind):
         sd = np.sqrt(np.diag(stated[row]))
         # what is not linear is some thousandths of these steps
         assert_allclose(found / np.outer(sd, sd), stated[row] / np.outer(sd, sd), atol=1e-2)
+
+
+def test_a_response_without_slopes_has_no_force_and_leaves_the_others_theirs():
+    """Of y = s x and y = x/0 by hand: two rows are not finite, one is singular, one 2."""
+    slopes = np.array([[[np.inf]], [[np.nan]], [[0.5]], [[0.0]]])
+    step = _apply_inverse(slopes, np.ones((4, 1)))
+    assert_array_equal(step, [[np.nan], [np.nan], [2.0], [np.nan]])
