@@ -41,7 +41,7 @@ from multipos.diagnostics.variances import (
 )
 from multipos.estimation.gains import information_at_solution
 from multipos.estimation.known import REJECTED
-from multipos.estimation.likelihood import weigh
+from multipos.estimation.likelihood import respond, weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding
@@ -213,8 +213,8 @@ def effective_number(c: Calibration) -> Finding | None:
     )
 
 
-_FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
-_MOST = 600  # readings beyond which eq. (1) is not worked out
+FEW = 6.0  # degrees of freedom below which the law of eq. (1) is not reached
+MOST = 600  # readings beyond which eq. (1) is not worked out
 
 
 def rejected_noise(c: Calibration) -> Finding | None:
@@ -441,30 +441,53 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
         Standard deviations that the residuals show.
     """
     n, m = c.residuals.shape
-    if n * m > _MOST:
+    if n * m > MOST:
         return 1.0, np.full(m, np.nan)
     problem, optimum = information_at_solution(c)
-    if float(problem.degrees.sum()) - problem.unknowns < _FEW:
+    if float(problem.degrees.sum()) - problem.unknowns < FEW:
         return 1.0, np.full(m, np.nan)
-    P = optimum.projection()
     push = weigh(problem.precision, optimum.point.residuals)
     precision = problem.precision
     if precision.ndim == 3:
         precision = np.diagonal(precision, axis1=1, axis2=2)
-    V = 1.0 / precision
-    root = np.sqrt(V)
-    P *= root[:, :, None, None] * root
-    traces = np.einsum("nini->i", P)
-    squares = np.einsum("ni,ni->i", root * push, root * push)
-    if not squares.any():
-        return 1.0, np.zeros(m)  # readings so coarse that nothing is left
-    common = squares.sum() / traces.sum()
+    W, WA = optimum.weighted()
+    columns = WA.transpose(1, 0, 2).reshape(WA.shape[1], -1)
+    follows = respond(optimum.information, columns).reshape(-1, m, n).transpose(1, 0, 2)
+    given = W, WA, follows, push.T, 1.0 / precision.T
+    statistic, sizes = score_equality(*(each[..., None, :] for each in given))
+    return chi2_tail(float(statistic[0]), m - 1.0), sizes[0]
+
+
+def score_equality(
+    W: Array, WA: Array, follows: Array, push: Array, variance: Array
+) -> tuple[Array, Array]:
+    """Return U'I⁻¹U of eq. (1) (B,), and the standard deviations (B, M) that residuals show.
+
+    P_ki,lj is δ_kl W_k,ij − (W A)_ki S⁻¹(W A)_lj', so that squares need sums over positions alone.
+
+    Parameters
+    ----------
+    W, WA, follows : (M, M, B, n), (M, p, B, n), (M, p, B, n) arrays
+        With S⁻¹A'W.
+    push, variance : (M, B, n) arrays
+        Σ⁻¹r and v.
+    """
+    root = np.sqrt(variance)
+    W = W * root[:, None] * root
+    WA, follows = ((each * root[:, None]).transpose(0, 2, 1, 3) for each in (WA, follows))
+    lost = np.einsum("ibpn,jbpn->ijbn", WA, follows)
+    sums = follows @ WA.swapaxes(2, 3)
+    traces = np.einsum("iibn->bi", W - lost)
+    information = np.einsum("ijbn,ijbn->bij", W, W - 2.0 * lost)
+    information += np.einsum("ibpq,jbqp->bij", sums, sums)
+    squares = np.einsum("ibn,ibn->bi", root * push, root * push)
+    total = squares.sum(axis=1, keepdims=True)
+    common = np.where(total > 0.0, total, 1.0) / traces.sum(axis=1, keepdims=True)
     U = 0.5 * (squares / common - traces)
-    information = 0.5 * np.einsum("kilj,kilj->ij", P, P)
-    solved = np.linalg.solve(information, U)
-    statistic = U @ solved
-    sizes = np.sqrt(np.mean(V, axis=0) * common * np.maximum(1.0 + solved, 0.05))
-    return chi2_tail(float(statistic), m - 1.0), sizes
+    U *= total > 0.0  # readings so coarse that nothing is left
+    solved = np.linalg.solve(0.5 * information, U[:, :, None])[:, :, 0]
+    size = np.sqrt(variance.mean(axis=2).T * common * np.maximum(1.0 + solved, 0.05))
+    return np.einsum("bi,bi->b", U, solved), size * (total > 0.0)
 
 
 def _separable(c: Calibration) -> bool:

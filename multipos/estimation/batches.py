@@ -11,13 +11,41 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.terms import Term
 from multipos.sensor.model import Model
 
 _STEPS = 30  # of the compensation: three gain what the model's curvature costs
 _XTOL = 1e-15  # [g], where a step is only rounding
 _SINGULAR = 1e-8  # determinant of A'A, its rows of length one, below which A is not inverted
+
+
+class Solution(NamedTuple):
+    """B units about their solutions, the angles of each position eliminated (`likelihood`)."""
+
+    weights: Array  # W, (M, M, B, n)
+    slopes: Array  # W A, (M, p, B, n)
+    information: Array  # S, (B, p, p)
+    push: Array  # Σ⁻¹r, (M, B, n)
+    variance: Array  # Σ, (M, B, n)
+    force: Array  # (3, B, n) [g]
+    objective: Array  # F, (B,)
+    normal: Array | None = None  # m, (M, B, n), where W is m m'
+    rows: Array | None = None  # A'm, (B, p, n), there
+
+    def of(self, units: Places) -> "Solution":
+        """Return some of the units."""
+        return Solution(
+            self.weights[:, :, units],
+            self.slopes[:, :, units],
+            self.information[units],
+            push=self.push[:, units],
+            variance=self.variance[:, units],
+            force=self.force[:, units],
+            objective=self.objective[units],
+            normal=None if self.normal is None else self.normal[:, units],
+            rows=None if self.rows is None else self.rows[units],
+        )
 
 
 class Estimates(NamedTuple):
@@ -43,6 +71,8 @@ class Estimates(NamedTuple):
         Of readings under a robust loss, 0 where one is set aside.
     outlying : (B,) array of bool or None
         Of which a reading is beyond chance under that loss.
+    solutions : tuple of Solution
+        Of the units, block by block, at uncertain and unknown orientations.
     """
 
     parameters: Array
@@ -59,6 +89,7 @@ class Estimates(NamedTuple):
     weighted: Array | None = None
     weight: Array | None = None
     outlying: NDArray[np.bool_] | None = None
+    solutions: tuple[Solution, ...] = ()
 
 
 def rms_of(
@@ -112,6 +143,7 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         weighted=joined("weighted", 1),
         weight=joined("weight"),
         outlying=joined("outlying"),
+        solutions=tuple(each for part in parts for each in part.solutions),
     )
 
 

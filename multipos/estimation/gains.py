@@ -26,7 +26,7 @@ Uncertainties, leverages and tests of terms that a model lacks are functions of 
 solution. With W_k and S of `multipos.estimation.likelihood`, A_k the slopes of the readings by all
 unknowns, and Z_k those by anything else, they are
 
-    A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W − W A S⁻¹ A'W.      (4)
+    A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W,   W A.             (4)
 
 Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k is m_k m_k' of
 `multipos.estimation.unknown_orientations`, and Σ_k⁻¹r_k is W_k r_k at the solution: each position
@@ -85,8 +85,8 @@ class FisherInformation(Protocol):
     def leverage(self, covariance: Array) -> Array:
         """Return the diagonal of W A C A' (n, M), C (p, p) of the parameters."""
 
-    def projection(self) -> Array:
-        """Return W − W A S⁻¹ A'W (n, M, n, M)."""
+    def weighted(self) -> tuple[Array, Array]:
+        """Return W (M, M, n) and W A (M, p + shared, n)."""
 
     def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
         """Return S⁻¹ (p, p) widened for axes of unequal noise, where all positions are unknown.
@@ -132,11 +132,8 @@ class _OneRow:
         own = [np.einsum("np,pn->n", slopes, moved[places]) for places, slopes in self.point.blocks]
         return np.asarray((self.normal * own).T)
 
-    def projection(self) -> Array:
-        Q = np.linalg.qr(self.rows.T)[0]  # a'S⁻¹a is QQ'
-        left = np.eye(len(Q)) - Q @ Q.T
-        m = self.normal.T
-        return np.asarray(m[:, :, None, None] * left[:, None, :, None] * m)
+    def weighted(self) -> tuple[Array, Array]:
+        return self.normal[:, None] * self.normal, self.normal[:, None] * self.rows
 
     def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
         fraction = self.normal.T**2 / self.precision * unstated
@@ -177,16 +174,13 @@ class _General:
                 result[:, i] += self.marginal[:, i, j] * np.einsum("np,np->n", moved, mine)
         return result
 
-    def projection(self) -> Array:
+    def weighted(self) -> tuple[Array, Array]:
         n, m = self.weighted_residuals.shape
         A = np.zeros((n, m, len(self.information)))
         for output, (places, slopes) in enumerate(self.point.blocks):
             A[:, output, places] = slopes
         A[:, :, self.p :] = self.shared
-        WA = (self.marginal @ A).reshape(n * m, -1)
-        result = (-WA @ respond(self.information, WA.T)).reshape(n, m, n, m)
-        result[np.arange(n), :, np.arange(n)] += self.marginal
-        return result
+        return self.marginal.transpose(1, 2, 0), (self.marginal @ A).transpose(1, 2, 0)
 
     def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
         if not self.along_force:

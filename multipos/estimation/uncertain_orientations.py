@@ -22,7 +22,13 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from multipos.estimation.batches import Estimates, compensated, join_estimates, model_coefficients
+from multipos.estimation.batches import (
+    Estimates,
+    Solution,
+    compensated,
+    join_estimates,
+    model_coefficients,
+)
 from multipos.estimation.known import ROUNDING, share_design
 from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.orientation_variance import (
@@ -91,6 +97,7 @@ class _Equations(NamedTuple):
     angle_gradient: Array  # m of `likelihood`, (B n, 2)
     weighted: Array  # Σ⁻¹J, (B n, M, 2)
     inverse: Array  # H⁻¹, (B n, 2, 2)
+    marginal: Array  # W, (M, M, B, n)
 
 
 @frozen
@@ -200,7 +207,7 @@ class UncertainSearch:
         reduced = precision * residuals - np.einsum("nmi,ni->nm", own.gain, angle_gradient)
         marginal = own.marginal.transpose(1, 2, 0).reshape(m, *shape)
         found = self._assembled(place, marginal, reduced.T.reshape(shape))
-        return _Equations(*found, angle_gradient, weighted, own.inverse)
+        return _Equations(*found, angle_gradient, weighted, own.inverse, marginal)
 
     def _assembled(self, place: Place, marginal: Array, reduced: Array) -> tuple[Array, Array]:
         """Return S and g of W (M, M, B, n) and what pushes the outputs (M, B, n)."""
@@ -243,6 +250,17 @@ class UncertainSearch:
         moves = (listed.size[:, :, None] * moves).transpose(1, 2, 0).reshape(3, 2, count, n)
         by_force = self.model.force_slopes(place.coefficients, place.force, listed.environment)
         return np.asarray(np.einsum("mkbn,kibn->mibn", by_force, moves))
+
+    def solution(self, place: Place, equations: _Equations) -> Solution:
+        """Return units about places."""
+        outputs, columns, copies = self.model.rows
+        marginal = equations.marginal
+        slopes = marginal.take(outputs, axis=1) * place.phi.take(columns, axis=0)
+        for parameter, output, column in copies:
+            slopes[:, parameter] += marginal[:, output] * place.phi[column]
+        push = place.residuals / self.variance
+        of_units = marginal, slopes, equations.information, push, self.variance, place.force
+        return Solution(*of_units, place.objective)
 
     @property
     def _prior(self) -> Array:
@@ -435,11 +453,12 @@ def _estimate(
     rms = np.sqrt(np.einsum("bnk,bnk->b", left.force, left.force) / n)
     valid &= left.inverted.sound & (np.abs(theta).max(axis=1) <= LARGEST)
     valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
-    some = np.flatnonzero(valid)
+    some, equations = np.flatnonzero(valid), units.search.linearise(place)
     if len(some):
-        valid[some] = _are_clear(shared, units.of(some), U[some])
+        valid[some] = _are_clear(shared, units.of(some), U[some], equations.information[some])
     dof = np.broadcast_to(tail[:, None], theta.shape)
-    return Estimates(theta, U, dof, rms, residuals, *left.inverted[:2], valid, chi2), excess
+    of_units = Estimates(theta, U, dof, rms, residuals, *left.inverted[:2], valid, chi2)
+    return of_units._replace(solutions=(units.search.solution(place, equations),)), excess
 
 
 def _any_noise(values: Array) -> Array:
@@ -477,10 +496,9 @@ def _with_noise(
     return units, found
 
 
-def _are_clear(shared: SharedOrientations, units: _Units, U: Array) -> Mask:
-    """Return of which units residuals and U (B, p) raise no doubt."""
+def _are_clear(shared: SharedOrientations, units: _Units, U: Array, information: Array) -> Mask:
+    """Return of which units residuals, U (B, p) and S (B, p, p) raise no doubt."""
     place, variance = units.found, units.search.variance
-    information = units.search.linearise(place).information
     scale = np.sqrt(np.einsum("bpp->bp", information))
     sizes = np.linalg.eigvalsh(information / (scale[:, :, None] * scale[:, None, :]))
     clear = sizes[:, 0] > _WORST * sizes[:, -1]

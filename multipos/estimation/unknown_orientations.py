@@ -44,7 +44,13 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.estimation.batches import Estimates, compensated, join_estimates, model_coefficients
+from multipos.estimation.batches import (
+    Estimates,
+    Solution,
+    compensated,
+    join_estimates,
+    model_coefficients,
+)
 from multipos.estimation.identifiability import plausible_range
 from multipos.estimation.known import REJECTED, ROUNDING
 from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
@@ -283,6 +289,14 @@ class UnknownSearch:
         force *= self.shared.size / np.sqrt(np.einsum("ibn,ibn->bn", force, force))
         return self._at(place.theta + step, place.coefficients + change, force)
 
+    def solution(self, place: Place, surface: Surface) -> Solution:
+        """Return units about places."""
+        m = surface.normal
+        slopes = m[:, None] * surface.rows.transpose(1, 0, 2)
+        push = place.residuals / self.variance
+        of_units = m[:, None] * m, slopes, surface.information, push, self.variance, place.force
+        return Solution(*of_units, place.objective, m, surface.rows)
+
     def linear(self, place: Place, stated: Array) -> Linear:
         """Return the linear models of what lies along the normals, of length one.
 
@@ -403,6 +417,8 @@ class _Found(NamedTuple):
     u: Array  # (B, p)
     dof: Array  # (B,)
     valid: Mask
+    search: UnknownSearch
+    surface: Surface
 
 
 def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) -> Estimates:
@@ -424,7 +440,7 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
         unstated = np.moveaxis(surface.normal**2, 0, 1)
         matrix = allow_for_axes(surface.rows, surface.height, unstated, inverse.matrix)
         u = np.sqrt(np.einsum("bpp->bp", matrix) * factor[:, None])
-        found = _Found(place, u, np.full(len(u), nu), valid & inverse.valid)
+        found = _Found(place, u, np.full(len(u), nu), valid & inverse.valid, start, surface)
     else:
         chi2 = place.objective.copy()
         found = _with_excess(start, place, noise, valid)
@@ -446,7 +462,9 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     dof = np.broadcast_to(found.dof[:, None], found.u.shape)
     valid &= left.inverted.sound
     of_units = place.theta, found.u, dof, rms, place.residuals
-    return Estimates(*of_units, *left.inverted[:2], valid, chi2)
+    solution = found.search.solution(place, found.surface)
+    estimates = Estimates(*of_units, *left.inverted[:2], valid, chi2)
+    return estimates._replace(solutions=(solution,))
 
 
 def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:
@@ -459,7 +477,9 @@ def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: 
         found = find_excess(units, valid & noise.sound, p, float(n - p))
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(place.theta.shape, np.nan)
-        return _Found(place, nothing, nothing[:, 0], np.zeros_like(valid))
+        return _Found(
+            place, nothing, nothing[:, 0], np.zeros_like(valid), start, start.linearise(place)
+        )
     surface = units.search.linearise(units.found)
     inverse = _inverse(surface.information)
     u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
@@ -473,7 +493,8 @@ def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: 
         formal = np.einsum("bpp->bp", inverse.matrix[rejected])
         u[rejected] *= np.sqrt(np.einsum("bpp->bp", wider) / formal)
     dof = combined_jointly(found.dof, noise, found.excess)
-    return _Found(units.found, u, dof, found.valid & inverse.valid)
+    valid = found.valid & inverse.valid
+    return _Found(units.found, u, dof, valid, units.search, surface)
 
 
 def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:

@@ -21,8 +21,8 @@ At uncertain orientations residuals are small wherever positions take up what is
 output that has one end of its range twice, or in common with another (saturated), is asked as well;
 positions that stick out are left to the fit of one unit by the batch itself.
 
-What is a caution alone is found by `multipos.fleets.unit_findings` at known orientations; at
-uncertain and unknown ones it is asked only of units that are fitted one by one.
+What is a caution alone is found by `multipos.fleets.unit_findings`; at uncertain and unknown
+orientations outliers and causes of time are asked only of units that are fitted one by one.
 """
 
 import warnings
@@ -190,7 +190,7 @@ class Pattern:
     tests : UnitTests or None
         Of the residuals at known orientations.
     kinds : tuple of Kind
-        Terms that robust fits, or user-defined models, may lack.
+        Terms that all but plain fits at known orientations may lack.
     robust : Calibration or None
         The unit that was fitted, of robust fits.
     timed : bool
@@ -296,7 +296,11 @@ def find_pattern(
     if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
         fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
     codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
-    kinds = unit_findings.lacking_in_batch(c) if own or robust is not None else ()
+    kinds: tuple[Kind, ...] = ()
+    if own or robust is not None:
+        kinds = unit_findings.lacking_in_batch(c)
+    elif not isinstance(shared, SharedDesign):
+        kinds = unit_findings.lacking_in_units(c)
     return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
 
 
@@ -360,9 +364,10 @@ _POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noi
 _CODES = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
     *("lack-of-fit", _REJECTED, "placement", "time-correlated", "drift", "slipped", "replaced"),
-    *("settling", "hysteresis", "vibration", "level", "table", _OVERSTATED, "set-aside"),
+    *("settling", "hysteresis", "vibration", "level", "table", "unequal-noise", _OVERSTATED),
+    *("set-aside", "orientation-ignored"),
 )
-_OF_UNITS = frozenset((*_CODES[4:], _POOR))
+_OF_UNITS = frozenset((*_CODES[4:-1], _POOR))
 
 
 def _codes(calibration: Calibration) -> set[str]:
@@ -430,16 +435,23 @@ def solve_task(task: Task) -> Solved:
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
     named: dict[str, NDArray[np.bool_]] = {}
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
-        tested = unit_findings.find_in_units(task.pattern.tests, shared, task.values, found)
+        tested = unit_findings.find_in_units(
+            task.pattern.tests, shared, task.values, found, task.temperature
+        )
         named, looked_at = tested.found, looked_at | tested.singly
-        for temperature in task.temperature:
-            looked_at |= unit_findings.follow_temperature(
-                task.pattern.tests, shared, temperature, found
-            )
     if task.pattern.robust is not None and isinstance(shared, SharedDesign):
         tested = unit_findings.find_aside(task.pattern.robust, shared, task.values, found)
         named, looked_at = tested.found, looked_at | tested.singly
-        looked_at |= unit_findings.may_lack_terms(task.pattern.kinds, shared, found)
+        looked_at |= unit_findings.may_lack_terms(
+            task.pattern.kinds, shared, found, task.temperature
+        )
+    if isinstance(shared, SharedSphere | uncertain_orientations.SharedOrientations):
+        columns = {**shared.environment, **dict(zip([TEMPERATURE], task.temperature, strict=False))}
+        unknown = isinstance(shared, SharedSphere)
+        tested = unit_findings.find_about_solutions(
+            task.pattern.kinds, found, columns, unknown=unknown
+        )
+        named, looked_at = tested.found, looked_at | tested.singly
     if isinstance(shared, user_models.SharedExpression):
         tested = unit_findings.find_in_expressions(task.pattern.kinds, shared, found)
         named, looked_at = tested.found, looked_at | tested.singly

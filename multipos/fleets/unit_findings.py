@@ -1,6 +1,6 @@
-"""Findings about the residuals of many units at known positions, as `fit` finds them of each.
+"""Findings about the residuals of many units, as `fit` finds them of each.
 
-What the positions alone decide is worked out once for all units: projections on missing terms,
+What known positions alone decide is worked out once for all units: projections on missing terms,
 leverages, quantiles. The tests are then contractions over units:
 
 - missing terms, by the score tests of `multipos.diagnostics.score_tests`;
@@ -14,10 +14,13 @@ leverages, quantiles. The tests are then contractions over units:
 
 Where readings weigh unequally, each unit has its own leverages and its own scores: projections on
 the terms span the same beside the design, whatever the weights.
+
+At uncertain and unknown orientations each unit has weights and slopes of its own, about which its
+missing terms and unequal outputs are tested.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -28,7 +31,7 @@ from numpy.typing import NDArray
 from multipos.diagnostics import projections
 from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
-from multipos.diagnostics.residuals import outlier_of_rows
+from multipos.diagnostics.residuals import FEW, MOST, outlier_of_rows, score_equality
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.diagnostics.variances import (
@@ -40,7 +43,7 @@ from multipos.diagnostics.variances import (
     prefers_orientations,
 )
 from multipos.estimation import known
-from multipos.estimation.batches import Estimates, model_coefficients
+from multipos.estimation.batches import Estimates, Solution, model_coefficients
 from multipos.estimation.identifiability import condition
 from multipos.estimation.known import SharedDesign
 from multipos.estimation.robustness import ASIDE
@@ -57,6 +60,8 @@ from multipos.sensor.temperature import find_soaks
 
 Mask = NDArray[np.bool_]
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
+_DOUBTED = 1e-3  # of a limit: what noise that has converged leaves open of a test
+_ROUNDING = 1e-14  # of what is one: no inverse is asked of nothing
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
 _CLOSE = 1.0  # of S, within which causes are as good
@@ -158,7 +163,11 @@ def _nearest(reference: Array) -> float:
 
 
 def find_in_units(
-    tests: UnitTests, shared: SharedDesign, values: tuple[Array, ...], found: Estimates
+    tests: UnitTests,
+    shared: SharedDesign,
+    values: tuple[Array, ...],
+    found: Estimates,
+    temperature: Sequence[Array] = (),
 ) -> UnitFindings:
     """Return what the residuals of B units show.
 
@@ -169,11 +178,21 @@ def find_in_units(
     values : M arrays (B, n)
         Readings of each output.
     found : Estimates
+    temperature : one array (B, n), or none
+        Of each unit, where the model has no term of it. Units whose residuals follow it are fitted
+        singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term to name.
     """
     of, sensitivity = _weigh(tests, shared, found), found.sensitivity
     residuals = of.residuals
     lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
-    significant, of_terms = _missing_terms(tests, values, of.error, of.explained)
+    warm = None
+    if temperature and not any(TEMPERATURE in kind.name for kind in tests.kinds):
+        weights = None if of.leverage is None or of.sd is None else of.sd**-2.0
+        e = of.error if weights is None else residuals
+        warm = _explained_by_temperature(shared, temperature[0], weights, e)
+    significant, of_terms = _missing_terms(tests, shared, values, of, warm)
+    named = significant.shape[1] - (0 if warm is None else warm.shape[1])
+    follow, significant = significant[:, named:].any(axis=1), significant[:, :named]
     if of.leverage is None:
         outlying, singly = _outliers(tests, shared, sensitivity, residuals, of.error, of.r2)
         missing = _admissible(tests, shared, sensitivity, residuals, significant)
@@ -196,6 +215,7 @@ def find_in_units(
         "lack-of-fit": lacking_fit,
         "placement": misplaced,
     }
+    singly |= follow
     singly |= scored & outlying & misplaced  # are the other rows so as well?
     if tests.soaks:
         singly |= missing | scored
@@ -355,19 +375,29 @@ def _admissible(
 
 
 def _missing_terms(
-    tests: UnitTests, values: Sequence[Array], error: Array, explained: Array | None = None
+    tests: UnitTests,
+    shared: SharedDesign,
+    values: Sequence[Array],
+    of: _Weighed,
+    warm: Array | None = None,
 ) -> tuple[Mask, Array]:
     """Return of which units a kind of term is significant (B, K), and S (B,) of the best.
 
-    By whitened residuals (M, B, n), and what terms explain of them (B, K, M) where weights differ.
+    `warm` (B, 2, M) is what the two kinds of temperature explain, if it is asked; they come last.
     """
-    on, count = tests.projection, error.shape[1]
-    if on is None:
+    on, (m, count, _) = tests.projection, of.error.shape
+    explained: Array = np.zeros((count, 0, m))
+    q, left = np.zeros((0, m)), shared.dof
+    if on is not None:
+        explained = explained_by(on, of.error) if of.explained is None else of.explained
+        q = on.q
+    if warm is not None:
+        explained = np.concatenate([explained, warm], axis=1)
+        q = np.concatenate([q, np.ones((2, m))])
+    if not q.size:
         return np.zeros((count, 0), dtype=np.bool_), np.full(count, -np.inf)
-    if explained is None:
-        explained = explained_by(on, error)
-    whole = np.einsum("mbn,mbn->bm", error, error)[:, None]
-    q, left, least_variance = on.q, on.left, np.zeros(1)
+    whole = np.einsum("mbn,mbn->bm", of.error, of.error)[:, None]
+    least_variance = np.zeros(1)
     if tests.stated:
         explained, whole = explained.sum(axis=2, keepdims=True), whole.sum(axis=2, keepdims=True)
         q, left = q.sum(axis=1, keepdims=True), left.sum(keepdims=True)
@@ -376,6 +406,7 @@ def _missing_terms(
             :, None
         ]
     ratio, nu, tested = ratios_of(explained, whole, q, left, least_variance)
+    ratio = np.where(tested, ratio, 0.0)
     logs = np.zeros(ratio.shape)
     for kind, output in np.argwhere((q > 0.0) & (nu >= 1.0)).tolist():
         dof = float(q[kind, output]), float(nu[kind, output])
@@ -390,40 +421,56 @@ def _missing_terms(
     best = np.argmin(np.where(significant, total - limit, np.inf), axis=1)
     units = np.arange(count)
     columns = np.where(tested, q, 0.0)[units, best]
-    left = nu[best]
-    gain = (columns + left) * np.log1p(
-        columns * ratio[units, best] / np.where(columns > 0.0, left, 1.0)
+    after = nu[best]
+    gain = (columns + after) * np.log1p(
+        columns * ratio[units, best] / np.where(columns > 0.0, after, 1.0)
     )
-    freedom = float(np.sum(on.left))
     score = np.where(columns > 0.0, gain, 0.0).sum(axis=1)
-    score -= columns.sum(axis=1) * math.log(freedom)
+    score -= columns.sum(axis=1) * math.log(float(np.sum(left)))
     return significant, score - 2.0 * np.log(np.maximum(np.sum(used > 0, axis=1), 1))
 
 
 def may_lack_terms(
-    kinds: Sequence[projections.Kind], shared: SharedDesign, found: Estimates
+    kinds: Sequence[projections.Kind],
+    shared: SharedDesign,
+    found: Estimates,
+    temperature: Sequence[Array] = (),
 ) -> Mask:
     """Return in which units (B,) of a robust fit a kind of term may be significant.
 
     The score test with the weights of each unit, on the most degrees of freedom that it may have,
-    so that none is missed.
+    so that none is missed; `temperature` as in `find_in_units`.
     """
     assert found.weight is not None
-    count, _, n = found.weight.shape
-    logs, used = np.zeros((count, len(kinds))), np.zeros((count, len(kinds)), dtype=np.intp)
+    count, m, n = found.weight.shape
+    asked = bool(temperature) and not any(TEMPERATURE in kind.name for kind in kinds)
+    explained = np.full((count, len(kinds) + 2 * asked, m), np.nan)
+    q, left = np.zeros(explained.shape[1:]), np.empty((count, 1, m))
+    weights = np.maximum(found.weight, ASIDE).transpose(1, 0, 2)
+    errors, whole = np.empty_like(weights), np.empty((count, 1, m))
     for i, each in enumerate(shared.by_output):
         terms = [columns_of([kind], i, shared.reference, shared.environment) for kind in kinds]
-        p, weight = each.Q.shape[1], np.maximum(found.weight[:, i], ASIDE)
-        scores, whole = _scores(each.Q, terms, weight, found.residuals[i])
-        left = weight.sum(axis=1) - p
-        for place, (term, explained) in enumerate(zip(terms, scores, strict=True)):
-            q = float(term.shape[1])
-            if not q or n - p - q < 1.0:
-                continue
-            rest = np.maximum(whole - explained, _LEAST)
-            ratio = np.maximum(explained, 0.0) * np.maximum(left - q, 1.0) / (q * rest)
-            logs[:, place] += f_log_tails(ratio, q, n - p - q)
-            used[:, place] += 1
+        scores, whole[:, 0, i] = _scores(each.Q, terms, weights[i], found.residuals[i])
+        for k, score in enumerate(scores):
+            explained[:, k, i] = np.maximum(score, 0.0)
+        q[: len(kinds), i] = [term.shape[1] for term in terms]
+        left[:, 0, i] = weights[i].sum(axis=1) - each.Q.shape[1]
+        push = (weights[i] * found.residuals[i]) @ each.Q
+        errors[i] = found.residuals[i] - _solved_under(each.Q, weights[i], push) @ each.Q.T
+    if asked:
+        q[len(kinds) :] = 1.0
+        explained[:, len(kinds) :] = _explained_by_temperature(
+            shared, temperature[0], weights, errors
+        )
+    logs, used = np.zeros(explained.shape[:2]), np.zeros(explained.shape[:2], dtype=np.intp)
+    for kind, i in np.argwhere(q > 0.0).tolist():
+        own = explained[:, kind, i]
+        free = float(n - shared.by_output[i].Q.shape[1] - q[kind, i])
+        tested = np.isfinite(own) & (free >= 1.0)
+        ratio = own * np.maximum(left[:, 0, i] - q[kind, i], 1.0)
+        ratio /= q[kind, i] * np.maximum(whole[:, 0, i] - own, _LEAST)
+        logs[tested, kind] += f_log_tails(ratio[tested], q[kind, i], max(free, 1.0))
+        used[tested, kind] += 1
     return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
 
 
@@ -498,6 +545,152 @@ def find_aside(
     return UnitFindings({"outlier": outlying, "set-aside": aside}, singly)
 
 
+def lacking_in_units(c: Calibration) -> tuple[projections.Kind, ...]:
+    """Return the kinds that a model lacks, of temperature wherever readings have one."""
+    environment = dict(c.readings.environment)
+    if TEMPERATURE in environment:
+        environment[TEMPERATURE] = np.arange(float(len(c.readings)))
+    return projections.lacking(replace(c, readings=replace(c.readings, environment=environment)))
+
+
+@np.errstate(all="ignore")  # a unit without numbers is fitted singly
+def find_about_solutions(
+    kinds: Sequence[projections.Kind],
+    found: Estimates,
+    environment: Mapping[str, Array],
+    *,
+    unknown: bool,
+) -> UnitFindings:
+    """Return of which units (B,) at uncertain or unknown orientations terms are missing.
+
+    And of which outputs are unequally noisy. Those near a limit are fitted singly, as are those in
+    which a term that the positions hardly show is significant.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+    found : Estimates
+    environment : mapping of str to (n,) or (B, n) array
+        Of what units do not share, powers above the first are not asked for.
+    unknown : bool
+        A position is one equation, and has no prior that a degree of freedom may not undercut.
+    """
+    count, first = len(found.sound), 0
+    of_force = [kind.name in projections.OF_FORCE for kind in kinds]
+    missing, unequal, singly = np.zeros((3, count), dtype=np.bool_)
+    for solution in found.solutions:
+        some = np.flatnonzero(found.sound[first : first + len(solution.objective)])
+        units = first + some
+        first += len(solution.objective)
+        if not len(some):
+            continue
+        (m, count, n), of = solution.push.shape, solution
+        if len(some) < count:
+            of = solution.of(some)
+        dof = float((n if unknown else m * n) - solution.slopes.shape[1])
+        columns = {
+            name: each[units] - each[units, :1]
+            if each.ndim == 2
+            else np.broadcast_to(each, (len(units), n))
+            for name, each in environment.items()
+        }
+        inverse = np.asarray(np.linalg.inv(of.information), dtype=np.float64)
+        tested = _score_kinds(kinds, of, inverse, columns)
+        ratio, free, asked = ratios_of(
+            tested.explained, of.objective[:, None], tested.q, dof, np.full(1, float(not unknown))
+        )
+        significant, close = _beyond_limit(ratio, tested.q, free, asked)
+        missing[units] = significant.any(axis=1)
+        faint = significant & (tested.least < CLEAR)
+        singly[units] = close.any(axis=1) | faint[:, of_force].any(axis=1)
+        if dof >= FEW and n * m <= MOST:
+            follows = (inverse @ of.slopes.transpose(0, 2, 1, 3)).transpose(0, 2, 1, 3)
+            given = of.weights, of.slopes, follows, of.push, of.variance
+            statistic, limit = score_equality(*given)[0], chi2_quantile(1.0 - LEVEL, m - 1.0)
+            unequal[units] = (statistic > limit) & ~missing[units]
+            singly[units] |= ~(np.abs(statistic - limit) >= _DOUBTED * limit)
+    return UnitFindings({"missing-term": missing, "unequal-noise": unequal}, singly)
+
+
+class _Scored(NamedTuple):
+    """Δ, q and the least part that is left of a term, (B, K) each."""
+
+    explained: Array
+    q: Array
+    least: Array
+
+
+def _score_kinds(
+    kinds: Sequence[projections.Kind],
+    of: Solution,
+    inverse: Array,
+    environment: Mapping[str, Array],
+) -> _Scored:
+    """Return the score tests of `multipos.diagnostics.score_tests` about solutions."""
+    variables = dict(zip(COMPONENTS, of.force, strict=True)) | dict(environment)
+    terms = [(k, i, t) for k, kind in enumerate(kinds) for i, e in enumerate(kind.terms) for t in e]
+    kind_of, outputs = np.array([each[:2] for each in terms], dtype=np.intp).reshape(-1, 2).T
+    shape = of.push.shape[1:]
+    Z = np.array([np.broadcast_to(term.evaluate(variables), shape) for _, _, term in terms])
+    score = np.einsum("rbn,rbn->br", Z, of.push[outputs])
+    rows: Array | None = None
+    cross: Array = np.empty((shape[0], of.slopes.shape[1], len(terms)))
+    if of.normal is None or of.rows is None:
+        for i, each in enumerate(of.slopes):
+            mine = np.flatnonzero(outputs == i)
+            cross[:, :, mine] = each.transpose(1, 0, 2) @ Z[mine].transpose(1, 2, 0)
+    else:
+        rows = np.ascontiguousarray((of.normal[outputs] * Z).transpose(1, 0, 2))
+        cross = of.rows @ rows.swapaxes(1, 2)
+    lost = cross.swapaxes(1, 2) @ (inverse @ cross)
+    scored = _Scored(*np.zeros((3, shape[0], len(kinds))))
+    for k in range(len(kinds)):
+        mine = np.flatnonzero(kind_of == k)
+        if rows is None:
+            WZ = of.weights[outputs[mine, None], outputs[mine]] * Z[mine]  # (R, R, B, n)
+            gram = np.einsum("rsbn,rbn->brs", WZ, Z[mine])
+        else:
+            gram = rows[:, mine] @ rows[:, mine].swapaxes(1, 2)
+        size = np.einsum("brr->br", gram)
+        scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+        unit = (gram - lost[:, mine[:, None], mine]) / (scale[:, :, None] * scale[:, None])
+        found = _explained_of(unit, score[:, mine] / scale)
+        scored.explained[:, k], scored.q[:, k], scored.least[:, k] = found
+    return scored
+
+
+def _explained_of(gram: Array, score: Array) -> tuple[Array, Array, Array]:
+    """Return Δ, q and the least eigenvalue (B,), or less, of V'V (B, R, R) and V'e (B, R).
+
+    No eigenvalue is less than that of the inverse's trace, 1/tr (V'V)⁻¹.
+    """
+    r = score.shape[1]
+    inverse = np.linalg.inv(gram + _ROUNDING * np.eye(r))
+    least = 1.0 / np.einsum("brr->b", inverse)
+    q, faint = np.full(len(gram), float(r)), np.flatnonzero(~(least > CLEAR))
+    explained = np.sum((inverse @ score[:, :, None])[:, :, 0] * score, axis=1)
+    if len(faint):
+        values, vectors = np.linalg.eigh(gram[faint])
+        seen = values > projections.IDENTIFIABLE
+        along = np.einsum("br,brs->bs", score[faint], vectors)
+        explained[faint] = np.sum(along**2 / np.where(seen, values, np.inf), axis=1)
+        q[faint], least[faint] = seen.sum(axis=1), values[:, 0]
+    return explained, q, least
+
+
+def _beyond_limit(ratio: Array, q: Array, free: Array, asked: Mask) -> tuple[Mask, Mask]:
+    """Return which R (B, K) are significant among those asked of a unit, and which nearly so."""
+    significant, close = np.zeros_like(asked), np.zeros_like(asked)
+    number = np.broadcast_to(asked.sum(axis=1, keepdims=True), asked.shape)
+    for each in {*zip(q[asked], free[asked], number[asked], strict=True)}:
+        columns, dof, tests = map(float, each)
+        limit = f_quantile((1.0 - LEVEL) ** (1.0 / tests), columns, dof)
+        mine = asked & (q == columns) & (free == dof) & (number == tests)
+        significant |= mine & ~(ratio < limit)
+        close |= mine & (np.abs(ratio - limit) < _DOUBTED * limit)
+    return significant, close
+
+
 def find_in_expressions(
     kinds: Sequence[projections.Kind], shared: SharedExpression, found: Estimates
 ) -> UnitFindings:
@@ -540,52 +733,43 @@ def find_in_expressions(
             freedom[:, k] += seen.sum(axis=1)
             least[:, k] = np.minimum(least[:, k], sizes[:, 0])
     ratio, free, asked = ratios_of(gain, left, freedom, left, np.zeros(1))
-    significant = np.zeros_like(asked)
-    number = asked.sum(axis=1)
-    for q, dof, tests in {
-        *zip(freedom[asked], free[asked], np.repeat(number, number), strict=True)
-    }:
-        limit = f_quantile((1.0 - LEVEL) ** (1.0 / tests), float(q), float(dof))
-        mine = asked & (freedom == q) & (number == tests)[:, None]
-        significant |= mine & ~(ratio < limit)
+    significant, _ = _beyond_limit(ratio, freedom, free, asked)
     singly |= (significant & (least < CLEAR)).any(axis=1)
     missing: Mask = np.asarray(significant.any(axis=1))
     return UnitFindings({"missing-term": missing}, singly)
 
 
-def follow_temperature(
-    tests: UnitTests, shared: SharedDesign, temperature: Array, found: Estimates
-) -> Mask:
-    """Return which units (B,) have residuals that follow their own temperatures (B, n).
+def _explained_by_temperature(
+    shared: SharedDesign, temperature: Array, weights: Array | None, errors: Array
+) -> Array:
+    """Return what temperatures (B, n) of units, alone and times the own axis, explain (B, 2, M).
 
-    These are fitted singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term
-    of temperature to ask for. What is asked here is the first order, alone and times the sensitive
-    axis, of every output by itself.
+    Of errors (M, B, n) under weights (M, B, n), which leave nothing along the design; NaN where
+    the design has it all.
     """
-    follow: Mask = np.zeros(len(temperature), dtype=np.bool_)
-    if any(TEMPERATURE in kind.name for kind in tests.kinds):
-        return follow
-    m = len(shared.by_output)
-    left = np.maximum(shared.dof - 1.0, 1.0)
-    ratio = np.empty((2, len(temperature), m))
     warmth = temperature - temperature[:, :1]
-    for i, each in enumerate(shared.by_output):
-        e, own = found.residuals[i], shared.reference[:, COMPONENTS.index(shared.model.axes[i])]
-        whole = np.einsum("bn,bn->b", e, e)
+    explained = np.empty((len(warmth), 2, len(errors)))
+    for i, (each, e) in enumerate(zip(shared.by_output, errors, strict=True)):
+        own = shared.reference[:, COMPONENTS.index(shared.model.axes[i])]
+        w = None if weights is None else weights[i]
+        push = e if w is None else w * e
         for place, column in enumerate((warmth, warmth * own)):
-            across = column - (column @ each.Q) @ each.Q.T
-            size = np.einsum("bn,bn->b", across, across)
-            varies = size > projections.IDENTIFIABLE**2 * np.einsum("bn,bn->b", column, column)
-            explained = np.einsum("bn,bn->b", across, e) ** 2 / np.where(varies, size, np.inf)
-            ratio[place, :, i] = explained * left[i] / np.maximum(whole - explained, _LEAST)
-    limit = float(_limits(np.full((1, len(tests.kinds) + 2), m))[0, 0])
-    # The sum of m logarithms is below the limit only where one is below its m-th part.
-    least = np.array([f_quantile(1.0 - math.exp(limit / m), 1.0, nu) for nu in left.tolist()])
-    for place in range(2):
-        units = np.flatnonzero((ratio[place] > least).any(axis=1))
-        logs = [f_log_tails(ratio[place, units, i], 1.0, float(left[i])) for i in range(m)]
-        follow[units] |= np.sum(logs, axis=0) < limit
-    return follow
+            weighed = column if w is None else w * column
+            along = weighed @ each.Q
+            follows = along if w is None else _solved_under(each.Q, w, along)
+            size = np.einsum("bn,bn->b", column, weighed)
+            across = size - np.einsum("bp,bp->b", along, follows)
+            varies = across > projections.IDENTIFIABLE * size
+            score = np.einsum("bn,bn->b", column, push) ** 2
+            explained[:, place, i] = np.where(varies, score / np.where(varies, across, 1.0), np.nan)
+    return explained
+
+
+def _solved_under(Q: Array, weight: Array, right: Array) -> Array:
+    """Return (Q'WQ)⁻¹ right (B, p) under weights (B, n)."""
+    products = (Q[:, :, None] * Q[:, None]).reshape(len(Q), -1)
+    gram = (weight @ products).reshape(-1, Q.shape[1], Q.shape[1])
+    return np.asarray(np.linalg.solve(gram, right[:, :, None])[:, :, 0])
 
 
 def _limits(used: NDArray[np.intp]) -> Array:

@@ -605,24 +605,33 @@ def test_three_outputs_that_sense_a_rotation(axes, rank, forced, triad):
 
 
 def test_unequal_noise_of_outputs_is_seen_in_their_residuals(monkeypatch):
-    """Scores ½ (e'e/common − tr P) of each against ½ P∘P: rows apart, so that P is diagonal."""
+    """Scores ½ (e'e/common − tr P) of each against ½ P∘P, in one dense P."""
     rng = np.random.default_rng(4)
     n = 30
     e, V = rng.normal(size=(n, 3)) * [1.0, 1.0, 2.0], rng.uniform(0.5, 2.0, (n, 3))
-    leverage = rng.uniform(0.05, 0.2, (n, 3))
-    P = np.zeros((n, 3, n, 3))
-    rows, outputs = np.arange(n)[:, None], np.arange(3)
-    P[rows, outputs, rows, outputs] = (1.0 - leverage) / V
+    A, W = rng.normal(size=(n, 3, 5)), np.zeros((n, 3, n, 3))
+    W[np.arange(n), :, np.arange(n)] = np.eye(3) / V[:, None] - 0.05
+    WA = W.reshape(3 * n, -1) @ A.reshape(3 * n, 5)
+    S = A.reshape(3 * n, 5).T @ WA
+    P = (W.reshape(3 * n, -1) - WA @ np.linalg.solve(S, WA.T)).reshape(n, 3, n, 3)
+    optimum = SimpleNamespace(
+        weighted=lambda: (
+            W[np.arange(n), :, np.arange(n)].transpose(1, 2, 0),
+            WA.reshape(n, 3, 5).transpose(1, 2, 0),
+        ),
+        information=S, point=SimpleNamespace(residuals=e),
+    )  # fmt: skip
     problem = SimpleNamespace(precision=1.0 / V, degrees=np.full(n, 3.0), unknowns=12)
-    optimum = SimpleNamespace(projection=lambda: P.copy(), point=SimpleNamespace(residuals=e))
     monkeypatch.setattr(residuals, "information_at_solution", lambda c: (problem, optimum))
     c = SimpleNamespace(readings=SimpleNamespace(values=e), residuals=e, outputs="abc")
     p, sizes = residuals.judge_equality(c)
-    traces = np.sum(1.0 - leverage, axis=0)
+    rows, root = np.arange(n), np.sqrt(V)
+    P *= root[:, :, None, None] * root
+    traces = np.sum(np.diagonal(P[rows, :, rows], axis1=1, axis2=2), axis=0)
     squares = np.sum(e**2 / V, axis=0)
     common = squares.sum() / traces.sum()
     U = 0.5 * (squares / common - traces)
-    solved = U / (0.5 * np.sum((1.0 - leverage) ** 2, axis=0))
+    solved = np.linalg.solve(0.5 * np.einsum("kilj,kilj->ij", P, P), U)
     assert p == pytest.approx(chi2.sf(U @ solved, 2), rel=1e-6)
     assert_allclose(sizes, np.sqrt(V.mean(axis=0) * common * np.maximum(1.0 + solved, 0.05)))
 

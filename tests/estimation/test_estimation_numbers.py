@@ -1148,15 +1148,11 @@ def test_a_unit_is_clear_whatever_the_size_of_its_parameters(near, clear):
     scale = np.array([1e-6, 1e6])
     information = np.array([[1.0, 1.0 - near], [1.0 - near, 1.0]]) * np.outer(scale, scale)
     place = SimpleNamespace(theta=np.array([[0.5, 3.0]]), q=np.full((1, 4), 2.5))
-    units = SimpleNamespace(
-        found=place,
-        search=SimpleNamespace(
-            variance=np.full((3, 1, 4), 1e-6),
-            linearise=lambda at: SimpleNamespace(information=information[None]),
-        ),
-    )
+    search = SimpleNamespace(variance=np.full((3, 1, 4), 1e-6))
+    units = SimpleNamespace(found=place, search=search)
     shared = SimpleNamespace(model=SimpleNamespace(own_scales=(1,)), dof=9.0)
-    found = uncertain_orientations._are_clear(shared, units, np.array([[1.0, 1e-3]]))
+    U = np.array([[1.0, 1e-3]])
+    found = uncertain_orientations._are_clear(shared, units, U, information[None])
     assert found.tolist() == [clear]
 
 

@@ -103,8 +103,11 @@ def test_what_is_told_is_what_dense_matrices_tell(case):
     C = np.linalg.inv(S)
     whole = np.diag(W @ A[:, :p] @ C[:p, :p] @ A[:, :p].T).reshape(N, 3)
     assert_allclose(told.leverage(C[:p, :p]), whole, atol=1e-8)
-    P = W - W @ A @ C @ A.T @ W
-    assert_allclose(told.projection().reshape(3 * N, -1), P, atol=1e-8 * np.abs(W).max())
+    weights, slopes = told.weighted()
+    own = W.reshape(N, 3, N, 3)[np.arange(N), :, np.arange(N)]
+    assert_allclose(weights.transpose(2, 0, 1), own, atol=1e-8 * np.abs(W).max())
+    WA = slopes.transpose(2, 0, 1).reshape(3 * N, -1)
+    assert_allclose(WA / scale, W @ A / scale, atol=1e-8 * np.abs(W @ A / scale).max())
 
 
 def test_one_row_a_position_is_what_three_outputs_tell():

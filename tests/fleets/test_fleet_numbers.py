@@ -20,11 +20,11 @@ from multipos.fleets.labels import Labels
 from multipos.fleets.solving import _ends_repeat, _findings, _with_gravity, find_suspects
 from multipos.fleets.sources import _labelled
 from multipos.fleets.unit_findings import (
+    _explained_by_temperature,
     _lack_of_fit,
     _missing_terms,
     _one_row,
     _outliers,
-    follow_temperature,
     may_lack_terms,
     unit_tests,
 )
@@ -237,7 +237,8 @@ def test_terms_that_units_lack_by_regression(stated, monkeypatch):
     if stated:
         error = error / 1.1e-4
     tests = replace(unit_tests(c, shared), stated=stated)
-    significant, score = _missing_terms(tests, values, error)
+    of = SimpleNamespace(error=error, explained=None)
+    significant, score = _missing_terms(tests, shared, values, of)
     names = tests.projection.names
     explained, q = np.zeros((6, len(names), 3)), np.zeros((len(names), 3))
     for place, name in enumerate(names):
@@ -276,47 +277,35 @@ def test_terms_that_units_lack_by_regression(stated, monkeypatch):
     quick, share = unit_findings.f_log_tails, 0.02 / logs.shape[2]
     monkeypatch.setattr(unit_findings, "_limits", lambda used: near)
     monkeypatch.setattr(unit_findings, "f_log_tails", lambda *given: quick(*given) + share)
-    significant, score = _missing_terms(tests, values, error)
+    significant, score = _missing_terms(tests, shared, values, of)
     assert significant.all()
     np.testing.assert_allclose(score, [score_of(unit, near[unit]) for unit in range(6)], rtol=1e-6)
-    nothing, none = _missing_terms(replace(tests, projection=None), values, error)
+    nothing, none = _missing_terms(replace(tests, projection=None), shared, values, of)
     assert (nothing.shape, none.tolist()) == ((6, 0), [-math.inf] * 6)
 
 
-def test_units_whose_residuals_follow_their_temperatures():
-    """F of the first order, alone and times the axis, joined over the outputs."""
+@pytest.mark.parametrize("weighted", [False, True])
+def test_what_temperatures_of_units_explain_by_regression(weighted):
+    """The first order, alone and times the axis, of each output under the weights of each unit."""
     rng = np.random.default_rng(8)
-    up, values, _ = a_batch(60, 13, 7)
+    up, values, _ = a_batch(8, 13, 7)
     _, shared = fitted(up, np.column_stack([each[0] for each in values]))
     X = np.column_stack([np.ones(13), up])
-    warmth = 20.0 + rng.normal(size=(60, 13))
-    residuals = np.empty((3, 60, 13))
-    for unit in range(60):
-        for i in range(3):
-            y = rng.normal(size=13) + unit % 10 * 0.2 * warmth[unit] * up[:, i] ** (unit > 29)
-            residuals[i, unit] = left_by(X, y)
-    kinds = (SimpleNamespace(name="own^2"),) * 5
-    tests = SimpleNamespace(kinds=kinds)
-    follows = follow_temperature(tests, shared, warmth, SimpleNamespace(residuals=residuals))
-    wanted = []
-    for unit in range(60):
-        worst = 0.0
-        for own in (False, True):
-            log = 0.0
-            for i in range(3):
-                t = warmth[unit] - warmth[unit, 0]
-                e = residuals[i, unit]
-                rest = left_by(np.column_stack([X, t * up[:, i] if own else t]), e)
-                F = (e @ e - rest @ rest) / (rest @ rest) * 8.0
-                log += f.logsf(F, 1, 8)
-            worst = min(worst, log)
-        wanted.append(worst)
-    limit = -0.5 * chi2.isf(1.0 - 0.99 ** (1.0 / 7.0), 6)  # five kinds and these two
-    sure = np.abs(np.array(wanted) - limit) > 0.05  # what the quick tail leaves open
-    assert follows[sure].tolist() == (np.array(wanted) < limit)[sure].tolist()
-    assert 15 < follows.sum() < 45
-    assert sure.sum() > 55
-    assert np.sum(np.abs(np.array(wanted) - limit) < 0.6) > 2
+    warmth = 20.0 + rng.normal(size=(8, 13))
+    warmth[5] = 21.0
+    weights = rng.uniform(0.2, 3.0, (3, 8, 13)) if weighted else np.ones((3, 8, 13))
+    errors, wanted = np.empty((3, 8, 13)), np.full((8, 2, 3), np.nan)
+    for unit, i in np.ndindex(8, 3):
+        root = np.sqrt(weights[i, unit])
+        y = rng.normal(size=13) + 0.2 * unit * warmth[unit]
+        left = left_by(root[:, None] * X, root * y)
+        errors[i, unit] = left / root
+        for own in range(2 if unit != 5 else 0):
+            added = np.column_stack([X, warmth[unit] * up[:, i] ** own])
+            rest = left_by(root[:, None] * added, root * y)
+            wanted[unit, own, i] = left @ left - rest @ rest
+    found = _explained_by_temperature(shared, warmth, weights if weighted else None, errors)
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
 
 
 def test_lack_of_fit_by_the_means_of_repeats():

@@ -113,7 +113,8 @@ def test_unknown_orientation_with_stated_noise(stated_noise, options, fitted):
         else stated(line(4, scheme="all-26"), **stated_noise)
     )
     found = mp.fit_many(table, unknown_orientation=True, **APART, **options)
-    assert len(fitted) == 1
+    # one for the columns; faces and corners hardly show own*|own| beside own^3, which is asked of
+    assert len(fitted) == 1 + ("own^3" in options.get("model", ""))
     assert worst_difference(found, table, unknown_orientation=True, **options) < 1e-6
 
 
@@ -272,7 +273,7 @@ def test_a_claim_that_residuals_deny_is_said_unit_by_unit(low, high, options):
     for unit in found["unit"].tolist():
         findings = mp.fit(rows_of(table, unit), **options).diagnostics.findings
         said.append("denied-noise" in {finding.code for finding in findings})
-    assert [("denied-noise" in each.split()) for each in found["findings"]] == said
+    assert [("denied-noise" in each.split(";")) for each in found["findings"]] == said
     assert 0 < sum(said) < len(said)
 
 

@@ -1,4 +1,4 @@
-"""Every unit of a fleet at known positions has the findings of `fit`."""
+"""Every unit of a fleet has the findings of `fit`."""
 
 from dataclasses import replace
 from functools import partial
@@ -23,11 +23,23 @@ from multipos.numerics.quantiles import f_log_tails
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 10
 FEW = 5  # of them, where each is fitted alone as well
+LOUD = {"noise": np.array([1e-4, 1e-4, 1e-3]), "off_deg": 0.02}  # one of the outputs
+IGNORED = "missing-term;orientation-ignored"  # which a column lists
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
 def fleet(
-    scheme, *, off_deg=0.0, cubic=0.0, out=0.0, drift=0.0, noise=1e-4, u=0.0, repeats=1, seed=5
+    scheme,
+    *,
+    off_deg=0.0,
+    cubic=0.0,
+    out=0.0,
+    drift=0.0,
+    warm=0.0,
+    noise=1e-4,
+    u=0.0,
+    repeats=1,
+    seed=5,
 ):
     """Units with one flaw each, of a size that the noise of one position does not hide."""
     rng = np.random.default_rng(seed)
@@ -42,6 +54,10 @@ def fleet(
     values = values + noise * rng.standard_normal(values.shape)
     values[np.arange(UNITS), rng.integers(0, n, UNITS), rng.integers(0, 3, UNITS)] += out
     table = {"unit": np.repeat(np.arange(UNITS), n)}
+    if warm:
+        warmth = rng.uniform(0.0, 0.9, (UNITS, n))
+        values += warm * warmth[:, :, None]
+        table["temperature"] = 20.0 + warmth.ravel()
     for i, axis in enumerate("xyz"):
         table |= {f"up_{axis}": np.tile(up[:, i], UNITS), f"a{axis}": values[:, :, i].ravel()}
         table |= {f"u_a{axis}": u * rng.uniform(0.5, 2.0, UNITS * n)} if u else {}
@@ -70,6 +86,15 @@ def fleet(
         ("faces-corners-14", {"repeats": 2}, {"model": OWN}, ""),
         ("faces-corners-14", {"cubic": 1e-3, "repeats": 2}, {"model": OWN}, "missing-term"),
         ("all-26", {"out": 5e-3}, {"model": OWN}, "outlier"),
+        ("fibonacci-24", {"warm": 3e-4, "u": 1e-4}, {}, "missing-term"),
+        ("fibonacci-24", {"warm": 3e-4}, {"robust": "huber"}, "missing-term"),
+        ("fibonacci-24", {"warm": 5e-3, "off_deg": 0.1}, {"orientation_sd": 0.1}, "missing-term"),
+        ("fibonacci-24", LOUD, {"orientation_sd": 0.02}, "unequal-noise"),
+        ("fibonacci-24", LOUD, {"orientation_sd": "auto"}, "unequal-noise"),
+        ("fibonacci-24", LOUD | {"u": 1e-4}, {"orientation_sd": 0.02}, ""),
+        ("fibonacci-24", {"warm": 2e-3}, {"unknown_orientation": True}, IGNORED),
+        ("fibonacci-24", LOUD | {"seed": 8}, {"unknown_orientation": True}, "orientation-ignored"),
+        ("all-26", {"cubic": 2e-3}, {"unknown_orientation": True}, IGNORED),
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
