@@ -133,6 +133,10 @@ def first_guesses(
                 break
     if not found:
         names = [name for name, one in zip(model.names, free.tolist(), strict=True) if one]
+        if not names:
+            with np.errstate(all="ignore"):
+                there = model.respond(model.within(start), force, environment)
+            _require_values(model, *there)
         which = ", ".join(f"`{name}`" for name in names) or "its parameters"
         raise MultiposError(
             f"the model has no value at the start of the search; state a start for {which} in "
@@ -253,7 +257,7 @@ def solve_own_known(
     if model.all_linear:
         start = np.zeros(len(model.keys))
         outputs, blocks = model.respond(start, reference, readings.environment)
-        _require_values(model, outputs, blocks, readings)
+        _require_values(model, outputs, blocks, readings.labels)
         return about(start, readings.values - outputs, blocks)
     problem, best = _searched(model, reference, readings)
     solution = about(best.state.theta, best.point.residuals, best.point.blocks)
@@ -272,15 +276,17 @@ def solve_own_known(
 
 
 def _require_values(
-    model: ExpressionModel, outputs: Array, blocks: Sequence[Block], readings: Readings
+    model: ExpressionModel, outputs: Array, blocks: Sequence[Block], labels: Sequence[str] = ()
 ) -> None:
-    """Raise where a formula that is linear in its parameters has no value at a position."""
+    """Raise where a formula that is linear in what is free has no value at a position."""
     for name, response, (_, slopes) in zip(model.outputs, outputs.T, blocks, strict=True):
         none = np.flatnonzero(~(np.isfinite(response) & np.isfinite(slopes).all(axis=1)))
         if len(none):
+            said = f"the formula of {name} has no value at {len(none)} of {len(response)} positions"
+            if not labels:
+                raise MultiposError(f"{said}; change the formula.")
             raise MultiposError(
-                f"the formula of {name} has no value at {len(none)} of {len(response)} positions, "
-                f"first at {readings.labels[none[0]]}; change the formula, or omit these positions."
+                f"{said}, first at {labels[none[0]]}; change the formula, or omit these positions."
             )
 
 

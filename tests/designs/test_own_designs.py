@@ -38,11 +38,14 @@ def test_six_faces_cannot_tell_a_saturation():
     assert "k_ax" in found.unidentifiable[0]
 
 
-def test_positions_where_a_formula_has_no_value_are_counted():
-    """Of six faces four have no force along an axis."""
-    said = "formula of ax has no value at 4 of 6 positions"
-    with pytest.raises(mp.MultiposError, match=said):
-        mp.schemes("faces-6", model="each = b + s*own + k*own/abs(own)")
+@pytest.mark.parametrize(
+    ("term", "said"),
+    [("k/x^2", "ax has no value at 4 of 6"), ("k*log(own)", "ax has no value at 49 of 100")],
+)
+def test_positions_where_a_formula_has_no_value_are_counted(term, said):
+    """Of six faces four have no force along x; 49 of the 100 directions have less than none."""
+    with pytest.raises(mp.MultiposError, match=f"formula of {said} positions; change"):
+        mp.schemes("faces-6", model=f"each = b + s*own + {term}")
 
 
 def test_shared_parameters_are_told_by_all_outputs():
