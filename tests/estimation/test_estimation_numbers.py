@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.optimize import brentq
+from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import betainc, betaln
 from scipy.stats import chi2, t
@@ -28,6 +28,7 @@ from multipos.estimation import (
     stated_uncertainty,
     uncertain,
     uncertain_orientations,
+    user_models,
 )
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
 from multipos.estimation.gains import information_at
@@ -1000,7 +1001,9 @@ def test_correlated_outputs_are_fitted_as_one_problem(terms):
     W = np.linalg.inv(noise_of)
     first = y.ravel() - X @ np.linalg.solve(X.T @ W @ X, X.T @ W @ y.ravel())
     assert found.chi2 == pytest.approx(first @ W @ first, rel=1e-6)
-    assert (found.inflation > 0.9).all()
+    moves = found.parameters - np.linalg.solve(X.T @ W @ X, X.T @ W @ y.ravel())
+    u = found.excess.standard_uncertainty(moves[None], model.per_parameter(found.excess.dof))[0]
+    assert_allclose(found.inflation, u / np.sqrt(np.diag(C)), rtol=1e-6)
     assert np.isfinite(found.dof).all()
 
 
@@ -1182,3 +1185,65 @@ def test_a_unit_without_noise_is_searched_alone_and_left_out_among_others():
     assert alone.units.converged.tolist() == [True]
     assert among.units.converged.tolist() == [False, True]
     assert among.units.iterations[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("n", "dof", "outputs", "counts"), [(24, 20, 3, (1, 2, 3, 4)), (60, 51, 1, (3, 5, 8))]
+)
+def test_what_rows_leave_of_squares_beyond_chance_is_a_law_of_beta(n, dof, outputs, counts):
+    """ln I_x of (ν − i)/2 and i/2 is that of α over choices of i rows, outputs and first counts."""
+    found = outliers._largest_ratios(n, dof, outputs, counts)
+    for x, i in zip(found, counts, strict=True):
+        chance = math.log(outliers._LEVEL / counts[0] / outputs / math.comb(n, i))
+        assert math.log(betainc((dof - i) / 2, i / 2, x)) == pytest.approx(chance, abs=0.05)
+
+
+def test_what_squares_lose_without_the_first_of_some_rows():
+    """Of few rows what a fit of the others leaves, of many no less."""
+    rng = np.random.default_rng(5)
+    rows = np.array([6, 1, 9])
+    for n in (20, 120):
+        Q = np.linalg.qr(rng.normal(size=(n, 3)))[0]
+        e = rng.normal(size=(2, n))
+        e -= e @ Q @ Q.T
+        part = SimpleNamespace(values=e[None], basis=Q.T[None], both=np.zeros((1, 5, n)))
+        found = outliers._lost(part, rows)[0]
+        for k in range(1, 4):
+            kept = np.setdiff1d(np.arange(n), rows[:k])
+            left = [each[kept] - Q[kept] @ np.linalg.lstsq(Q[kept], each[kept], rcond=None)[0]
+                    for each in e]  # fmt: skip
+            lost = np.sum(e**2, axis=1) - np.sum(np.square(left), axis=1)
+            if n == 20:
+                assert_allclose(found[:, k - 1], lost, rtol=1e-9)
+            else:
+                own = np.sum(e[:, rows[:k]] ** 2, axis=1) / (1.0 - np.sum(Q[rows[:k]] ** 2))
+                assert_allclose(found[:, k - 1], own)
+                assert (found[:, k - 1] >= lost * (1.0 - 1e-9)).all()
+
+
+def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
+    """b + s f/(1 + k f²) of three units by SciPy's search: parameters, u, rms of what is left."""
+    up = mp.read_scheme("fibonacci-24").up
+    rng = np.random.default_rng(3)
+    values = 0.01 + 1.1 * up / (1.0 + 0.2 * up**2) + 2e-3 * rng.standard_normal((3, 24, 3))
+    one = mp.fit(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)")
+    shared = user_models.share_expression(one)
+    found = user_models.estimate_expression(shared, list(np.moveaxis(values[1:], 2, 0)))
+    assert found.sound.all()
+    for unit, y in enumerate(values[1:]):
+        for i, places in enumerate(one.model.places):
+            names = [one.model.names[place][0] for place in places]
+            f = up[:, i]
+
+            def left(p, names=names, f=f, y=y[:, i]):
+                q = dict(zip(names, p, strict=True))
+                return q["b"] + q["s"] * f / (1.0 + q["k"] * f**2) - y
+
+            best = least_squares(left, [dict(b=0.0, s=1.0, k=0.1)[name] for name in names],
+                                 xtol=1e-14, ftol=1e-14, gtol=1e-14)  # fmt: skip
+            assert_allclose(found.parameters[unit, places], best.x, rtol=1e-5, atol=1e-8)
+            variance = 2.0 * best.cost / 21.0
+            u = np.sqrt(variance * np.diag(np.linalg.inv(best.jac.T @ best.jac)))
+            assert_allclose(found.u[unit, places], u, rtol=1e-4)
+            assert_allclose(found.residuals[i, unit], -best.fun, atol=1e-7)
+    assert (found.dof == 21.0).all()
