@@ -281,6 +281,73 @@ def test_lags_of_two_lengths_are_where_windows_meet_with_the_weights_of_trapezoi
     assert {-1.0, ratio - 1.0, 2.0 * ratio - 1.0} <= set(lags.tolist())
 
 
+def overlap(lag, ratio):
+    """∫ of what is −1 and then +1 over 1 each, by the same over `ratio`, that much apart."""
+    total = 0.0
+    for i, a in enumerate((lag, lag + 1.0)):
+        for j, b in enumerate((0.0, ratio)):
+            common = min(a + 1.0, b + ratio) - max(a, b)
+            total += (1.0 if i == j else -1.0) * max(common, 0.0)
+    return total
+
+
+@pytest.mark.parametrize(
+    ("ratio", "strides", "within"), [(2.0, 16, 2e-3), (3.5, 8, 1e-2), (24.0, 16, 5e-3)]
+)
+def test_second_differences_of_two_lengths_covary_by_windows(ratio, strides, within):
+    """White noise by overlaps, at every lag and as the mean of its squares; the others by R."""
+    lags, weights, s = allan._kernels(ratio, strides)
+    assert_allclose(s[0], [overlap(lag, ratio) for lag in lags.tolist()], atol=1e-12)
+    fine = np.arange(-2.0, 2.0 * ratio, 1.0 / 256) + 1.0 / 512
+    square = np.mean([overlap(lag, ratio) ** 2 for lag in fine.tolist()]) * (2.0 * ratio + 2.0)
+    assert weights @ s[0] ** 2 == pytest.approx(square, rel=within)
+    apart = lags + np.arange(3.0)[:, None, None] - ratio * np.arange(3.0)[:, None]
+    second = np.outer([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
+    for law, R in ((1, apart**2 * np.log(np.abs(apart) + (apart == 0.0)) / (2.0 * np.pi)),
+                   (2, np.abs(apart) ** 3 / 12.0)):  # fmt: skip
+        assert_allclose(s[law], np.einsum("ij,ijk->k", second, R), atol=1e-9)
+    steps = np.einsum("ij,ijk->k", second, np.abs(apart) < 0.5 / strides)
+    assert_allclose(s[3], steps)
+    reach = abs(lags - (ratio - 1.0)).max()
+    if ratio > 4.0:
+        assert 2.0 * ratio < reach <= 2.0 * ratio + 1.0
+    else:
+        assert reach == pytest.approx(2.0 * ratio + 1.0)
+        assert len(lags) == 2 * round((2.0 * ratio + 1.0) * strides) + 1
+
+
+@pytest.mark.parametrize(
+    ("chi2", "first", "factor"),
+    [((16.2, 0.0, 0.0, 0.0), 0, 1.0), ((16.4, 12.5, 8.5, 4.5), 0, 16.4 / 3.0),
+     ((40.0, 35.9, 32.0, 28.0), 1, 35.9 / 2.0), ((40.0, 37.0, 31.9, 28.0), 2, 31.9),
+     ((40.0, 37.0, 8.0, 28.0), 2, 1.0), ((40.0, 37.0, 34.0, 0.0), 3, 1.0)],
+)  # fmt: skip
+def test_the_shortest_times_are_left_out_where_each_takes_four_of_chi_square(
+    chi2, first, factor, monkeypatch
+):
+    """Beyond chance, 16.3 on three degrees and 10.8 on one; what is left then widens u."""
+
+    def best(lengths, variances, records, first):
+        return allan.Laws(np.ones(3), np.eye(3), first, chi2[first], 3 - first)
+
+    monkeypatch.setattr(allan, "_best", best)
+    found = allan.fit_laws([1, 2, 4, 8, 16, 32, 64], np.ones(7), [100])
+    assert found.first == first
+    assert_allclose(found.covariance, factor * np.eye(3))
+    seen = allan.fit_laws([1, 2, 4, 8, 16, 32, 64], np.array([1.0, 1.0, 0, 0, 0, 0, 0]), [100])
+    assert seen.first == min(first, 1 if chi2[1] + 4.0 < chi2[0] else 0)
+
+
+@pytest.mark.parametrize(("chi2", "laws"), [(5.9, 4), (6.1, 3)])
+def test_quantisation_explains_four_of_chi_square_or_is_none(chi2, laws, monkeypatch):
+    def fit(lengths, variances, records, first, count):
+        return allan.Laws(np.ones(count), np.eye(count), first, 10.0 if count == 3 else chi2, 2)
+
+    monkeypatch.setattr(allan, "_fit", fit)
+    assert len(allan._best(range(7), np.ones(7), [100], 2).squares) == laws
+    assert len(allan._best(range(7), np.ones(7), [100], 3).squares) == 3  # of four lengths
+
+
 def test_block_means_covary_by_hand():
     """A constant is added to flicker and walk, which the mean takes up: 2 · 3 L / 2 of walk."""
     index = np.abs(np.subtract.outer(range(4), range(4)))

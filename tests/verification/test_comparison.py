@@ -18,6 +18,7 @@ from multipos.finding import serious
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.fit_diagnostics import ModelTest
+from multipos.verification.comparison import comparison_text
 from multipos.verification.consistency import judge_together
 from multipos.verification.repeat_findings import _apart, _different_sensors
 
@@ -267,6 +268,12 @@ def test_drift_and_spread_of_three_runs_by_hand():
     assert c.mean[bias] == pytest.approx(2.0, rel=1e-9)
     assert c.range[bias] == pytest.approx(3.0, rel=1e-9)
     assert c.bias_stability["ax"] == pytest.approx(math.sqrt(3), rel=1e-9)
+    changes, *rest = comparison_text(c).split("\n\n")
+    assert changes.splitlines()[1].split() == ["bias_ax", "reading", "3.0000", "0.0012", "2537"]
+    lines = [line.split() for line in "\n".join(rest).splitlines()]
+    (row,) = (line for line in lines if line[:1] == ["bias_ax"])
+    assert row[3:8] == ["3", "3", "2.0(17)", "3.7e+04", "0.55"]  # 3/7 a second is 37,029 a day
+    assert ["ax", "1.73"] in lines
 
 
 def test_a_noisier_run_is_warned_of():

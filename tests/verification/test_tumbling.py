@@ -15,8 +15,12 @@ from multipos import cli
 from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
-from multipos.verification import coefficients
-from multipos.verification.coefficients import find_hidden_table, fitted_coefficients
+from multipos.verification import coefficients, tumbling
+from multipos.verification.coefficients import (
+    find_hidden_table,
+    find_without_u,
+    fitted_coefficients,
+)
 from multipos.verification.tumbling import passes
 
 
@@ -214,3 +218,23 @@ def test_what_the_table_hides_is_said_only_where_all_have_a_u(monkeypatch):
     assert find_hidden_table(bare, one.calibration, "x") == ()
     monkeypatch.setattr(coefficients, "changes_unseen", lambda c: np.zeros(len(c.parameters)))
     assert find_hidden_table(one.coefficients, one.calibration, "x") == ()
+
+
+def test_coefficients_without_u_are_said_once_of_all_outputs(monkeypatch):
+    """What one roll said of itself and of the table goes; what else it said stays."""
+    one = tumble("roll-z-24", sd=1e-5)
+    bare = {"K1": replace(one.coefficients["K1"], U=np.nan), "K2": one.coefficients["K2"]}
+    turned = {"delta_o": replace(one.coefficients["K1"], U=np.nan)}
+    (said,), (way_out,) = find_without_u(bare), find_without_u(turned)
+    assert said.text.startswith("no U of K1: ")
+    assert said.action.startswith("Roll again")
+    assert way_out.action.startswith("State the bench")
+    assert find_without_u(one.coefficients) == ()
+    other, hidden = replace(said, text="other"), replace(said, text="hidden", code="hidden-table")
+    before = replace(one, coefficients=bare, findings=(said, other, hidden))
+    monkeypatch.setattr(tumbling, "those_that_hold", lambda *_, stated: bare | turned)
+    found = tumbling._beside_all(before, "x", {}, None)
+    assert {each.text for each in found.findings} == {
+        "other", find_without_u(bare | turned)[0].text
+    }  # fmt: skip
+    assert found.coefficients.keys() == {"K1", "K2", "delta_o"}
