@@ -40,7 +40,14 @@ from multipos.capturing.poses import (
     refuse_unit,
 )
 from multipos.capturing.running import Kept, _goes_on, make_plan, make_reading, run_session
-from multipos.capturing.screen import _draw, _language_of_terminal, obey, picture_of
+from multipos.capturing.screen import (
+    _SHOWN,
+    _draw,
+    _language_of_terminal,
+    _listed,
+    obey,
+    picture_of,
+)
 from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
@@ -930,3 +937,10 @@ def test_a_device_that_has_started_before_says_its_columns_no_more():
     assert not _goes_on(named, log(("1", "2", "3"), ("1", "3")))
     assert not _goes_on(named, log(("1", "2"), ("1", "2")))
     assert not _goes_on(named, log(("1", "2", "3"), ("1", "2"), headless=False))
+
+
+def test_of_many_directions_the_first_are_listed_and_the_others_counted():
+    some = [(0.6, -0.8, 0.0)] * _SHOWN
+    said = ", ".join(["(0.6, -0.8, 0.0)"] * _SHOWN)
+    assert _listed(some) == said
+    assert _listed([*some, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]) == f"{said} + 2"

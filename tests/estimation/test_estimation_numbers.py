@@ -1239,7 +1239,7 @@ def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
                 q = dict(zip(names, p, strict=True))
                 return q["b"] + q["s"] * f / (1.0 + q["k"] * f**2) - y
 
-            best = least_squares(left, [dict(b=0.0, s=1.0, k=0.1)[name] for name in names],
+            best = least_squares(left, [{"b": 0.0, "s": 1.0, "k": 0.1}[name] for name in names],
                                  xtol=1e-14, ftol=1e-14, gtol=1e-14)  # fmt: skip
             assert_allclose(found.parameters[unit, places], best.x, rtol=1e-5, atol=1e-8)
             variance = 2.0 * best.cost / 21.0

@@ -457,6 +457,10 @@ def test_rows_that_are_made_up_by_hand():
     assert 1.95 <= v.min() < 1.96
     assert 3.04 < v.max() <= 3.05
     assert _range(SimpleNamespace(regressions=(), calibration=None), "t") == (-1.0, 1.0)
+    # what parts a regression covers a column too
+    regression.segment_variable, segment.range = "t", (-7.0, 12.0)
+    assert _range(c, "t") == (-7.0, 50.0)
+    assert _range(c, "v") == (2.0, 3.0)
 
 
 def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):

@@ -13,6 +13,7 @@ import pytest
 from amounts import rest_slow
 from findings_bench import texts
 from log_bench import sensor, shared
+from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
@@ -785,6 +786,22 @@ def test_a_product_of_columns_about_the_middle():
     total = sum(weight * eval(product or "1", {}, left) for weight, product in parts)
     assert total == pytest.approx(3.0 * (20.0 - 2.3) ** 2 * (5.0 + 1.7), rel=1e-12)
     assert len(parts) == 6
+
+
+def test_slopes_of_more_outputs_than_axes_are_those_of_the_model():
+    """What C has of dh/df by evaluation, of second and third order and a product of magnitude."""
+    up = mp.read_scheme("all-26").up
+    y = np.column_stack([up, up[:, 0]]) * [1.1, 0.9, 1.2, 0.7] + 0.02
+    y += 0.01 * np.column_stack([up[:, [1, 2, 0]] ** 2, up[:, 0] * up[:, 1]])
+    model = "1 + x + y + z + own^2 + own*other + own^3"
+    c = mp.fit(mp.Readings(y, up=up, outputs=("a", "b", "c", "d")), model=model, axes="x,y,z,x")
+    writer = _Writer(c, single=False)
+    _, coefficients = writer._coefficients()
+    f = np.array([[0.3, -0.7, 0.5]])
+    names = dict(zip("xyz", f[0].tolist(), strict=True))
+    found = [[eval(writer._slope_of(i, k, coefficients), {}, names) for k in range(3)]
+             for i in range(4)]  # fmt: skip
+    assert_allclose(found, c.model.force_jacobian(c.parameters, f, {})[0], rtol=1e-12, atol=1e-14)
 
 
 def test_steps_are_counted_until_every_force_is_near():

@@ -4,6 +4,7 @@ import itertools
 import re
 import shutil
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import pytest
 import multipos as mp
 from multipos import cli
 from multipos.errors import MultiposError, UsageError
+from multipos.exports import c_fixed
 from multipos.exports.c_fixed import _shift, find_fixed_point, fixed_forces
+from multipos.exports.target_c import fixed_source
 
 UP = mp.read_scheme("fibonacci-24").up
 MATRIX = np.array([[1.02, 0.01, -0.02], [-0.015, 0.98, 0.01], [0.02, 0.005, 1.01]])
@@ -40,6 +43,32 @@ def test_every_corner_of_the_range_is_within_what_the_comment_says(model, unit, 
     said = float(re.search(r"range: ([\d.e-]+) µg", mp.export(cal, to="c", fixed=True).text)[1])
     assert 1e6 * np.abs(off).max() <= 1.01 * said  # printed to two digits
     assert said < 2.0  # two of the last bit, 1 µg
+
+
+def test_the_error_is_looked_for_at_corners_readings_and_between(monkeypatch):
+    values = np.array([[10.0, -4.0], [2.0, 6.0], [-8.0, 1.0]])
+    asked = []
+    monkeypatch.setattr(c_fixed, "fixed_forces", lambda fixed, rows: 3.0 * rows)
+    fixed = SimpleNamespace(
+        calibration=SimpleNamespace(
+            readings=SimpleNamespace(values=values),
+            compensate=lambda rows: asked.append(rows) or 0.0 * rows,
+        ),
+        whole=lambda rows: 2.0 * rows, raw_per_unit=2.0, accel_per_g=4.0,
+    )  # fmt: skip
+    assert c_fixed.FixedPoint.error.func(fixed) == pytest.approx(3.0 * 2.0 * 10.0 / 4.0)
+    corners = [[-8.0, -4.0], [-8.0, 6.0], [10.0, -4.0], [10.0, 6.0]]
+    between = [[1.0, -1.5], [6.0, 1.0], [-3.0, 3.5]]
+    assert asked[0].tolist() == [*corners, *values.tolist(), *between]
+
+
+@pytest.mark.parametrize(
+    ("model", "how"), [("linear", "one matrix product"), ("own-quadratic", "")]
+)
+def test_how_whole_numbers_are_made_is_said(model, how):
+    fixed = find_fixed_point(calibration(model))
+    how = how or f"{1 + fixed.steps} steps"
+    assert how in fixed_source(fixed, "imu").partition("*/")[0]
 
 
 @needs_compiler

@@ -70,6 +70,44 @@ class Endless:
         return Endless(place.theta + step, factor * place.objective)
 
 
+@dataclass
+class Roots:
+    """(θ² − a)² + 1 of several units, from where they begin."""
+
+    theta: np.ndarray
+    a: np.ndarray
+
+    @property
+    def objective(self):
+        return (self.theta[:, 0] ** 2 - self.a) ** 2 + 1.0
+
+    def of(self, units):
+        return Roots(self.theta[units], self.a[units])
+
+    def put(self, units, other):
+        self.theta[units] = other.theta
+
+    def linearise(self, place):
+        slope = 2.0 * place.theta
+        left = self.a - place.theta[:, 0] ** 2
+        return SimpleNamespace(information=(slope**2)[:, :, None], gradient=slope * left[:, None])
+
+    def move(self, place, equations, step, damping):
+        return Roots(place.theta + step, place.a)
+
+
+def test_units_end_each_in_its_turn():
+    """Roots of 4, 9, 25 and 2 from near and far: the last ends alone, or two at once."""
+    a = np.array([4.0, 9.0, 25.0, 2.0])
+    for start in ([2.0, 3.01, 40.0, 1.5], [2.0, 300.0, 5.0, 1.41], [1.0, 9.0, 9.0, 9.0]):
+        steps = Roots(np.array(start)[:, None], a)
+        with np.errstate(divide="ignore", invalid="ignore"):  # as searches have it
+            found, ended = descend(steps, steps.of(np.arange(4)), Rules(weighted=True), np.ones(4))
+        assert found.theta[:, 0] == pytest.approx(np.sqrt(a), rel=1e-6)
+        assert ended.converged.all()
+    assert len(set(ended.iterations.tolist())) > 1
+
+
 def test_a_search_ends_after_so_many_steps_taken_or_refused(monkeypatch):
     monkeypatch.setattr(levenberg_marquardt, "_TRIES", 30)
     steps = Endless(np.ones((1, 1)), np.ones(1))
