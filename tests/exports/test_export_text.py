@@ -12,6 +12,7 @@ import pytest
 import multipos as mp
 from multipos.cli import main
 from multipos.exports.c_body import exact_inverse, exact_normal_inverse, literal
+from multipos.exports.target import self_test
 from multipos.exports.targets import export
 
 # What ends a line for some reader of such files, or a comment in C.
@@ -167,3 +168,12 @@ def test_the_inverse_in_c_is_rounded_once_and_the_same_everywhere():
     np.testing.assert_allclose(exact_inverse(A), np.linalg.pinv(A), rtol=0, atol=1e-14)
     with pytest.raises(np.linalg.LinAlgError):
         exact_inverse(np.ones((2, 2)))
+
+
+def test_a_self_test_stands_beside_a_file_alone(tmp_path):
+    path = tmp_path / "imu.c"
+    for _ in range(2):
+        assert self_test(path) == (tmp_path / "imu_test.c",)
+        path.write_text("")
+    for other in (tmp_path, "/", ".", "/dev/null"):
+        assert self_test(other) == ()

@@ -505,3 +505,56 @@ def test_gravity_of_a_budget_is_as_it_was_used(used, law):
     if law:
         own = found[0]
         assert (own.u, own.unit, own.distribution, own.dof) == (used, "m/s^2", *law)
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatch):
+    """All sds by √2.5: the noise as V = 2.5 W⁻¹ in blocks; ν of s by ½ (s/u)² of 4 and 1."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 2, 5))
+    V = root @ root.transpose(0, 2, 1)
+    variances = rng.uniform(0.5, 2.0, (4, 2))
+    problem = SimpleNamespace(
+        precision=np.linalg.inv(V) if correlated else 1.0 / variances,
+        orientation_sd=np.array([0.1, np.inf, 0.0, 0.3]), level_sd=0.2, attitude="a", rolls="r",
+    )  # fmt: skip
+    monkeypatch.setattr(monte_carlo, "restate", lambda c: problem)
+    monkeypatch.setattr(monte_carlo, "return_to_optimum", lambda *_: None)
+    monkeypatch.setattr(monte_carlo, "noise_factor", lambda *_: 2.5)
+    estimated = SimpleNamespace(orientation_sd_deg=SimpleNamespace(value=4.0, u=1.0))
+    draws = SimpleNamespace(c=SimpleNamespace(variance_components=estimated), n=4, m=2)
+    Draws._take_from_likelihood(draws)
+    if correlated:
+        whole = np.zeros((8, 8))
+        for row in range(4):
+            whole[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = 2.5 * V[row]
+        assert_allclose(draws.noise @ draws.noise.T, whole, atol=1e-9)
+    else:
+        assert_allclose(draws.noise**2, 2.5 * variances.ravel())
+    assert_allclose(draws.spread, math.sqrt(2.5) * np.array([0.1, 0.0, 0.0, 0.3]))
+    assert draws.level == pytest.approx(math.sqrt(2.5) * 0.2)
+    assert (draws.spread_dof, draws.attitude, draws.rolls) == (8.0, "a", "r")
+
+
+@pytest.mark.parametrize(
+    ("name", "exact", "common", "contained"),
+    [("level", True, False, [True, False]), ("level", True, True, [False, False]),
+     ("orientation", True, False, [True, False]), ("orientation", False, False, [True, True])],
+)  # fmt: skip
+def test_a_quantity_moves_parameters_by_its_effects(name, exact, common, contained, monkeypatch):
+    """u² E E', and |E| of each; in residuals where outputs have any and all do not share it."""
+    effects = np.array([[0.3, -0.4], [0.6, 0.8], [0.0, -2.0]])
+    monkeypatch.setattr(propagation, "parameter_effects", lambda *_: effects)
+    monkeypatch.setattr(propagation, "is_bounded", lambda *_: False)
+    kind = SimpleNamespace(common=common, shared=False, text="t", unit="deg")
+    quantity = SimpleNamespace(name=name, kind=kind, u=0.5, distribution="normal", dof=7.0)
+    c = SimpleNamespace(
+        dof_of_outputs=np.array([3.0, np.nan]), estimator=SimpleNamespace(exact=exact),
+        parameters=np.zeros(3),
+    )  # fmt: skip
+    row = propagation._row(c, None, quantity)
+    assert_allclose(row.covariance, 0.25 * effects @ effects.T)
+    assert_allclose(row.sensitivity, [0.5, 1.0, 2.0])
+    assert (row.contained.tolist(), row.dof.tolist(), row.u) == (contained, [7.0] * 3, 0.5)
+    effects = effects[:, 1:]
+    assert_allclose(propagation._row(c, None, quantity).sensitivity, [-0.4, 0.8, -2.0])
