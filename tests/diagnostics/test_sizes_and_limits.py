@@ -5,16 +5,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2, norm
 
 import multipos as mp
 from multipos.diagnostics import (
     columns,
     examination,
+    magnetic,
+    projections,
     repairs,
+    residuals,
     row_order,
     scales,
+    score_tests,
+    variances,
 )
 from multipos.errors import MultiposError
+from multipos.estimation.known import REJECTED
+from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
@@ -350,3 +359,171 @@ def test_readings_that_leave_others_no_digit_are_refused(large, count, drowned):
         return
     with pytest.raises(MultiposError, match=r"the readings: position p: a is 2\.2e\+12"):
         repairs.refuse_drowned(readings)
+
+
+def test_rows_are_upside_down_that_are_nearer_to_the_other_side():
+    """Σ ((y − ŷ)/|K|)² of each row as it is and turned, by least squares; of unlike outputs."""
+    rng = np.random.default_rng(6)
+    values = 0.3 + UP @ np.array([[2.0, 0.3], [0.2, 60.0], [0.5, -20.0]])
+    values += [0.9, 25.0] * rng.standard_normal((14, 2))
+    turned = np.array([1, 4, 9])
+    values[[4, 9, 12]] -= 2.0 * (values[[4, 9, 12]] - 0.3)
+    sign = np.ones(14)
+    sign[turned] = -1.0
+    X = np.column_stack([np.ones(14), sign[:, None] * UP])
+    b = np.linalg.lstsq(X, values, rcond=None)[0]
+    size = np.linalg.norm(b[1:], axis=0)
+    here = np.sum(((values - X @ b) / size) ** 2, axis=1)
+    there = np.sum(((values - X * [1.0, -1.0, -1.0, -1.0] @ b) / size) ** 2, axis=1)
+    view = repairs.View(np.ones((14, 1)), UP, values)
+    found = repairs._upside_down(view, turned)
+    assert found.tolist() == np.where(there < here, sign > 0.0, sign < 0.0).tolist()
+    assert 0 < found.sum() < 14
+
+
+# --- a field
+
+
+def test_directions_that_no_reading_is_near():
+    """Of 26 those over 60° from any, the farthest first, and how far that is."""
+    seen = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    every = mp.read_scheme("all-26").up
+    angle = np.degrees(np.arccos(np.clip(every @ seen.T, -1.0, 1.0))).min(axis=1)
+    found, gap = magnetic.missing_directions(seen)
+    assert len(found) == np.count_nonzero(angle > 60.0 + 1e-9)
+    far = np.degrees(np.arccos(np.clip(found @ seen.T, -1.0, 1.0))).min(axis=1)
+    assert_allclose(far, np.sort(angle[angle > 60.0 + 1e-9])[::-1], atol=1e-6)
+    assert gap == pytest.approx(angle.max())
+    assert len(magnetic.missing_directions(every)[0]) == 0
+    c = SimpleNamespace(reference=48.0 * seen)
+    assert f"within {angle.max():.0f} degrees" in magnetic.sphere_gap(c).text
+    assert magnetic.sphere_gap(SimpleNamespace(reference=every)) is None
+
+
+@pytest.mark.parametrize(
+    ("bump", "fewer", "said"),
+    [(0.02, 1.0, "larger"), (-0.02, 1.0, "smaller"), (0.02, 16.0, None), (0.0025, 1.0, None)],
+)
+def test_a_part_of_the_sphere_whose_field_is_another(bump, fewer, said, monkeypatch):
+    """Means of the five nearest of sixty over their noise; half of the limit names a row."""
+    u = mp.read_scheme("fibonacci-60").up
+    left = 3e-3 * np.cos(1.7 * np.arange(60.0)) + bump * (u @ u[20] > 0.85)
+    monkeypatch.setattr(magnetic, "_left", lambda c, readings: (u, None, left, fewer))
+    found = magnetic.disturbance(SimpleNamespace(readings=rows(60)))
+    sd = np.median(np.abs(left - np.median(left))) / 0.6745
+    near = np.argsort(-(u @ u.T), axis=1)[:, :5]
+    means = left[near].mean(axis=1)
+    score = means * math.sqrt(5.0 / fewer) / sd
+    worst, limit = int(np.argmax(np.abs(score))), norm.isf(0.002 / 120.0)
+    assert (abs(score[worst]) > limit) == (said is not None)
+    assert (found is not None) == (said is not None)
+    if found:
+        side = math.copysign(1.0, bump)
+        named = np.flatnonzero((side * score > limit / 2.0) & (u @ u[worst] > 0.5))
+        assert found.rows == tuple(f"r{row}" for row in named)
+        assert f"field is {100.0 * abs(means[worst]):.2g} % {said} than" in found.text
+
+
+# --- terms as one
+
+
+def test_what_terms_explain_by_kinds():
+    """b'G⁻¹b of each kind's columns, however long they are; what is nothing counts as none."""
+    rng = np.random.default_rng(4)
+    V = rng.normal(size=(20, 6)) * [1.0, 1e3, 1.0, 1e-2, 1.0, 1.0]
+    V[:, 5] = 0.0
+    e, kind_of = rng.normal(size=20), np.array([0, 1, 0, 2, 2, 2])
+    size = np.sum(V**2, axis=0) * 4.0
+    explained, q, least = score_tests._explained(V.T @ V, V.T @ e, size, kind_of, 3)
+    for kind in range(3):
+        mine = V[:, kind_of == kind] / np.where(size > 0.0, np.sqrt(size), 1.0)[kind_of == kind]
+        values = np.linalg.eigvalsh(mine.T @ mine)
+        assert explained[kind] == pytest.approx(e @ mine @ np.linalg.pinv(mine) @ e, rel=1e-8)
+        assert q[kind] == np.count_nonzero(values > 1e-8)
+        assert least[kind] == pytest.approx(values[0], abs=1e-12)
+        T = score_tests._identifiable(V.T @ V, size, kind_of == kind)
+        assert_allclose(T.T @ V.T @ V @ T, np.eye(int(q[kind])), atol=1e-9)
+        assert not T[kind_of != kind].any()
+
+
+def test_what_steps_and_tilt_add_to_the_objective():
+    """Σ (step/sd)² and Σ (tilt/sd)², where there is a prior."""
+    found = SimpleNamespace(
+        orientation_error_deg=np.array([0.3, np.nan, -0.4]),
+        level_tilt_deg=np.array([0.03, -0.04]), level_sd_deg=0.02,
+    )  # fmt: skip
+    problem = SimpleNamespace(has_prior=True, prior=np.array([100.0, 50.0, 400.0]))
+    c = SimpleNamespace(orientations=found)
+    steps = 100.0 * math.radians(0.3) ** 2 + 400.0 * math.radians(0.4) ** 2
+    assert score_tests._of_priors(c, problem) == pytest.approx(steps + 1.5**2 + 2.0**2)
+    found.level_sd_deg = None
+    assert score_tests._of_priors(c, problem) == pytest.approx(steps)
+    problem.has_prior = False
+    assert score_tests._of_priors(c, problem) == 0.0
+
+
+def test_tests_of_fewer_rows():
+    test = ModelTest("own^2", ("a", "b"), (8.0, 6.0), ((1.0, 20.0), (2.0, 3.0)))
+    fewer = score_tests._of_fewer(test, 0.25)
+    assert fewer.ratios == (2.0, 1.5)
+    assert fewer.dofs == ((1.0, 5.0), (2.0, 1.0))
+
+
+def test_noise_of_outputs_that_is_the_same_in_all_rows():
+    noise = np.tile([4.0, 0.25], 3)
+    c = SimpleNamespace(noise=noise, readings=rows(3), residuals=np.zeros((3, 2)))
+    assert projections.is_level(c)
+    assert_allclose(projections.level_of(c), [0.5, 2.0])
+    for other in (noise * [1.0, 1.0, 1.0, 1.01, 1.0, 1.0], np.diag(noise), None):
+        c.noise = other
+        assert not projections.is_level(c)
+        assert projections.level_of(c) == 1.0
+
+
+# --- noise beyond what was stated
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.99, False), (1.01, True)])
+def test_a_stated_noise_is_rejected_by_chi_square(share, said, monkeypatch):
+    monkeypatch.setattr(residuals, "_cause", lambda c: ("a cause", "An action."))
+    claim = SimpleNamespace(chi2=share * chi2.isf(1.0 - REJECTED, 9.0), dof=9.0)
+    scatter = {"a": SimpleNamespace(value=2e-4), "b": SimpleNamespace(value=3e-4)}
+    c = SimpleNamespace(
+        diagnostics=SimpleNamespace(claim=claim), model=SimpleNamespace(unit="V"),
+        variance_components=SimpleNamespace(rest_to_rest=scatter),
+    )  # fmt: skip
+    found = residuals.rejected_noise(c)
+    assert (found is not None) is said
+    if said:
+        assert f"(chi-square {claim.chi2:.4g} on 9 dof); U includes" in found.text
+        assert "an excess of 0.0002, 0.0003 V; a cause" in found.text
+        c.variance_components = None
+        assert "; U was increased; a cause" in residuals.rejected_noise(c).text
+
+
+@pytest.mark.parametrize(("p", "said"), [(0.009, True), (0.011, False)])
+def test_the_noisiest_output_is_named_beside_the_quietest(p, said, monkeypatch):
+    monkeypatch.setattr(residuals, "judge_equality", lambda c: (p, np.array([3.0, 0.5, 4.0])))
+    monkeypatch.setattr(residuals, "significant", lambda tests: ())
+    c = SimpleNamespace(
+        estimator=SimpleNamespace(exact=False), robust_weight=None, outputs=("a", "b", "c"),
+        diagnostics=SimpleNamespace(model_tests=()), readings=SimpleNamespace(noise=None),
+    )  # fmt: skip
+    found = residuals.unequal_noise(c)
+    assert (found is not None) is said
+    if said:
+        assert found.text.startswith("c is 8 times as noisy as b (p = 0.0090); its U")
+    c.outputs = ("a",)
+    assert residuals.unequal_noise(c) is None
+
+
+def test_a_variance_alone_is_its_share_of_what_is_expected():
+    """θ e'PCPe/tr PC; of nothing that tells it stays, and what is held at zero is zero."""
+    theta = np.array([[2.0, 0.0, 0.5, 0.0]])
+    here = variances._Slopes(
+        np.zeros(1), np.array([[3.0, 5.0, 1e-15, 2.0]]), np.array([[9.0, 4.0, 7.0, 6.0]]),
+        np.zeros((1, 4, 4)),
+    )  # fmt: skip
+    assert variances._held(theta, here).tolist() == [[False, True, False, False]]
+    found = variances._fixed_point(theta, here, np.array([[1e-3]]))
+    assert_allclose(found, [[6.0, 0.0, 0.5, 3e-3]])
