@@ -10,12 +10,14 @@ from numpy.testing import assert_allclose
 from scipy.stats import f as fisher
 from scipy.stats import t
 
+from multipos.errors import MultiposError
 from multipos.numerics.terms import parse_terms
 from multipos.regression import region, segmentation, variation
 from multipos.regression.correlation import (
     _autoregression,
     _filtered,
     _first_variance,
+    _law,
     _less,
     _likelihoods,
     _long_run,
@@ -31,11 +33,11 @@ from multipos.regression.observations import (
     join_runs,
     rows_of_runs,
 )
-from multipos.regression.piecewise import _local, _segment
+from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
-from multipos.regression.regression import _segment_text
-from multipos.regression.robust import _by_law, _tested, robust_fit, within_runs
+from multipos.regression.regression import Regression, _segment_text
+from multipos.regression.robust import _by_law, _general, _tested, robust_fit, within_runs
 from multipos.regression.segment import combined_variance
 from multipos.regression.segmentation import hinges
 
@@ -429,3 +431,47 @@ def test_a_gap_is_more_than_five_usual_steps():
     found = time_order(t[::-1])
     assert found.order.tolist() == list(range(7, -1, -1))
     assert found.run.tolist() == [0, 0, 0, 0, 0, 1, 1, 1]
+
+
+def test_what_a_law_leaves_of_residuals_is_that_of_least_squares():
+    """Of filtered columns beside the filtered response; its autoregression goes on."""
+    rng = np.random.default_rng(3)
+    both = np.linalg.qr(rng.normal(size=(60, 5)).cumsum(axis=0))[0]
+    age = np.concatenate([np.arange(40), np.arange(20)])
+    law = _law(both, age, (0.8, 0.4))
+    white = _filtered(both, age, 0.8, 0.32)
+    b = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0]
+    rest = white[:, -1] - white[:, :-1] @ b
+    assert (law.rho, law.theta) == (0.8, pytest.approx(0.32))
+    assert_allclose(law.further, _autoregression(rest, age), rtol=1e-6, atol=1e-9)
+    assert len(_law(both, age, (0.0, 0.0)).further) == 0
+
+
+def test_zeros_of_runs_take_degrees_of_freedom():
+    fit = SimpleNamespace(coefficients=np.ones(2), cofactor=np.eye(2), rss=12.0, dof=9)
+    found = _general(fit, 3)
+    assert (found.dof, found.covariance.tolist()) == (6, (2.0 * np.eye(2)).tolist())
+    assert _general(fit, 9) is None
+    plan = SimpleNamespace(method="full", constant=True)
+    _require_rows(plan, 5, 5, "A segment")
+    with pytest.raises(MultiposError, match="A segment has 4 rows for 5 terms"):
+        _require_rows(plan, 4, 5, "A segment")
+    plan.method = "stepwise"
+    _require_rows(plan, 3, 9, "A segment")
+    with pytest.raises(MultiposError, match="has 2 rows"):
+        _require_rows(plan, 2, 9, "A segment")
+    plan.method, data = "full", SimpleNamespace(response=np.ones(3), run=np.arange(3))
+    with pytest.raises(MultiposError, match="A segment has 3 rows for 4 terms"):
+        _fit(plan, np.ones((3, 2)), data, [], [], "A segment", None)
+
+
+def test_rows_that_cool_have_segments_of_their_own():
+    """Edges at 0 and 2: three of heating, then three of cooling; a row at rest is as before it."""
+    one = SimpleNamespace(segment_variable="t", branch_column="rate", edges=(0.0, 2.0))
+    columns = {"t": np.array([-1.0, 0.5, 3.0, 3.0, 1.0, -2.0]),
+               "rate": np.array([0.0, 1.0, 1.0, 0.0, -1.0, 0.0])}  # fmt: skip
+    assert Regression.segment_of(one, columns).tolist() == [0, 1, 2, 2, 4, 3]
+    one.segment_variable, one.edges = None, ()
+    assert Regression.segment_of(one, columns).tolist() == [0, 0, 0, 0, 1, 1]
+    one.branch_column = None
+    assert Regression.segment_of(one, columns).tolist() == [0] * 6
