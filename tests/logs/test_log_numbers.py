@@ -1100,3 +1100,48 @@ def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):
         assert_allclose(each.u, [u[i, 0], own])
         assert each.dof.tolist() == [50.0, nu[i] if raised[i] else 50.0]
     assert joining.settle_together(found[:1], lengths[:1]) == found[:1]
+
+
+@pytest.mark.parametrize(
+    ("grown", "fallen", "beyond", "found"),
+    [((1, 1), (0, 0), -1.0, True), ((1, 0), (0, 0), 1.0, False), ((0, 0), (1, 1), 0.01, True),
+     ((0, 0), (1, 1), -0.01, False), ((0, 0), (1, 0), 1.0, False)],
+)  # fmt: skip
+def test_rests_have_a_law_in_common_by_all_and_without_the_loudest(
+    grown, fallen, beyond, found, monkeypatch
+):
+    """Of few rests the levels shrink by the square of their share of 36; what falls must fit."""
+    rng = np.random.default_rng(2)
+    rho = rng.chisquare(2.0, (6, 2, joining.COSINES))
+    usable = np.ones((6, 2), dtype=np.bool_)
+    usable[1, 0] = usable[4, 1] = False
+    rho[3, 1] *= 50.0
+    rows, without = rho[usable], rho[usable & (np.arange(6) != 3)[:, None]]
+    level, asked = (10 / 36) ** 2, []
+
+    def answer(given, name, both):
+        place = 0 if len(given) == 10 else 1
+        assert_allclose(given, (rows, without)[place])
+        asked.append((name, place))
+        return bool(both[place])
+
+    def large(given, at):
+        assert at == pytest.approx(level * joining._LEVEL * (1.0 if len(given) == 10 else 2.5))
+        return answer(given, "large", grown)
+
+    def falls(given, at):
+        assert at == pytest.approx(level * joining._FALL * (1.0 if len(given) == 10 else 2.5))
+        return answer(given, "falls", fallen)
+
+    monkeypatch.setattr(joining, "_is_large", large)
+    monkeypatch.setattr(joining, "_falls", falls)
+    monkeypatch.setattr(joining, "_with_memory", lambda rows: 7.0)
+    monkeypatch.setattr(
+        joining, "_most_likely", lambda rows, length: ("law", 7.0 + joining._LOWER + beyond)
+    )
+    law = joining.find_law(rho, usable, np.full(6, 9.0))
+    assert (law == "law") is found
+    assert ("large", 0) in asked
+    alone = np.zeros((6, 2), dtype=np.bool_)
+    alone[3, 1] = True
+    assert joining.find_law(rho, alone, np.full(6, 9.0)) is None
