@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
+from multipos.exports import c_expression
 from multipos.exports.target_c import c_source
 from multipos.positions.scheme import read_scheme
 
@@ -71,3 +72,23 @@ def test_a_model_that_turns_back_is_not_exported():
 def test_a_target_of_numbers_alone_says_what_a_formula_loses():
     with pytest.raises(mp.MultiposError, match="cannot express b_ax, a_ax, w_ax"):
         mp.export(bending(), "ros-imu-calib")
+
+
+@pytest.mark.parametrize(("single", "settled"), [(False, 1e-10), (True, 1e-5)])
+def test_newtons_steps_are_counted_from_no_force(single, settled):
+    """Of y = b + s f + k f², from 0 to a third beyond either end, each axis by itself."""
+    up = read_scheme("faces-6").up
+    y = 0.01 + up + 0.04 * up**2
+    cal = mp.fit(mp.Readings(y, up=up), model="each = b + s*own + k*own^2")
+    _, s, k = np.reshape(cal.parameters, (3, 3))[0]
+    needed = 0
+    for true in np.linspace(-4.0 / 3.0, 4.0 / 3.0, 401):
+        f, steps, step = 0.0, 0, 1.0
+        while abs(step) >= settled:
+            step = (s * true + k * true**2 - s * f - k * f**2) / (s + 2.0 * k * f)
+            f, steps = f + step, steps + 1
+        needed = max(needed, steps)
+    assert c_expression._newton_steps(cal, single) == needed + 1
+    bent = mp.fit(mp.Readings(0.01 + up + 0.4 * up**2, up=up), model="each = b + s*own + k*own^2")
+    with pytest.raises(mp.MultiposError, match=r"up to 1\.33 g"):
+        c_expression._newton_steps(bent, single)
