@@ -64,6 +64,8 @@ _DOUBTED = 1e-3  # of a limit: what noise that has converged leaves open of a te
 _ROUNDING = 1e-14  # of what is one: no inverse is asked of nothing
 _LEAST = 1e-300  # of a probability
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
+_FREE = 3  # equations without which no position sticks out
+_STICKS_OUT = 5e-4  # of a probability that the largest of all squares is chance
 _CLOSE = 1.0  # of S, within which causes are as good
 _FEW = 6.0  # degrees of freedom of an output
 _MOST = 1000  # positions of which the nearest two are looked for
@@ -564,7 +566,7 @@ def find_about_solutions(
     """Return of which units (B,) at uncertain or unknown orientations terms are missing.
 
     And of which outputs are unequally noisy. Those near a limit are fitted singly, as are those in
-    which a term that the positions hardly show is significant.
+    which a term that the positions hardly show is significant, or a position sticks out.
 
     Parameters
     ----------
@@ -602,7 +604,7 @@ def find_about_solutions(
         significant, close = _beyond_limit(ratio, tested.q, free, asked)
         missing[units] = significant.any(axis=1)
         faint = significant & (tested.least < CLEAR)
-        singly[units] = close.any(axis=1) | faint[:, of_force].any(axis=1)
+        singly[units] = close.any(axis=1) | faint[:, of_force].any(axis=1) | _stick_out(of)
         if dof >= FEW and n * m <= MOST:
             follows = (inverse @ of.slopes.transpose(0, 2, 1, 3)).transpose(0, 2, 1, 3)
             given = of.weights, of.slopes, follows, of.push, of.variance
@@ -610,6 +612,22 @@ def find_about_solutions(
             unequal[units] = (statistic > limit) & ~missing[units]
             singly[units] |= ~(np.abs(statistic - limit) >= _DOUBTED * limit)
     return UnitFindings({"missing-term": missing, "unequal-noise": unequal}, singly)
+
+
+def _stick_out(of: Solution) -> Mask:
+    """Return in which units (B,) a position has more of the squares than chance leaves it.
+
+    The n − p equations along the forces leave each of n as much, so that n s/(n − p) of a share s
+    is t²/(t² + n − p − 1) of a studentised residual t.
+    """
+    square = np.einsum("ibn,ibn->bn", of.push**2, of.variance)
+    n = square.shape[1]
+    free = n - of.slopes.shape[1]
+    if free < _FREE:
+        return np.zeros(len(square), dtype=np.bool_)
+    t2 = f_quantile(1.0 - _STICKS_OUT / n, 1.0, free - 1.0)
+    share = square.max(axis=1) / np.maximum(square.sum(axis=1), _LEAST)
+    return np.asarray(share * n > free * t2 / (t2 + free - 1.0))
 
 
 class _Scored(NamedTuple):

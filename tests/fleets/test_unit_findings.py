@@ -15,6 +15,7 @@ from multipos.diagnostics.projections import lacking
 from multipos.diagnostics.residuals import residuals_of
 from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.estimation import user_models
+from multipos.estimation.batches import Solution
 from multipos.finding import Finding, serious
 from multipos.fleets import solving, unit_findings
 from multipos.fleets.fixtures import Fixture
@@ -95,6 +96,8 @@ def fleet(
         ("fibonacci-24", {"warm": 2e-3}, {"unknown_orientation": True}, IGNORED),
         ("fibonacci-24", LOUD | {"seed": 8}, {"unknown_orientation": True}, "orientation-ignored"),
         ("all-26", {"cubic": 2e-3}, {"unknown_orientation": True}, IGNORED),
+        ("fibonacci-24", {"out": 5e-3}, {"unknown_orientation": True}, "orientation-ignored"),
+        ("fibonacci-24", {"out": 9e-3}, {"orientation_sd": 0.1, "reading_sd": 1e-4}, "outlier"),
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
@@ -110,6 +113,22 @@ def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
     assert found.get("findings", np.array([""] * FEW)).tolist() == said
     # chance makes an outlier of a position that is off in one of a hundred, which explains the rest
     assert not code or sum(set(code.split(";")) <= set(each.split(";")) for each in said) >= FEW - 1
+
+
+def test_a_position_sticks_out_by_what_fitted_equations_leave():
+    """Of 24 points of a circle and 9 harmonics: seldom by chance, and mostly one 12 sd off."""
+    turns = np.outer(np.arange(24), np.arange(9)) * np.pi / 12.0
+    Q = np.linalg.qr(np.hstack([np.cos(turns[:, :5]), np.sin(turns[:, 1:5])]))[0]
+    y = np.random.default_rng(1).standard_normal((4000, 24))
+    y[2000:, 0] += 12.0
+    left = y - y @ Q @ Q.T
+    ones = np.ones((1, 4000, 24))
+    of = Solution(ones[None], np.zeros((1, 9, 4000, 24)), ones, left[None], ones, ones, ones)
+    said = unit_findings._stick_out(of)
+    assert said[:2000].mean() < 0.003
+    assert said[2000:].mean() > 0.8
+    few = of._replace(slopes=np.zeros((1, 22, 4000, 24)))
+    assert not unit_findings._stick_out(few).any()
 
 
 def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
