@@ -1,5 +1,6 @@
 """Numbers of regressions by hand or by a second route, at points without symmetry."""
 
+import hashlib
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -28,6 +29,7 @@ from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import (
     _same,
     _still,
+    _usual_time,
     _usual_window,
     default_window,
     join_runs,
@@ -38,7 +40,7 @@ from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
 from multipos.regression.regression import Regression, _segment_text
 from multipos.regression.robust import _by_law, _general, _tested, robust_fit, within_runs
-from multipos.regression.segment import combined_variance
+from multipos.regression.segment import Between, combined_variance
 from multipos.regression.segmentation import hinges
 
 
@@ -319,9 +321,12 @@ def test_tables_of_several_runs_are_named_as_they_can_be_told_apart(tmp_path):
     assert list(table.text(run)) == ["x p", "x", "y p", "y"]
     table, run = join_runs([ax, bx], "run")
     assert list(table.text(run)) == [f"{ax} p", str(ax), f"{bx} p", str(bx)]
+    each = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (ax, bx)]
+    assert table.sha256 == hashlib.sha256("".join(each).encode()).hexdigest()
     columns = [{"v": [4.0, 5.0], "run": ["q", "q"]}, {"v": [6.0, 7.0], "run": ["q", "q"]}]
     table, run = join_runs(columns, "run")
     assert list(table.text(run)) == ["1 q", "1 q", "2 q", "2 q"]
+    assert table.sha256 is None  # of what is no file
 
 
 def test_rows_of_runs_and_their_usual_window():
@@ -475,3 +480,31 @@ def test_rows_that_cool_have_segments_of_their_own():
     assert Regression.segment_of(one, columns).tolist() == [0, 0, 0, 0, 1, 1]
     one.branch_column = None
     assert Regression.segment_of(one, columns).tolist() == [0] * 6
+
+
+def test_what_runs_differ_by_is_about_the_centre():
+    """z = (1, v − v̄): Ψ of (.04, .01; .01, .09) at v = 5 about 2 is .04 + 2·3·.01 + 9·.09."""
+    between = Between(4, "v", 2.0, np.array([[0.04, 0.01], [0.01, 0.09]]))
+    columns, rows = {"v": np.array([7.0, 5.0, 2.0])}, np.array([1, 2])
+    assert_allclose(between.columns(columns, rows), [[1.0, 3.0], [1.0, 0.0]])
+    assert_allclose(between.variance(columns, rows), [0.04 + 0.06 + 0.81, 0.04])
+    assert (between.sd, between.slope_sd, between.dof) == (pytest.approx(0.2), 0.3, 3)
+
+
+def test_the_time_column_by_its_name():
+    """`time` of numbers in any order; another name where it never falls and is no variable."""
+    rising, falling = np.array([0.0, np.nan, 2.0, 2.0]), np.array([0.0, 3.0, 2.0, 4.0])
+    columns = {"v": rising, "t_s": rising, "seconds": falling, "time": falling}
+
+    def asked(names, used=(), text=()):
+        table = SimpleNamespace(
+            columns=dict.fromkeys(names), is_text=lambda name: name in text,
+            number=lambda name, empty: columns[name],
+        )  # fmt: skip
+        name, (*found,) = _usual_time(table, used)
+        return name, [each.code for each in found]
+
+    assert asked(columns) == ("time", [])
+    assert asked(columns, text=("time",)) == ("t_s", ["time-column"])
+    assert asked(columns, used=("time", "t_s")) == (None, ["no-time-column"])
+    assert asked(("v", "seconds")) == (None, ["no-time-column"])
