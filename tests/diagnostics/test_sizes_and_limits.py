@@ -527,3 +527,13 @@ def test_a_variance_alone_is_its_share_of_what_is_expected():
     assert variances._held(theta, here).tolist() == [[False, True, False, False]]
     found = variances._fixed_point(theta, here, np.array([[1e-3]]))
     assert_allclose(found, [[6.0, 0.0, 0.5, 3e-3]])
+
+
+def test_what_orientation_errors_explain_beside_unequal_outputs(monkeypatch):
+    """How far one more variance leads below three: a number fewer, and ln ν for each."""
+    fallen = SimpleNamespace(deviance=np.array([57.0]))
+    monkeypatch.setattr(examination, "explain_unequal", lambda of: fallen)
+    of = SimpleNamespace(oriented=SimpleNamespace(deviance=np.array([21.0])))
+    c = SimpleNamespace(residuals=np.zeros((9, 3)))
+    found = examination._score(c, SimpleNamespace(code="placement"), 15.0, lambda: of)
+    assert found == pytest.approx(36.0 + math.log(15.0))
