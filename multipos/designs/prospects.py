@@ -31,6 +31,10 @@ from multipos.sensor.found import Estimator
 
 _SHOWN = 10  # positions listed as text
 _MOST = 1000  # further positions looked ahead for a target
+_OPEN = (
+    "the positions of this calibration leave a parameter open, so nothing can be predicted from "
+    "them; add positions that differ more, and fit again."
+)
 
 
 @frozen
@@ -256,10 +260,7 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     try:
         ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
     except np.linalg.LinAlgError:
-        raise MultiposError(
-            "the positions of this calibration leave a parameter open, so nothing can be predicted "
-            "from them; add positions that differ more, and fit again."
-        ) from None
+        raise MultiposError(_OPEN) from None
     covered = np.empty(len(ratio))
     for part in setting.blocks:
         # gravity adds nothing to a bias: the least ratio is that of the noise alone
@@ -281,7 +282,10 @@ def information_of(setting: Setting, up: Array) -> Array:
 
 
 def _variances(present: Array, pieces: Array) -> Array:
-    return np.asarray(np.diagonal(np.linalg.inv(present + pieces), axis1=1, axis2=2))
+    variances = np.diagonal(np.linalg.inv(present + pieces), axis1=1, axis2=2)
+    if not (variances > 0.0).all():  # a position tells so much more that no digit of others is left
+        raise MultiposError(_OPEN)
+    return np.asarray(variances)
 
 
 def _mean_fall(then: Array, before: Array) -> Array:

@@ -147,7 +147,7 @@ def respond(information: Array, right: Array) -> Array:
     Many groups of few positions leave directions of the information that are only rounding.
     NaN where the information is no number, as of a file that was damaged.
     """
-    scale = np.sqrt(np.diag(information))
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))  # below is rounding of far-off forces
     scale = np.where(scale > 0.0, scale, 1.0)[:, None]
     relative = information / (scale * scale.T)
     if not (np.isfinite(relative).all() and np.isfinite(right).all()):

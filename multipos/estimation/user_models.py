@@ -282,11 +282,15 @@ def _require_values(
     for name, response, (_, slopes) in zip(model.outputs, outputs.T, blocks, strict=True):
         none = np.flatnonzero(~(np.isfinite(response) & np.isfinite(slopes).all(axis=1)))
         if len(none):
-            said = f"the formula of {name} has no value at {len(none)} of {len(response)} positions"
+            count, n = len(none), len(response)
             if not labels:
-                raise MultiposError(f"{said}; change the formula.")
+                raise MultiposError(
+                    f"the formula of {name} has no value at {count} of {n} positions; "
+                    "change the formula."
+                )
             raise MultiposError(
-                f"{said}, first at {labels[none[0]]}; change the formula, or omit these positions."
+                f"the formula of {name} has no value at {count} of {n} positions, first at "
+                f"{labels[none[0]]}; change the formula, or omit these positions."
             )
 
 

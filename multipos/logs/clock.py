@@ -194,11 +194,11 @@ def _named_unit(column: str) -> str | None:
 
 def usual_step(time: Array) -> float:
     """Return the usual step between times (n,), which may come in bursts; 0 where there is none."""
-    steps = np.diff(time)
-    if not len(steps):
+    if len(time) < 2:
         return 0.0
-    usual = float(median(steps))
-    return max(usual if usual > 0.0 else float(np.mean(steps)), 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of corrupt times
+        usual, n = float(median(np.diff(time))), len(time) - 1
+        return max(usual if usual > 0.0 else float(time[-1] - time[0]) / n, 0.0)
 
 
 def sample_rate(source: str, column: str, time: Array) -> float:

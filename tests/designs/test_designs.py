@@ -36,7 +36,7 @@ from multipos.designs.optimum import (
     optimise_sphere,
     solve_definite,
 )
-from multipos.designs.prospects import _ahead, _mean_fall
+from multipos.designs.prospects import _ahead, _mean_fall, _variances
 from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
 
@@ -696,6 +696,8 @@ def test_worth_refuses_what_it_cannot_tell():
     saturated = mp.fit(readings("faces-6", np.random.default_rng(9)), model="1+x+y+z+own^2+y^2")
     with pytest.raises(mp.MultiposError, match="--reading-sd"):
         mp.worth(saturated)
+    with pytest.raises(mp.MultiposError, match="leave a parameter open"):  # −1/3 of a variance
+        _variances(np.eye(2), np.array([[[0.0, 2.0], [2.0, 0.0]]]))
 
 
 def test_an_orientation_sd_beside_a_whole_g_warns():

@@ -7,7 +7,7 @@ import pytest
 from log_bench import columns_of
 
 import multipos as mp
-from multipos.logs.clock import _turns_slowly, read_clock
+from multipos.logs.clock import _turns_slowly, read_clock, usual_step
 
 OUTPUTS = ("ax", "ay", "az")
 RATE = 100.0
@@ -257,3 +257,11 @@ def test_the_unit_of_a_time_by_its_size_or_its_steps(first, step, unit, since):
     found = read_clock(log, "t", first + step * np.arange(9.0), None)
     expected = "its size, since 1970" if since else "its steps"
     assert (found.unit, found.by) == (unit, expected)
+
+
+@pytest.mark.parametrize(
+    ("time", "step"),
+    [([0.0, 0.0, 0.0, 0.6], 0.2), ([-1e308, 1e308], np.inf), ([3.0], 0.0), ([2.0, 1.0], 0.0)],
+)
+def test_the_usual_step_of_bursts_is_their_mean_and_of_corrupt_times_no_number(time, step):
+    assert usual_step(np.array(time)) == pytest.approx(step)
