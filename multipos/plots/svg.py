@@ -15,6 +15,7 @@ the files are looked up.
 """
 
 import unicodedata
+import warnings
 from collections.abc import Callable
 from functools import cache
 from math import ceil, floor
@@ -127,7 +128,9 @@ def _renderer() -> Any:
 
         def get_text_width_height_descent(self, s: str, prop: Any, ismath: object) -> Any:
             measured = "".join(_EM if is_wide(mark) else mark for mark in self.words(s))
-            return super().get_text_width_height_descent(measured, prop, False)
+            with warnings.catch_warnings():  # the viewer has fonts of its own
+                warnings.filterwarnings("ignore", message="Glyph ")
+                return super().get_text_width_height_descent(measured, prop, False)
 
         def draw_path(self, gc: Any, path: Any, transform: Any, rgbFace: Any = None) -> None:
             gc.set_sketch_params()

@@ -50,7 +50,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import records, trees, whole
 from multipos.files.tables import Column, Source, read_table
 from multipos.finding import FINDINGS, Findings, read_findings
-from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Mask
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import Columns, Drawn, Result, data_frame, frozen
@@ -232,8 +232,8 @@ def worst(verdicts: NDArray[np.str_]) -> str | None:
 
 def require_limit(name: str, value: float) -> None:
     """Refuse a limit that is no size of an error."""
-    if not 0.0 < value <= LARGEST:
-        raise UsageError(f"{name} must be above 0 and at most {LARGEST:g}, got {value}.")
+    if not SMALLEST <= value <= LARGEST:
+        raise UsageError(f"{name} must be above 0, from {SMALLEST:g} to {LARGEST:g}, got {value}.")
 
 
 def errors_table(
@@ -290,7 +290,7 @@ CHECK = records.Fields(
         "calibration": records.ANY_TEXT,
         "quantity": records.Text(("force", "tilt")),
         "unit": records.Text(("g", "deg", "1", *MAGNETIC_UNITS)),
-        "limit": records.Maybe(records.POSITIVE),
+        "limit": records.Maybe(records.Number(SMALLEST, LARGEST)),
         "confidence": records.SHARE,
         "nominal": records.Fields({"bias": records.ANY_NUMBER, "scale": records.ANY_NUMBER}),
         "axes": records.Listed(records.AXIS, 1, len(COMPONENTS)),

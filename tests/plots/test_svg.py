@@ -101,3 +101,11 @@ def test_a_zero_without_a_unit_stands_clear_of_what_its_axis_is_multiplied_by():
     (left, _), (right, said) = sorted(places, key=lambda place: float(place[0]))
     assert re.fullmatch(r"about 3\S*×10⁻⁵ reading|about 2\.\d+×10⁻⁵ reading", said)
     assert float(right) > float(left) + 40.0
+
+
+def test_a_mark_that_no_font_here_has_is_left_to_the_viewer():
+    figure, (axes,) = new_figure()
+    axes.set_xlabel("ፏ᪫")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "ፏ᪫" in to_svg(figure)
