@@ -649,7 +649,9 @@ def _score_kinds(
     terms = [(k, i, t) for k, kind in enumerate(kinds) for i, e in enumerate(kind.terms) for t in e]
     kind_of, outputs = np.array([each[:2] for each in terms], dtype=np.intp).reshape(-1, 2).T
     shape = of.push.shape[1:]
-    Z = np.array([np.broadcast_to(term.evaluate(variables), shape) for _, _, term in terms])
+    Z = np.empty((len(terms), *shape))  # of a model that lacks none, none
+    for row, (_, _, term) in zip(Z, terms, strict=True):
+        row[...] = term.evaluate(variables)
     score = np.einsum("rbn,rbn->br", Z, of.push[outputs])
     rows: Array | None = None
     cross: Array = np.empty((shape[0], of.slopes.shape[1], len(terms)))

@@ -65,6 +65,9 @@ def fleet(
     return table
 
 
+WHOLE = "1+x+y+z+own^2+own*|own|+own^3+x*y+x*z+y*z"  # lacks no kind of term
+
+
 @pytest.mark.parametrize(
     ("scheme", "flaw", "options", "code"),
     [
@@ -98,6 +101,7 @@ def fleet(
         ("all-26", {"cubic": 2e-3}, {"unknown_orientation": True}, IGNORED),
         ("fibonacci-24", {"out": 5e-3}, {"unknown_orientation": True}, "orientation-ignored"),
         ("fibonacci-24", {"out": 9e-3}, {"orientation_sd": 0.1, "reading_sd": 1e-4}, "outlier"),
+        ("all-26", {}, {"orientation_sd": 0.02, "model": WHOLE}, ""),
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
