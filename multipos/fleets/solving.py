@@ -51,7 +51,7 @@ from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import Options
-from multipos.fleets import unit_findings
+from multipos.fleets import solution_findings, unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
 from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
@@ -300,7 +300,7 @@ def find_pattern(
     if own or robust is not None:
         kinds = unit_findings.lacking_in_batch(c)
     elif not isinstance(shared, SharedDesign):
-        kinds = unit_findings.lacking_in_units(c)
+        kinds = solution_findings.lacking_in_units(c)
     return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
 
 
@@ -448,7 +448,7 @@ def solve_task(task: Task) -> Solved:
     if isinstance(shared, SharedSphere | uncertain_orientations.SharedOrientations):
         columns = {**shared.environment, **dict(zip([TEMPERATURE], task.temperature, strict=False))}
         unknown = isinstance(shared, SharedSphere)
-        tested = unit_findings.find_about_solutions(
+        tested = solution_findings.find_about_solutions(
             task.pattern.kinds, found, columns, unknown=unknown
         )
         named, looked_at = tested.found, looked_at | tested.singly

@@ -17,7 +17,7 @@ from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.estimation import user_models
 from multipos.estimation.batches import Solution
 from multipos.finding import Finding, serious
-from multipos.fleets import solving, unit_findings
+from multipos.fleets import solution_findings, solving, unit_findings
 from multipos.fleets.fixtures import Fixture
 from multipos.numerics.quantiles import f_log_tails
 
@@ -128,11 +128,11 @@ def test_a_position_sticks_out_by_what_fitted_equations_leave():
     left = y - y @ Q @ Q.T
     ones = np.ones((1, 4000, 24))
     of = Solution(ones[None], np.zeros((1, 9, 4000, 24)), ones, left[None], ones, ones, ones)
-    said = unit_findings._stick_out(of)
+    said = solution_findings._stick_out(of)
     assert said[:2000].mean() < 0.003
     assert said[2000:].mean() > 0.8
     few = of._replace(slopes=np.zeros((1, 22, 4000, 24)))
-    assert not unit_findings._stick_out(few).any()
+    assert not solution_findings._stick_out(few).any()
 
 
 def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
