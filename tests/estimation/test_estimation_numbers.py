@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import betainc, betaln
-from scipy.stats import chi2, t
+from scipy.stats import chi2, norm, t
 
 import multipos as mp
 from multipos.estimation import (
@@ -173,6 +173,37 @@ def test_the_law_of_student_and_the_degrees_of_freedom_of_its_tails(dof):
     assert law.k == pytest.approx(t.ppf(0.975, dof), rel=2e-3)
     ratio = t.ppf(0.975, dof) / t.ppf(0.84, dof)
     assert _dof_of_tail(ratio) == pytest.approx(dof, rel=0.02)
+
+
+def test_mixtures_of_normal_laws_and_the_interval_that_holds_a_share():
+    """Φ((U − m)/s) + Φ((U + m)/s) − 1 of each law, its slope and how that falls, by √2π the larger.
+
+    One law is a point; the search starts from single precision.
+    """
+    rng = np.random.default_rng(6)
+    means, sds = rng.normal(size=(2, 3, 2)) * [0.3, 5.0], rng.uniform(0.2, 2.0, (2, 3, 2))
+    weights = np.array([[0.2, 0.5, 0.3], [0.6, 0.1, 0.3]])
+
+    def held(half, unit, j):
+        m, s = means[unit, :, j], sds[unit, :, j]
+        return weights[unit] @ (norm.cdf((half - m) / s) + norm.cdf((half + m) / s) - 1.0)
+
+    half, small = np.array([[1.1, 4.0], [0.6, 7.0]]), 1e-4
+    found = posteriors._mixed(half, means / sds, 1.0 / sds, weights)
+    wanted = np.empty((3, 2, 2))
+    for at in np.ndindex(2, 2):
+        low, middle, high = (held(half[at] + d, *at) for d in (-small, 0.0, small))
+        fall = -(high - 2.0 * middle + low) / small**2
+        wanted[(slice(None), *at)] = middle, (high - low) / 2.0 / small, fall
+    root = math.sqrt(2.0 * math.pi)
+    assert_allclose(found[0], wanted[0], rtol=1e-9)
+    assert_allclose([found[1], found[2]], root * wanted[1:], rtol=1e-5, atol=1e-5)
+    sds[1, 1, 0] = 0.0
+    U = posteriors._halley(means, sds, weights, 0.9)
+    sds[1, 1, 0] = 1e-9
+    for at in np.ndindex(2, 2):
+        by_root = brentq(lambda x, at=at: held(x, *at) - 0.9, 0.0, 60.0, xtol=1e-13)
+        assert U[at] == pytest.approx(by_root, rel=1e-9)
 
 
 def test_ranges_where_something_is_probable():

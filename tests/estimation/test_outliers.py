@@ -14,6 +14,7 @@ from multipos.estimation.outliers import (
     _are_beyond,
     _left_of,
     _log_beta_tail,
+    _off_ellipsoid,
     find_outlying_rows,
 )
 from multipos.estimation.robustness import huber_factors
@@ -169,6 +170,24 @@ def test_an_ellipsoid_is_linear_in_its_form():
     found = find_outlying_rows(mp.fit(given, unknown_orientation=True).model, given, None)
     assert found.rows.tolist() == [7]
     assert found.off[0] == pytest.approx(0.05, rel=0.01)
+
+
+@pytest.mark.parametrize(("steps", "named"), [(4.5, False), (6.5, True)])
+def test_rows_off_an_ellipsoid_by_few_steps_are_not_named(steps, named):
+    """Three steps of .001 over the rms of a reading, 1/√3 of its largest: 5.2 steps."""
+    up = mp.read_scheme("fibonacci-48").up
+    values = np.round(up * 1000.0) / 1000.0
+    values[7] = np.round((1000.0 + steps) * up[7]) / 1000.0
+    given = mp.Readings(values, outputs=("ax", "ay", "az"), unit="g")
+    model = mp.fit(given, unknown_orientation=True).model
+    found = _off_ellipsoid(model, given, None)
+    assert (found is not None) is named
+    if found is not None:
+        assert (found.rows.tolist(), found.errors, found.dof) == ([7], None, 48 - 9 - 1)
+        assert found.off[0] == pytest.approx(1e-3 * steps, abs=5e-4)
+    values[:, 1] = 0.5
+    still = mp.Readings(values, outputs=("ax", "ay", "az"), unit="g")
+    assert _off_ellipsoid(model, still, None) is None
 
 
 def test_hubers_factor_by_hand():

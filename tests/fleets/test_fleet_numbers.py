@@ -17,7 +17,13 @@ from multipos.fleets import fleet_text, line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import Conditions, find_trials, group_rows
 from multipos.fleets.labels import Labels
-from multipos.fleets.solving import _ends_repeat, _findings, _with_gravity, find_suspects
+from multipos.fleets.solving import (
+    _ends_repeat,
+    _findings,
+    _with_gravity,
+    find_pattern,
+    find_suspects,
+)
 from multipos.fleets.sources import _labelled
 from multipos.fleets.unit_findings import (
     _explained_by_temperature,
@@ -518,6 +524,54 @@ def test_terms_that_robust_fits_may_lack_by_weighted_regression():
     assert found[sure].tolist() == (margin < 0.0)[sure].tolist()
     assert 2 < found.sum() < 10
     assert sure.sum() > 9
+
+
+@pytest.mark.parametrize(
+    ("fitted_with", "asked_for", "shared"),
+    [
+        ({}, {}, "SharedDesign"),
+        ({}, {"range": (1, 2)}, None),
+        ({}, {"exclude": "auto"}, None),
+        ({"gravity": 9.81, "gravity_u": 0.01}, {}, "SharedDesign"),
+        ({"robust": "huber"}, {}, "SharedDesign"),
+        ({"robust": "huber"}, {"pool": True}, None),
+        ({"unknown_orientation": True}, {}, "SharedSphere"),
+        ({"budget": {"gain": {"u": 0.01}}}, {}, None),
+        ({"samples": 100}, {}, "SharedDesign"),
+        ({"samples": 100, "u": 1e-4, "dof": 9.0}, {}, None),
+        ({"time": 1.0}, {}, "SharedDesign"),
+    ],
+)
+@pytest.mark.usefixtures("without_findings")
+def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, shared):
+    """At known orientations the design (1, f), its residuals' tests and, but robust, a fixture."""
+    up = mp.read_scheme("fibonacci-20").up
+    values = up + 1e-4 * np.random.default_rng(1).normal(size=up.shape)
+    given, options = {}, dict(fitted_with)
+    for name in ("u", "dof"):
+        if name in options:
+            given[name] = np.full(up.shape, options.pop(name))
+    if "samples" in options:
+        given["samples"] = np.full(20, options.pop("samples"))
+    timed = options.pop("time", None) is not None
+    if timed:
+        given["environment"] = {"time": np.arange(20.0)}
+    c = mp.fit(mp.Readings(values, up=up, unit="g", **given), **options)
+    found = find_pattern(c, None, options | asked_for)
+    assert (found and type(found.shared).__name__) == shared
+    if found is None:
+        return
+    known, robust = shared == "SharedDesign", "robust" in options
+    if known:
+        force = up * options.get("gravity", 9.80665) / 9.80665
+        for design in found.shared.designs:
+            np.testing.assert_allclose(design, np.column_stack([np.ones(20), force]))
+    else:
+        assert found.findings == "orientation-ignored"
+    assert (found.tests is not None, found.robust is not None) == (known and not robust, robust)
+    assert (found.fixture is not None) == (known and not robust)
+    assert (found.timed, found.quick) == (timed, known and not robust)
+    assert (found.gravity is not None) == ("gravity" in options)
 
 
 def test_what_a_unit_is_said_to_be_found_of():

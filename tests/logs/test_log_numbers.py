@@ -432,6 +432,25 @@ def test_numbers_of_a_text_are_what_python_reads(mark):
     assert read_plain(text.replace(b"-0.5", b""), mark, 3, [0, 1, 2]) is None
 
 
+def test_cells_between_separators_by_hand():
+    """Places of their ends, with points and without; an exponent is read otherwise."""
+    text = b"1.25;-20;3.;-.5\n4e1;07;8;9\n"
+    found = text_logs._between(b"\n" * 8 + text, b";", 4)
+    cells = text.replace(b"\n", b";").split(b";")[:-1]
+    ends = np.cumsum([len(cell) + 1 for cell in cells]) + 7
+    assert found.end.tolist() == ends.tolist()
+    assert found.last.tolist() == [*(ends[:4] - [1, 1, 2, 3]), *(ends[4:] - 3)]
+    assert found.length.tolist() == [4, 3, 2, 3, 3, 2, 1, 1]
+    assert found.digits.tolist() == [3, 2, 1, 1, 2, 2, 1, 1]
+    assert found.decimals[[0, 1, 2, 3, 5]].tolist() == [2, 0, 0, 1, 0]
+    assert found.negative.tolist() == [False, True, False, True] + [False] * 4
+    assert np.flatnonzero(found.odd).tolist() == [4]
+    assert found.texts(found.odd) == [b"4e1"]
+    assert text_logs._between(b"\n" * 8 + text, b";", 3) is None
+    for odd in (b"x", b"-4-", b"4e1;5e1;6e1;7e1\n4"):  # no number, none, and too many of them
+        assert text_logs._between(b"\n" * 8 + text.replace(b"4e1", odd), b";", 4) is None
+
+
 def test_single_samples_far_from_their_neighbours_are_taken_out():
     """Their place, output and value are kept; three in a row are motion."""
     rng = np.random.default_rng(3)

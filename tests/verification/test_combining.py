@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_normal, norm
+from scipy.stats import t as student
 
 import multipos as mp
 from multipos.cli import main
@@ -129,6 +130,27 @@ def test_a_longer_session_counts_for_more():
     assert_allclose(one.parameters, share @ values, rtol=0, atol=1e-13)
     pooled = np.sqrt((1.0 + share @ share) * np.mean(values[:, [0, 4, 8]].var(axis=0, ddof=1)))
     assert_allclose(one.U[[0, 4, 8]], 2.446912 * pooled, rtol=0.1)  # t at 0.975 on 6
+
+
+def test_values_are_correlated_as_their_sessions_and_what_these_state():
+    """The mean covariance and that of the values, at the u that eq. (2) gives; S has R − 1."""
+    short, again = sessions(2, 2, reading_sd=SD)
+    (long,) = sessions(3, 1, scheme="faces-6+faces-6", reading_sd=SD)
+    found = [short, again, long]
+    one = combined(found)
+    values = np.array([c.parameters for c in found])
+    S = np.cov(values.T)
+    whole = np.mean([c.covariance for c in found], axis=0) + S
+    sd, u = np.sqrt(np.diag(whole)), np.sqrt(np.diag(one.covariance))
+    assert_allclose(one.covariance / np.outer(u, u), whole / np.outer(sd, sd), atol=1e-9)
+    assert_allclose(list(one.sessions.sd.values()), np.sqrt(np.diag(S)))
+    assert (one.sessions.runs, one.dof.tolist()) == (3, [2.0] * 3)
+    own = np.array([np.diag(c.covariance) for c in found]) * combining._shrunk(found)
+    share, biases = np.array([[0.25], [0.25], [0.5]]) * np.ones(3), [0, 4, 8]
+    known = min(sum(c.dof for c in found))
+    U, dof = combining.predict_next(values[:, biases], own[:, biases], share, known)
+    assert_allclose(u[biases], U / student.ppf(0.975, dof), rtol=1e-6)
+    assert_allclose(one.parameter_dof[biases], dof)
 
 
 def test_what_sessions_share_is_added():
