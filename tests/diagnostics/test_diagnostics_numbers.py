@@ -168,6 +168,28 @@ def test_a_converter_that_ran_over_is_set_right_by_its_step():
     assert np.flatnonzero(rows).tolist() == np.flatnonzero(over).tolist()
     assert (rows[over] > 0.0).all()
     assert _wrap_of(view, M, 1) is None
+    values = readings(sd=1e-4)  # beyond both ends of a range of 1.9, nine of fourteen
+    v = (values[:, 0] > 0.7).astype(float) - (values[:, 0] < -1.2)
+    values[:, 0] -= 1.9 * v
+    rows, step = _wrap_of(view_of(values), M, 0)
+    assert rows.tolist() == v.tolist()
+    assert step == pytest.approx(1.9, abs=0.01)
+
+
+def test_what_is_put_back_is_the_difference_of_the_readings():
+    c = SimpleNamespace(
+        readings=SimpleNamespace(values=np.full((4, 2), 0.5), labels=("p", "q", "r", "s")),
+        outputs=("a", "b"),
+    )
+    for added, cells, way in (
+        ([[4, 0], [0, 0], [0, 4], [4, 0]], "p, s of a; r of b", "Add 4 to these readings"),
+        ([[0, 0], [-4, -4], [0, 0], [0, 0]], "q of a; q of b", "Subtract 4 from these readings"),
+        ([[0, 4], [0, 0], [0, 0], [-4, 0]], "s of a; p of b", "Add 4 to the low ones of these"),
+    ):
+        view = SimpleNamespace(values=c.readings.values + added)
+        repair = SimpleNamespace(view=view, outputs=(0, 1), size=4.0)
+        assert gross_errors._cells(c, repair) == cells
+        assert gross_errors._unwrap(c, repair).startswith(way)
 
 
 def test_radians_that_were_read_as_degrees_are_turned_back():
