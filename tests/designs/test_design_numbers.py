@@ -134,10 +134,11 @@ def test_priors_are_represented_by_points_of_their_mean_and_covariance(monkeypat
     assert_allclose(off.T @ off / 4, wanted, atol=1e-15)
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_criteria_of_many_matrices_rank_as_those_of_each(weighted):
+@pytest.mark.parametrize(("weighted", "size"), [(False, 1.0), (True, 1.0), (False, 1e-9)])
+def test_criteria_of_many_matrices_rank_as_those_of_each(weighted, size):
     rng = np.random.default_rng(5)
-    blocks = [np.einsum("nij,nkj->nik", A, A) for A in (rng.normal(size=(7, p, 9)) for p in (2, 3))]
+    roots = (math.sqrt(size) * rng.normal(size=(7, p, 9)) for p in (2, 3))
+    blocks = [np.einsum("nij,nkj->nik", A, A) for A in roots]
     blocks[1][4] = np.outer([1.0, 2.0, -3.0], [1.0, 2.0, -3.0])  # singular
     weight = tuple(B @ B.T for B in (rng.normal(size=(2, 2)), rng.normal(size=(3, 3))))
     criterion = Criterion("mine", weight if weighted else None)
