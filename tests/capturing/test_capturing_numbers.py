@@ -250,6 +250,27 @@ def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
     assert live_rests.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
 
 
+@pytest.mark.parametrize(("rate", "count"), [(200.0, 10), (None, 5), (3.0, 1)])
+def test_a_live_value_is_the_mean_of_fifty_milliseconds(rate, count):
+    outputs = np.random.default_rng(1).normal(size=(3, 33))
+    session = SimpleNamespace(rows=SimpleNamespace(rate=rate))
+    session_module.Session._show_live(session, outputs)
+    assert_allclose(session.newest, outputs[:, -count:].mean(axis=1))
+
+
+def test_samples_left_until_a_stretch_is_a_rest():
+    """Still since row 60, of blocks of 5 and windows of 8 blocks: 24 windows end with block 31."""
+    rests = SimpleNamespace(
+        _finder=None, _provisional=SimpleNamespace(still_since=60), _seen=24, _newest=0.3,
+        grid=SimpleNamespace(shortest=110, block=5),
+    )  # fmt: skip
+    assert live_rests.LiveRests.motion(rests) == (0.3, True, 110 - (31 * 5 - 60))
+    rests.grid.shortest = 90
+    assert live_rests.LiveRests.motion(rests).samples_left == 0
+    rests._finder = SimpleNamespace(still_since=None)
+    assert live_rests.LiveRests.motion(rests) == (0.3, False, 90)
+
+
 @pytest.mark.parametrize(
     ("drift", "threshold", "refused"),
     [(0.31, 0.3, True), (0.29, 0.3, False), (-0.31, 0.3, True), (9.0, None, False)],
