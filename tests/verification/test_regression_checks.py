@@ -65,6 +65,9 @@ def test_before_after_and_u_by_hand():
         assert_allclose(found.after[new, 0], later["error"][new] - Z @ b, rtol=0, atol=1e-14)
         assert_allclose(found.u[new, 0], u, rtol=1e-9)
         assert_allclose(found.U[new, 0], coverage_factor(0.95, float(rows.sum() - 2)) * u)
+    fewest = min((columns["temperature"] < 20).sum(), (columns["temperature"] >= 20).sum()) - 2.0
+    of_all = stats.t.ppf(1.0 - 0.025 / found.counted.sum(), fewest) / stats.t.ppf(0.975, fewest)
+    assert_allclose(found.U_family, found.U * of_all, rtol=1e-6)
     left = np.asarray(mp.correct(fitted(), later, column="V")["corrected"]) - 1.0
     assert_allclose(found.after[:, 0], left, rtol=0, atol=1e-14)  # the corrected output's error
 
