@@ -34,6 +34,9 @@ def test_welch_by_hand():
     F, p = welch(np.array([0.0, 1.0, 2.0]), np.ones(3), np.full(3, 10.0))
     assert pytest.approx(1.0 / (1.0 + 0.25 * 3 * (4 / 9) / 10)) == F
     assert p == pytest.approx(f_tail(F, 2, 20.0))  # 8/(3 Λ)
+    for u, dof in (([1.0, 0.0, 1.0], 10.0), ([1.0, 1.0, np.nan], 10.0), ([1.0, 1.0, 1.0], 0.0)):
+        found = welch(np.array([0.0, 1.0, 2.0]), np.array(u), np.array([10.0, dof, 10.0]))
+        assert np.isnan(found).all()
 
 
 def test_false_alarms_are_as_stated():
