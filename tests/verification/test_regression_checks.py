@@ -399,6 +399,8 @@ def test_the_agreement_of_a_run_by_dense_covariances(between):
     n, X = 24, rng.normal(size=(24, 3))
     Z = np.kron(np.eye(2), np.ones((12, 1))) if between else np.zeros((n, 0))
     e, root = rng.normal(size=n), 0.3 * rng.normal(size=(3, 3))
+    unit = np.array([1e-3, 1.0, 1e3])  # that terms are in changes nothing
+    X, root = X * unit, root / unit[:, None]
     runs = SimpleNamespace(covariance=np.array([[0.25]]), runs=5)
     segment = SimpleNamespace(dof=(2.0, 15.0), robust=None, between=runs if between else None)
     rows = SimpleNamespace(e=e, X=X, Z=Z, root=root)
