@@ -66,6 +66,7 @@ from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.own_models import build_parsed
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
+_LEAST = 1e-6  # singular value: twice as small in information, which has sixteen digits
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
 
 
@@ -372,7 +373,9 @@ class Assessor:
                     "change the formula."
                 )
             designs.append((model.names[part], Z.reshape(-1, Z.shape[2])))
-        found = [(names, separability(Z, least_norm=ZERO_NORM)) for names, Z in designs]
+        found = [
+            (names, separability(Z, least_norm=ZERO_NORM, least=_LEAST)) for names, Z in designs
+        ]
         problems: list[str] = []
         for names, one in found:
             problems += name_combinations(one.null, names)

@@ -46,7 +46,7 @@ from multipos.estimation.problem import Optimum, Problem, Solution, start_state
 from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array, Mask, Places, median
+from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere
 from multipos.results import frozen
@@ -455,7 +455,7 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
         own = np.where(total > 0.0, total**2 / (parts**2 / dof).sum(axis=1), np.inf)
         # information of the prior has no noise of readings in it
         own = own * (np.diag(solution.covariance) / total) ** 2
-    return replace(solution, parameter_dof=np.where(np.isnan(own), np.inf, own), dof=dof)
+    return replace(solution, parameter_dof=np.where(own <= LARGEST, own, np.inf), dof=dof)
 
 
 def _information(problem: Problem, optimum: Optimum) -> Array:

@@ -352,7 +352,11 @@ class Separability:
 
 
 def separability(
-    design: ArrayLike, *, least_norm: float = 0.0, covariance: ArrayLike | None = None
+    design: ArrayLike,
+    *,
+    least_norm: float = 0.0,
+    covariance: ArrayLike | None = None,
+    least: float = RANK,
 ) -> Separability:
     """What the rows of a design can separate, whatever the response.
 
@@ -363,6 +367,8 @@ def separability(
     least_norm, covariance
         As in `multipos.numerics.least_squares.solve`. The covariance bears on the condition; what
         rows of finite variance can tell apart does not depend on it.
+    least : float
+        Singular value of the scaled design, as a part of the largest, that is no separation.
 
     Returns
     -------
@@ -379,7 +385,7 @@ def separability(
     judged = R if V.full is None else X
     scales = column_scales(judged)
     _, singular, Vt = np.linalg.svd(judged / scales, full_matrices=n < p)
-    rank = int((singular > RANK * singular[0]).sum())
+    rank = int((singular > least * singular[0]).sum())
     null = _echelon(Vt[rank:]).T / scales[:, np.newaxis]
     for v in null.T:
         v /= v[np.flatnonzero(v)[-1]]

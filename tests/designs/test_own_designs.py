@@ -38,6 +38,16 @@ def test_six_faces_cannot_tell_a_saturation():
     assert "k_ax" in found.unidentifiable[0]
 
 
+@pytest.mark.parametrize(("offset", "seen"), [(1e-2, True), (1e-14, False)])
+def test_what_information_has_no_digits_for_is_not_separated(tmp_path, offset, seen):
+    """Of s f/(c + f²/100) nothing but s/k is left where c is 1e-12 of the other term."""
+    path = tmp_path / "own.toml"
+    formula = f"b + s*own/({offset} + common_k*own^2)"
+    path.write_text(f'[parameters]\ns = 1\ncommon_k = 0.01\n[outputs]\neach = "{formula}"\n')
+    found = mp.schemes("all-26", model=str(path)).schemes[0]
+    assert found.identifiable is seen
+
+
 @pytest.mark.parametrize(
     ("term", "said"),
     [("k/x^2", "ax has no value at 4 of 6"), ("k*log(own)", "ax has no value at 49 of 100")],

@@ -155,6 +155,16 @@ def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
     assert_allclose(cal.u[0], (12.0 / s2 + 1e4) ** -0.5, rtol=1e-4)
 
 
+def test_a_prior_that_readings_add_nothing_to_is_certain_of_its_u(tmp_path):
+    """A share of (1e-30/0.01)² of twelve readings has 1e112 times their dof, which files lack."""
+    up = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (6, 1))
+    values = 1.02 * up[:, :1] + 0.02 * np.random.default_rng(4).standard_normal((12, 1))
+    path = written(tmp_path, "s = {start = 1.0, sd = 1e-30}", 'each = "s*own"')
+    cal = mp.fit(mp.Readings(values, up=up), model=path, axes="x")
+    assert_allclose(cal.u, 1e-30, rtol=1e-9)
+    assert cal.parameter_dof.tolist() == [np.inf]
+
+
 def test_a_prior_of_unknown_orientations_leaves_their_degrees_of_freedom(tmp_path):
     """One number a position: 20 − 6, and of each prior what readings tell, C/sd² (eq. (1))."""
     # eq. (1) of estimation.noise
