@@ -133,7 +133,18 @@ class _General:
 
     def linearise(self, at: _At) -> _Equations:
         normal = linearise(self.problem, at.state, at.point)
-        return _Equations(normal.information[None], normal.gradient[None], normal)
+        information = self._bent(at, normal.information, normal.gradient)
+        return _Equations(information[None], normal.gradient[None], normal)
+
+    def _bent(self, at: _At, information: Array, gradient: Array) -> Array:
+        """Return S (P, P) with the curvature of bounds that parameters are searched within."""
+        model, p = self.problem.model, len(at.state.theta)
+        if isinstance(model, ExpressionModel) and model.inner:
+            information = information.copy()
+            information.flat[: p * len(information) : len(information) + 1] += model.bend(
+                at.state.theta, gradient[:p]
+            )
+        return information
 
     def move(self, at: _At, equations: _Equations, step: Array, damping: Array) -> _At:
         assert equations.normal is not None
@@ -169,7 +180,7 @@ class _Exact(_General):
             excess, slope = problem.model.belief(theta)
             information.flat[:: len(theta) + 1] += slope**2
             gradient -= slope * excess
-        return _Equations(information[None], gradient[None])
+        return _Equations(self._bent(at, information, gradient)[None], gradient[None])
 
     def move(self, at: _At, equations: _Equations, step: Array, damping: Array) -> _At:
         return self._at(at.state, at.state.theta + step[0], at.point.force)

@@ -451,7 +451,7 @@ def with_degrees(solution: Solution, problem: Problem, optimum: Optimum, dof: Ar
     gain = gain * problem.precision.T[:, None, :]
     parts = np.einsum("mpn,nm->pm", gain**2, 1.0 / problem.precision)
     total = parts.sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         own = np.where(total > 0.0, total**2 / (parts**2 / dof).sum(axis=1), np.inf)
         # information of the prior has no noise of readings in it
         own = own * (np.diag(solution.covariance) / total) ** 2

@@ -265,6 +265,24 @@ class ExpressionModel(Model):
                 outer[i], slope[i] = end + side * (root - 1.0), side * t / root
         return outer, slope
 
+    def bend(self, inner: Array, gradient: Array) -> Array:
+        """Return what the curvature of eq. (2) adds to the information of t, (p,), 0 or more.
+
+        Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
+        is to keep a step short; `gradient` (p,) is g by t.
+        """
+        outer, slope = self.outward(inner)
+        added = np.zeros(len(inner))
+        for i, q in enumerate(self.quantities):
+            if not q.bounded or slope[i] == 0.0:
+                continue
+            if np.isfinite(q.low) and np.isfinite(q.high):
+                second = (q.low + q.high) / 2.0 - outer[i]
+            else:
+                second = (1.0 if np.isfinite(q.low) else -1.0) * np.hypot(inner[i], 1.0) ** -3
+            added[i] = max(0.0, -gradient[i] * second / slope[i])
+        return added
+
     def inward(self, outer: Array) -> Array:
         """Return t of eq. (2), (p,), a little inside the bounds."""
         inner = outer.copy()
@@ -315,8 +333,7 @@ def at_bounds(model: Model, parameters: Array) -> Findings:
         return ()
     said = []
     for name, q, value in zip(model.names, model.quantities, parameters.tolist(), strict=True):
-        width = q.high - q.low
-        reach = _INSIDE * (width if np.isfinite(width) else max(abs(value), 1.0))
+        reach = _INSIDE * min(q.high - q.low, max(abs(value), 1.0))
         for word, end in (("low", q.low), ("high", q.high)):
             if abs(value - end) <= reach:
                 text = f"`{name}` is at its bound, {word} = {end:g}; the best fit may lie beyond"

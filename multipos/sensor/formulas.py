@@ -31,7 +31,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -309,6 +309,8 @@ _NAME = re.compile(r"[^\W\d]\w*")
 _TAKEN = (*COMPONENTS, "own", *CONSTANTS, *FUNCTIONS)
 _TELLING = 4  # characters of a name that can be a misspelt column
 _KEPT = 64  # lines
+_FAR = 1e9  # of a start: a bound beyond which bounds nothing, and takes its digits
+_LARGEST = 1e15  # of a start, as of a sample
 _ALIKE = 0.8  # of two names, from which one is the other misspelt
 
 
@@ -504,7 +506,11 @@ def _quantity(path: str, name: str, said: Any) -> StatedParameter:
     numbers: dict[str, Any] = {k: v if k == "unit" else float(v) for k, v in given.items()}
     quantity = StatedParameter(name, **numbers)
     _check_quantity(quantity, where)
-    return quantity
+    low, high = quantity.low, quantity.high
+    far = _FAR * max(1.0, abs(quantity.start or 0.0), low, -high)
+    return replace(
+        quantity, low=-math.inf if low < -far else low, high=math.inf if high > far else high
+    )
 
 
 def _check_entry(where: str, key: str, value: Any) -> None:
@@ -519,9 +525,10 @@ def _check_entry(where: str, key: str, value: Any) -> None:
         return
     number = isinstance(value, int | float) and not isinstance(value, bool)
     infinite = number and key in ("low", "high") and math.isinf(value)
-    if not infinite and not (number and abs(value) <= LARGEST):
+    largest = _LARGEST if key == "start" else LARGEST
+    if not infinite and not (number and abs(value) <= largest):
         raise MultiposError(
-            f"{where}: {key} must be a number of at most {LARGEST:g} in size, got {value!r}."
+            f"{where}: {key} must be a number of at most {largest:g} in size, got {value!r}."
         )
 
 

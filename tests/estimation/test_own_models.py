@@ -138,6 +138,25 @@ def written(folder, parameters, outputs):
     return str(path)
 
 
+@pytest.mark.parametrize("bounds", ["low = 0.5, high = 2", "high = 2", "low = -1e30, high = 2"])
+def test_bounds_that_do_not_bind_change_nothing_beside_one_that_does(tmp_path, bounds):
+    """Readings of a straight line: k ends at its bound 0, where eq. (2) has no slope."""
+    # eq. (2) of sensor.expressions
+    up = mp.read_scheme("all-26").up
+    values = 1.001 * up + 0.005 * np.random.default_rng(7).standard_normal(up.shape)
+
+    def fitted(more):
+        parameters = "k = {start = 0.01, low = 0}\ns = {start = 1" + more + "}"
+        path = written(tmp_path, parameters, SATURATING_FILE)
+        return mp.fit(mp.Readings(values, up=up), model=path, orientation_sd=0.5, reading_sd=1e-3)
+
+    cal, plain = fitted(f", {bounds}"), fitted("")
+    assert any("k_a" in text and "at its bound" in text for text in texts(cal))
+    assert not any("`s_a" in text for text in texts(cal))
+    assert_allclose(cal.parameters, plain.parameters, atol=1e-4 * plain.u.max())
+    assert_allclose(cal.u, plain.u, rtol=1e-4)
+
+
 @pytest.mark.usefixtures("without_findings")
 def test_a_prior_beside_noise_that_only_residuals_tell(tmp_path):
     """By hand: s² from the residuals on n - (share of the readings) degrees of freedom."""
