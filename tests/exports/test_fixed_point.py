@@ -60,6 +60,12 @@ def test_the_error_is_looked_for_at_corners_readings_and_between(monkeypatch):
     corners = [[-8.0, -4.0], [-8.0, 6.0], [10.0, -4.0], [10.0, 6.0]]
     between = [[1.0, -1.5], [6.0, 1.0], [-3.0, 3.5]]
     assert asked[0].tolist() == [*corners, *values.tolist(), *between]
+    monkeypatch.setattr(c_fixed, "fill", lambda file, **given: given)
+    monkeypatch.setattr(c_fixed, "fixed_signature", lambda calibration, name: "")
+    fixed.linear = np.eye(2)
+    given = c_fixed.fixed_test(fixed, "imu")  # readings, and as far beyond each as the one before
+    assert (given["count"], given["axes"]) == (6, 2)
+    assert "    {56.0, -18.0},\n    {-12.0, 32.0},\n    {-36.0, -8.0}\n" in given["arrays"]
 
 
 @pytest.mark.parametrize(
