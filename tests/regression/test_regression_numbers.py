@@ -39,6 +39,7 @@ from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.region import Region
 from multipos.regression.regression import Regression, _segment_text
+from multipos.regression.regression_file import _balance
 from multipos.regression.robust import _by_law, _general, _tested, robust_fit, within_runs
 from multipos.regression.segment import Between, combined_variance
 from multipos.regression.segmentation import hinges
@@ -237,6 +238,20 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
         own, L = _local(chosen, below)
         here = sum(value * term.evaluate(at) for value, term in zip(L @ b, own, strict=True))
         assert here[i] == pytest.approx(whole[i], rel=1e-10)
+
+
+def test_a_balance_is_of_one_variable():
+    points = [
+        {"T": -7.0, "predicted": 0.3, "U": 0.02, "outside": False},
+        {"T": 25.0, "predicted": None, "U": 0.05, "outside": True},
+    ]
+    found = _balance(points)
+    assert (found.variable, found.at.tolist()) == ("T", [-7.0, 25.0])
+    assert_allclose((found.predicted, found.U), [[0.3, np.nan], [0.02, 0.05]])
+    assert found.outside.tolist() == [False, True]
+    points[1] = {"p": 25.0} | {name: value for name, value in points[1].items() if name != "T"}
+    with pytest.raises(ValueError, match="not of one variable"):
+        _balance(points)
 
 
 def test_a_variance_is_at_least_its_rounding():
