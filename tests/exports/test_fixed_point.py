@@ -15,6 +15,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.exports import c_fixed
 from multipos.exports.c_fixed import _shift, find_fixed_point, fixed_forces
 from multipos.exports.target_c import fixed_source
+from multipos.numerics.terms import parse_terms
 
 UP = mp.read_scheme("fibonacci-24").up
 MATRIX = np.array([[1.02, 0.01, -0.02], [-0.015, 0.98, 0.01], [0.02, 0.005, 1.01]])
@@ -136,6 +137,21 @@ def test_other_models_and_options_are_refused():
         mp.export(calibration(), to="c", fixed=True, float=True)
     with pytest.raises(UsageError, match="--fixed is for --to c"):
         mp.export(calibration(), to="px4", fixed=True)
+
+
+@pytest.mark.parametrize(
+    ("terms", "outputs", "fits"),
+    [("1 + x + y", 2, True), ("1 + x + y*z", 3, True), ("1 + x + y^2", 2, False),
+     ("1 + x^3", 3, False), ("1 + x*y^2", 3, False), ("1 + x*|x|", 3, False), ("1 + t", 3, False)],
+)  # fmt: skip
+def test_second_degree_needs_as_many_outputs_as_axes(terms, outputs, fits):
+    model = SimpleNamespace(environment=(), basis_terms=parse_terms(terms), text=terms)
+    c = SimpleNamespace(model=model, outputs="abc"[:outputs])
+    if fits:
+        c_fixed._require_quadratic(c, [0, 1, 2])
+        return
+    with pytest.raises(MultiposError, match="--fixed writes linear and quadratic models"):
+        c_fixed._require_quadratic(c, [0, 1, 2])
 
 
 def test_a_file_that_was_changed_is_found(tmp_path, capsys):
