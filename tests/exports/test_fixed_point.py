@@ -4,6 +4,7 @@ import itertools
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,6 +113,17 @@ def test_no_reading_overflows():
             assert sum(abs(v) for v in row) * largest + 2**fixed.quadratic_shift < 2**63
 
 
+def test_no_more_steps_are_taken_than_it_needs():
+    """Of half the last bit at 4/3 of the force; two less are not enough for the readings."""
+    cal = calibration("own-quadratic", "count", 4096.0)
+    fixed = find_fixed_point(cal)
+    raw = fixed.whole(cal.readings.values)
+    expected = fixed.accel_per_g * cal.compensate(raw / fixed.raw_per_unit)
+    for less, enough in ((0, True), (2, False)):
+        found = fixed_forces(replace(fixed, steps=fixed.steps - less), raw)
+        assert bool(np.abs(found - expected).max() < 2.0) is enough
+
+
 def test_what_is_beyond_32_bits_is_saturated():
     fixed = find_fixed_point(calibration(scale=16.0))
     far = np.full((1, 3), 2**31 - 1)
@@ -122,6 +134,7 @@ def test_what_is_beyond_32_bits_is_saturated():
 def test_the_scale_factors_are_definitions():
     counts = mp.export(calibration(), to="c", fixed=True, name="imu").text
     volts = mp.export(calibration(unit="V", scale=2.5), to="c", fixed=True, name="imu").text
+    assert " * accel[3] = x, y, z [g], convention specific-force\n" in counts
     assert "#define imu_ACCEL_PER_G 1000000\n" in counts
     assert "RAW_PER_UNIT" not in counts.partition("*/")[2]
     assert "#define imu_RAW_PER_UNIT 100000000\n" in volts
