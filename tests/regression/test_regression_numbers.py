@@ -13,7 +13,7 @@ from scipy.stats import t
 
 from multipos.errors import MultiposError
 from multipos.numerics.terms import parse_terms
-from multipos.regression import region, segmentation, variation
+from multipos.regression import region, regression, segmentation, variation
 from multipos.regression.correlation import (
     _autoregression,
     _filtered,
@@ -238,6 +238,22 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
         own, L = _local(chosen, below)
         here = sum(value * term.evaluate(at) for value, term in zip(L @ b, own, strict=True))
         assert here[i] == pytest.approx(whole[i], rel=1e-10)
+
+
+@pytest.mark.parametrize(("continuous", "shown"), [(True, [1, 3]), (False, [0, 1, 2, 3])])
+def test_segments_that_are_fitted_together_share_their_path(continuous, shown, monkeypatch):
+    """Two of a rising branch and two of a falling one."""
+    for name in ("_outline", "_judged", "_jumps", "_balanced", "_segment_text", "_runs_text"):
+        monkeypatch.setattr(regression, name, lambda of: [])
+    monkeypatch.setattr(regression, "_overview", lambda r: "")
+    monkeypatch.setattr(regression, "_path_text", lambda segment: [f"path {segment.number}"])
+    segments = [
+        SimpleNamespace(number=i, branch=branch, range=(0.0, 1.0), left_out=())
+        for i, branch in enumerate(("rising", "rising", "falling", "falling"))
+    ]
+    r = SimpleNamespace(segments=segments, continuous=continuous, range_variable="t")
+    said = [line for line in regression._text(r) if line.startswith("path")]
+    assert said == [f"path {i}" for i in shown]
 
 
 def test_a_balance_is_of_one_variable():
