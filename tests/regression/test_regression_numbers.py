@@ -25,7 +25,7 @@ from multipos.regression.correlation import (
     bandwidth,
     time_order,
 )
-from multipos.regression.junctions import _junction, find_junctions
+from multipos.regression.junctions import _junction, compare_branches, find_junctions
 from multipos.regression.observations import (
     _same,
     _still,
@@ -307,6 +307,32 @@ def test_a_jump_between_two_segments_where_it_is_largest():
     assert found.jump == pytest.approx(0.3 + 0.6 * 3.0)
     assert pytest.approx(t.ppf(0.95, 6.5) * u, rel=1e-6) == found.U
     assert find_junctions([], Rows(v, {}), None, (), None, 0.9) == ()
+
+
+@pytest.mark.parametrize("edges", [(), (0.3,)])
+def test_hysteresis_is_the_f_of_branches_of_their_own(edges):
+    """RSS of one model a segment less that of two, over q of them, against what these leave."""
+    rng = np.random.default_rng(8)
+    t_, rate = rng.normal(size=40), rng.normal(size=40)
+    y = 0.3 * (rate > 0.0) + rng.normal(size=40)
+    data = Rows(y, {"t": t_, "rate": rate})
+    data.order = None
+    X = np.column_stack([np.ones(40), t_])
+
+    def rss(rows):
+        return np.linalg.lstsq(X[rows], y[rows], rcond=None)[1][0]
+
+    parts = [t_ < 0.3, t_ >= 0.3] if edges else [np.full(40, True)]
+    one = sum(rss(part) for part in parts)
+    two = sum(rss(part & side) for part in parts for side in (rate > 0.0, rate <= 0.0))
+    d, nu = 2 * len(parts), 40 - 4 * len(parts)
+    F = (one - two) / d / (two / nu)
+    found = compare_branches(parse_terms("1 + t"), data, "rate", "t" if edges else None, edges, 0.9)
+    assert (found["column"], found["dof"]) == ("rate", [d, 40 - 2 * d])
+    assert (found["F"], found["p"]) == (
+        pytest.approx(F),
+        pytest.approx(fisher.sf(F, d, 40 - 2 * d)),
+    )
 
 
 def test_columns_are_held_inside_what_a_segment_was_fitted_to():
