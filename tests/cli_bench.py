@@ -2,6 +2,7 @@
 
 import re
 import sysconfig
+from importlib import import_module
 from pathlib import Path
 
 from multipos import cli
@@ -30,6 +31,20 @@ def run(capsys, *arguments):
         status = leaving.code
     captured = capsys.readouterr()
     return status, captured.out, captured.err
+
+
+def make_once(monkeypatch, name):
+    """What a command makes by a function is made once for the same words, however it is shown."""
+    module, _, function = name.rpartition(".")
+    make, made = getattr(import_module(module), function), {}
+
+    def remembered(*words, progress=None, **options):
+        key = repr((words, options))
+        if key not in made:
+            made[key] = make(*words, **options)
+        return made[key]
+
+    monkeypatch.setattr(name, remembered)
 
 
 def snapshot(folder):

@@ -2,6 +2,8 @@
 
 import gc
 import os
+import pickle
+from typing import Any
 
 # As the commands do: threads of linear algebra that wait for each other beside other processes
 # take ten times the time. Said before NumPy is imported, which reads it once.
@@ -37,6 +39,24 @@ def without_findings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Findings change no number, and take as long as the fit: simulations of claims leave them."""
     for finds in ("examine", "_with_rolls"):
         monkeypatch.setattr(f"multipos.fitting.fit_readings.{finds}", lambda c, **_: c)
+
+
+_OPTIMA: dict[bytes, Any] = {}
+
+
+@pytest.fixture
+def optima_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find the optimum of a setting once: a design is judged by the same three again and again."""
+    from multipos.designs import assessment, designing, optimum
+
+    def found(*what: Any, **options: Any) -> Any:
+        key = pickle.dumps((what, options))
+        if key not in _OPTIMA:
+            _OPTIMA[key] = optimum.optimise_sphere(*what, **options)
+        return _OPTIMA[key]
+
+    monkeypatch.setattr(assessment, "optimise_sphere", found)
+    monkeypatch.setattr(designing, "optimise_sphere", found)
 
 
 @pytest.fixture

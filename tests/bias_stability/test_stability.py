@@ -51,6 +51,11 @@ def calibration():
 
 
 @cache
+def of_four():
+    return mp.stability(switched_on(), calibration=calibration())
+
+
+@cache
 def switched_on(zeros=(4e-4, -3e-4, 1e-4, 0.0)):
     """Four switch-ons of a triad in volts, at rest with z up, by their true force."""
     rng = np.random.default_rng(2)
@@ -175,7 +180,7 @@ def test_temperature_in_volts_has_no_micro_g_and_a_small_output_no_ppm():
 
 def test_the_papers_drift_test_by_hand():
     zeros = (4e-4, -3e-4, 1e-4, 0.0)
-    found = mp.stability(switched_on(), calibration=calibration())
+    found = of_four()
     assert list(found.outputs) == ["f_x", "f_y", "f_z"]
     assert found.unit == "g"
     truth = {"f_x": np.array(zeros), "f_y": 0.5 * np.array(zeros), "f_z": 1.0 - np.array(zeros)}
@@ -259,7 +264,7 @@ def test_the_command_writes_every_form(tmp_path, monkeypatch, capsys):
 
 
 def test_the_figure_shows_four_runs_of_three_axes():
-    found = mp.stability(switched_on(), calibration=calibration())
+    found = of_four()
     figure, axes = plots.new_figure(2)
     plots.draw_zero(found, axes[0], output="f_x")
     lines = [line for line in axes[0].get_lines() if len(line.get_xdata()) > 2]

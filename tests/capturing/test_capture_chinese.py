@@ -126,7 +126,8 @@ def state_after(path, scheme=None, target=(), limit=None):
 @pytest.fixture(scope="module")
 def undone(folder):
     """The state of a session with poses that repeat others, after the last was taken back."""
-    path = log_bench.write_csv(folder / "log.csv", log_bench.columns_of(scheme="all-26+faces-6"))
+    columns = log_bench.columns_of(scheme="faces-6+edges-12+faces-6")
+    path = log_bench.write_csv(folder / "log.csv", columns)
     session, state = state_after(path, target=["bias=1e-7"])
     assert "out of reach" in state["findings"][0]["text"]
     session.undo()
@@ -158,11 +159,11 @@ def test_the_text_screen_speaks_chinese(undone):
 
 def test_a_target_in_reach_is_not_denied(folder):
     path = log_bench.write_csv(folder / "log.csv", log_bench.columns_of(scheme="all-26"))
-    # two hundred poses more than some twenty lower U to about a third
-    _, state = state_after(path, limit=20)
+    # two hundred poses more than fifteen lower U to about a third
+    _, state = state_after(path, limit=15)
     U = {entry["name"]: entry["U"] for entry in state["parameters"]}
     for share, said in ((0.5, False), (0.1, True)):
-        _, state = state_after(path, target=[f"bias_ax={share * U['bias_ax']}"], limit=20)
+        _, state = state_after(path, target=[f"bias_ax={share * U['bias_ax']}"], limit=15)
         assert any("out of reach" in finding["text"] for finding in state["findings"]) is said
 
 

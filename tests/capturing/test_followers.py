@@ -26,7 +26,7 @@ BOARDS = {
 HABITS = ("exact", "repeats", "tilts")
 USERS = [*itertools.product(SIZE, BOARDS, HABITS)]
 # Every unit, board and habit at once; their other combinations take long.
-FIRST = {USERS[row % len(USERS)] for row in range(0, 2 * len(USERS), 7)}
+FIRST = {USERS[row % len(USERS)] for row in range(0, 2 * len(USERS), 11)}
 ORDERED = [u if u in FIRST else pytest.param(*u, marks=pytest.mark.slow) for u in USERS]
 
 

@@ -420,14 +420,14 @@ def stdin_of(path):
     rest_slow(["1 + x + y + z + temperature", "own-quadratic", "each = b + s*own + c*own^3"]),
 )
 def test_other_models_come_after_the_linear_one(folder, model, capsys):
-    columns = log_bench.columns_of(scheme="all-26", seed=3)
+    columns = log_bench.columns_of(scheme="fibonacci-16", seed=3)
     time_ = columns["time"]
     warm = {**columns, "temperature": 20.0 + 1e-3 * time_ + np.sin(time_ / 10.0)}
     path = log_bench.write_csv(folder / "warm.csv", warm)
     command = ["capture", f"replay:{path}:0", "--headless", "--model", model]
     assert main(command) == 0
     lines = lines_of(capsys)
-    assert len(lines) == 26
+    assert len(lines) == 16
     fixed = {"threshold": lines[-1]["threshold"], "rate": lines[-1]["rate"]}
     assert {p["name"] for p in lines[-1]["parameters"]} == set(
         mp.calibrate(path, model=model, **fixed).names

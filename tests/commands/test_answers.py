@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from amounts import rest_slow
-from cli_bench import run
+from cli_bench import make_once, run
 from fleet_bench import line
 
 import multipos as mp
@@ -84,6 +84,7 @@ ANSWERS = {
 }
 
 
+@pytest.mark.usefixtures("without_drawing")
 @pytest.mark.parametrize("command", ANSWERS)
 def test_the_first_line_is_the_answer_and_nothing_is_said_twice(
     command, folder, capsys, monkeypatch
@@ -113,6 +114,7 @@ LONG = {  # and the rows that their first table has
 @pytest.mark.parametrize("command", rest_slow([*LONG], quick=3))
 def test_a_long_result_ends_with_a_whole_table(command, folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
+    make_once(monkeypatch, "multipos.designs.designing.design")
     _, short, _ = run(capsys, *command.split())
     _, whole, _ = run(capsys, *command.split(), "-v")
     *shown, last = short.splitlines()

@@ -49,9 +49,9 @@ def test_apply_and_check_read_names_of_any_case_and_refuse_other_units(
     out = tmp_path / "out.csv"
     assert run(capsys, "apply", cal, path, "-o", out)[0] == status
     assert run(capsys, "check", cal, path, *SCHEME)[0] == status
-    noise = 1e-4 * np.random.default_rng(3).standard_normal((3, 2000))
+    noise = 1e-4 * np.random.default_rng(3).standard_normal((3, 300))
     static = dict(zip(names, size * (np.array([[0.0], [0.0], [1.0]]) + noise), strict=True))
-    static = {"time": np.arange(2000.0), **static}
+    static = {"time": np.arange(300.0), **static}
     still = write(tmp_path / "still.csv", static)
     assert run(capsys, "stability", still, "--calibration", cal)[0] == status
     if status == 0:

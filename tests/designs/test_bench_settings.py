@@ -9,6 +9,7 @@ from multipos.designs.criteria import _leaning
 from multipos.designs.designing import design_text
 from multipos.units import cos_deg, sin_deg
 
+pytestmark = pytest.mark.usefixtures("optima_once")
 FILE = """\
 position,roll_deg,pitch_deg
 A,0,0

@@ -40,6 +40,7 @@ from multipos.designs.prospects import _ahead, _mean_fall, _variances
 from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
 
+pytestmark = pytest.mark.usefixtures("optima_once")
 AXES = ("x", "y", "z")
 OUTPUTS = ("ax", "ay", "az")
 
@@ -543,8 +544,8 @@ def test_region_of_criterion_i():
 
 
 def test_orientation_error_changes_the_best_scheme():
-    exact = mp.design("linear", 12)
-    robust = mp.design("linear", 12, orientation_sd=1.0, reading_sd=0.001)
+    exact = mp.design("linear", 8)
+    robust = mp.design("linear", 8, orientation_sd=1.0, reading_sd=0.001)
     judged = mp.schemes(
         *(
             dict(zip(("up_x", "up_y", "up_z"), np.array(d["positions"]).T, strict=True))
@@ -708,8 +709,8 @@ def test_an_orientation_sd_beside_a_whole_g_warns():
 
 def test_the_model_of_a_calibration_is_designed_for():
     cal = mp.demo().calibration
-    found = mp.design(cal.model, 12)
-    assert found.efficiency == mp.design("own-quadratic", 12).efficiency
+    found = mp.design(cal.model, 6)
+    assert found.efficiency == mp.design("own-quadratic", 6).efficiency
     assert found.certificate["parameters"] == len(cal.model.names)
     both = [mp.schemes("faces-6", model=model) for model in (cal.model, "own-quadratic")]
     assert both[0] == both[1]

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.positions.scheme import read_scheme
 
+pytestmark = pytest.mark.usefixtures("optima_once")
 LINEAR = "each = a + p*x + q*y + r*z"
 
 

@@ -284,6 +284,7 @@ TABLES = {
     ],
     ids=["unknown", "symmetric", "uncertain"],
 )
+@pytest.mark.usefixtures("without_findings")
 def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, options):
     """Readings of a world where the quantity is off, calibrated as if it were not."""
     uncertain = "orientation_sd" in options

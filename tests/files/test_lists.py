@@ -29,7 +29,7 @@ TAKEN = {
     "fit, inputs": (lambda names: mp.fit(TABLE, outputs=["ax", "ay"], inputs=names), ("x", "y")),
     "schemes, axes": (lambda names: mp.schemes("faces-6", axes=names), ("x", "z")),
     "schemes, inputs": (lambda names: mp.schemes("faces-6", axes="x", inputs=names), ("x", "y")),
-    "design": (lambda names: mp.design("linear", 6, axes=names), ("x", "z")),
+    "design": (lambda names: mp.design("linear", 4, axes=names), ("x", "z")),
     "regress": (lambda names: mp.regress(ROWS, response="y", variables=names), ("A", "B")),
     "average, outputs": (lambda names: mp.average(log(), outputs=names), ("az", "ax")),
     "average, only": (lambda names: mp.average(log(), only=names), ("1", "3", "4")),

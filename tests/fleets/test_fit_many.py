@@ -20,7 +20,9 @@ def worst_difference(found, table, **options):
     """The largest difference to `fit`, relative to the larger of |value| and u."""
     worst = 0.0
     for row, unit in enumerate(found["unit"].tolist()):
-        cal = mp.fit(rows_of(table, unit), **options)
+        with pytest.MonkeyPatch.context() as patch:  # findings change no number
+            patch.setattr("multipos.fitting.fit_readings.examine", lambda c, **_: c)
+            cal = mp.fit(rows_of(table, unit), **options)
         scale = np.maximum(np.abs(cal.parameters), cal.u)
         mine = np.array([found[name][row] for name in cal.names])
         u = np.array([found[f"u_{name}"][row] for name in cal.names])

@@ -21,7 +21,9 @@ def worst_difference(found, table, **options):
     worst = 0.0
     for row, unit in enumerate(found["unit"].tolist()):
         assert not found["reason"][row]
-        cal = mp.fit(rows_of(table, unit), **options)
+        with pytest.MonkeyPatch.context() as patch:  # findings change no number
+            patch.setattr("multipos.fitting.fit_readings.examine", lambda c, **_: c)
+            cal = mp.fit(rows_of(table, unit), **options)
         for p in cal.entries:
             differences = (
                 (found[p.name][row] - p.value) / p.u,

@@ -23,7 +23,7 @@ from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 10
-FEW = 5  # of them, where each is fitted alone as well
+FEW = 4  # of them, where each is fitted alone as well
 LOUD = {"noise": np.array([1e-4, 1e-4, 1e-3]), "off_deg": 0.02}  # one of the outputs
 IGNORED = "missing-term;orientation-ignored"  # which a column lists
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"

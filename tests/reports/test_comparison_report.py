@@ -29,6 +29,7 @@ def compared(tmp_path):
     return found
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_the_report_says_what_moved_and_every_value(compared, tmp_path, capsys):
     for ending in ("html", "md", "txt"):
         target = tmp_path / f"r.{ending}"

@@ -103,6 +103,7 @@ name = "voltmeter"
 """
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_equipment_signature_and_the_number_on_every_page(cal, tmp_path):
     (tmp_path / "lab.toml").write_text(LAB, encoding="utf-8")
     content = build_content(cal, lab=tmp_path / "lab.toml")
@@ -220,6 +221,7 @@ def test_dots_of_residuals_stand_where_they_are(cal):
     assert "{% raw %} [V]" in str(named)
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_paper_needs_the_extra_or_a_browser(cal, tmp_path, capsys, monkeypatch):
     cal.save(tmp_path / "c.json")
     monkeypatch.setattr("multipos.reports.documents.find_spec", lambda name: None)

@@ -80,6 +80,7 @@ def test_every_word_of_a_fleet_is_chinese(found):
     ]
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_the_command_takes_the_language(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     values = UP + 1e-3 * np.random.default_rng(5).standard_normal((4, *UP.shape))

@@ -195,6 +195,7 @@ def test_beyond_one_g_is_marked(calibration, six):
     assert any("is not included in U between them" in text for text in said)
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_markdown_and_text_say_what_the_page_says(calibration, tmp_path):
     for ending, show in (("md", markdown_text), ("txt", str)):
         mp.report(calibration, tmp_path / f"r.{ending}")
@@ -306,6 +307,7 @@ def many_positions(count):
     return mp.Readings(values, up=up)
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_long_tables_show_their_largest_rows(tmp_path, capsys):
     all_of_them, long = (mp.fit(many_positions(count)) for count in (100, 101))
     assert "\n57 " in text_report(all_of_them)

@@ -91,6 +91,7 @@ def test_doubts_come_first_and_nothing_is_markup():
     assert seen(checked()).startswith("Check")
 
 
+@pytest.mark.usefixtures("without_drawing")
 def test_a_calibration_shows_parameters_rms_and_one_figure():
     found = calibrated()
     html = found._repr_html_()

@@ -118,6 +118,7 @@ def test_gain_of_weighted_fits(kind):
     ("name", "components", "step"), [("gravity", 1, 1e-3), ("level", 2, 1e-2), ("index", 4, 1e-2)]
 )
 @pytest.mark.parametrize("convention", ["specific-force", "gravity"])
+@pytest.mark.usefixtures("without_findings")
 def test_sensitivities_against_the_whole_estimator(name, components, step, convention):
     """Readings of a world where the quantity is off, calibrated as if it were not."""
     # eqs. (1), (2) of uncertainty.sensitivities
