@@ -1,6 +1,7 @@
 """Numbers of a session by hand or by a second route, at points without symmetry."""
 
 import math
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import evaluation, live_rests, poses, streams
+from multipos.capturing import evaluation, live_rests, poses, screen, streams
 from multipos.capturing import session as session_module
 from multipos.capturing.poses import _find_frame, _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
@@ -248,6 +249,31 @@ def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
     found = live_rests.LiveRows.in_log(rows, Rest(41, 58))
     assert (found.start, found.end) == (41 + 4, 58 + 5)
     assert live_rests.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
+
+
+def test_a_terminal_shows_the_state_again_and_again_in_its_language(monkeypatch):
+    """A picture of two lines is written in place of the one before, and nothing stays at the end."""
+    pictures, seen = iter([["a", "b"], ["c"], ["d"]]), threading.Event()
+
+    def picture_of(state, language):
+        assert (state, language) == ("state of session", "zh")
+        lines = next(pictures, None)
+        if lines is None:
+            seen.set()
+        return lines or []
+
+    terminal = SimpleNamespace(isatty=lambda: True, write=(said := []).append, flush=lambda: None)
+    monkeypatch.setattr(screen.sys, "stderr", terminal)
+    monkeypatch.setattr(screen, "_OFTEN", 1e-4)
+    monkeypatch.setattr(screen, "_language_of_terminal", lambda: "zh")
+    monkeypatch.setattr(screen, "state_of", lambda session: "state of session")
+    monkeypatch.setattr(screen, "picture_of", picture_of)
+    session = SimpleNamespace(changed=threading.Lock())
+    with screen.text_screen(session, commands=False):
+        assert seen.wait(10.0)
+    wanted = ["a\nb\n", "\x1b[2F\x1b[Jc\n", "\x1b[1F\x1b[Jd\n", "\x1b[1F\x1b[J"]
+    assert said[:4] == wanted
+    assert "".join(said[4:]) == ""
 
 
 @pytest.mark.parametrize(("rate", "count"), [(200.0, 10), (None, 5), (3.0, 1)])
