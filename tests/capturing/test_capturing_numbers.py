@@ -252,7 +252,7 @@ def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
 
 
 def test_a_terminal_shows_the_state_again_and_again_in_its_language(monkeypatch):
-    """A picture of two lines is written in place of the one before, and nothing stays at the end."""
+    """Each picture is written in place of the one before, and none stays at the end."""
     pictures, seen = iter([["a", "b"], ["c"], ["d"]]), threading.Event()
 
     def picture_of(state, language):
