@@ -146,7 +146,8 @@ class Table:
 
     def _parse(self, cells: Column) -> NDArray[np.float64]:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "fiub":
-            return cells.astype(np.float64, copy=False)
+            with np.errstate(all="ignore"):  # a NaN that signals is one
+                return cells.astype(np.float64, copy=False)
         try:
             if self.decimal_comma:
                 cells = [cell.replace(",", ".") for cell in cells]

@@ -96,7 +96,8 @@ def _numbers(column: NDArray[Any]) -> Column:
     if column.dtype.kind == "U":  # cells that the table reads, and names where they are no numbers
         return [str(cell) for cell in column.tolist()]
     if column.dtype.kind != "M":
-        return np.array(column, dtype=np.float64)
+        with np.errstate(all="ignore"):  # a NaN that signals; a long double beyond all doubles
+            return np.array(column, dtype=np.float64)
     seconds = column.astype("datetime64[ns]").astype(np.int64) * 1e-9
     return np.where(np.isnat(column), np.nan, seconds)
 

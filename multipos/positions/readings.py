@@ -400,8 +400,9 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
     try:
-        # by columns, along which NumPy finds extremes five times as fast
-        array = np.array(value, dtype=np.float64, order="F")
+        with np.errstate(all="ignore"):  # a NaN that signals is one
+            # by columns, along which NumPy finds extremes five times as fast
+            array = np.array(value, dtype=np.float64, order="F")
     except (TypeError, ValueError):
         raise MultiposError(f"`{name}` must hold numbers.") from None
     if shape is not None and array.shape != shape:

@@ -417,6 +417,24 @@ def test_the_found_is_in_the_json_of_any_kind(log, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["findings"] == []
 
 
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path, _: mp.average(path, rate=100.0, columns="1,2,3"),
+        lambda _, values: mp.fit({"up_x": values[:, 1], "ax": values[:, 0]}),
+        lambda _, values: mp.Readings(values, up=np.ones((6, 3))),
+    ],
+    ids=["log", "table", "readings"],
+)
+def test_a_nan_that_signals_is_no_number(read, tmp_path):
+    """In single precision, where NumPy warns when such a NaN becomes a double."""
+    values = np.ones((6, 3), dtype=np.float32)
+    values.view(np.uint32)[1, 0] = 0x7F800001
+    np.save(tmp_path / "log.npy", values)
+    with pytest.raises(mp.MultiposError, match=r"row 2.* not finite"):
+        read(tmp_path / "log.npy", values)
+
+
 def test_bytes_of_an_array_are_texts(tmp_path):
     rows = np.array([(b"one", b"1.5"), (b"\xbb", b"-2")], dtype=[("label", "S8"), ("ax", "S8")])
     np.save(tmp_path / "log.npy", rows)
