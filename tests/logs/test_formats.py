@@ -421,7 +421,9 @@ def test_the_found_is_in_the_json_of_any_kind(log, tmp_path, capsys):
     "read",
     [
         lambda path, _: mp.average(path, rate=100.0, columns="1,2,3"),
-        lambda _, values: mp.fit({"up_x": values[:, 1], "ax": values[:, 0]}),
+        lambda _, values: mp.fit(
+            dict.fromkeys(("up_x", "up_y", "up_z"), values[:, 1]) | {"ax": values[:, 0]}
+        ),
         lambda _, values: mp.Readings(values, up=np.ones((6, 3))),
     ],
     ids=["log", "table", "readings"],
