@@ -1,5 +1,6 @@
 """Raw logs with known truth, for the tests of `average` and `apply`."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ def shared(name):
     return path
 
 
+@cache
 def sensor(model="linear", *, bias=0.05, cross=0.01, size=1e-3, unit="g"):
     """A calibration fitted to noise-free readings of a sensor with these coefficients."""
     rng = np.random.default_rng(7)

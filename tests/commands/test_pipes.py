@@ -120,12 +120,10 @@ def test_a_pipe_gives_what_the_file_gives(command, here, capsys, monkeypatch):
         assert Path("out.svg").read_bytes() == figure
 
 
-def test_stdin_is_read_by_every_name(here):
+def test_stdin_is_read_by_every_name(here, capsys):
     """More than the 64 KiB that a pipe holds, so that nothing can be sought."""
     assert Path("log.csv").stat().st_size > 1 << 16
-    expected = subprocess.run(
-        [MULTIPOS, "apply", "cal.json", "log.csv"], check=True, capture_output=True
-    ).stdout
+    expected = run(capsys, "apply", "cal.json", "log.csv")[1].encode()
     assert expected.count(b"\n") == 4001
     for command in (
         "cat log.csv | multipos apply cal.json /dev/stdin",
