@@ -47,9 +47,9 @@ from multipos.designs.information import (
     log_det,
     make_setting,
     nothing_to_weigh,
+    require_values,
 )
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
-from multipos.errors import MultiposError
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, split_names, spread
@@ -358,21 +358,15 @@ class Assessor:
     def separate(self, up: Array) -> tuple[list[str], float]:
         """Return what positions cannot separate, in words, and the condition where they can."""
         model, setting = self.setting.model, self.setting
-        parts: Sequence[slice] = [slice(None)]
         if not math.isinf(setting.orientation_sd):
             # a finite orientation sd weighs the rows, but takes none away
             setting = Setting(model, parameters=setting.parameters)
-            parts = setting.blocks
-        designs = []
-        for part, Z in zip(parts, setting.rows(up)[: len(parts)], strict=True):
-            none = len(up) - int(np.sum(np.isfinite(Z).all(axis=(1, 2))))
-            if none:
-                outputs = ", ".join(dict.fromkeys(output for output, _ in model.keys[part]))
-                raise MultiposError(
-                    f"the formula of {outputs} has no value at {none} of {len(up)} positions; "
-                    "change the formula."
-                )
-            designs.append((model.names[part], Z.reshape(-1, Z.shape[2])))
+        rows = setting.rows(up)[: len(setting.blocks)]
+        require_values(setting, rows)
+        designs = [
+            (model.names[part], Z.reshape(-1, Z.shape[2]))
+            for part, Z in zip(setting.blocks, rows, strict=True)
+        ]
         found = [
             (names, separability(Z, least_norm=ZERO_NORM, least=_LEAST)) for names, Z in designs
         ]

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.estimation.user_models import hold_free_rotations, nominal_parameters
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
@@ -277,6 +277,19 @@ def inform(rows: Blocks, weights: Array | None = None) -> Blocks:
         pieces = [flat[i : i + step] for i in range(0, n * k, step)]
         matrices.append(np.sum([piece.T @ piece for piece in pieces], axis=0))
     return tuple(matrices)
+
+
+def require_values(setting: Setting, rows: Blocks) -> None:
+    """Refuse rows of positions at which a formula of the model has no value."""
+    model = setting.model
+    for part, Z in zip(setting.blocks, rows, strict=False):  # of draws the first
+        none = len(Z) - int(np.sum(np.isfinite(Z).all(axis=(1, 2))))
+        if none:
+            outputs = ", ".join(dict.fromkeys(output for output, _ in model.keys[part]))
+            raise MultiposError(
+                f"the formula of {outputs} has no value at {none} of {len(Z)} positions; "
+                "change the formula."
+            )
 
 
 def multiply(A: Array, B: Array) -> Array:

@@ -31,7 +31,16 @@ from functools import lru_cache, partial
 import numpy as np
 
 from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
-from multipos.designs.information import Blocks, Setting, inform, log_det, multiply, tangents, unit
+from multipos.designs.information import (
+    Blocks,
+    Setting,
+    inform,
+    log_det,
+    multiply,
+    require_values,
+    tangents,
+    unit,
+)
 from multipos.errors import ConvergenceError
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.positions.scheme import read_scheme
@@ -135,10 +144,14 @@ def optimise_sphere(
     ------
     ConvergenceError
         The certificate stays above `gap`.
+    MultiposError
+        A formula has no value somewhere.
     """
     up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
     for _ in range(_ROUNDS):
-        weights = weigh(setting.rows(up), criterion, gap=0.01 * gap)
+        rows = setting.rows(up)
+        require_values(setting, rows)
+        weights = weigh(rows, criterion, gap=0.01 * gap)
         kept = weights > _NEGLIGIBLE
         up, weights = up[kept], weights[kept] / weights[kept].sum()
         information = inform(setting.rows(up), weights)

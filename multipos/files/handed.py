@@ -275,8 +275,11 @@ def is_packed(head: bytes) -> bool:
 
 def content_of(source: object) -> str | None:
     """Return the SHA-256 of what a file holds, packed or not; None of what is no file's path."""
-    if not isinstance(source, str | os.PathLike) or not Path(source).is_file():
+    if not isinstance(source, str | os.PathLike):
         return None
+    with reading(source, "file"):  # a name may be too long to ask for
+        if not Path(source).is_file():
+            return None
     import hashlib  # slow to import, and of several files only
 
     held = unpack(source) if is_packed(first_bytes(source, len(XZ))) else source

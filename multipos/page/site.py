@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 from multipos import __version__
 from multipos.errors import MultiposError
-from multipos.files.whole import make_folder, written
+from multipos.files.whole import make_folder, writing, written
 from multipos.page import runtime
 from multipos.reports.sections import Translator
 
@@ -176,7 +176,9 @@ def write_site(folder: Path, site: Site) -> None:
 
 def check_folder(folder: Path) -> None:
     """Refuse a folder that holds what is no site."""
-    if folder.exists() and not folder.is_dir():
+    with writing(folder):  # a name may be too long to ask for
+        taken = folder.exists() and not folder.is_dir()
+    if taken:
         raise MultiposError(f"{folder} is a file; name a folder with -o.")
     if not folder.is_dir() or not any(folder.iterdir()):
         return

@@ -412,14 +412,16 @@ def test_the_longest_name_can_be_written(tmp_path):
 
 
 def test_a_name_that_is_too_long_is_refused_with_a_self_test_as_without(here, capsys):
-    for arguments in (["export", "cal.json", "--to", "c"], ["fit", "six.csv"]):
+    for arguments in (["export", "cal.json", "--to", "c"], ["fit", "six.csv"], ["page"]):
         status, out, error = run(capsys, *arguments, "-o", "x" * 256)
         assert (status, out) == (1, "")
         assert error.startswith("multipos: error: x")
         assert "cannot write: File name too long" in error
 
 
-@pytest.mark.parametrize("before", [["fit"], ["average"], ["apply", "cal.json"]])
+@pytest.mark.parametrize(
+    "before", [["fit"], ["average"], ["apply", "cal.json"], ["average", "six.csv"]]
+)
 def test_an_input_of_too_long_a_name_is_refused_by_name(before, here, capsys):
     status, out, error = run(capsys, *before, "x" * 256)
     assert (status, out) == (1, "")

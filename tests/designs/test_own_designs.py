@@ -59,6 +59,14 @@ def test_positions_where_a_formula_has_no_value_are_counted(term, said):
         mp.schemes("faces-6", model=f"each = b + s*own + {term}")
 
 
+def test_a_pole_on_the_sphere_is_no_value(tmp_path):
+    """1 - 256 z² is zero at z = 1/16, where two of the directions that a search begins with are."""
+    path = tmp_path / "own.toml"
+    path.write_text('[parameters]\nk = -256\n[outputs]\neach = "b + own/(1 + k*own^2)"\n')
+    with pytest.raises(mp.MultiposError, match=r"formula of az has no value at 2 of 106 positions"):
+        mp.schemes("all-26", model=str(path))
+
+
 def test_shared_parameters_are_told_by_all_outputs():
     found = mp.schemes("all-26", model="each = b + s*own + common_k*own^2").schemes[0]
     up = read_scheme("all-26").up
