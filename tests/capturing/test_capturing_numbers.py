@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import evaluation, live_rests, poses, screen, streams
+from multipos.capturing import evaluation, live_rests, poses, running, screen, streams
 from multipos.capturing import session as session_module
 from multipos.capturing.poses import _find_frame, _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
@@ -344,7 +344,8 @@ def test_poses_are_offered_anew_where_rests_moved_or_the_threshold_is_fixed():
 
 
 def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypatch):
-    monkeypatch.setattr(streams.time, "sleep", lambda seconds: None)
+    rested = []
+    monkeypatch.setattr(streams.time, "sleep", rested.append)
     log = tmp_path / "log.csv"
     log.write_bytes(b"ax,ay,az\n1,2,3\n")
     chunks = streams._growing(log)
@@ -354,4 +355,18 @@ def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypat
     assert next(chunks) == b"4,5,6\n"
     log.write_bytes(b"7,8,9\n")
     assert [next(chunks), next(chunks), next(chunks)] == [None, b"", b"7,8,9\n"]
+    assert rested == [streams._TICK] * 2  # where there was nothing to read
     chunks.close()
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [("threshold", "0.1"), ("rate_by_arrival", []), ("taken_back", None), ("taken_back", ["p"])],
+)
+def test_a_session_of_other_kinds_is_refused(part, value, monkeypatch):
+    found = {"threshold": 0.1, "rate_by_arrival": None, "taken_back": {"1": "p"}}
+    monkeypatch.setattr(running, "read_json", lambda path, schema: found)
+    assert running._read("s.json") == found
+    found = found | {part: value}
+    with pytest.raises(mp.MultiposError, match="is of another kind; begin a new session"):
+        running._read("s.json")
