@@ -23,7 +23,7 @@ from multipos.bias_stability.allan import (
     starts,
 )
 from multipos.bias_stability.analysis import Values, _check_alike, _is_steady, _movements
-from multipos.bias_stability.stability_result import _is_whole, _shown
+from multipos.bias_stability.stability_result import _is_whole, _shown, stability_sentence
 from multipos.bias_stability.static_records import _require_one_g
 
 
@@ -376,3 +376,38 @@ def test_a_warm_up_pays_for_a_constant_and_a_size_of_each_record(monkeypatch):
     monkeypatch.setattr(trends, "_least_squares", lambda *_: coefficients)
     trends.describe([SimpleNamespace(temperature=None)] * 2, ())
     assert asked == [2, 5]
+
+
+def test_a_trend_of_several_records_is_their_weighted_mean():
+    """Weights 10, 5 and 2.5; beyond chance u is by the scatter, on two degrees of freedom."""
+    found = trends._pooled([1.0, 3.0, 4.0], [0.1, 0.2, 0.4])
+    mean = (10.0 + 15.0 + 10.0) / 17.5
+    scatter = (10.0 * (1 - mean) ** 2 + 5.0 * (3 - mean) ** 2 + 2.5 * (4 - mean) ** 2) / 2
+    assert (found.value, found.dof) == (pytest.approx(mean), 2.0)
+    assert found.u == pytest.approx(math.sqrt(scatter / 17.5))
+    alike = trends._pooled([2.0, 2.1, 1.9], [0.1, 0.2, 0.4])
+    assert (alike.u, alike.dof) == (pytest.approx(1.0 / math.sqrt(17.5)), math.inf)
+
+
+def test_coefficients_that_go_together_have_a_huge_covariance():
+    """Of two equal columns of size 7 the second is taken to have 1e-13 of it left."""
+    X = np.random.default_rng(2).normal(size=(9, 3))
+    assert_allclose(trends._covariance_of(X), np.linalg.inv(X.T @ X), rtol=1e-9)
+    column = 7.0 * X[:, 0] / np.linalg.norm(X[:, 0])
+    found = trends._covariance_of(np.column_stack([column, column]))
+    left = 7e-13
+    assert_allclose(np.diag(found), [1.0 / 49.0 + 1.0 / left**2, 1.0 / left**2], rtol=1e-6)
+
+
+def test_what_is_not_known_of_an_output_is_not_the_largest():
+    def output(white, walk):
+        sizes = {"white_noise": white, "bias_instability": walk}
+        return SimpleNamespace(**{n: SimpleNamespace(value=v, U=9.0) for n, v in sizes.items()})
+
+    found = SimpleNamespace(
+        unit="g", records=[1, 2],
+        outputs={"a": output(math.nan, None), "b": output(2e-4, 0.0), "c": output(1e-4, math.nan)},
+    )  # fmt: skip
+    said = stability_sentence(found)
+    assert said.startswith("a, b, c over 2 records: white noise up to 200 µg/√Hz (b), bias inst")
+    assert said.endswith("instability below 9e+06 µg (b).")

@@ -558,3 +558,15 @@ def test_a_quantity_moves_parameters_by_its_effects(name, exact, common, contain
     assert (row.contained.tolist(), row.dof.tolist(), row.u) == (contained, [7.0] * 3, 0.5)
     effects = effects[:, 1:]
     assert_allclose(propagation._row(c, None, quantity).sensitivity, [-0.4, 0.8, -2.0])
+
+
+def test_errors_of_the_table_in_columns():
+    """Those of the angle, then those of the shaft; None where one cannot be identified."""
+    angle = turntable.TableError("xy", "first_cos", 0.01, 0.002, 0.005, ())
+    shaft = turntable.TableError("xy", "level", None, None, None, ("bias_ax",))
+    found = turntable.TableErrors((angle,), (), 9.0, (shaft,)).columns()
+    assert found == {
+        "of": ["angle", "shaft"], "plane": ["xy", "xy"], "quantity": ["first_cos", "level"],
+        "value_deg": [0.01, None], "u_deg": [0.002, None], "U_deg": [0.005, None],
+        "confounded_with": [(), ("bias_ax",)],
+    }  # fmt: skip
