@@ -1,7 +1,7 @@
 """Numbers of fleets by hand or by a second route, at points without symmetry."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -572,6 +572,58 @@ def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, share
     assert (found.fixture is not None) == (known and not robust)
     assert (found.timed, found.quick) == (timed, known and not robust)
     assert (found.gravity is not None) == ("gravity" in options)
+
+
+def test_residuals_of_unlike_weights_are_held_as_weighted():
+    """W r over the mean weight's root, and slopes by that root; of level weights as they are."""
+    rng = np.random.default_rng(7)
+    r, sd = rng.normal(size=(3, 4, 9)), rng.uniform(0.5, 2.0, (3, 4, 9))
+    slopes = rng.normal(size=(4, 3, 3))
+    error, moved = unit_findings._in_order(SimpleNamespace(error=r / sd, sd=sd), slopes)
+    for i, unit in np.ndindex(3, 4):
+        root = math.sqrt(np.mean(1.0 / sd[i, unit] ** 2))
+        np.testing.assert_allclose(error[i, unit], r[i, unit] / sd[i, unit] ** 2 / root)
+        np.testing.assert_allclose(moved[unit, i], slopes[unit, i] * root)
+    level = unit_findings._in_order(SimpleNamespace(error=r, sd=None), slopes)
+    assert level[0] is r
+    assert level[1] is slopes
+
+
+@dataclass
+class Like:
+    readings: object
+
+
+@dataclass
+class Read:
+    values: np.ndarray
+
+
+def test_robust_units_that_are_fitted_singly(monkeypatch):
+    """Readings that are coarse, poor positions, a lost sign, an error; an outlier is told here."""
+    said = {3: ("flipped-row", "warning"), 4: ("outlier", "error"), 5: ("outlier", "warning")}
+
+    def finding(c):
+        own = said.get(int(c.readings.values[0, 0]))
+        return own and SimpleNamespace(code=own[0], level=own[1])
+
+    monkeypatch.setattr(unit_findings, "outlier_of_rows", finding)
+    monkeypatch.setattr(unit_findings, "coarse_steps", lambda y, sd: np.array([y[0, 0] == 1.0]))
+    monkeypatch.setattr(unit_findings, "condition", lambda gram: gram[0, 0])
+    values = (np.tile(np.arange(7.0)[:, None], (1, 8)),)
+    weight = np.ones((7, 1, 8))
+    weight[[0, 1, 3, 4, 5, 6], 0, 1:3] = 0.0  # X'X of eight rows is poor, that of six is not
+    X = np.full((8, 1), math.sqrt(unit_findings.ILL_CONDITIONED / 7.0))
+    found = SimpleNamespace(
+        weight=weight,
+        variance=np.ones((7, 1)),
+        outlying=np.arange(7) == 2,
+        dof=np.full((7, 1), 9.0),
+    )
+    told = unit_findings.find_aside(Like(Read(None)), SimpleNamespace(designs=[X]), values, found)
+    assert told.singly.tolist() == [False, True, True, True, True, False, False]
+    assert told.found["outlier"].tolist() == [False, False, True, True, True, True, False]
+    assert told.found["set-aside"].tolist() == [True, True, False, True, True, True, True]
 
 
 def test_what_a_unit_is_said_to_be_found_of():

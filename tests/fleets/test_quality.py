@@ -47,6 +47,9 @@ def test_spreads_within_stations_and_without_the_measurement_by_hand():
     assert spread.true == pytest.approx(np.sqrt(104 / 3 - 1.0))
     cpk = capability(spread, 0.0, 20.0, "within")
     assert cpk.value == pytest.approx(6.0 / (3.0 * np.sqrt(2.0)))
+    ratio = (104 / 3) / 2.0  # of the squares, on the two degrees of freedom within stations
+    half = 1.959963984540054 * np.sqrt(ratio / 36.0 + cpk.value**2 / 4.0)
+    assert cpk.high - cpk.value == pytest.approx(half, rel=1e-12)
     assert capability(spread, -np.inf, np.inf, "sd") is None
     assert np.isnan(spread_of(x, np.full(4, 100.0), np.zeros(4, dtype=int)).true)
 
