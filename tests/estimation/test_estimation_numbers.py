@@ -1073,6 +1073,10 @@ def test_outputs_share_an_excess_variance_unless_they_are_unequal(ratio, equal):
     assert pooled.variance[1, 0] == pooled.variance[1, 1]
     if equal:
         assert_allclose(found.variance, pooled.variance)
+        unlike = np.array([1.0, 10.0])  # as noisy as stated of each
+        given = [X, X], e * unlike, np.broadcast_to(1.5 * unlike**2, e.shape)
+        pooled = excess_variance.estimate_excess(*given, pool=True)
+        assert_allclose(excess_variance.estimate_excess(*given).variance, pooled.variance)
     else:
         for i in range(2):
             one = excess_variance.estimate_excess([X], e[:, :, [i]], stated[:, :, [i]])
