@@ -1,6 +1,7 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
 import math
+import re
 import time
 from dataclasses import replace
 from types import SimpleNamespace
@@ -415,6 +416,8 @@ def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     assert list(cal.to_dict()["variance_components"]) == ["rest_to_rest", "orientation_sd_deg"]
     (said,) = (w for w in texts(cal) if w.startswith("estimated"))
     assert f"orientation errors of {placed.value:.2g} degrees" in said
+    low, high = map(float, re.search(r"\(68 %: ([\d.]+) to ([\d.]+)\)", said).groups())
+    assert placed.u == pytest.approx((high - low) / 2.0, rel=0.1)  # ends are said to two digits
     twelve = mp.fit(
         readings_of(SENSOR, UP[::2], rng(), sd=2e-5, off_deg=0.02),
         orientation_sd="auto",
