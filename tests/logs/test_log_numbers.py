@@ -193,6 +193,21 @@ def test_lines_edges_and_cosines_of_batch_means():
     assert_allclose(_cosines(phases, count, np.array([[0.3]]))[0, 0], by_hand, rtol=1e-9)
 
 
+def test_runs_are_settled_once_they_have_ended():
+    state = SimpleNamespace(
+        _still=SimpleNamespace(found=[(0, 4), (6, 9), (11, 15)]), _ended=0, _settled=[],
+        _without_frozen=lambda first, last: [(first, last)], _count=3,
+    )  # fmt: skip
+    for count, ended in ((3, 0), (4, 1), (10, 2), (14, 2), (15, 3)):
+        state._count = count
+        assert Finder.settled(state) == state._still.found[:ended]
+
+
+def test_rests_of_one_direction_are_given_to_its_positions_in_turn():
+    up = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.6, 0.8]])
+    assert joining._spread_over([2, 0, 1, 3, 2, 1], SimpleNamespace(up=up)) == [0, 2, 1, 3, 0, 1]
+
+
 # --- faults
 
 
