@@ -66,7 +66,7 @@ from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.own_models import build_parsed
 
 UNSEEN = 1e-9  # share of a term in the residuals below which they hide it
-_LEAST = 1e-6  # singular value: twice as small in information, which has sixteen digits
+_LEAST = 1e-6  # singular value, whose square information has few digits for
 _HIGHER = "x^2 + y^2 + z^2 + x*y + x*z + y*z + own^3 + own*|own|"
 
 
