@@ -260,7 +260,8 @@ def design(
     bench = None if candidates is None else read_bench(candidates)
     assessor = assessment.Assessor(setting.stated)
     _check_candidates(assessor, bench, given)
-    sphere = optimise_sphere(setting, wanted)
+    judged = criterion in ("D", "A", "I") and region is None and not setting.draws
+    sphere = assessor.optimum(criterion) if judged else optimise_sphere(setting, wanted)
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
     rng = np.random.default_rng(seed)
     value, up = _search(setting, wanted, positions - len(given), bench, given, best, rng)
