@@ -131,12 +131,18 @@ def _warming(
     if not low < high:
         return None
     names = (*known, DRIFT, WARM_UP)
-    white = np.array([1.0, 0.0, 0.0])
     tried = np.geomspace(low, high, _TRIED).tolist()
-    left = [_least_squares(records, names, constant, white).square for constant in tried]
+    left = [sum(_left_white(record, names, constant) for record in records) for constant in tried]
     found = _describe(records, lengths, names, tried[int(np.argmin(left))])
     assert found.time_constant is not None
     return found if low <= found.time_constant.value <= high else None
+
+
+def _left_white(record: Blocks, names: tuple[str, ...], constant: float) -> float:
+    """Return the squares that eq. (1) leaves of white noise of one sample's variance 1."""
+    X = _columns(record, names, constant)
+    rest = record.values - X @ np.linalg.lstsq(X, record.values, rcond=None)[0]
+    return record.length * float(rest @ rest)
 
 
 def _describe(

@@ -96,15 +96,16 @@ def test_a_warm_up_is_looked_for_inside_the_records(monkeypatch):
     """From two blocks, 14 samples, to a third of the longest, 100; forty times between."""
     seen = []
 
-    def square(records, names, constant, white):
-        seen.append(constant)
-        return SimpleNamespace(square=abs(math.log(constant / 40.0)))
+    def square(record, names, constant):
+        if record is records[0]:
+            seen.append(constant)
+        return abs(math.log(constant / 40.0))
 
     def described(records, lengths, names, constant):
         value = SimpleNamespace(value=settled[0] * constant)
         return SimpleNamespace(time_constant=value, names=names)
 
-    monkeypatch.setattr(trends, "_least_squares", square)
+    monkeypatch.setattr(trends, "_left_white", square)
     monkeypatch.setattr(trends, "_describe", described)
     records = [SimpleNamespace(length=5, samples=300), SimpleNamespace(length=7, samples=200)]
     settled = [1.0]
@@ -115,6 +116,15 @@ def test_a_warm_up_is_looked_for_inside_the_records(monkeypatch):
     for settled[0] in (0.3, 2.7):
         assert trends._warming(records, (), ()) is None
     assert trends._warming([SimpleNamespace(length=17, samples=102)], (), ()) is None
+
+
+def test_a_time_constant_is_first_tried_in_white_noise():
+    """The same squares by the whitened fit, whose covariance is then 1/L of the identity."""
+    values = np.exp(-np.arange(60) / 9.0) + 0.1 * np.random.default_rng(3).standard_normal(60)
+    record = trends.Blocks(480, 8, values, np.linspace(0.0, 1.0, 60) ** 2, np.zeros(0))
+    names = (trends.TEMPERATURE, trends.DRIFT, trends.WARM_UP)
+    white = trends._least_squares([record], names, 70.0, np.array([1.0, 0.0, 0.0])).square
+    assert_allclose(trends._left_white(record, names, 70.0), white, rtol=1e-8)
 
 
 def test_noise_that_is_left_is_of_lengths_that_the_records_have_often(monkeypatch):
