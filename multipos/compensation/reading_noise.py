@@ -254,7 +254,8 @@ class ReadingUncertainty:
             return ()
         c = self.calibration
         raw = np.column_stack([table.number(name) for name in c.outputs])
-        step = np.quantile(np.abs(np.diff(raw, axis=0)), _ONE_SD, axis=0) / np.sqrt(2.0)
+        with np.errstate(all="ignore"):  # what nothing measures is refused by its row
+            step = np.quantile(np.abs(np.diff(raw, axis=0)), _ONE_SD, axis=0) / np.sqrt(2.0)
         close = step < _NEIGHBOURS * np.linalg.norm(c.sensitivity, axis=1)
         if not close.all() or not (step > _TELLING * self.noise.sd).any():
             return ()

@@ -240,12 +240,13 @@ def test_rows_of_samples_are_told_of_models_of_ones_own_too():
         (0.02, 0.0069, 40, (), True),
         (0.069, 0.001, 40, (), True),  # below and beyond .05 g from sample to sample
         (0.073, 0.001, 40, (), False),
+        (1.5e308, 0.001, 40, (), False),  # is refused by its row elsewhere
         (0.02, 0.001, 19, (), False),
         (0.02, 0.001, 40, ("n",), False),
     ],
 )
 def test_rows_that_look_like_single_samples(step, sd, rows, more, found):
-    column = step * (np.arange(rows) % 2)
+    column = step * (np.arange(rows) % 2 - 0.5) * (1.0 + (step > 1.0))
     table = SimpleNamespace(rows=rows, number=lambda name: column)
     c = SimpleNamespace(outputs=("ax", "ay"), sensitivity=np.eye(3)[:2])
     noise = SimpleNamespace(own=True, sd=np.full(2, sd))
