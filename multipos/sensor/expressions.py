@@ -177,7 +177,7 @@ class ExpressionModel(Model):
         self, parameters: Array, force: Array, environment: Environment
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
-        outer, slope = (self.outward(parameters)) if self.inner else (parameters, None)
+        outer, slope = self.outward(parameters)[:2] if self.inner else (parameters, None)
         found = self.values(outer, force, environment)
         slopes = found.slopes
         if slope is not None:
@@ -240,7 +240,7 @@ class ExpressionModel(Model):
 
     def belief(self, parameters: Array) -> tuple[Array, Array]:
         """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
-        outer, slope = self.outward(parameters) if self.inner else (parameters, 1.0)
+        outer, slope = self.outward(parameters)[:2] if self.inner else (parameters, 1.0)
         root = np.sqrt(self.beliefs)
         centre = np.where(root > 0.0, np.nan_to_num(self.starts), outer)
         return root * (outer - centre), root * slope
@@ -250,20 +250,22 @@ class ExpressionModel(Model):
         low = [quantity.low for quantity in self.quantities]
         return np.clip(parameters, low, [quantity.high for quantity in self.quantities])
 
-    def outward(self, inner: Array) -> tuple[Array, Array]:
-        """Return the parameters of eq. (2) and their slopes, (p,) each, from t."""
-        outer, slope = inner.copy(), np.ones(len(inner))
+    def outward(self, inner: Array) -> tuple[Array, Array, Array]:
+        """Return the parameters of eq. (2), their slopes and second derivatives, (p,), by t."""
+        outer, slope, second = inner.copy(), np.ones(len(inner)), np.zeros(len(inner))
         for i, q in enumerate(self.quantities):
             t = inner[i]
             if np.isfinite(q.low) and np.isfinite(q.high):
                 half = (q.high - q.low) / 2.0
                 outer[i], slope[i] = q.low + half * (1.0 + np.sin(t)), half * np.cos(t)
+                second[i] = (q.low + q.high) / 2.0 - outer[i]
             elif q.bounded:
                 side = 1.0 if np.isfinite(q.low) else -1.0
                 end = q.low if np.isfinite(q.low) else q.high
                 root = np.hypot(t, 1.0)
                 outer[i], slope[i] = end + side * (root - 1.0), side * t / root
-        return outer, slope
+                second[i] = side * root**-3
+        return outer, slope, second
 
     def bend(self, inner: Array, gradient: Array) -> Array:
         """Return what the curvature of eq. (2) adds to the information of t, (p,), 0 or more.
@@ -271,17 +273,9 @@ class ExpressionModel(Model):
         Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
         is to keep a step short; `gradient` (p,) is g by t.
         """
-        outer, slope = self.outward(inner)
-        added = np.zeros(len(inner))
-        for i, q in enumerate(self.quantities):
-            if not q.bounded or slope[i] == 0.0:
-                continue
-            if np.isfinite(q.low) and np.isfinite(q.high):
-                second = (q.low + q.high) / 2.0 - outer[i]
-            else:
-                second = (1.0 if np.isfinite(q.low) else -1.0) * np.hypot(inner[i], 1.0) ** -3
-            added[i] = max(0.0, -gradient[i] * second / slope[i])
-        return added
+        _, slope, second = self.outward(inner)
+        added = -gradient * second / np.where(slope == 0.0, np.inf, slope)
+        return np.asarray(np.fmax(0.0, added))
 
     def inward(self, outer: Array) -> Array:
         """Return t of eq. (2), (p,), a little inside the bounds."""

@@ -254,9 +254,11 @@ def test_what_bounds_are_searched_as_by_hand(tmp_path):
     model = mp.fit(readings(), model=written(tmp_path, stated, SATURATING_FILE)).model
     names = [name.partition("_")[0] for name in model.names]
     t = np.array([{"k": np.pi / 6, "s": np.sqrt(3.0), "b": 7.0}[name] for name in names])
-    outer, slope = model.outward(t)
-    wanted = {"k": (0.03, 0.02 * np.sqrt(0.75)), "s": (1.5, np.sqrt(0.75)), "b": (7.0, 1.0)}
-    assert_allclose(np.column_stack([outer, slope]), [wanted[name] for name in names], rtol=1e-12)
+    outer, slope, second = model.outward(t)
+    k, s = (0.03, 0.02 * np.sqrt(0.75), -0.01), (1.5, np.sqrt(0.75), 0.125)
+    wanted = {"k": k, "s": s, "b": (7.0, 1.0, 0.0)}
+    found = np.column_stack([outer, slope, second])
+    assert_allclose(found, [wanted[name] for name in names], rtol=1e-12)
     assert_allclose(model.inward(outer), t, rtol=1e-9)
 
 
