@@ -154,7 +154,7 @@ def optimise_sphere(
         weights = weigh(rows, criterion, gap=0.01 * gap)
         kept = weights > _NEGLIGIBLE
         up, weights = up[kept], weights[kept] / weights[kept].sum()
-        information = inform(setting.rows(up), weights)
+        information = inform(_taken(rows, np.flatnonzero(kept)), weights)
         sensed = partial(_sensed, setting, kernels(information, criterion))
         peaks, heights = maxima(sensed)
         if heights.max() - 1.0 <= gap:  # before it is said, look closer
