@@ -20,9 +20,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import time_columns
-from multipos.logs.rests import LARGEST_SAMPLE
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, median
+from multipos.numerics.arrays import LARGEST_SAMPLE, Array, median
 from multipos.positions import headers
 
 _BLOCK = 32  # rows

@@ -55,11 +55,10 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import Array, Mask, Places, median, require_rate
+from multipos.numerics.arrays import LARGEST_SAMPLE, Array, Mask, Places, median, require_rate
 from multipos.results import frozen
 
 BLOCKS = 8  # of a window
-LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 PIECE = 1 << 13  # samples at a time: what stays in the processor's cache is fast
 _WINDOW = 0.5  # [s]
 _WINDOW_SAMPLES = 48  # where the sample rate is not known

@@ -29,9 +29,9 @@ from multipos.logs.clock import (
     usual_step,
     wraps_of,
 )
-from multipos.logs.rests import LARGEST_SAMPLE, PIECE, Rest, Spikes, Survey, Windows, choose_grid
+from multipos.logs.rests import PIECE, Rest, Spikes, Survey, Windows, choose_grid
 from multipos.logs.table import Log, Piece, Wanted
-from multipos.numerics.arrays import Array, Mask, Places, median
+from multipos.numerics.arrays import LARGEST_SAMPLE, Array, Mask, Places, median
 
 
 class Runs:

@@ -30,6 +30,7 @@ COMPONENTS = ("x", "y", "z")  # of a vector, the last axis of an array
 SMALLEST = 1e-40  # of an uncertainty, and of the largest of some measured numbers
 _LEVELS = 100  # readings of which the resolution is found
 FEWEST = 0.1  # degrees of freedom: with fewer k is beyond 1e12, and nothing is said
+LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
 
 

@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import near
 from multipos.files.trees import read_toml
-from multipos.numerics.arrays import COMPONENTS, LARGEST
+from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE
 from multipos.positions.headers import is_environment
 from multipos.results import Result, frozen
 
@@ -310,7 +310,6 @@ _TAKEN = (*COMPONENTS, "own", *CONSTANTS, *FUNCTIONS)
 _TELLING = 4  # characters of a name that can be a misspelt column
 _KEPT = 64  # lines
 _FAR = 1e9  # of a start: a bound beyond which bounds nothing, and takes its digits
-_LARGEST = 1e15  # of a start, as of a sample
 _ALIKE = 0.8  # of two names, from which one is the other misspelt
 
 
@@ -525,7 +524,7 @@ def _check_entry(where: str, key: str, value: Any) -> None:
         return
     number = isinstance(value, int | float) and not isinstance(value, bool)
     infinite = number and key in ("low", "high") and math.isinf(value)
-    largest = _LARGEST if key == "start" else LARGEST
+    largest = LARGEST_SAMPLE if key == "start" else LARGEST
     if not infinite and not (number and abs(value) <= largest):
         raise MultiposError(
             f"{where}: {key} must be a number of at most {largest:g} in size, got {value!r}."
