@@ -15,7 +15,7 @@ again; their spread is the answer of JCGM 101, and U of JCGM 100 is valid where 
 
 With known orientations an estimate is one matrix product with the readings, however many trials.
 With uncertain and unknown ones the likelihood is searched in every trial, with the noise of the fit
-as its weights. The readings of a trial are drawn by `multipos.uncertainty.monte_carlo`.
+as its weights; triads at unknown orientations many trials at a time.
 
 Draws: the readings of a calibration as they might have been, by the laws of its budget.
 
@@ -31,6 +31,7 @@ their standard deviations, where they were estimated, are drawn like the noise.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from multipos.errors import UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, noise_factor, restate, return_to_optimum
 from multipos.estimation.problem import circle_basis, start_state
+from multipos.estimation.unknown_orientations import UnknownSearch, search
 from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, frozen, require
@@ -239,6 +241,7 @@ Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trial
 
 _BLOCK = 10_000  # trials of a block (JCGM 101, 7.9.4)
 _FEW = 100  # of an estimator that runs once a trial, so that progress shows
+_AT_ONCE = 12_000  # positions of trials that are searched together, so that they stay in the cache
 _MOST = 1_000_000  # all are kept until they are sorted
 
 
@@ -439,12 +442,33 @@ def _own_estimator(c: Calibration) -> Solve:
     # About the solution itself: its reference is the listed one, already turned and stepped.
     problem = replace(restate(c), reference=c.reference)
     direction = directions(c.reference)
+    if UnknownSearch.fits(problem) and not problem.held:
+        together = partial(_searched, UnknownSearch.of_problem(problem), c)
+        at_once = max(1, _AT_ONCE // len(c.reference))
+        return lambda readings: np.concatenate(
+            [together(readings[i : i + at_once]) for i in range(0, len(readings), at_once)]
+        )
 
     def estimate(values: Array) -> Array:
         drawn = replace(problem, values=values)
         return maximise(drawn, start_state(drawn, c.parameters.copy(), direction)).state.theta
 
     return lambda readings: np.array([estimate(one) for one in readings])
+
+
+def _searched(of_one: UnknownSearch, c: Calibration, readings: Array) -> Array:
+    """Parameters of trials at unknown orientations, searched together from the solution."""
+    shape = (3, len(readings), len(c.reference))
+    steps = replace(
+        of_one,
+        values=np.moveaxis(readings, 2, 0).copy(),
+        variance=np.broadcast_to(of_one.variance, shape),
+    )
+    theta = np.tile(c.parameters, (len(readings), 1))
+    force = np.broadcast_to(c.reference.T[:, None], shape).copy()
+    with np.errstate(all="ignore"):  # a trial may run away
+        found, _ = search(steps, steps.at(theta, force))
+    return found.theta
 
 
 def _is_product(c: Calibration) -> bool:

@@ -15,7 +15,10 @@ from profile_oracle import profile_interval, search_interval
 import multipos as mp
 from multipos.diagnostics.criticism import aicc, find_influence, fourier_residuals, judge_terms
 from multipos.errors import ConvergenceError, MultiposError, UsageError
+from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, restate, return_to_optimum
+from multipos.estimation.problem import start_state
+from multipos.numerics.rotations import directions
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import OrientationSpread, VarianceComponents
 from multipos.uncertainty import monte_carlo
@@ -215,6 +218,23 @@ def test_monte_carlo_of_an_unknown_orientation():
     assert found.trials == trials
     # nine standard deviations, each of 300 trials
     assert_allclose(found.u, c.u, rtol=4 / math.sqrt(2 * trials))
+
+
+def test_monte_carlo_searches_trials_together_as_alone(monkeypatch):
+    c = mp.fit(readings("fibonacci-24", sd=1e-4), reading_sd=1e-4, unknown_orientation=True)
+    problem = replace(restate(c), reference=c.reference)
+
+    def alone(drawn):
+        each = [replace(problem, values=one) for one in drawn]
+        starts = [start_state(one, c.parameters.copy(), directions(c.reference)) for one in each]
+        return np.array(
+            [maximise(one, at).state.theta for one, at in zip(each, starts, strict=True)]
+        )
+
+    expected = simulate_budget(c, trials=100, rng=2, estimator=alone).symmetric
+    monkeypatch.setattr(monte_carlo, "_AT_ONCE", 24 * 30)
+    drift = simulate_budget(c, trials=100, rng=2).symmetric - expected
+    assert abs(drift / c.u[:, None]).max() < 1e-6  # a search ends within 1e-8 u
 
 
 def test_another_estimator_can_be_simulated():
