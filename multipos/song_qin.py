@@ -10,12 +10,12 @@ Song Lijun, Qin Yongyuan, *Six-position testing of MEMS accelerometer*, Measurem
 Technology 28 (7), 2009, 11–13 (in Chinese): tables 1 and 2, eqs. (2)–(5).
 """
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from multipos.files.numbers import number, table
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Column, write_table
 from multipos.files.trees import to_json
 from multipos.files.whole import make_folder, write_text
@@ -59,7 +59,7 @@ class Demonstration(Result):
         return demo_text(self).rstrip("\n")
 
 
-def demo(folder: str | os.PathLike[str] | None = None) -> Demonstration:
+def demo(folder: StrPath | None = None) -> Demonstration:
     """Calibrate table 2 of the six-position paper; write readings, calibration and report.
 
     Parameters

@@ -25,7 +25,6 @@ Song and Qin 2009, section 3 and figure 1. IEEE Std 952 and 1293 (the laws). C. 
 W. J. Riley, 35th PTTI Meeting, 2003 (degrees of freedom of the Allan variance).
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -43,7 +42,7 @@ from multipos.bias_stability.stability_result import (
 )
 from multipos.bias_stability.static_records import RawRecord, RecordOptions, read_record
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import Names, split_names, spread
+from multipos.files.spelling import Names, StrPath, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.clock import TimeUnit, check_time_unit
@@ -173,7 +172,7 @@ _LEAST = 4  # switch-ons that the six-position paper asks for
 
 def stability(
     *logs: "Source | Log | Sequence[Source | Log]",
-    calibration: "Calibration | str | os.PathLike[str] | None" = None,
+    calibration: "Calibration | StrPath | None" = None,
     outputs: Names | None = None,
     temperature: str | None = None,
     columns: Names | None = None,

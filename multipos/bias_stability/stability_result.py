@@ -16,7 +16,6 @@ Stability as people read it.
 """
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
@@ -39,6 +38,7 @@ from multipos.files.records import (
     Whole,
     require,
 )
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Column
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text
@@ -219,7 +219,7 @@ class Stability(Result, Drawn, Tabular):
 
         return stability_dict(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the result as JSON, whole or not at all."""
         write_text(path, to_json(self.to_dict()))
 
@@ -313,7 +313,7 @@ def _warm_up(found: WarmUp) -> dict[str, Any]:
     }
 
 
-def load_stability(path: str | os.PathLike[str]) -> Stability:
+def load_stability(path: StrPath) -> Stability:
     """Read a stability result written by `multipos stability` or `Stability.save`.
 
     Raises

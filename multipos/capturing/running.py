@@ -30,7 +30,7 @@ from multipos.capturing.live_rests import RowOptions
 from multipos.capturing.session import Session, line_of, state_of
 from multipos.capturing.streams import RowSource, open_source
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import Names, split_names
+from multipos.files.spelling import Names, StrPath, split_names
 from multipos.files.tables import Source
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text, writing
@@ -244,7 +244,7 @@ def _read(path: Path) -> dict[str, Any]:
 class RawLog:
     """A log that is written row by row."""
 
-    def __init__(self, path: str | os.PathLike[str], *, going_on: bool) -> None:
+    def __init__(self, path: StrPath, *, going_on: bool) -> None:
         self._path = path
         self._going_on = going_on
         self._delimiter = ","
@@ -356,7 +356,7 @@ def capture(
     min_duration: float | None = None,
     threshold: float | None = None,
     convention: Convention = "specific-force",
-    log: str | os.PathLike[str] | None = None,
+    log: StrPath | None = None,
     told: Notify | None = None,
     **fitting: Any,
 ) -> Captured:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import STDIN, Pipe, is_pipe
-from multipos.files.spelling import escaped, visible_lines
+from multipos.files.spelling import StrPath, escaped, visible_lines
 from multipos.files.whole import Content, check_place, written
 from multipos.finding import Finding, Findings, errors_of, in_order, serious
 from multipos.results import frozen
@@ -274,7 +274,7 @@ def _held(name: str, pipes: dict[str, Pipe]) -> str | Pipe:
     return pipes.setdefault(name, Pipe(name))
 
 
-def _status(path: str | os.PathLike[str], standard: TextIO | None) -> os.stat_result | None:
+def _status(path: StrPath, standard: TextIO | None) -> os.stat_result | None:
     """Return what is known of a file, ``-`` being a standard stream; None where there is none."""
     with suppress(OSError, ValueError):
         if path != STDIN:
@@ -284,7 +284,7 @@ def _status(path: str | os.PathLike[str], standard: TextIO | None) -> os.stat_re
     return None
 
 
-def same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
+def same_file(a: StrPath, b: StrPath) -> bool:
     """Tell whether two paths are one file or folder, which is there."""
     return _same(_status(a, None), _status(b, None))
 

@@ -4,7 +4,6 @@ Exports beside a calibration, in the same go: what is asked for, and its files.
 """
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
 from multipos.exports.target import Exported, Target, self_test
 from multipos.exports.targets import TARGETS, beside, export, named_target
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_schema, to_json
 from multipos.sensor.calibration import Calibration
 
@@ -91,7 +91,7 @@ def _listed(exported: Exported) -> list[dict[str, Any]]:
     return [found.to_dict() for found in exported.findings]
 
 
-def files_beside(targets: Sequence[str], calibration: str | os.PathLike[str]) -> tuple[Path, ...]:
+def files_beside(targets: Sequence[str], calibration: StrPath) -> tuple[Path, ...]:
     """Return the exports beside a calibration, and their self-tests."""
     paths: list[Path] = []
     for name in targets:
@@ -136,7 +136,7 @@ def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def make_exports(
-    calibration: Calibration, arguments: argparse.Namespace, path: str | os.PathLike[str]
+    calibration: Calibration, arguments: argparse.Namespace, path: StrPath
 ) -> tuple[dict[Path, Exported], list[str]]:
     """Return the exports by the file beside `path` each goes to, and why others are refused."""
     made, refused = {}, []

@@ -2,7 +2,6 @@
 
 import argparse
 import csv
-import os
 import re
 import sys
 import time
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from multipos.errors import UsageError
-from multipos.files.spelling import one_line, split_names, split_numbers
+from multipos.files.spelling import StrPath, one_line, split_names, split_numbers
 from multipos.finding import Finding
 from multipos.numerics.terms import NAMED
 
@@ -214,7 +213,7 @@ def progress_bar(what: str, total: int | None = None) -> Iterator[Callable[[int]
 
 @contextmanager
 def file_progress(
-    paths: Sequence[str | os.PathLike[str]], what: str
+    paths: Sequence[StrPath], what: str
 ) -> Iterator[Callable[[float], object] | None]:
     """Show how much of large files is read, a share from 0 to 1; yield what to call, or None."""
     size = 0

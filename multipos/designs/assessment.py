@@ -31,7 +31,6 @@ Source: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs,
 """
 
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
@@ -52,7 +51,7 @@ from multipos.designs.information import (
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import number, table
-from multipos.files.spelling import Names, split_names, spread
+from multipos.files.spelling import Names, StrPath, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array
@@ -307,7 +306,7 @@ def read_setting(
     reading_sd: float,
 ) -> Setting:
     """Return the setting of options as `schemes` takes them; a calibration's model has its own."""
-    text: str | os.PathLike[str]
+    text: StrPath
     if isinstance(model, Model):
         text, axes, inputs = model.text, model.axes, model.inputs
     else:

@@ -1,10 +1,10 @@
 """What is exported together: a calibration, regressions, or a calibration and what corrects it."""
 
-import os
 from collections.abc import Sequence
 from functools import cached_property
 
 from multipos.errors import UsageError
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_schema
 from multipos.numerics.arrays import COMPONENTS
 from multipos.regression.regression import Regression, Regressions, all_of
@@ -70,7 +70,7 @@ class Correction:
         return tuple(k for k, r in enumerate(self.regressions) if r.branch_column is not None)
 
 
-def load_parts(paths: Sequence[str | os.PathLike[str]]) -> tuple[Part, ...]:
+def load_parts(paths: Sequence[StrPath]) -> tuple[Part, ...]:
     """Read calibrations and regressions, each recognised by its schema.
 
     Raises

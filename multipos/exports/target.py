@@ -5,7 +5,6 @@ Each target is a `Target` in a file of this room, with its like, and one line in
 `multipos.exports.parameters.parameter_target`.
 """
 
-import os
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
@@ -16,6 +15,7 @@ import numpy as np
 
 from multipos.bias_stability.stability_result import Stability
 from multipos.files.numbers import number, table
+from multipos.files.spelling import StrPath
 from multipos.files.whole import written
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
@@ -87,20 +87,20 @@ class Exported(Result):
     test: str | None = None
     findings: Findings = ()
 
-    def save(self, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    def save(self, path: StrPath) -> tuple[str, ...]:
         """Write the file, for C also ``…_test.c`` beside it; return the names written."""
         files = self.files(path)
         with written(files):
             pass
         return tuple(map(str, files))
 
-    def files(self, path: str | os.PathLike[str]) -> dict[str | os.PathLike[str], str]:
+    def files(self, path: StrPath) -> dict[StrPath, str]:
         """Return the files to write, and what they hold."""
         beside = () if self.test is None else self_test(path)
         return {path: self.text, **dict.fromkeys(beside, self.test or "")}
 
 
-def self_test(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+def self_test(path: StrPath) -> tuple[Path, ...]:
     """Return where the self-test of a C file goes; a folder or a device has none beside it."""
     path = Path(path)
     with suppress(OSError):  # a name that cannot be there is refused where it is written

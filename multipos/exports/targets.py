@@ -4,7 +4,6 @@ Read an exported file back as its consumer would, and show what is left of the r
 """
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from multipos.exports.target_autopilots import (
 from multipos.exports.target_c import C
 from multipos.exports.target_correction import Replay, correction_of, replay, write_correction
 from multipos.exports.target_matrices import IMUCAL, KALIBR, ROS, ROS_MAGNETOMETER, write_noise
-from multipos.files.spelling import Names
+from multipos.files.spelling import Names, StrPath
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
@@ -50,7 +49,7 @@ def export(
     output_unit: Unit | None = None,
     instance: int | None = None,
     device_id: int | None = None,
-    stability: "Stability | str | os.PathLike[str] | None" = None,
+    stability: "Stability | StrPath | None" = None,
     correct: Names | None = None,
     tilt: bool = False,
     nominal: Sequence[float] | None = None,
@@ -195,7 +194,7 @@ def named_target(name: str) -> Target | None:
     return next((target for target in TARGETS if target.name == name), None)
 
 
-def beside(calibration: str | os.PathLike[str], target: Target) -> Path:
+def beside(calibration: StrPath, target: Target) -> Path:
     """Return where an export goes beside the file of its calibration: CAL.c, CAL_px4.params, …."""
     path = Path(calibration)
     ending = target.suffix if target.is_code else f"_{target.name}{target.suffix}"
@@ -212,11 +211,7 @@ _LONGEST = 10 << 20  # [byte], far above any file that export writes
 
 
 def verify_export(
-    path: str | os.PathLike[str],
-    calibration: Parts,
-    *,
-    data: Source | None = None,
-    run_foreign_code: bool = False,
+    path: StrPath, calibration: Parts, *, data: Source | None = None, run_foreign_code: bool = False
 ) -> Verification | Replay:
     """Apply an exported file to the readings of a calibration, by the consumer's own law.
 

@@ -8,7 +8,6 @@ for the `csv` module.
 """
 
 import io
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from operator import itemgetter, methodcaller
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import StrPath
 from multipos.files.whole import reading
 from multipos.numerics.arrays import Array, Places, places_of_kinds
 
@@ -35,7 +35,7 @@ _BOM = b"\xef\xbb\xbf"
 class FileBytes:
     """The bytes of a file, which stay there: a slice is read when it is asked for."""
 
-    def __init__(self, path: str | os.PathLike[str], what: str) -> None:
+    def __init__(self, path: StrPath, what: str) -> None:
         """Name a file, and what it is in messages."""
         self._path, self._what = path, what
         with reading(path, what):

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import GZIP, Unpacked
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json_value
 from multipos.files.whole import first_bytes, read_bytes, reading
 
@@ -41,9 +42,7 @@ WORKBOOK = "xl/workbook.xml"  # the ending of a name in an archive that is one
 OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"  # of .xls, as phyphox and old programs write it
 
 
-def require_extra(
-    path: str | os.PathLike[str], kind: str, library: str, extra: str, does: str = "reads"
-) -> None:
+def require_extra(path: StrPath, kind: str, library: str, extra: str, does: str = "reads") -> None:
     """Refuse a file whose library, which reads or writes it, is not installed.
 
     Raises
@@ -62,7 +61,7 @@ def require_extra(
         )
 
 
-def broken(path: str | os.PathLike[str], error: ImportError) -> MultiposError:
+def broken(path: StrPath, error: ImportError) -> MultiposError:
     """Return what is said of a library that is installed and cannot be loaded."""
     name = (error.name or "a library").partition(".")[0]
     said = " ".join(str(error).split())[:100]
@@ -71,7 +70,7 @@ def broken(path: str | os.PathLike[str], error: ImportError) -> MultiposError:
     )
 
 
-def members(path: str | os.PathLike[str]) -> list[str]:
+def members(path: StrPath) -> list[str]:
     """Return the names in a zip archive, none where it cannot be read."""
     from zipfile import BadZipFile, ZipFile
 
@@ -81,7 +80,7 @@ def members(path: str | os.PathLike[str]) -> list[str]:
     return []
 
 
-def workbook_text(path: str | os.PathLike[str]) -> str:
+def workbook_text(path: StrPath) -> str:
     """Return a workbook's sheet as comma separated text.
 
     Raises
@@ -103,7 +102,7 @@ def workbook_text(path: str | os.PathLike[str]) -> str:
     return text.getvalue()
 
 
-def _rows_of_xlsx(path: str | os.PathLike[str]) -> Iterator[tuple[Any, ...]]:
+def _rows_of_xlsx(path: StrPath) -> Iterator[tuple[Any, ...]]:
     from openpyxl import load_workbook
 
     with Path(path).open("rb") as stream:
@@ -111,7 +110,7 @@ def _rows_of_xlsx(path: str | os.PathLike[str]) -> Iterator[tuple[Any, ...]]:
         yield from book.active.iter_rows(values_only=True)
 
 
-def _rows_of_xls(path: str | os.PathLike[str]) -> Iterator[tuple[Any, ...]]:
+def _rows_of_xls(path: StrPath) -> Iterator[tuple[Any, ...]]:
     import xlrd
 
     with xlrd.open_workbook(path, logfile=io.StringIO()) as book:
@@ -155,7 +154,7 @@ def is_json(head: bytes) -> bool:
 
 def take_in(
     source: Any, what: str, names: Sequence[str] | None = None
-) -> str | os.PathLike[str] | Mapping[str, Any]:
+) -> StrPath | Mapping[str, Any]:
     """Return a path that can be opened, or columns by name.
 
     Parameters
@@ -246,7 +245,7 @@ def arrow_columns(table: Any) -> dict[str, Any]:
     return columns
 
 
-def read_arrow(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_arrow(path: StrPath) -> dict[str, Any]:
     """Return the columns of a Parquet or Feather file.
 
     Raises
@@ -306,7 +305,7 @@ def find_copies(contents: Sequence[str | None], named: Sequence[str]) -> dict[in
     return again
 
 
-def unpack(path: str | os.PathLike[str]) -> Unpacked:
+def unpack(path: StrPath) -> Unpacked:
     """Return a file that gzip, xz or Zstandard has packed as it was before.
 
     Raises
@@ -328,20 +327,20 @@ def unpack(path: str | os.PathLike[str]) -> Unpacked:
         raise _damaged(path, error) from None
 
 
-def _damaged(path: str | os.PathLike[str], error: Exception) -> MultiposError:
+def _damaged(path: StrPath, error: Exception) -> MultiposError:
     return MultiposError(
         f"{path}: cannot unpack: {error}; the file is damaged or cut off, write it again."
     )
 
 
-def _zstd(path: str | os.PathLike[str]) -> Any:
+def _zstd(path: StrPath) -> Any:
     if sys.version_info >= (3, 14):
         return import_module("compression.zstd")
     require_extra(path, "a Zstandard file", "backports.zstd", "zst")
     return import_module("backports.zstd")
 
 
-def read_json_columns(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+def read_json_columns(path: StrPath, what: str) -> dict[str, Any]:
     """Return the columns of JSON: records, columns, or one record a line.
 
     Raises
@@ -370,7 +369,7 @@ def read_json_columns(path: str | os.PathLike[str], what: str) -> dict[str, Any]
     )
 
 
-def _lines(path: str | os.PathLike[str], what: str) -> list[Any] | None:
+def _lines(path: StrPath, what: str) -> list[Any] | None:
     """Return the values of JSON that has one on every line; None where a line is none."""
     raw = read_bytes(path, what)
     try:

@@ -4,13 +4,13 @@ A value on a limit is within it; an empty side has no limit.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files.records import LARGEST
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Table, read_table
 from multipos.files.trees import read_toml
 from multipos.results import frozen
@@ -25,7 +25,7 @@ class Limit:
     usl: float
 
 
-LimitsSource = str | os.PathLike[str] | Mapping[str, Sequence[float | None]]
+LimitsSource = StrPath | Mapping[str, Sequence[float | None]]
 
 
 def read_limits(source: LimitsSource) -> tuple[Limit, ...]:

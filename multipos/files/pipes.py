@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import IO, BinaryIO
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import StrPath
 
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _CHINESE = re.compile(r"[\u4e00-\u9fff]+")
@@ -130,37 +131,37 @@ class Pipe(os.PathLike[str]):
             self._kept()
 
 
-def is_pipe(path: str | os.PathLike[str]) -> bool:
+def is_pipe(path: StrPath) -> bool:
     """Tell whether a path is there, and neither a file nor a folder: a pipe, a terminal, …."""
     mode = _mode(path)
     return mode is not None and not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
-def is_folder(path: str | os.PathLike[str]) -> bool:
+def is_folder(path: StrPath) -> bool:
     """Tell whether a path is a folder."""
     mode = _mode(path)
     return mode is not None and stat.S_ISDIR(mode)
 
 
-def is_file(path: str | os.PathLike[str]) -> bool:
+def is_file(path: StrPath) -> bool:
     """Tell whether a path can be read: a file, or a pipe."""
     mode = _mode(path)
     return mode is not None and not stat.S_ISDIR(mode)
 
 
-def is_there(path: str | os.PathLike[str]) -> bool:
+def is_there(path: StrPath) -> bool:
     """Tell whether a path is anything that can be looked at."""
     return _mode(path) is not None
 
 
-def _mode(path: str | os.PathLike[str]) -> int | None:
+def _mode(path: StrPath) -> int | None:
     try:
         return Path(path).stat().st_mode
     except (OSError, ValueError):  # too long, no name at all: refused where it is read
         return None
 
 
-def rereadable(path: str | os.PathLike[str]) -> os.PathLike[str]:
+def rereadable(path: StrPath) -> os.PathLike[str]:
     """Return a path that can be read more than once: the path itself, of a pipe a `Pipe`."""
     if isinstance(path, Pipe | Unpacked):
         return path

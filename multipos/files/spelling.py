@@ -7,6 +7,7 @@ of a terminal, begin a line of its own in a parameter file or end a comment; her
 escape that JSON has for it, ``\u001b``, so that in JSON it stays the same character.
 """
 
+import os
 import re
 import unicodedata
 from collections.abc import Collection, Iterable, Sequence
@@ -16,6 +17,7 @@ from typing import TypeVar
 from multipos.errors import MultiposError, UsageError
 
 Names = str | Sequence[str]
+StrPath = str | os.PathLike[str]
 T = TypeVar("T")
 
 

@@ -11,7 +11,6 @@ import csv
 import io
 import itertools
 import math
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from multipos.files import handed, spelling, whole
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
+from multipos.files.spelling import StrPath
 from multipos.results import frozen
 
 _FINITE = float(np.finfo(np.float64).max)
@@ -32,7 +32,7 @@ _HEAD = 4096  # bytes, in which no text has a NUL
 _FEW = 1000  # rows, up to which cells are written one by one
 SHORT = 1 << 14  # bytes: a shorter file is read once, as opening it takes longer than reading
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
-Source = str | os.PathLike[str] | Mapping[str, Any] | Any  # see `multipos.files.handed`
+Source = StrPath | Mapping[str, Any] | Any  # see `multipos.files.handed`
 
 
 @frozen(eq=True)
@@ -223,7 +223,7 @@ def _array(column: Any, name: Any, what: str) -> NDArray[Any]:
     return found
 
 
-def open_table(path: str | os.PathLike[str], *, what: str = "table", head: bytes = b"") -> Table:
+def open_table(path: StrPath, *, what: str = "table", head: bytes = b"") -> Table:
     """Return a CSV file as a table whose cells stay in it, if it has no quotes.
 
     A file that is shorter than `SHORT` is kept as it was read; `head` is how it begins.
@@ -236,7 +236,7 @@ def open_table(path: str | os.PathLike[str], *, what: str = "table", head: bytes
     return _read_csv(path, what) if plain is None else _plain_table(path, plain, sha256)
 
 
-def _read_file(path: str | os.PathLike[str], what: str) -> Table:
+def _read_file(path: StrPath, what: str) -> Table:
     if not isinstance(path, Pipe) and is_pipe(path):
         path = rereadable(path)
     with whole.reading(path, what), Path(path).open("rb") as stream:
@@ -260,7 +260,7 @@ def _sha256(raw: bytes) -> str:
     return hashlib.sha256(raw).hexdigest()
 
 
-def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
+def _read_csv(path: StrPath, what: str) -> Table:
     raw = whole.read_bytes(path, what)
     sha256 = _sha256(raw)
     if raw.startswith((handed.ZIP, handed.OLE)):
@@ -279,13 +279,13 @@ def _read_csv(path: str | os.PathLike[str], what: str) -> Table:
     return _plain_table(path, plain, sha256)
 
 
-def _plain_table(path: str | os.PathLike[str], plain: Plain, sha256: str) -> Table:
+def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
     _check_header(path, plain.header)
     columns = dict(zip(plain.header, plain.columns, strict=True))
     return Table(str(path), columns, len(plain.lines), plain.lines, sha256, plain.delimiter)
 
 
-def _read_cells(path: str | os.PathLike[str], raw: bytes, sha256: str, what: str) -> Table:
+def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     """Read a table cell by cell, quotes included."""
     numbered = _numbered(_decode(path, raw, what))
     if not numbered:
@@ -305,7 +305,7 @@ def _read_cells(path: str | os.PathLike[str], raw: bytes, sha256: str, what: str
     return Table(str(path), columns, len(found), lines, sha256, delimiter)
 
 
-def _decode(path: str | os.PathLike[str], raw: bytes, what: str) -> str:
+def _decode(path: StrPath, raw: bytes, what: str) -> str:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -334,9 +334,7 @@ def _numbered(text: str) -> list[tuple[int, str]]:
     ]
 
 
-def _filled(
-    path: str | os.PathLike[str], records: "Iterator[_Record]", header: Sequence[str]
-) -> "list[_Record]":
+def _filled(path: StrPath, records: "Iterator[_Record]", header: Sequence[str]) -> "list[_Record]":
     """Return the rows below a header, each of which must have a cell for every column."""
     found: list[_Record] = []
     for record in records:
@@ -377,7 +375,7 @@ class _Record(NamedTuple):
 
 
 def _records(
-    path: str | os.PathLike[str], numbered: Sequence[tuple[int, str]], delimiter: str
+    path: StrPath, numbered: Sequence[tuple[int, str]], delimiter: str
 ) -> Iterator[_Record]:
     """Yield the rows of numbered lines; a quoted cell may go on over several of them."""
     reader = csv.reader((line for _, line in numbered), delimiter=delimiter, strict=True)
@@ -394,7 +392,7 @@ def _records(
         ) from None
 
 
-def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
+def _check_header(path: StrPath, header: list[str]) -> None:
     seen = set()
     for index, name in enumerate(header):
         if not name:
@@ -412,7 +410,7 @@ def _check_header(path: str | os.PathLike[str], header: list[str]) -> None:
         )
 
 
-def _check_names(source: str | os.PathLike[str], names: Iterable[str]) -> None:
+def _check_names(source: StrPath, names: Iterable[str]) -> None:
     for place, name in enumerate(names, start=1):
         if spelling.control_characters(name):
             raise MultiposError(
@@ -513,7 +511,7 @@ def safe_rows(lines: list[str], delimiter: str) -> list[str]:
     return stream.getvalue().split("\n")[:-1]
 
 
-def write_table(path: str | os.PathLike[str], columns: Source) -> None:
+def write_table(path: StrPath, columns: Source) -> None:
     """Write columns as a CSV file, whole or not at all; numbers keep all their digits.
 
     Parameters

@@ -1,7 +1,6 @@
 """JSON and TOML, in and out."""
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping
 from itertools import islice
@@ -11,6 +10,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Column
+from multipos.files.spelling import StrPath
 from multipos.files.whole import read_bytes
 from multipos.results import plain
 
@@ -67,7 +67,7 @@ def json_table(
     yield "\n }\n}\n"
 
 
-def read_schema(path: str | os.PathLike[str]) -> str | None:
+def read_schema(path: StrPath) -> str | None:
     """Return the schema that a JSON file names; None where it is not such a file, or not there."""
     try:
         value = read_json_value(path, "file")
@@ -86,7 +86,7 @@ _READERS = {
 }  # what to do with a file of another schema than the one needed
 
 
-def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
+def read_json(path: StrPath, schema: str) -> dict[str, Any]:
     """Read a JSON object and check that its ``schema`` is the one expected.
 
     Raises
@@ -105,7 +105,7 @@ def read_json(path: str | os.PathLike[str], schema: str) -> dict[str, Any]:
     return value
 
 
-def read_json_value(path: str | os.PathLike[str], what: str) -> Any:
+def read_json_value(path: StrPath, what: str) -> Any:
     """Read any JSON; whole numbers of more digits than 64 bits hold become floats.
 
     Raises
@@ -130,7 +130,7 @@ def _whole(digits: str) -> int | float:
     return int(digits) if len(digits) <= _DIGITS else float(digits)
 
 
-def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
+def read_toml(path: StrPath, what: str) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises
@@ -156,7 +156,7 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     return found
 
 
-def _refuse_large(path: str | os.PathLike[str], found: Mapping[str, Any]) -> None:
+def _refuse_large(path: StrPath, found: Mapping[str, Any]) -> None:
     inner: list[tuple[str, Any]] = list(found.items())
     while inner:
         name, value = inner.pop()
@@ -168,7 +168,7 @@ def _refuse_large(path: str | os.PathLike[str], found: Mapping[str, Any]) -> Non
             raise _too_large(path, f"'{name}'")
 
 
-def _too_large(path: str | os.PathLike[str], which: str) -> MultiposError:
+def _too_large(path: StrPath, which: str) -> MultiposError:
     return MultiposError(
         f"{path}: {which} has more digits than 64 bits hold; write a large number as 1e30."
     )

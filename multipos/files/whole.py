@@ -13,18 +13,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import StrPath
 
 Content = str | bytes | Iterable[str]  # of a file: text in UTF-8, as a whole or in pieces
 Pieces = Content | Iterable[bytes]
 
 
-def read_bytes(path: str | os.PathLike[str], what: str) -> bytes:
+def read_bytes(path: StrPath, what: str) -> bytes:
     """Return the content of a file, or say in one line why it cannot be read."""
     with reading(path, what):
         return Path(path).read_bytes()
 
 
-def first_bytes(path: str | os.PathLike[str], count: int) -> bytes:
+def first_bytes(path: StrPath, count: int) -> bytes:
     """Return how a file begins; nothing where it cannot be read, which its reader says."""
     try:
         with Path(path).open("rb") as stream:
@@ -34,7 +35,7 @@ def first_bytes(path: str | os.PathLike[str], count: int) -> bytes:
 
 
 @contextmanager
-def reading(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+def reading(path: StrPath, what: str) -> Iterator[None]:
     """Say in one line why a file cannot be read, where the block cannot."""
     try:
         yield
@@ -65,7 +66,7 @@ def no_folder(folder: Path, error: OSError) -> MultiposError:
 class _Draft(NamedTuple):
     """A file on its way: made beside its target, or anywhere where that is no regular file."""
 
-    path: str | os.PathLike[str]  # as it was given
+    path: StrPath  # as it was given
     target: Path
     temporary: Path
     regular: bool
@@ -76,14 +77,14 @@ class _Draft(NamedTuple):
         return self.temporary.with_suffix(".before")
 
 
-def write_text(path: str | os.PathLike[str], text: Content) -> None:
+def write_text(path: StrPath, text: Content) -> None:
     """Write one file whole or not at all, as `written` does."""
     with written({path: text}):
         pass
 
 
 @contextmanager
-def written(files: Mapping[str | os.PathLike[str], Pieces]) -> Iterator[None]:
+def written(files: Mapping[StrPath, Pieces]) -> Iterator[None]:
     """Have files ready when the block begins, and in their places when it has ended well.
 
     Each is made as a temporary neighbour that then takes its name, or not at all; several appear
@@ -115,7 +116,7 @@ def written(files: Mapping[str | os.PathLike[str], Pieces]) -> Iterator[None]:
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+def writing(path: StrPath) -> Iterator[None]:
     """Say in one line why a file cannot be written, where the block cannot."""
     try:
         yield
@@ -125,7 +126,7 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
         ) from None
 
 
-def check_place(path: str | os.PathLike[str]) -> None:
+def check_place(path: StrPath) -> None:
     """Say in one line why a file could not be written there, before any work is done for it.
 
     Raises
@@ -136,7 +137,7 @@ def check_place(path: str | os.PathLike[str]) -> None:
         _draft(path).target.parent.stat()
 
 
-def _draft(path: str | os.PathLike[str]) -> _Draft:
+def _draft(path: StrPath) -> _Draft:
     """Return where a file goes: a link stays, what it points to is written."""
     regular, folder = True, os.fspath(path).endswith("/")
     with suppress(FileNotFoundError):

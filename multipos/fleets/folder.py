@@ -5,7 +5,6 @@ station's name: the positions where they are, as a scheme (.csv), and how well t
 budget (.toml).
 """
 
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -15,6 +14,7 @@ from typing import Any
 
 from multipos.errors import MultiposError
 from multipos.files import pipes, spelling, tables, trees
+from multipos.files.spelling import StrPath
 from multipos.files.whole import Content, Pieces, make_folder, written
 from multipos.fleets.fleet import SCHEMA, Fleet
 
@@ -27,7 +27,7 @@ _UNNAMED = "all"  # files of the one station that has no name
 _ROWS = 100_000  # units that are written at a time, a row group of Parquet
 _LONGEST = 60  # characters of a file name that a station gives
 
-Files = dict[str | os.PathLike[str], Pieces]
+Files = dict[StrPath, Pieces]
 
 
 def file_names() -> tuple[str, ...]:
@@ -45,12 +45,12 @@ def has_parquet() -> bool:
     return find_spec("pyarrow") is not None
 
 
-def progress_folder(folder: str | os.PathLike[str]) -> Path:
+def progress_folder(folder: StrPath) -> Path:
     """Return where finished tasks of a run are kept until it has ended."""
     return Path(folder) / _PROGRESS
 
 
-def write_fleet(fleet: Fleet, folder: str | os.PathLike[str], page: Content) -> None:
+def write_fleet(fleet: Fleet, folder: StrPath, page: Content) -> None:
     """Write the files of a fleet into a folder, all of them or none.
 
     Parameters
@@ -146,7 +146,7 @@ def _csv_pieces(columns: Mapping[str, Any]) -> Iterator[str]:
         yield text.partition("\n")[2] if number else text
 
 
-def read_summary(source: str | os.PathLike[str]) -> dict[str, Any]:
+def read_summary(source: StrPath) -> dict[str, Any]:
     """Return what `fleet.json` holds, from the file or its folder.
 
     Raises

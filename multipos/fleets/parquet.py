@@ -5,7 +5,6 @@ are in the file, a dictionary and numbers. A column stays in its file until rows
 for; what a file gives only together is a row group.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import FileBytes
 from multipos.files.handed import require_extra
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Column, Table
 from multipos.fleets.labels import Labels, joined_labels
 from multipos.numerics.arrays import places_of_kinds
@@ -34,9 +34,9 @@ class FileColumn(Sequence[Any]):
         Rows of the largest row group.
     """
 
-    def __init__(self, path: str | os.PathLike[str], name: str, groups: Mapping[int, int]) -> None:
+    def __init__(self, path: StrPath, name: str, groups: Mapping[int, int]) -> None:
         """Name a column in some groups of a file, each with its number of rows."""
-        self.path: str | os.PathLike[str] = path
+        self.path: StrPath = path
         self._name = name
         self._groups, self._ends = list(groups), np.cumsum(list(groups.values()))
         self.largest: int = max(groups.values())
@@ -67,9 +67,7 @@ def is_parquet(head: bytes) -> bool:
     return head.startswith(b"PAR1")
 
 
-def read_parquet(
-    path: str | os.PathLike[str], apart: set[str | None], kept: tuple[str, str] | None
-) -> Table:
+def read_parquet(path: StrPath, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
     """Return a file as a table, of which columns beside those `apart` stay in it.
 
     Parameters
@@ -149,7 +147,7 @@ def spread_parquet(
     return lambda kind: {name: FileColumn(path, name, groups[kind]) for name in columns}
 
 
-def _batches(path: str | os.PathLike[str], names: list[str]) -> Iterator[Any]:
+def _batches(path: StrPath, names: list[str]) -> Iterator[Any]:
     """Yield the rows of a file some at a time, however many a row group has."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -161,9 +159,7 @@ def _batches(path: str | os.PathLike[str], names: list[str]) -> Iterator[Any]:
         raise _unreadable(path, error) from None
 
 
-def _rows_kept(
-    path: str | os.PathLike[str], schema: Any, kept: tuple[str, str]
-) -> dict[str, Column]:
+def _rows_kept(path: StrPath, schema: Any, kept: tuple[str, str]) -> dict[str, Column]:
     """Return all columns of the rows of one unit, one by one so that only one is there twice."""
     from pyarrow import parquet
 
@@ -175,7 +171,7 @@ def _rows_kept(
     return columns
 
 
-def _unreadable(path: str | os.PathLike[str], error: Exception) -> MultiposError:
+def _unreadable(path: StrPath, error: Exception) -> MultiposError:
     said = " ".join(str(error).split())[:200]
     return MultiposError(f"{path}: cannot be read as Parquet ({said}); write it again.")
 
@@ -192,7 +188,7 @@ def _texts(schema: Any) -> list[str]:
 
 
 def _read_column(
-    path: str | os.PathLike[str], name: str, groups: Sequence[int], skipped: int, count: int
+    path: StrPath, name: str, groups: Sequence[int], skipped: int, count: int
 ) -> Column:
     """Return some rows of a column, of the row groups that hold them."""
     import pyarrow as pa

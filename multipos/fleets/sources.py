@@ -23,6 +23,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import handed, spelling
 from multipos.files.csv_columns import Cells, FileBytes, joined_cells
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
+from multipos.files.spelling import StrPath
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
 from multipos.finding import Findings, repeated_files
@@ -270,7 +271,7 @@ def _tried(
         return error
 
 
-def _is_path(source: Source) -> TypeGuard[str | os.PathLike[str]]:
+def _is_path(source: Source) -> TypeGuard[StrPath]:
     return isinstance(source, str | os.PathLike)
 
 
@@ -452,7 +453,7 @@ def _expanded(sources: Sequence[Source], endings: Sequence[str]) -> list[Source]
     return found
 
 
-def _files(source: str | os.PathLike[str], endings: Sequence[str]) -> Sequence[Source]:
+def _files(source: StrPath, endings: Sequence[str]) -> Sequence[Source]:
     """Return the files that a path, a folder or a pattern stands for."""
     name = os.fspath(source)
     if is_folder(name):

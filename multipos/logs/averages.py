@@ -1,6 +1,5 @@
 """The rests of a log as readings: what `multipos.logs.averaging` finds, and how it is written."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from multipos.files.numbers import in_unit, number, table, uncertain
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Column, write_table
 from multipos.finding import Findings
 from multipos.logs.rest_means import RestMean
@@ -137,7 +137,7 @@ class Averages(Result, Tabular):
                 columns |= dict(zip(names, values.T, strict=True))
         return columns | dict(readings.environment)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the readings as CSV, whole or not at all."""
         write_table(path, self.columns())
 

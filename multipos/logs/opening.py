@@ -19,7 +19,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.handed import content_of, find_copies, take_in
 from multipos.files.pipes import is_folder, rereadable, unpack_text
-from multipos.files.spelling import Names, split_names
+from multipos.files.spelling import Names, StrPath, split_names
 from multipos.files.tables import Column, Source, read_table
 from multipos.files.whole import reading
 from multipos.finding import Finding, Findings, repeated_files
@@ -89,9 +89,7 @@ def open_log(
     return _with_notes(path, reader.columns(path), names)
 
 
-def _with_notes(
-    path: str | os.PathLike[str], found: Mapping[str, Any], names: Sequence[str] | None
-) -> Log:
+def _with_notes(path: StrPath, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:
     """Return the log of columns of a file, with what its reader says of them."""
     log = log_of_columns(str(path), found, names)
     if not isinstance(found, Noted):

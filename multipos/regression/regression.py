@@ -8,7 +8,6 @@ Regressions of several responses, one for each axis, on the same columns.
 """
 
 import math
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from multipos.files.numbers import chance, number, p_in_words, table, uncertain
+from multipos.files.spelling import StrPath
 from multipos.files.trees import to_json
 from multipos.files.whole import write_text
 from multipos.finding import Findings, about, in_order
@@ -183,7 +183,7 @@ class Regression(Result, Tabular):
 
         return regression_dict(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the regression as JSON, whole or not at all."""
         write_text(path, to_json(self.to_dict()))
 
@@ -422,7 +422,7 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
             "findings": [each.to_dict() for each in self.findings],
         }
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the regressions as JSON, whole or not at all."""
         write_text(path, to_json(self.to_dict()))
 

@@ -5,7 +5,6 @@ described here; what every key means is in `docs/reference/formats`.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -40,6 +39,7 @@ from multipos.files.records import (
     require_covariance,
     restore,
 )
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import Array
@@ -308,7 +308,7 @@ def regression_dict(r: Regression) -> dict[str, Any]:
     return plain_dict(content)
 
 
-def load_regression(path: str | os.PathLike[str]) -> Regression | Regressions:
+def load_regression(path: StrPath) -> Regression | Regressions:
     """Read a regression written by `Regression.save`, or those of several responses.
 
     Raises

@@ -7,7 +7,6 @@ plain text.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
@@ -17,6 +16,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_toml
 from multipos.finding import Findings, errors_of, in_order, serious
 from multipos.reports import check_text, evidence, summary
@@ -120,7 +120,7 @@ class Content:
         return {text: tr(text) for text in _WORDS}
 
 
-def read_lab(source: "str | os.PathLike[str] | Mapping[str, Any] | None") -> dict[str, str]:
+def read_lab(source: "StrPath | Mapping[str, Any] | None") -> dict[str, str]:
     """Return what the laboratory says, by ``section.key``.
 
     Raises
@@ -182,7 +182,7 @@ def lab_fields(said: Mapping[str, str], tr: Translator) -> tuple[tuple[str, str]
 def build_content(
     calibration: Calibration,
     *,
-    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    lab: "StrPath | Mapping[str, Any] | None" = None,
     language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,

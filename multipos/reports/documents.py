@@ -31,7 +31,7 @@ from typing import Any
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files import numbers, whole
-from multipos.files.spelling import visible
+from multipos.files.spelling import StrPath, visible
 from multipos.fleets.fleet import Fleet
 from multipos.plots.style import COLOURS
 from multipos.regression.regression import Regression, Regressions
@@ -243,9 +243,9 @@ Reported = Calibration | Comparison | RegressionComparison | Regression | Regres
 
 def report(
     calibration: Reported,
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
-    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    lab: "StrPath | Mapping[str, Any] | None" = None,
     language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
@@ -310,10 +310,7 @@ def report(
 
 
 def _content(
-    found: Reported,
-    path: str | os.PathLike[str],
-    lab: "str | os.PathLike[str] | Mapping[str, Any] | None",
-    language: Language,
+    found: Reported, path: StrPath, lab: "StrPath | Mapping[str, Any] | None", language: Language
 ) -> Content:
     """Return what the report of anything but a calibration says."""
     if isinstance(found, Comparison | RegressionComparison):

@@ -5,7 +5,6 @@ that stands beside it and has its checksum, or that is named. Before and after h
 because an error that is corrected a hundredfold is a flat line on the other's scale.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,6 +16,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Table, read_table
 from multipos.finding import serious
 from multipos.numerics.arrays import Array, Places
@@ -52,9 +52,9 @@ Titled = Callable[[str], str]  # the title of a section in a language, of a resp
 def regression_content(
     regression: Regression | Regressions,
     *,
-    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
-    data: "str | os.PathLike[str] | None" = None,
-    beside: "str | os.PathLike[str] | None" = None,
+    lab: "StrPath | Mapping[str, Any] | None" = None,
+    data: StrPath | None = None,
+    beside: StrPath | None = None,
     language: Language = "en",
 ) -> Content:
     """Return what the report of a regression says.
@@ -126,11 +126,7 @@ def _titled(tr: Translator, response: str | None, title: str) -> str:
     return tr("{title} of {response}", title=tr(title), response=response)
 
 
-def _rows_of_fit(
-    r: Regression,
-    data: "str | os.PathLike[str] | None",
-    beside: "str | os.PathLike[str] | None",
-) -> Table | None:
+def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) -> Table | None:
     """Return the table of the fit, known by its checksum; None where it is not to be found."""
     if data is None:
         if r.source is None or beside is None:

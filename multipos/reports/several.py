@@ -11,7 +11,6 @@ small as one of a hundred.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -33,6 +32,7 @@ from multipos.files.records import (
     Named,
     require,
 )
+from multipos.files.spelling import StrPath
 from multipos.finding import FINDINGS, errors_of, read_findings, serious
 from multipos.fleets import fleet_text
 from multipos.fleets.stations import is_off
@@ -112,7 +112,7 @@ _REGRESSIONS = Fields(
 _KEYS = ("calibrations", "regressions")
 
 
-def read_comparison(path: str | os.PathLike[str]) -> dict[str, Any] | None:
+def read_comparison(path: StrPath) -> dict[str, Any] | None:
     """Return what a file says that `compare` wrote; None where it is another file.
 
     Raises
@@ -142,7 +142,7 @@ def read_comparison(path: str | os.PathLike[str]) -> dict[str, Any] | None:
 def comparison_content(
     found: Mapping[str, Any],
     *,
-    lab: "str | os.PathLike[str] | Mapping[str, Any] | None" = None,
+    lab: "StrPath | Mapping[str, Any] | None" = None,
     language: sections.Language = "en",
 ) -> Content:
     """Return what the report of repeated calibrations or regressions says.

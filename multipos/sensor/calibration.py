@@ -9,7 +9,6 @@ degrees of freedom (JCGM 100, 6.2 and annex G), at the coverage probability `con
 """
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import field as declared
 from dataclasses import replace
@@ -21,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
 from multipos.files import numbers, trees, whole
+from multipos.files.spelling import StrPath
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
@@ -439,7 +439,7 @@ class Calibration(Result, Drawn):
 
         return calibration_dict(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the calibration as JSON, whole or not at all."""
         whole.write_text(path, trees.to_json(self.to_dict()))
 

@@ -8,7 +8,6 @@ to one another's sizes, and in the end what it says to what follows from it.
 """
 
 import math
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -45,6 +44,7 @@ from multipos.files.records import (
     require,
     require_covariance,
 )
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, read_findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
@@ -338,7 +338,7 @@ def _known_of(readings: Readings) -> dict[str, Any]:
     }
 
 
-def load(path: str | os.PathLike[str]) -> Calibration:
+def load(path: StrPath) -> Calibration:
     """Read a calibration written by `Calibration.save`.
 
     Raises

@@ -36,7 +36,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import near
+from multipos.files.spelling import StrPath, near
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE
 from multipos.positions.headers import is_environment
@@ -437,7 +437,7 @@ def _meant(name: str, words: Collection[str]) -> str:
     return next(swapped, "") or "".join(close)
 
 
-def read_model(model: "str | os.PathLike[str]") -> "str | ParsedModel":
+def read_model(model: StrPath) -> "str | ParsedModel":
     """Return a model of one's own from its line or from a TOML file; any other text as it is.
 
     Only a text with '=' is a line of one's own, so that a misspelt name never becomes one.

@@ -40,7 +40,6 @@ compensated force they act along its axis, dy = J e_axis.
 """
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
@@ -49,6 +48,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.spelling import StrPath
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import COMPONENTS, FEWEST, LARGEST, Array
 from multipos.results import Result, frozen
@@ -150,7 +150,7 @@ def zero_moves(calibration: Calibration, table: Mapping[str, float]) -> Array:
     return moves
 
 
-BudgetSource = str | os.PathLike[str] | Mapping[str, Any]
+BudgetSource = StrPath | Mapping[str, Any]
 
 DIVISORS = {
     "rectangular": math.sqrt(3.0),

@@ -21,7 +21,6 @@ Song and Qin 2009, section 3.2 and figure 1: at least four runs.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from itertools import pairwise
@@ -31,6 +30,7 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files import numbers, spelling, trees
+from multipos.files.spelling import StrPath
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence, t_tail
@@ -113,7 +113,7 @@ def _are_apart(times: Sequence[Array]) -> bool:
     return all(end < begin for (_, end), (begin, _) in pairwise(spans))
 
 
-Run = Calibration | Regression | Regressions | str | os.PathLike[str]
+Run = Calibration | Regression | Regressions | StrPath
 
 _DAY = 86400.0  # s
 _TIMES = {

@@ -27,7 +27,6 @@ ILAC-G24:2022 / OIML D 10:2022 (recalibration intervals); ISO/IEC 17043 (E_n).
 """
 
 import math
-import os
 import re
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
@@ -37,7 +36,7 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.files.limits import Limit, read_limits
-from multipos.files.spelling import near
+from multipos.files.spelling import StrPath, near
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors
 from multipos.results import Keyed, frozen
@@ -202,7 +201,7 @@ def _due(value: float, rate: Rate | None, low: float, high: float, at: float) ->
     return (day + timedelta(days=365.25 * years)).isoformat()
 
 
-LimitsSource = str | os.PathLike[str] | dict[str, Any]
+LimitsSource = StrPath | dict[str, Any]
 
 
 def _stated_limits(

@@ -37,7 +37,6 @@ JCGM 106:2012, 8.3 (guarded acceptance); ISO 13528:2015, 9.7; R. L. Berger, Tech
 """
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
@@ -48,6 +47,7 @@ from numpy.typing import NDArray
 from multipos.compensation.correction import correct
 from multipos.errors import MultiposError, UsageError
 from multipos.files import records, trees, whole
+from multipos.files.spelling import StrPath
 from multipos.files.tables import Column, Source, read_table
 from multipos.finding import FINDINGS, Findings, read_findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Mask
@@ -201,7 +201,7 @@ class Check(Result, Drawn):
         """Return everything as JSON carries it, keys as in docs/reference/formats.md."""
         return check_dict(self)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the check as JSON, whole or not at all."""
         whole.write_text(path, trees.to_json(self.to_dict()))
 
@@ -368,7 +368,7 @@ def check_dict(c: Check) -> dict[str, Any]:
     }
 
 
-def load_check(path: str | os.PathLike[str]) -> Check:
+def load_check(path: StrPath) -> Check:
     """Read a check of a calibration written by `Check.save`.
 
     Raises
