@@ -48,14 +48,16 @@ from multipos.estimation.unknown_orientations import Place, SearchedUnits, combi
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules
-from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import find_outlying_positions
+from multipos.sensor.fit_diagnostics import find_outlying_positions, studentised_squares
 from multipos.sensor.model import Model
 
 STILL = 0.99  # χ² point beyond which an excess variance does not explain residuals
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
+_STICKS_OUT = 5e-4  # probability that chance makes the largest residual of an output as large
+_FREE = 3.0  # degrees of freedom without which none sticks out
 _RULES = Rules(iterations=30, damping=1e-6)
 
 
@@ -324,6 +326,8 @@ class SharedOrientations:
         The size of the orientation sds is to be estimated.
     inverses : tuple of M (p_i, n) arrays
         Of the designs at the listed positions.
+    leverage : (M, n) array
+        There.
     """
 
     model: Model
@@ -332,6 +336,7 @@ class SharedOrientations:
     environment: Mapping[str, Array]
     estimated: bool
     inverses: tuple[Array, ...]
+    leverage: Array
 
     @property
     def dof(self) -> float:
@@ -378,8 +383,12 @@ def share_orientations(
     spare = len(reference) - len(model.keys)
     if not design.well_posed or (spare < SEPARATING and not orientation_sd.all()):
         return None
+    inverses = tuple(design.inverses)
+    leverage = np.array(
+        [np.einsum("np,pn->n", *each) for each in zip(design.designs, inverses, strict=True)]
+    )
     return SharedOrientations(
-        model, reference, orientation_sd, design.environment, estimated, tuple(design.inverses)
+        model, reference, orientation_sd, design.environment, estimated, inverses, leverage
     )
 
 
@@ -429,6 +438,7 @@ def _estimate(
         [y @ inverse.T for y, inverse in zip(values, shared.inverses, strict=True)], axis=1
     )
     place = start.at(theta, np.zeros((2, count, n)))
+    valid &= ~_stick_out(shared, place.residuals)
     least = ROUNDING**2 * np.einsum("mbn,mbn->b", values, values)
     valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     place, ended = search(start, place)
@@ -459,6 +469,20 @@ def _estimate(
     dof = np.broadcast_to(tail[:, None], theta.shape)
     of_units = Estimates(theta, U, dof, rms, residuals, *left.inverted[:2], valid, chi2)
     return of_units._replace(solutions=(units.search.solution(place, equations),)), excess
+
+
+def _stick_out(shared: SharedOrientations, residuals: Array) -> Mask:
+    """Return of which units (B,) a reading sticks out from those at the positions as listed.
+
+    Where positions are better than was stated they would take up what it is off.
+    """
+    sd, h = shared.orientation_sd, shared.leverage
+    dof = np.rint(h.shape[1] - h.sum(axis=1))[:, None]
+    if np.ptp(sd) > 0.0 or dof.min() < _FREE:
+        return np.zeros(residuals.shape[1], dtype=np.bool_)
+    t2 = [[f_quantile(1.0 - _STICKS_OUT / h.size, 1.0, nu - 1.0)] for nu in dof[:, 0].tolist()]
+    largest = studentised_squares(residuals, h[:, None], dof[:, None]).max(axis=2)
+    return np.asarray((largest > dof * t2 / (t2 + dof - 1.0)).any(axis=0))
 
 
 def _any_noise(values: Array) -> Array:

@@ -101,6 +101,7 @@ WHOLE = "1+x+y+z+own^2+own*|own|+own^3+x*y+x*z+y*z"  # lacks no kind of term
         ("all-26", {"cubic": 2e-3}, {"unknown_orientation": True}, IGNORED),
         ("fibonacci-24", {"out": 5e-3}, {"unknown_orientation": True}, "orientation-ignored"),
         ("fibonacci-24", {"out": 9e-3}, {"orientation_sd": 0.1, "reading_sd": 1e-4}, "outlier"),
+        ("fibonacci-24", {"out": 5e-3, "noise": 3e-4}, {"orientation_sd": 0.3}, "outlier"),
         ("all-26", {}, {"orientation_sd": 0.02, "model": WHOLE}, ""),
     ],
 )
