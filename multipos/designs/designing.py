@@ -265,13 +265,16 @@ def design(
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
     rng = np.random.default_rng(seed)
     value, up = _search(setting, wanted, positions - len(given), bench, given, best, rng)
+    none_found = MultiposError(
+        f"no {positions} positions were found that separate the parameters; "
+        "give more --positions or more candidates."
+    )
     if value == -math.inf:
-        raise MultiposError(
-            f"no {positions} positions were found that separate the parameters; "
-            "give more --positions or more candidates."
-        )
+        raise none_found
     up = np.concatenate([given, up[_order(setting, up, given, order)]])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
+    if not described.identifiable:  # what many candidates barely show
+        raise none_found
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     turned = travel_deg(up)
     return Design(

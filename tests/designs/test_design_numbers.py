@@ -424,6 +424,13 @@ def test_positions_that_separate_nothing_are_no_design(monkeypatch):
         mp.design("linear", 6)
 
 
+def test_positions_that_show_too_little_are_no_design():
+    """2e-10 own² is a column of norm 6e-10 at 9 positions or less; 1e-9 counts as an effect."""
+    with pytest.raises(mp.MultiposError, match="no 9 positions were found that separate"):
+        mp.design("each = b + s*own + k*2e-10*own^2", 9, axes="x")
+    assert mp.design("each = b + s*own + k*2e-10*own^2", 60, axes="x").log_det is not None
+
+
 def test_sentences_count_schemes_and_positions():
     def scheme(name, efficiency):
         return SimpleNamespace(
