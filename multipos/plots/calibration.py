@@ -29,19 +29,38 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     large. Where sessions were combined, s is that within a session.
     """
     c = calibration
-    column = c.outputs.index(output)
-    left = np.maximum(1.0 - c.diagnostics.leverage[:, column], 0.0)
-    band = 2.0 * c.sd_of_readings[:, column] * np.sqrt(left)
-    at = np.arange(len(c.readings))
+    i = c.outputs.index(output)
+    within = "" if c.sessions is None else " within a session"
+    _draw_series(c, axes, _series_of_outputs(c)[i], i, within)
+
+
+Series = tuple[str, str, Array, Array]  # name, unit, residuals (n,) and ±2 sd of each
+
+
+def residual_series(calibration: Calibration) -> list[Series]:
+    """Return the residuals that a calibration has: of its outputs, or `size_residuals`."""
+    c = calibration
+    if c.estimator is not Estimator.UNKNOWN:
+        return _series_of_outputs(c)
+    sizes, sd = size_residuals(c)
+    return [(worded("size of the force", c.field), c.field.printed, sizes, 2.0 * sd)]
+
+
+def _series_of_outputs(c: Calibration) -> list[Series]:
+    bands = 2.0 * c.sd_of_readings * np.sqrt(np.maximum(1.0 - c.diagnostics.leverage, 0.0))
+    columns = zip(c.outputs, c.residuals.T, bands.T, strict=True)
+    return [(output, c.model.unit, left, band) for output, left, band in columns]
+
+
+def _draw_series(c: Calibration, axes: "Axes", found: Series, place: int, within: str) -> None:
+    name, unit, values, band = found
+    at = np.arange(len(values))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
-        band_label = "±2 sd" if c.sessions is None else "±2 sd within a session"
-        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=band_label)
-    axes.plot(
-        at, c.residuals[:, column], MARKERS[column % 8], color=COLOURS[column % 6], label=output
-    )
+        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=f"±2 sd{within}")
+    axes.plot(at, values, MARKERS[place % 8], color=COLOURS[place % 6], label=name)
     _name_positions(axes, c.readings.labels)
-    name_axis(axes.yaxis, output, c.model.unit)
+    name_axis(axes.yaxis, name, unit)
     name_series(axes, 2)
 
 
@@ -62,16 +81,8 @@ def size_residuals(calibration: Calibration) -> tuple[Array, Array]:
 
 def draw_size_residuals(calibration: Calibration, axes: "Axes") -> None:
     """Draw `size_residuals` at every position, with ±2 standard deviations of each."""
-    c = calibration
-    error, sd = size_residuals(c)
-    at = np.arange(len(error))
-    axes.axhline(0.0, color="#000000", linewidth=0.6)
-    if np.isfinite(sd).all():
-        axes.vlines(at, -2.0 * sd, 2.0 * sd, color=COLOURS[5], linewidth=5.0, label="±2 sd")
-    axes.plot(at, error, MARKERS[0], color=COLOURS[0], label=worded("size of the force", c.field))
-    _name_positions(axes, c.readings.labels)
-    name_axis(axes.yaxis, worded("size of the force", c.field), c.field.printed)
-    name_series(axes, 2)
+    (found,) = residual_series(calibration)
+    _draw_series(calibration, axes, found, 0, "")
 
 
 def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":

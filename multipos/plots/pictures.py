@@ -16,12 +16,11 @@ import numpy as np
 from multipos.files.numbers import number, readable_unit
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import size_residuals
+from multipos.plots.calibration import residual_series
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_errors
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import worded
 
 Words = Callable[[str], str]
 _WIDTH, _TYPE, _INK = 360, 11, "#000000"
@@ -170,17 +169,7 @@ def residual_picture(calibration: Calibration, words: Words = str) -> str:
     where the leverage is large; where sessions were combined, those within a session.
     """
     c = calibration
-    if c.estimator is Estimator.UNKNOWN:
-        size, sd = size_residuals(c)
-        what = worded("size of the force", c.field)
-        panels = [(what, c.field.printed, size, 2.0 * sd)]
-    else:
-        left = np.sqrt(np.maximum(1.0 - c.diagnostics.leverage, 0.0))
-        bands = 2.0 * c.sd_of_readings * left
-        panels = [
-            (output, c.model.unit, c.residuals[:, i], bands[:, i])
-            for i, output in enumerate(c.outputs)
-        ]
+    panels = residual_series(c)
     shown = _largest(np.max([np.abs(values) for _, _, values, _ in panels], axis=0))
     places = _LEFT + (shown + 0.5) * (_WIDTH - _LEFT - 4) / len(c.readings)
     picture = _Picture(len(panels) * _PANEL + _FOOT)

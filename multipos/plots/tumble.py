@@ -1,11 +1,12 @@
 """Figures of a single-axis tumble, and of the rolls of any calibration."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
+from multipos.numerics.arrays import Array
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
 from multipos.positions.harmonics import Harmonic, Roll, beyond_chance, find_rolls, series
 from multipos.sensor.calibration import Calibration
@@ -60,50 +61,44 @@ def _draw_signal(
 def draw_harmonics(calibration: Calibration, axes: "Axes", *, output: str) -> None:
     """Draw the amplitudes of the residuals' harmonics along each roll of a calibration."""
     rolls = [entry for entry in fourier_residuals(calibration) if entry["output"] == output]
-    width = 0.8 / max(len(rolls), 1)
     for k, entry in enumerate(rolls):
-        place = np.array([h["order"] for h in entry["harmonics"]])
-        axes.bar(
-            place + (k - (len(rolls) - 1) / 2.0) * width,
-            [h["amplitude"] for h in entry["harmonics"]],
-            width,
-            color=COLOURS[k],
-            hatch=HATCHES[k],
-            edgecolor="white",
-            linewidth=0.0,
-            label=f"roll about {entry['roll']}",
-        )
-        axes.set_xticks(place)
+        orders = [h["order"] for h in entry["harmonics"]]
+        sizes = [h["amplitude"] for h in entry["harmonics"]]
+        _draw_bars(axes, orders, sizes, k, len(rolls), f"roll about {entry['roll']}")
+        axes.set_xticks(orders)
+    _name_harmonics(axes, output, calibration)
+
+
+def _draw_bars(
+    axes: "Axes", orders: Sequence[int], sizes: Sequence[float], k: int, rolls: int, label: str
+) -> Array:
+    """Draw the harmonics of a roll, beside those of the others; return where the bars stand."""
+    width = 0.8 / rolls
+    place = np.array(orders) + (k - (rolls - 1) / 2.0) * width
+    look: dict[str, Any] = {"color": COLOURS[k], "hatch": HATCHES[k], "edgecolor": "white"}
+    axes.bar(place, sizes, width, linewidth=0.0, label=label, **look)
+    return place
+
+
+def _name_harmonics(axes: "Axes", what: str, calibration: Calibration) -> None:
     axes.set_xlabel("order")
-    name_axis(axes.yaxis, output, calibration.model.unit)
+    name_axis(axes.yaxis, what, calibration.model.unit)
     name_series(axes, 3)
 
 
 def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
     """Draw the amplitudes of what the model of a tumble leaves, named ones marked by a star."""
-    width = 0.8 / max(len(found.rolls), 1)
     strange = beyond_chance(found.residual_harmonics)
     for k, roll in enumerate(found.rolls):
         left = [h for h in found.residual_harmonics if h.plane == roll.plane]
-        place = np.array([h.order for h in left]) + (k - (len(found.rolls) - 1) / 2.0) * width
-        axes.bar(
-            place,
-            [h.amplitude for h in left],
-            width,
-            color=COLOURS[k],
-            hatch=HATCHES[k],
-            edgecolor="white",
-            linewidth=0.0,
-            label=f"plane {roll.plane}",
-        )
+        orders, sizes = [h.order for h in left], [h.amplitude for h in left]
+        place = _draw_bars(axes, orders, sizes, k, len(found.rolls), f"plane {roll.plane}")
         for x, h in zip(place.tolist(), left, strict=True):
             if h in strange:
                 axes.annotate(
                     "*", (x, h.amplitude), ha="center", va="bottom", fontsize=9.0, color="#000000"
                 )
-    axes.set_xlabel("order")
-    name_axis(axes.yaxis, "left by the model", found.calibration.model.unit)
-    name_series(axes, 3)
+    _name_harmonics(axes, "left by the model", found.calibration)
 
 
 def tumble_figure(found: Tumble | Tumbles) -> "Figure":

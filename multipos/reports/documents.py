@@ -22,7 +22,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from html import escape
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
@@ -38,7 +37,7 @@ from multipos.regression.regression import Regression, Regressions
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.regressions import regression_content
-from multipos.reports.sections import Figure, Language, PageTable, Section
+from multipos.reports.sections import Figure, Language, PageTable, Section, template
 from multipos.reports.several import comparison_content, fleet_content
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration
@@ -181,15 +180,12 @@ def html_report(content: Content) -> str:
         keep_trailing_newline=True,
         finalize=_without_controls,
     )
-    template = (
-        files("multipos.reports").joinpath("templates", "report.html").read_text(encoding="utf-8")
-    )
 
     def svg(figure: Figure, section: int, place: int) -> Any:
         return Markup(_inline(figure, f"f{section}-{place}"))
 
     number = content.lab.get("report.number", "")
-    return environment.from_string(template).render(
+    return environment.from_string(template("report.html")).render(
         content=content,
         number=number,
         running=_css_text(f"{content.title} {number}".strip()),
@@ -203,34 +199,37 @@ def html_report(content: Content) -> str:
 
 def markdown_report(content: Content) -> str:
     """Return a report as Markdown."""
-    parts = [f"# {content.title}", numbers.markdown_line(content.subtitle)]
-    parts.append(f"**{numbers.markdown_line(readable(content.sentence))}**")
-    findings, administrative = (
-        [f"## {title}\n\n{_bullets(entries, numbers.markdown_line, _MARKDOWN_BREAK)}"]
-        if entries
-        else []
-        for title, entries in _front(content)
-    )
-    first = [] if content.result is None else _markdown_section(content.result)
-    parts += [*findings, *first, *administrative]
-    for section in content.sections:
-        parts += _markdown_section(section)
-    return "\n\n".join(parts) + "\n"
+    line = numbers.markdown_line
+    head = [f"# {content.title}", line(content.subtitle), f"**{line(readable(content.sentence))}**"]
+
+    def listed(title: str, entries: Sequence[str]) -> str:
+        return f"## {title}\n\n{_bullets(entries, line, _MARKDOWN_BREAK)}"
+
+    return _assembled(content, head, listed, _markdown_section)
 
 
 def plain_report(content: Content) -> str:
     """Return a report as plain text."""
-    parts = [_underlined(content.title, "="), visible(content.subtitle)]
-    parts.append(textwrap.fill(visible(readable(content.sentence)), 96))
-    findings, administrative = (
-        [f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"] if entries else []
-        for title, entries in _front(content)
-    )
-    first = [] if content.result is None else _plain_section(content.result)
-    parts += [*findings, *first, *administrative]
-    for section in content.sections:
-        parts += _plain_section(section)
-    return "\n\n".join(parts) + "\n"
+    sentence = textwrap.fill(visible(readable(content.sentence)), 96)
+    head = [_underlined(content.title, "="), visible(content.subtitle), sentence]
+
+    def listed(title: str, entries: Sequence[str]) -> str:
+        return f"{_underlined(title, '-')}\n{_bullets(entries, visible, _BREAK)}"
+
+    return _assembled(content, head, listed, _plain_section)
+
+
+def _assembled(
+    content: Content,
+    head: Sequence[str],
+    listed: Callable[[str, Sequence[str]], str],
+    write: Callable[[Section], list[str]],
+) -> str:
+    """Return a report: its head, findings, first section, administrative data, and the others."""
+    findings, administrative = ([listed(*each)] if each[1] else [] for each in _front(content))
+    first = [] if content.result is None else write(content.result)
+    rest = [part for section in content.sections for part in write(section)]
+    return "\n\n".join([*head, *findings, *first, *administrative, *rest]) + "\n"
 
 
 def pdf_report(content: Content, progress: Callable[[int], object] = lambda _: None) -> bytes:

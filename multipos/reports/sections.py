@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -80,14 +81,13 @@ def _regular(pattern: str) -> "re.Pattern[str]":
 @lru_cache
 def _read(language: str) -> dict[str, Any]:
     import tomllib
-    from importlib.resources import files
 
-    text = (
-        files("multipos.reports")
-        .joinpath("templates", f"{language}.toml")
-        .read_text(encoding="utf-8")
-    )
-    return tomllib.loads(text)
+    return tomllib.loads(template(f"{language}.toml"))
+
+
+def template(name: str) -> str:
+    """Return a file of the folder of templates."""
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
 
 
 _WIDTH = 4.5  # inches of a figure, whose type can be read on a telephone

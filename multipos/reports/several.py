@@ -43,7 +43,7 @@ from multipos.reports import sections
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.findings import sessions_section
 from multipos.sensor.calibration_file import from_dict
-from multipos.verification.comparison import change_rows, comparison_sentence
+from multipos.verification.comparison import change_rows, comparison_sentence, or_nan
 
 _RUNS = Listed(Fields({"file": Maybe(ANY_TEXT), "created": Maybe(ANY_TEXT)}), 2)
 _VALUES = Listed(Maybe(ANY_NUMBER), 2)
@@ -218,9 +218,9 @@ def _result(found: Mapping[str, Any], tr: sections.Translator) -> sections.Secti
 
 def _less_mean(entry: Mapping[str, Any]) -> tuple[Array, Array]:
     """Return the values of a parameter less their mean, and their U: NaN where there is none."""
-    values = np.array([_or_nan(value) for value in entry["values"]])
+    values = np.array([or_nan(value) for value in entry["values"]])
     finite = values[np.isfinite(values)]
-    U = [_or_nan(size) for size in entry.get("U", (None,) * len(values))]
+    U = [or_nan(size) for size in entry.get("U", (None,) * len(values))]
     return values - (finite.mean() if len(finite) else math.nan), np.array(U)
 
 
@@ -233,9 +233,7 @@ def _parameters(found: Mapping[str, Any], tr: sections.Translator) -> sections.S
         *(tr("mean(sd)"), tr("drift per {unit}", unit=tr(per)), tr("its p"), "p", ""),
     )
     units = numbers.common_units(
-        (entry["unit"], _or_nan(value))
-        for entry in found["parameters"]
-        for value in entry["values"]
+        (entry["unit"], or_nan(value)) for entry in found["parameters"] for value in entry["values"]
     )
     rows = tuple(
         (
@@ -257,12 +255,12 @@ def _parameters(found: Mapping[str, Any], tr: sections.Translator) -> sections.S
 
 def _values_of(entry: Mapping[str, Any], shown: tuple[float, str]) -> list[str]:
     """Return unit, values, mean and sd, and drift of a parameter, in the unit to show."""
-    values = np.array([_or_nan(value) for value in entry["values"]])
+    values = np.array([or_nan(value) for value in entry["values"]])
     factor, unit = shown
-    sd = factor * _or_nan(entry["sd"])
+    sd = factor * or_nan(entry["sd"])
     decimals = numbers.decimals_of(sd)
     form = ".7g" if decimals is None else f".{decimals + 1}f"
-    middle = factor * _or_nan(entry["mean"])
+    middle = factor * or_nan(entry["mean"])
     cells = ["-" if np.isnan(value) else f"{value:{form}}" for value in factor * values]
     drift = None if entry["drift"] is None else numbers.beyond_rounding(factor * entry["drift"])
     mean = f"{middle:{form}}" if decimals is None else numbers.uncertain(middle, sd)
@@ -315,10 +313,6 @@ def _origin(runs: Sequence[Mapping[str, Any]], tr: sections.Translator) -> secti
     return sections.Section(
         tr("Data"), tables=(sections.PageTable(tr("Runs"), header, rows, left=3),)
     )
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 _ROUNDING = 1e-9  # [deg]

@@ -74,7 +74,7 @@ from multipos.verification.regressions import check_regression, check_regression
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.
-Errors = tuple[Array, Array, Array, Array, Array]
+Errors = tuple[Array, ...]
 
 
 class RunNoise(NamedTuple):
@@ -183,8 +183,7 @@ def tilt_errors(
     U = np.hypot(found.U, k * of_orientation)
     u = np.hypot(found.u, of_orientation)
     arrays = (reference, before - reference, found.tilt - reference, u, U)
-    degrees = [np.degrees(array) for array in arrays]
-    return degrees[0], degrees[1], degrees[2], degrees[3], degrees[4]
+    return tuple(np.degrees(array) for array in arrays)
 
 
 def _orientation_error(data: Readings) -> Array:

@@ -353,22 +353,12 @@ def _compare(
         drift=drift.slope,
         drift_u=drift.u,
         drift_p=drift.p,
-        chi2=judged.chi2,
-        p=judged.p,
-        dof=judged.dof,
-        scatter_dof=judged.scatter_dof,
         bias_stability=_of_biases(found[0], sd),
-        statistic=judged.statistic,
-        dof_total=judged.dof_total,
-        p_total=judged.p_total,
-        test=judged.test,
-        consistent=judged.consistent,
-        moved=judged.moved,
         per=drift.per,
         times=drift.times,
         combined=combined,
-        findings=in_order(findings),
         changes=() if same else find_changes(found, since_1970(found), limits),
+        **vars(judged) | {"findings": in_order(findings)},
     )
 
 
@@ -468,7 +458,7 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     largest: dict[str, float] = {}  # rows of one unit keep one
     for each in changes:
         unit = units.get(each["name"], "")
-        size = max(abs(_or_nan(each["change"])), _or_nan(each["U"]))
+        size = max(abs(or_nan(each["change"])), or_nan(each["U"]))
         largest[unit] = max(largest.get(unit, 0.0), size)
     for each in changes:
         rate, unit = each["per_year"], units.get(each["name"], "")
@@ -489,14 +479,15 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
 
 
-def _or_nan(value: float | None) -> float:
+def or_nan(value: float | None) -> float:
+    """Return a number of JSON, which has null for NaN."""
     return math.nan if value is None else value
 
 
 def _beside(factor: float, value: float | None, U: float | None) -> tuple[str, str]:
     """Return a value and its U times a factor, to the two digits of U."""
-    size = factor * _or_nan(U)
-    return numbers.beside(factor * _or_nan(value), size, size)
+    size = factor * or_nan(U)
+    return numbers.beside(factor * or_nan(value), size, size)
 
 
 def _limit_in_words(limit: float | Sequence[float | None] | None, factor: float) -> str:

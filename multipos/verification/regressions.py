@@ -301,21 +301,16 @@ def check_regressions(
         pairs = zip(regressions.values(), found, strict=True)
         family = np.hstack([one.U * _family_factor(r, errors) for r, one in pairs])
 
-    def stacked(name: str) -> Any:
-        return np.hstack([getattr(one, name) for one in found])
-
+    by_row = ("reference", "before", "after", "u", "U", "verdicts", "counted")
+    stacked: dict[str, Any] = {
+        name: np.hstack([getattr(one, name) for one in found]) for name in by_row
+    }
     return replace(
         first,
         quantity=", ".join(regressions),
         axes=tuple(regressions),
-        reference=stacked("reference"),
-        before=stacked("before"),
-        after=stacked("after"),
-        u=stacked("u"),
-        U=stacked("U"),
         U_family=family,
-        verdicts=stacked("verdicts"),
-        counted=stacked("counted"),
+        **stacked,
         linearity_percent={"before": nothing, "after": nothing},
         findings=in_order(each for one in found for each in one.findings),
         segments=first.segments if same else {},
