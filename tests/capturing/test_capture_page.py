@@ -177,6 +177,7 @@ def test_two_streams_see_the_same(live):
         connection.request("GET", "/events")
         answer = connection.getresponse()
         assert answer.getheader("Content-Type") == "text/event-stream"
+        assert answer.getheader("Connection") == "close"
         assert answer.readline() == b"event: state\n"
         seen.append(json.loads(answer.readline().removeprefix(b"data: ")))
         connection.close()

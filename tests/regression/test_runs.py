@@ -78,12 +78,18 @@ def test_segments_without_a_jump_share_what_runs_differ_by():
     assert left == pytest.approx(right)
 
 
-def test_a_file_keeps_what_runs_differ_by(tmp_path):
-    r = mp.regress(runs(1, 8, slope=1.0), response="y", variables="t", run="run")
-    r.save(tmp_path / "reg.json")
-    assert mp.load_regression(tmp_path / "reg.json") == r
+@pytest.mark.parametrize(("slope", "variable"), [(0.0, None), (1.0, "t")])
+def test_a_file_keeps_what_runs_differ_by(tmp_path, slope, variable):
+    r = mp.regress(runs(1, 8, slope=slope), response="y", variables="t", run="run")
+    path = tmp_path / "reg.json"
+    r.save(path)
+    assert mp.load_regression(path) == r
     entry = r.to_dict()["segments"][0]["between_runs"]
-    assert (entry["runs"], entry["dof"], entry["variable"]) == (8, 7, "t")
+    assert (entry["runs"], entry["dof"], entry.get("variable")) == (8, 7, variable)
+    if variable:
+        path.write_text(path.read_text().replace('"variable": "t"', '"variable": "q"'))
+        with pytest.raises(MultiposError, match="'between_runs' of a segment does not fit"):
+            mp.load_regression(path)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from findings_bench import texts
+from scipy import stats
 
 import multipos as mp
 from multipos.numerics.quantiles import f_tail, normal_quantile
@@ -116,6 +117,8 @@ def test_f_robust_is_the_largest_p_of_the_plausible_laws():
         ]
         largest = max(largest, f_tail((rss[1] - rss[0]) / 2.0 / (rss[0] / (n - 3)), 2, n - 3))
     assert segment.robust.p == pytest.approx(largest, rel=1e-6)
+    b = segment.coefficients[1]
+    assert b.p_robust == pytest.approx(2 * stats.t.sf(abs(b.t_robust), segment.robust.t_dof))
 
 
 def test_what_few_rows_leave_open_is_said():
