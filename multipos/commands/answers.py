@@ -16,12 +16,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import STDIN, Pipe, is_pipe
 from multipos.files.spelling import StrPath, escaped, visible_lines
+from multipos.files.trees import to_json
 from multipos.files.whole import Content, check_place, written
 from multipos.finding import Finding, Findings, errors_of, in_order, serious
 from multipos.results import frozen
@@ -29,6 +30,7 @@ from multipos.results import frozen
 if TYPE_CHECKING:
     from tempfile import SpooledTemporaryFile
 
+T = TypeVar("T")
 STDOUT = "-"
 NEGATIVE = 3  # exit status: written and printed, but the verdict is negative
 # Forms of an answer: the endings that ask for them, and what they are in words.
@@ -176,6 +178,20 @@ class Answer:
         found = "\n".join(map(str, in_order(self.findings())))
         parts = [self.sentence(), text, found, self.detail()]
         return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
+
+
+def answer_of(
+    found: T, sentence: Callable[[T], str], text: Callable[[T], Content], **more: Any
+) -> Answer:
+    """Return the answer of a result by what writes it, its JSON and findings its own."""
+    result: Any = found
+    return Answer(
+        sentence=lambda: sentence(found),
+        text=lambda: text(found),
+        json=lambda: to_json(result.to_dict()),
+        findings=lambda: result.findings,
+        **more,
+    )
 
 
 @frozen(eq=True)

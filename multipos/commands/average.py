@@ -2,10 +2,9 @@
 
 import argparse
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import declare, file_progress, options_of
 from multipos.files.tables import format_csv
-from multipos.files.trees import to_json
 from multipos.logs.averages import averages_sentence, averages_text
 from multipos.logs.readers import formats_read
 
@@ -24,10 +23,5 @@ def run(arguments: argparse.Namespace) -> Answer:
         from multipos.logs.averaging import average  # with the search for rests
 
         found = average(*arguments.logs, progress=progress, **options_of(arguments, "average"))
-    return Answer(
-        sentence=lambda: averages_sentence(found),
-        text=lambda: averages_text(found),
-        json=lambda: to_json(found.to_dict()),
-        forms={"table": lambda: format_csv(found.columns())},
-        findings=lambda: found.findings,
-    )
+    forms = {"table": lambda: format_csv(found.columns())}
+    return answer_of(found, averages_sentence, averages_text, forms=forms)

@@ -1,11 +1,12 @@
 """``multipos check``."""
 
 import argparse
+from functools import partial
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.tables import format_csv, read_table
-from multipos.files.trees import read_schema, to_json
+from multipos.files.trees import read_schema
 from multipos.finding import Findings, errors_of
 from multipos.plots.fits import check_figure
 from multipos.regression.regression import Regression, Regressions
@@ -30,18 +31,13 @@ def run(arguments: argparse.Namespace) -> Answer:
     fitted = read_schema(arguments.calibration) == SCHEMA
     calibration = (load_regression if fitted else load)(arguments.calibration)
     found = check(calibration, arguments.readings, **options_of(arguments, "check"))
-    return Answer(
-        sentence=lambda: check_sentence(found),
-        text=lambda: check_text(found),
-        detail=lambda: "\n".join(run_conclusions(found)),
-        json=lambda: to_json(found.to_dict()),
-        forms={
-            "figure": lambda: check_figure(found),
-            "table": lambda: _errors(calibration, arguments, found),
-        },
-        findings=lambda: found.findings,
-        negative=lambda findings: _failed(found, findings),
-    )
+    forms = {
+        "figure": lambda: check_figure(found),
+        "table": lambda: _errors(calibration, arguments, found),
+    }
+    more = {"detail": lambda: "\n".join(run_conclusions(found)), "forms": forms}
+    negative = partial(_failed, found)
+    return answer_of(found, check_sentence, check_text, negative=negative, **more)
 
 
 def _failed(found: Check, findings: Findings) -> bool:

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
@@ -19,13 +19,12 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "fi
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     found = comparison.compare(*arguments.calibrations, **options_of(arguments, "compare"))
-    return Answer(
-        sentence=lambda: comparison.comparison_sentence(plain(found.to_dict())),
-        text=lambda: _text(found)[0],
+    return answer_of(
+        found,
+        lambda found: comparison.comparison_sentence(plain(found.to_dict())),
+        lambda found: _text(found)[0],
         detail=lambda: _text(found)[1],
-        json=lambda: to_json(found.to_dict()),
         forms={"figure": lambda: _figure(found), **_combined(found)},
-        findings=lambda: found.findings,
         negative=lambda _: _is_beyond(found),  # errors are of calibrations made before
     )
 

@@ -4,11 +4,10 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of, progress_bar, setting_of
 from multipos.designs import designing
 from multipos.errors import UsageError
-from multipos.files.trees import to_json
 
 INPUTS = ("candidates", "include", "region")
 OUTPUT = Output(
@@ -32,18 +31,11 @@ def run(arguments: argparse.Namespace) -> Answer:
 
     with progress_bar("searching positions"):
         found = make(arguments.positions)
-    return Answer(
-        sentence=lambda: designing.design_sentence(found),
-        text=lambda: designing.design_text(found),
-        json=lambda: to_json(found),
-        forms={
-            "table": lambda: designing.design_csv(found),
-            "figure": lambda: _figure(
-                designing.smaller_designs(make, found), sensed=axes, **setting
-            ),
-        },
-        findings=lambda: found.findings,
-    )
+    forms = {
+        "table": lambda: designing.design_csv(found),
+        "figure": lambda: _figure(designing.smaller_designs(make, found), sensed=axes, **setting),
+    }
+    return answer_of(found, designing.design_sentence, designing.design_text, forms=forms)
 
 
 def _figure(designs: Sequence[designing.Design], **setting: Any) -> Any:

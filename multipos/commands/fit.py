@@ -1,11 +1,11 @@
 """``multipos fit``."""
 
 import argparse
+from functools import partial
 from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
-from multipos.files.trees import to_json
 from multipos.fitting.fit_readings import fit
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
@@ -17,14 +17,9 @@ OUTPUT = Output("CAL.json", "write the calibration to CAL.json", "json", ("text"
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     calibration = fit(arguments.readings, **options_of(arguments, "fit"))
-    return Answer(
-        sentence=lambda: calibration_sentence(calibration),
-        text=lambda: parameter_text(calibration),
-        detail=lambda: detail_text(calibration),
-        json=lambda: to_json(calibration.to_dict()),
-        forms={"figure": lambda: _figure(calibration)},
-        findings=lambda: calibration.findings,
-    )
+    forms = {"figure": lambda: _figure(calibration)}
+    detail = partial(detail_text, calibration)
+    return answer_of(calibration, calibration_sentence, parameter_text, detail=detail, forms=forms)
 
 
 def _figure(calibration: Calibration) -> Any:

@@ -2,10 +2,9 @@
 
 import argparse
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.tables import Source
-from multipos.files.trees import to_json
 from multipos.fitting.regress_columns import regress
 from multipos.plots.fits import regression_figure
 from multipos.regression.observations import join_runs
@@ -26,10 +25,5 @@ def run(arguments: argparse.Namespace) -> Answer:
     else:
         (data,) = arguments.data
     regression = regress(data, **options)
-    return Answer(
-        sentence=lambda: regression_sentence(regression),
-        text=lambda: f"{regression}\n",
-        json=lambda: to_json(regression.to_dict()),
-        forms={"figure": lambda: regression_figure(regression, data)},
-        findings=lambda: regression.findings,
-    )
+    forms = {"figure": lambda: regression_figure(regression, data)}
+    return answer_of(regression, regression_sentence, lambda r: f"{r}\n", forms=forms)

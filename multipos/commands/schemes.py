@@ -3,12 +3,11 @@
 import argparse
 from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import declare, setting_of
 from multipos.designs.assessment import Schemes, schemes, schemes_sentence, schemes_text
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
-from multipos.files.trees import to_json
 from multipos.positions.scheme import SCHEMES, lay_scheme
 
 INPUTS = ("schemes",)
@@ -33,16 +32,11 @@ def run(arguments: argparse.Namespace) -> Answer:
     axes = arguments.axes or ("x", "y", "z")
     setting = setting_of(arguments)
     found = schemes(*arguments.schemes, axes=axes, order=arguments.order, **setting)
-    return Answer(
-        sentence=lambda: schemes_sentence(found),
-        text=lambda: schemes_text(found),
-        json=lambda: to_json(found),
-        forms={
-            "figure": lambda: _figure(found, sensed=axes, **setting),
-            "table": lambda: _scheme_file(arguments),
-        },
-        findings=lambda: found.findings,
-    )
+    forms = {
+        "figure": lambda: _figure(found, sensed=axes, **setting),
+        "table": lambda: _scheme_file(arguments),
+    }
+    return answer_of(found, schemes_sentence, schemes_text, forms=forms)
 
 
 def _scheme_file(arguments: argparse.Namespace) -> str:

@@ -4,10 +4,9 @@ import argparse
 
 from multipos.bias_stability.analysis import stability
 from multipos.bias_stability.stability_result import stability_sentence, stability_text
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import declare, file_progress, options_of
 from multipos.files.tables import format_csv
-from multipos.files.trees import to_json
 from multipos.logs.readers import formats_read
 from multipos.plots.stability import stability_figure
 
@@ -24,13 +23,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     with file_progress(arguments.logs, "reading") as progress:
         found = stability(*arguments.logs, progress=progress, **options_of(arguments, "stability"))
-    return Answer(
-        sentence=lambda: stability_sentence(found),
-        text=lambda: stability_text(found),
-        json=lambda: to_json(found.to_dict()),
-        forms={
-            "table": lambda: format_csv(found.columns()),
-            "figure": lambda: stability_figure(found),
-        },
-        findings=lambda: found.findings,
-    )
+    forms = {
+        "table": lambda: format_csv(found.columns()),
+        "figure": lambda: stability_figure(found),
+    }
+    return answer_of(found, stability_sentence, stability_text, forms=forms)

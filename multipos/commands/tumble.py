@@ -1,10 +1,10 @@
 """``multipos tumble``."""
 
 import argparse
+from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
-from multipos.files.trees import to_json
 from multipos.plots.tumble import tumble_figure
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
 from multipos.verification.tumbling import Tumbles, tumble
@@ -16,10 +16,5 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "json", ("figure", "
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     found = tumble(arguments.readings, **options_of(arguments, "tumble"))
-    return Answer(
-        sentence=lambda: tumble_sentence(found),
-        text=lambda: tumbles_text(found) if isinstance(found, Tumbles) else tumble_text(found),
-        json=lambda: to_json(found.to_dict()),
-        forms={"figure": lambda: tumble_figure(found)},
-        findings=lambda: found.findings,
-    )
+    text: Any = tumbles_text if isinstance(found, Tumbles) else tumble_text
+    return answer_of(found, tumble_sentence, text, forms={"figure": lambda: tumble_figure(found)})

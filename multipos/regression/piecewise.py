@@ -38,7 +38,6 @@ from multipos.numerics.selection import (
     Subset,
     SubsetCriterion,
     Thresholds,
-    Triangle,
     all_subsets,
     coefficients,
     compress,
@@ -60,7 +59,7 @@ from multipos.regression.robust import (
     runs_lost,
     within_runs,
 )
-from multipos.regression.segment import LeftOut, Robust, Segment
+from multipos.regression.segment import LeftOut, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 from multipos.regression.variation import LEAST, Contributions, by_degree, varying
 from multipos.results import frozen
@@ -181,12 +180,15 @@ class Plan:
         return CONSTANT in self.terms
 
 
+_Subsets = tuple[tuple[tuple[str, ...], Subset], ...]
+
+
 @frozen
 class _Fit:
     """Chosen columns of a design and their least squares."""
 
     selection: Selection
-    subsets: tuple[tuple[tuple[str, ...], Subset], ...]
+    subsets: _Subsets
     found: LinearFit | None  # None where nothing was chosen
     design: Array
     residuals: Array
@@ -312,24 +314,11 @@ def fit_segment(
         F = (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf
     values = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
-    segment = _segment(
-        plan,
-        fit,
-        data,
-        np.arange(len(data)),
-        terms,
-        values,
-        fit.covariance,
-        (k, fit.dof),
-        F,
-        span,
-        branch,
-        robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
-    )
+    rows, estimate = np.arange(len(data)), (terms, values, fit.covariance)
+    segment = _segment(plan, fit, data, rows, estimate, (F, k), (span, branch), robust)
     short = fit.selection.short
     kept = original[:, list(fit.selection.columns)]
-    whole = [(terms, None, np.arange(len(data)), span)]
-    (region,) = _regions(plan, read, kept, short, variable, whole)
+    (region,) = _regions(plan, read, kept, short, variable, [(terms, None, rows, span)])
     segment = replace(segment, left_out=_left_out(plan, fit.selection, terms), region=region)
     if read.run is None:
         return segment
@@ -400,20 +389,8 @@ def fit_continuous(
         slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
         F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
         turned = None if robust is None else robust.turned(L)
-        segment = _segment(
-            plan,
-            fit,
-            data,
-            parts[s],
-            terms,
-            values,
-            covariance,
-            (k, fit.dof),
-            F,
-            span,
-            branch,
-            robust_test(turned, terms, values, (F, k, fit.dof), plan.confidence),
-        )
+        estimate = terms, values, covariance
+        segment = _segment(plan, fit, data, parts[s], estimate, (F, k), (span, branch), turned)
         left_out = _left_out(plan, fit.selection, terms)
         segments.append(replace(segment, left_out=left_out, region=regions[s]))
     if read.run is None:
@@ -455,14 +432,13 @@ def _fit(
         selection, subsets = _select(plan, design, data, names, requires, lost, demand)
         columns = list(selection.columns)
         if not columns:
-            zero = np.zeros((0, 0))
-            return _Fit(
-                selection, subsets, None, design[:, :0], response, np.zeros(n), zero, n - lost
-            )
+            none, zero = np.zeros((0, 0)), np.zeros(n)
+            return _Fit(selection, subsets, None, design[:, :0], response, zero, none, n - lost)
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
         dof = found.dof - lost
         s2 = float(found.rss) / dof if dof else np.nan
+        covariance, left, leverage = found.cofactor * s2, found.residuals, found.leverage
         u = np.sqrt(np.diag(found.cofactor) * s2)
         sizes = np.fmax(np.abs(found.coefficients), u)
         _check_size("coefficient", sizes, [names[j] for j in columns])
@@ -476,16 +452,7 @@ def _fit(
         ) from None
     except MultiposError as error:
         raise MultiposError(f"{where}: {error}") from None
-    return _Fit(
-        selection,
-        subsets,
-        found,
-        chosen,
-        found.residuals,
-        found.leverage,
-        found.cofactor * s2,
-        dof,
-    )
+    return _Fit(selection, subsets, found, chosen, left, leverage, covariance, dof)
 
 
 def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
@@ -519,7 +486,7 @@ def _select(
     requires: list[frozenset[int]],
     lost: int,
     demand: _Demand,
-) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
+) -> tuple[Selection, _Subsets]:
     """Return the columns that are taken, of those that vary, and the subsets that were compared."""
     every = range(len(names))
     tried = list(every)
@@ -535,42 +502,27 @@ def _select(
         triangle = compress(whitening(design[:, tried]), whitening(data.response))
     least = np.sqrt(LEAST * len(design) * demand.variances[tried])
     guard = Guard(plain, least, lambda c, b: demand.cancel([tried[j] for j in c], b))
-    found, subsets = _search(
-        plan,
-        replace(triangle, rows=triangle.rows - lost),
-        [names[j] for j in tried],
-        [place[j] for j in every if names[j] == str(CONSTANT)],
-        [frozenset(place[k] for k in requires[j] if k in place) for j in tried],
-        guard,
-    )
-    found = replace(
-        found,
-        columns=tuple(tried[j] for j in found.columns),
-        cancelling=tuple(tried[j] for j in found.cancelling),
-        short=short or found.short,
-    )
-    return found, subsets
-
-
-def _search(
-    plan: Plan,
-    triangle: Triangle,
-    names: list[str],
-    forced: list[int],
-    requires: list[frozenset[int]],
-    guard: Guard,
-) -> tuple[Selection, tuple[tuple[tuple[str, ...], Subset], ...]]:
-    needed = requires if plan.hierarchy else None
-    if plan.method != "subsets":
+    triangle = replace(triangle, rows=triangle.rows - lost)
+    called = [names[j] for j in tried]
+    forced = [place[j] for j in every if names[j] == str(CONSTANT)]
+    needed = None
+    if plan.hierarchy:
+        needed = [frozenset(place[k] for k in requires[j] if k in place) for j in tried]
+    named: _Subsets = ()
+    if plan.method == "subsets":
+        every_one = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
+        named = tuple((tuple(called[j] for j in subset.columns), subset) for subset in every_one)
+        sets = (subset.columns for subset in every_one)
+        sound = (s for s in sets if not guard.cancel(s, coefficients(triangle, s)))
+        found = Selection(next(sound, tuple(forced)))
+    else:
         select = select_stepwise if plan.method == "stepwise" else select_backward
-        found = select(triangle, names, plan.limits, forced=forced, requires=needed, guard=guard)
-        return found, ()
-    subsets = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
-    named = tuple((tuple(names[j] for j in subset.columns), subset) for subset in subsets)
-    sound = (
-        s.columns for s in subsets if not guard.cancel(s.columns, coefficients(triangle, s.columns))
+        found = select(triangle, called, plan.limits, forced=forced, requires=needed, guard=guard)
+    columns, cancelling = (
+        tuple(tried[j] for j in each) for each in (found.columns, found.cancelling)
     )
-    return Selection(next(sound, tuple(forced))), named
+    found = replace(found, columns=columns, cancelling=cancelling, short=short or found.short)
+    return found, named
 
 
 def _segment(
@@ -578,21 +530,18 @@ def _segment(
     fit: _Fit,
     data: Data,
     rows: Rows,
-    terms: tuple[Term, ...],
-    values: Array,
-    covariance: Array,
-    dof: tuple[int, int],
-    F: float,
-    span: tuple[float, float],
-    branch: str | None,
-    robust: Robust | None,
+    estimate: tuple[tuple[Term, ...], Array, Array],
+    test: tuple[float, int],
+    place: tuple[tuple[float, float], str | None],
+    robust: RobustFit | None,
 ) -> Segment:
+    """Return a segment of its rows by terms, values and covariance; F on k; span and branch."""
+    (terms, values, covariance), (F, k), (span, branch) = estimate, test, place
     y, e, h = data.response[rows], fit.residuals[rows], fit.leverage[rows]
     constant = CONSTANT in terms
     rss, tss = float(e @ e), float(((y - (y.mean() if constant else 0.0)) ** 2).sum())
     left = fit.dof if len(rows) == len(data) else len(rows) - float(h.sum())
     whole = float(fit.residuals @ fit.residuals)
-    k, nu = dof
     variance = rss / left if left > 0 else np.nan
     lost = rss / tss if tss > 0.0 else np.nan
     ratio = variance / (tss / (len(rows) - constant)) if tss > 0.0 else np.nan
@@ -606,15 +555,15 @@ def _segment(
         terms=terms,
         values=values,
         covariance=covariance,
-        dof=(k, nu),
+        dof=(k, fit.dof),
         r2=1.0 - lost,
         adjusted_r2=1.0 - ratio,
         rms=float(np.sqrt(variance)),
         aicc=criteria(whole, len(data), fit.design.shape[1])[0],
         press=press,
         F=F,
-        F_critical=f_quantile(plan.confidence, k, nu),
-        p=f_tail(F, k, nu) if F == F else np.nan,
+        F_critical=f_quantile(plan.confidence, k, fit.dof),
+        p=f_tail(F, k, fit.dof) if F == F else np.nan,
         limits={
             name: (float(data.columns[name][rows].min()), float(data.columns[name][rows].max()))
             for name in plan.variables
@@ -626,5 +575,5 @@ def _segment(
             name for name in selection.collinear if name in names and name not in map(str, terms)
         ),
         subsets=fit.subsets,
-        robust=robust,
+        robust=robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
     )

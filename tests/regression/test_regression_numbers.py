@@ -200,9 +200,8 @@ def test_numbers_of_a_segment_by_their_definitions():
     plan = SimpleNamespace(terms=terms, confidence=0.9, variables=("t",))
 
     def segment(rows, kept):
-        return _segment(
-            plan, fit, data, rows, kept, np.zeros(2), np.eye(2), (1, n - 2), 3.4, (0, 1), None, None
-        )
+        estimate = kept, np.zeros(2), np.eye(2)
+        return _segment(plan, fit, data, rows, estimate, (3.4, 1), ((0, 1), None), None)
 
     whole = segment(np.arange(n), terms)
     assert whole.rms == pytest.approx(math.sqrt(e @ e / (n - 2)))
