@@ -287,7 +287,8 @@ def _interchanges(view: View, rows: Rows) -> tuple[list[Repair], int]:
     diagonal = np.diag(M)
     curvature = (diagonal[:, None] + diagonal[None, :] - 2.0 * M)[:, :, None]
     total = (rss + 2.0 * d * (e[:, None] - e[None, :]) + d**2 * curvature) @ weight
-    first, second = np.triu_indices(len(rows), 1)
+    place = np.arange(len(rows))
+    first, second = np.nonzero(place[:, None] < place)
     moved = np.abs(d[first, second]).max(axis=1) > 0.0
     first, second = first[moved], second[moved]
     best = np.argsort(total[first, second])[:6]

@@ -429,12 +429,13 @@ def fit_sizes(bases: Sequence[Array], Z: Array, e: Array) -> tuple[Array, Array]
     Outputs of e (U, n, M) are weighted by what they scatter beside the cause, which alternates
     with the sizes.
     """
-    V = np.empty(Z.shape)
-    for i, Q in enumerate(bases):
-        V[:, :, i] = Z[:, :, i] - Q @ (Q.T @ Z[:, :, i])
+    V = np.empty((len(Z), len(bases), Z.shape[3], Z.shape[1]))  # rows long: products are fast
+    for i, (Q, own) in enumerate(zip(bases, V.swapaxes(0, 1), strict=True)):
+        mine = Z[:, :, i].swapaxes(1, 2)
+        np.subtract(mine, (mine @ Q) @ Q.T, out=own)
     nu = np.array([len(Q) - Q.shape[1] for Q in bases], dtype=np.float64)
-    gram = np.einsum("unmq,unmr->umqr", V, V)
-    along = np.einsum("unmq,unm->umq", V, e)
+    gram = V @ V.swapaxes(2, 3)
+    along = np.einsum("umqn,unm->umq", V, e)
     square = np.einsum("unmq,unmq->umq", Z, Z)
     before = now = np.einsum("unm,unm->um", e, e)
     for _ in range(_ROUNDS):

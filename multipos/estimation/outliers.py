@@ -30,7 +30,7 @@ References
 
 import math
 import random
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 
@@ -131,7 +131,10 @@ def _off_line(
 
     def fitted(kept: Mask) -> tuple[Array, Array]:
         """Return what is left of all readings, and the response of each output to one g."""
-        b = [np.linalg.lstsq(X[kept], y[kept, m], rcond=None)[0] for m, X in enumerate(designs)]
+        fits = {
+            own: np.linalg.lstsq(X[kept], y[kept], rcond=None)[0] for own, X in each_once.items()
+        }
+        b = [fits[own][:, m] for m, own in enumerate(columns)]
         left = y - np.column_stack([X @ each for X, each in zip(designs, b, strict=True)])
         slopes = (model.linear_map(means) @ np.concatenate(b))[:, 1:]
         return left, np.maximum(np.linalg.norm(slopes, axis=1), np.finfo(float).tiny)
@@ -144,7 +147,9 @@ def _off_line(
     views = _views(designs, y, variance)
     rows = find_outliers(views)
     kept = _without(rows, len(y))
-    if len(rows) and len(model.outputs) > 1:
+    if not len(rows) or _is_explained_by_any(views[-1], kept):
+        return None
+    if len(model.outputs) > 1:
         if variance is not None and len(views) == 1:
             views = [view_of(designs, y, variance), *views]
         rows = _beyond_noisy_rows(views[::-1], kept)
@@ -153,12 +158,10 @@ def _off_line(
         return None
     variables = {axis: reference[:, i] for i, axis in enumerate(COMPONENTS)}
 
-    def with_terms(kind: str) -> list[Array]:
-        """Return the designs with the terms of a kind."""
-        return [
-            np.column_stack([X, *_columns(kind_terms(kind, axis, model.inputs), variables)])
-            for X, axis in zip(designs, model.axes, strict=True)
-        ]
+    def with_terms(kind: str) -> Iterator[Array]:
+        """Yield the designs with the terms of a kind."""
+        for X, axis in zip(designs, model.axes, strict=True):
+            yield np.column_stack([X, *_columns(kind_terms(kind, axis, model.inputs), variables)])
 
     each = views[-1]
     if len(each_once) > 1:
@@ -228,8 +231,18 @@ def _columns(terms: Iterable[Term], variables: Mapping[str, Array]) -> list[Arra
     return [np.asarray(term.evaluate(variables)) for term in terms]
 
 
+def _is_explained_by_any(view: "View", kept: Mask) -> bool:
+    """Tell, of an unweighted view, whether one term more explains the rows even if it is zero.
+
+    So it does then of some of the rows only, which leave more, on more degrees of freedom.
+    """
+    every, least = _squares(_left_of(view, np.vstack([np.ones_like(kept), kept])))
+    dof = np.concatenate([np.full(part.least.size, part.dof) for part in view])
+    return bool(((dof > 2) & (every / (dof - 1.0) < _NEARLY * least / dof)).all())
+
+
 def _is_explained(
-    view: "View", kept: Mask, values: Array, others: Iterable[Sequence[Array]]
+    view: "View", kept: Mask, values: Array, others: Iterable[Iterable[Array]]
 ) -> bool:
     """Tell whether terms that the model lacks explain what rows set aside would, or nearly.
 
@@ -243,15 +256,18 @@ def _is_explained(
     """
     out = int(np.sum(~kept))
     dof = np.array([part.dof for part in view for _ in part.least.flat])
-    left = _squares(_left_of(view, kept[None]))[0] / (dof - out)
-    for designs in others:
-        parts = (view_of([X], values[:, [m]])[0] for m, X in enumerate(designs))
-        if all(
-            part.dof > 1 and float(np.sum(part.values**2)) / part.dof < _NEARLY * least
-            for part, least in zip(parts, left.tolist(), strict=True)
-        ):
+    least = _squares(_left_of(view, kept[None]))[0] / (dof - out)
+    every = np.concatenate([np.sum(part.values**2, axis=2).ravel() for part in view])
+
+    def is_enough(X: Array, m: int) -> bool:
+        """Tell whether a design explains an output, as it does where its terms may be zero."""
+        spare, most = len(X) - X.shape[1], _NEARLY * float(least[m])
+        if spare > 1 and every[m] < most * spare:
             return True
-    return False
+        (part,) = view_of([X], values[:, [m]])
+        return part.dof > 1 and float(np.sum(part.values**2)) < most * part.dof
+
+    return any(all(is_enough(X, m) for m, X in enumerate(designs)) for designs in others)
 
 
 def _without(rows: Places, n: int) -> Mask:
@@ -291,7 +307,8 @@ def _beyond_noisy_rows(views: Sequence["View"], kept: Mask) -> Places:
     least, size = np.ones(len(rows)), 1
     for view in views:
         left = np.concatenate([part.values.reshape(-1, len(kept)) for part in view]).T
-        bases = [Q.T for part in view for Q in part.basis for _ in range(part.least.shape[1])]
+        each_once = [(Q.T, part.least.shape[1]) for part in view for Q in part.basis]
+        bases = [Q for Q, outputs in each_once for _ in range(outputs)]
         leverage = np.column_stack([np.einsum("np,np->n", Q, Q) for Q in bases])
         questioned = np.repeat(~kept[:, None], left.shape[1], axis=1)
         (p,) = p_values_of_units(left[None], leverage, bases, questioned[None])

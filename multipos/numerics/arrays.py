@@ -151,6 +151,8 @@ def resolution(values: Array) -> float:
             rest = math.remainder(larger, smaller)
             larger, smaller = smaller, abs(rest)
         step = larger
+        if least < step <= 100.0 * least:
+            break  # no difference makes it larger
     return 0.0 if step <= 100.0 * least else step
 
 

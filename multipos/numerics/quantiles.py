@@ -66,6 +66,7 @@ from multipos.numerics.arrays import SMALLEST, Array, Mask
 LARGEST = 500.0
 _STEPS = 100_000
 _NEARLY_NORMAL = 1e5  # degrees of freedom from which on t has its expansion
+_FEW = 30  # values that are worked out one by one: as arrays they take longer
 _NORMAL = 1e9  # degrees of freedom from which on a law is taken as normal
 _EPS = 1e-16
 _ROUNDING = 1e-15  # of a logarithm, which the function's own rounding moves
@@ -295,7 +296,7 @@ def t_tail(t: float, dof: float) -> float:
 def t_tails(square: Array, dof: Array) -> Array:
     """Return `t_tail` of many, each by t², with as many degrees of freedom or as broadcast."""
     square, dof = np.broadcast_arrays(square, dof)
-    if dof.max(initial=0.0) > 2.0 * LARGEST:
+    if dof.max(initial=0.0) > 2.0 * LARGEST or dof.size <= _FEW:
         pairs = zip(np.sqrt(square).ravel().tolist(), dof.ravel().tolist(), strict=True)
         return np.array([t_tail(*each) for each in pairs]).reshape(dof.shape)
     x, half = dof / (dof + square), dof / 2.0

@@ -25,7 +25,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -334,7 +334,8 @@ def expand_others(parts: Iterable[str], axis: str, inputs: Sequence[str]) -> lis
     return result
 
 
-def kind_terms(kind: str, axis: str, inputs: Sequence[str]) -> tuple[Term, ...]:
+@lru_cache(maxsize=128)
+def kind_terms(kind: str, axis: str, inputs: tuple[str, ...]) -> tuple[Term, ...]:
     """Return the terms of a kind, such as `own*other`, for an output of an axis."""
     return tuple(parse_term(part, kind, axis) for part in expand_others([kind], axis, inputs))
 

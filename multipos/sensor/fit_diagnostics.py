@@ -152,22 +152,31 @@ def _without(
     """
     e2, factor = errors**2, np.broadcast_to(1.0 - leverage, errors.shape).copy()
     whole = np.ones(len(errors), dtype=np.bool_)
-    for m, Q in enumerate(bases):
-        units = np.flatnonzero(questioned[:, :, m].any(axis=1))
+    for own in _sharing(bases):
+        units, place = np.nonzero(questioned[:, :, own].any(axis=1))
         if not len(units):
             continue
-        mine = questioned[units, :, m]
+        Q, m = bases[own[0]], np.array(own)[place]
+        mine, e = questioned[units, :, m], errors[units, :, m]
         p = Q.shape[1]
         products = (Q[:, :, None] * Q[:, None, :]).reshape(len(Q), -1)
         G = np.eye(p) - (mine @ products).reshape(-1, p, p)
         regular = (np.linalg.eigvalsh(G)[:, 0] > _SINGULAR) & (np.sum(~mine, axis=1) > p)
         whole[units[~regular]] = False
         inverse = np.linalg.inv(np.where(regular[:, None, None], G, np.eye(p)))
-        lost = np.einsum("bpq,bq->bp", inverse, (mine * errors[units, :, m]) @ Q)
-        e2[units, :, m] = (errors[units, :, m] + lost @ Q.T) ** 2
+        lost = np.einsum("bpq,bq->bp", inverse, (mine * e) @ Q)
+        e2[units, :, m] = (e + lost @ Q.T) ** 2
         h = inverse.reshape(-1, p * p) @ products.T
         factor[units, :, m] = np.where(mine, 1.0 + h, 1.0 - h)
     return e2, factor, whole
+
+
+def _sharing(bases: Sequence[Array]) -> list[list[int]]:
+    """Return the outputs of each array of a basis."""
+    found: dict[int, list[int]] = {}
+    for m, Q in enumerate(bases):
+        found.setdefault(id(Q), []).append(m)
+    return list(found.values())
 
 
 def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Array]:
@@ -175,12 +184,13 @@ def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Arr
     d, q, m = _DS[:, None], q[:, None], left[:, None]
     total = np.einsum("bn,bn->b", weight, left)[:, None]
     v = np.repeat(np.einsum("bn,bn->b", weight, q[:, 0])[:, None] / total, len(_DS), axis=1)
-    both = np.stack([weight * q[:, 0], weight], axis=2)
-    dofs, w = d + m, np.empty(np.broadcast_shapes(d.shape, q.shape))
+    mean = total / weight.sum(axis=1)[:, None]
+    both = np.stack([weight * q[:, 0] / mean, weight], axis=2)
+    above, by_d, w = 1.0 + m / d, q / d, np.empty(np.broadcast_shapes(d.shape, q.shape))
     for _ in range(_STEPS):  # of a parameter-expanded EM, whose w has the mean one
-        np.divide(dofs, np.add(d * v[:, :, None], q, out=w), out=w)  # over v, which cancels
+        np.divide(above, np.add(v[:, :, None], by_d, out=w), out=w)  # over v, which cancels
         sums = w @ both
-        v = sums[:, :, 0] / sums[:, :, 1] / total * weight.sum(axis=1)[:, None]
+        v = sums[:, :, 0] / sums[:, :, 1]
     gammas = [[math.lgamma((each + k) / 2.0) for k in range(outputs + 1)] for each in _DS.tolist()]
     constant = (np.array(gammas) - np.array(gammas)[:, :1])[:, left.astype(np.intp)]
     size = d * v[:, :, None]

@@ -575,23 +575,42 @@ def test_readings_of_like_noise_are_looked_at_once(ratio, weighted):
     assert_allclose(views[-1][0].values[0], left.T, atol=1e-12)
 
 
+def _with_rows_off(X, more, kept, ratio):
+    """Return readings whose second output leaves so many times the sum of squares of those kept."""
+
+    def left(design, values):
+        return values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+
+    y = np.random.default_rng(7).normal(size=(len(X), 2))
+    least = (left(X[kept], y[kept]) ** 2).sum(axis=0)
+    e, d = left(more, y[:, 1]), left(more, 1.0 * ~kept)
+    y[~kept, 1] += np.roots([d @ d, 2.0 * e @ d, e @ e - ratio * least[1]]).max()
+    return y
+
+
 @pytest.mark.parametrize(("ratio", "explained"), [(3.95, True), (4.05, False)])
 def test_terms_that_explain_nearly_what_rows_do(ratio, explained):
     """Variance with a term up to four times that without three rows, of every output."""
-    rng = np.random.default_rng(7)
-    X = rng.normal(size=(14, 3))
-    y, kept = rng.normal(size=(14, 2)), np.ones(14, dtype=bool)
+    X, more = np.split(np.random.default_rng(8).normal(size=(14, 5)), [3], axis=1)
+    more, kept = np.column_stack([X, more]), np.ones(14, dtype=bool)
     kept[[2, 5, 11]] = False
-    (view,) = [view_of([X, X], y)]
-    e = y[kept] - X[kept] @ np.linalg.lstsq(X[kept], y[kept], rcond=None)[0]
-    least = (e**2).sum(axis=0) / (14 - 3 - 3)
-    more = np.column_stack([X, rng.normal(size=(14, 2))])
-    basis = np.linalg.qr(more)[0]
-    rest = rng.normal(size=(14, 2))
-    rest -= basis @ (basis.T @ rest)
-    rest *= np.sqrt(least * 9.0 / (rest**2).sum(axis=0))  # as large as without the rows
-    rest[:, 1] *= math.sqrt(ratio)
-    assert outliers._is_explained(view, kept, rest, [[more, more]]) is explained
+    y = _with_rows_off(X, more, kept, ratio * (14 - 5) / (14 - 3 - 3))
+    assert outliers._is_explained(view_of([X, X], y), kept, y, [[more, more]]) is explained
+
+
+@pytest.mark.parametrize(("ratio", "explained"), [(3.95, True), (4.05, False)])
+def test_rows_off_that_any_term_explains(ratio, explained):
+    """Variance with a term of no size, up to four times the least that some of the rows leave."""
+    X, kept = np.random.default_rng(8).normal(size=(14, 3)), np.ones(14, dtype=bool)
+    kept[[2, 5, 11]] = False
+    y = _with_rows_off(X, X, kept, ratio * (14 - 3 - 1) / (14 - 3))
+    view = view_of([X, X], y)
+    assert outliers._is_explained_by_any(view, kept) is explained
+    if explained:
+        more = np.column_stack([X, np.random.default_rng(9).normal(size=14)])
+        for some in ([2], [5], [11], [2, 5], [2, 11], [5, 11]):
+            some_kept = outliers._without(np.array(some), 14)
+            assert outliers._is_explained(view, some_kept, y, [[more, more]])
 
 
 # --- robust fits
