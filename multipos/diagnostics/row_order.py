@@ -64,7 +64,7 @@ _TURN = 12  # positions of a roll on a table
 UNEQUAL = 2.0  # of the rests' own sd, largest over median, from which vibration is asked
 _MOST = 400  # rows, beyond which steps are tried at so many of them
 _SHORT = 64  # rows, up to which sums from each step on are one matrix
-_LONG = 64  # rows from step to step, beyond which their products are not held
+_LONG = 600  # products from step to step, beyond which they are not held
 _ROUNDS = 5  # of weights, alternating with sizes
 _ROUNDING = 1e-12
 _NOTHING = 1e-30  # a correlation that adds nothing
@@ -345,7 +345,7 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
 
 def _from_each(A: Array, B: Array, steps: Rows) -> Array:
     """Return A'B (K, p, q) of A (n, p) and B (n, q), over the rows from each of K steps on."""
-    if len(A) > _LONG * len(steps):
+    if A.size * B.shape[1] > _LONG * len(steps):
         ends = [*steps[1:].tolist(), len(A)]
         pieces = [slice(*each) for each in zip(steps.tolist(), ends, strict=True)]
         between = np.stack([A[rows].T @ B[rows] for rows in pieces])
