@@ -38,6 +38,7 @@ from numpy.typing import ArrayLike
 
 from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
+from multipos.positions.headers import TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert_at_rest, sensitivities, unseen_leak
@@ -105,6 +106,9 @@ def zeros_of_force(
     `estimated` is as of `zeros_of_soaks`.
     """
     c = calibration
+    if TEMPERATURE not in c.model.environment:  # so that there are no soaks
+        size = len(c.model.sensed_axes)
+        return ZerosOfForce(*np.zeros((3, len(rest), size, size)))
     held = np.where(np.isfinite(rest), rest, 0.0)
     inverse, X = sensitivities(c.model, c.parameters, held, environment)
     zeros = zeros_of_soaks(c, X, run, estimated)
@@ -146,8 +150,12 @@ def tilt_at_rest(
     own = own - zeros.contained
     sign, magnitude, force = calibration.sign, magnitude_of(calibration), rest[:, axes]
     if len(axes) == 3:
-        U = np.hypot(k * triad_tilt_u(force, own), triad_tilt_u(force, zeros.expanded))
-        return Tilt(triad_tilt(force, sign), triad_tilt_u(force, own + zeros.covariance), U)
+        u = triad_tilt_u(force, own)
+        U = k * u
+        if zeros.covariance.any():
+            U = np.hypot(U, triad_tilt_u(force, zeros.expanded))
+            u = triad_tilt_u(force, own + zeros.covariance)
+        return Tilt(triad_tilt(force, sign), u, U)
     u2, own2, expanded2 = (
         np.einsum("nkk->nk", each) for each in (own + zeros.covariance, own, zeros.expanded)
     )

@@ -619,6 +619,8 @@ def test_tables_for_other_programs_have_escapes_too(red, here, capsys):
         ("=1+1", "'=1+1"),
         ("+cmd|x", "'+cmd|x"),
         ("-2+3", "'-2+3"),
+        ("-2-3", "'-2-3"),
+        ("-1e-1e-1", "'-1e-1e-1"),
         ("-x+y()", "'-x+y()"),
         ("@SUM(1)", "'@SUM(1)"),
         *((plain, plain) for plain in ("+X up", "-x", "-3", "+1.5e3", "-0.5", "a=b", "'", "it's")),
