@@ -45,11 +45,11 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, StrPath, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
-from multipos.logs.clock import TimeUnit, check_time_unit
+from multipos.logs.clock import TimeUnit
 from multipos.logs.opening import less_copies, open_log
-from multipos.logs.samples import Progress, Timing, share_of
+from multipos.logs.samples import Progress, read_timing, share_of
 from multipos.logs.table import Log
-from multipos.numerics.arrays import Array, Places, median, require_rate
+from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import check_confidence, coverage_factor
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -238,8 +238,8 @@ def stability(
     given, copies = less_copies(spread(logs))
     if not given:
         raise UsageError("stability needs one static record or more.")
-    _check_options(calibration, outputs, unit, time_column, rate, confidence)
-    check_time_unit(time_unit)
+    timing = read_timing(time_column, time_unit, rate)
+    _check_options(calibration, outputs, unit, confidence)
     model = calibration
     if model is not None and not isinstance(model, Calibration):
         model = load(model)
@@ -247,7 +247,7 @@ def stability(
         outputs=None if outputs is None else split_names(outputs, "--outputs"),
         calibration=model,
         temperature=temperature,
-        timing=Timing(time_column, time_unit, rate),
+        timing=timing,
         drop_bad=drop_bad,
     )
     raw = []
@@ -261,12 +261,7 @@ def stability(
 
 
 def _check_options(
-    calibration: object,
-    outputs: object,
-    unit: str | None,
-    time_column: str | None,
-    rate: float | None,
-    confidence: float,
+    calibration: object, outputs: object, unit: str | None, confidence: float
 ) -> None:
     if calibration is not None and outputs is not None:
         raise UsageError("--outputs names raw columns, but --calibration has its own; drop one.")
@@ -274,10 +269,6 @@ def _check_options(
         raise UsageError(
             "--unit is of raw outputs, but with --calibration they are compensated; drop it."
         )
-    if time_column is not None and rate is not None:
-        raise UsageError("--time-column and --rate both state the time; give one.")
-    if rate is not None:
-        require_rate(rate)
     check_confidence(confidence)
 
 

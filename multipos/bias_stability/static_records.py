@@ -75,9 +75,7 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
     UsageError
         More than three columns could be outputs.
     """
-    timing = wanted.timing
-    if timing.column is not None:
-        timing = timing._replace(column=log.find(timing.column))
+    timing = wanted.timing.in_log(log)
     raw = _outputs(log, wanted, timing.column)
     with (
         Samples(log, raw.names, timing, drop_bad=wanted.drop_bad, as_they_are=True) as samples,

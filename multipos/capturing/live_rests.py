@@ -28,7 +28,7 @@ from multipos.finding import Finding
 from multipos.logs import rests
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
-from multipos.logs.samples import Timing, good_rows, small_pieces, usual_size
+from multipos.logs.samples import Kept, Timing, good_rows, rises, small_pieces, usual_size
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
@@ -48,7 +48,7 @@ class RowOptions:
     threshold: float | None = None
 
 
-class LiveRows:
+class LiveRows(Kept):
     """Outputs, other columns and time of rows that come piece by piece.
 
     Attributes
@@ -82,7 +82,7 @@ class LiveRows:
         chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
         self.outputs: tuple[str, ...] = chosen.names
         self.findings: tuple[Finding, ...] = (*log.notes, *chosen.findings)
-        column = named or next((name for name in likely if _rises(self._of(head, name))), None)
+        column = named or next((name for name in likely if rises(self._of(head, name))), None)
         self.clock: Clock | None = None
         self.rate = timing.rate or log.rate
         self.step: float = np.nan
@@ -175,12 +175,6 @@ class LiveRows:
         )
         return rests.Rest(rest.start + before, rest.end + within)
 
-    def time(self, rest: rests.Rest) -> tuple[float, float] | None:
-        """Return when a rest begins and ends by the sample rate; None where there is none."""
-        if self.rate is None:
-            return None
-        return rest.start / self.rate, (rest.end - 1) / self.rate
-
     def close(self) -> None:
         """Let go of everything that is kept."""
         self._store.close()
@@ -241,11 +235,6 @@ class _Store:
         if self._file is not None:
             self._file.close()
         self._new = []
-
-
-def _rises(time: Array) -> bool:
-    time = time[np.isfinite(time)]
-    return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
 
 
 _ENOUGH = 3  # rests that show what stillness is

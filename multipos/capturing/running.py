@@ -36,8 +36,8 @@ from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text, writing
 from multipos.finding import Finding, Findings, in_order
 from multipos.logs.averages import Averages
-from multipos.logs.clock import TimeUnit, check_time_unit
-from multipos.logs.samples import Timing
+from multipos.logs.clock import TimeUnit
+from multipos.logs.samples import read_timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import Convention, check_convention
@@ -439,13 +439,11 @@ def make_reading(
     threshold: float | None,
 ) -> RowOptions:
     """Return how the rows are read, checked."""
-    check_time_unit(time_unit)
-    if time_column is not None and rate is not None:
-        raise UsageError("--time-column and --rate both state the time; give one.")
+    timing = read_timing(time_column, time_unit, rate)
     if threshold is not None and not 0.0 < threshold < float("inf"):
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
     named = None if outputs is None else split_names(outputs, "--outputs")
-    return RowOptions(named, Timing(time_column, time_unit, rate), min_duration, threshold)
+    return RowOptions(named, timing, min_duration, threshold)
 
 
 def run_session(

@@ -15,15 +15,14 @@ from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import in_order
 from multipos.logs.averages import Averages
-from multipos.logs.clock import TimeUnit, check_time_unit
+from multipos.logs.clock import TimeUnit
 from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_few
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.rests import read_sections
-from multipos.logs.samples import Progress, Timing, rows_of_sensor, share_of
+from multipos.logs.samples import Progress, read_timing, rows_of_sensor, share_of
 from multipos.logs.still import StillLog, Wish, find_still
 from multipos.logs.table import Log
-from multipos.numerics.arrays import require_rate
 from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme
@@ -124,7 +123,7 @@ def average(
     which, sensor = _sensor(_names(only, "--only"))
     wish = Wish(
         outputs=_names(outputs, "--outputs"),
-        timing=Timing(time_column, time_unit, rate),
+        timing=read_timing(time_column, time_unit, rate),
         min_duration=min_duration,
         threshold=threshold,
         sections=None if sections is None else read_sections(sections),
@@ -152,14 +151,9 @@ def average(
 
 
 def _check(wish: Wish, logs: int) -> None:
-    signed, threshold, timing = wish.signed, wish.threshold, wish.timing
+    signed, threshold = wish.signed, wish.threshold
     if signed is not None and not 2 <= signed <= 32:
         raise UsageError(f"--signed takes the bits of a register, 2 to 32, got {signed}.")
-    if timing.rate is not None:
-        require_rate(timing.rate)
-    if timing.column is not None and timing.rate is not None:
-        raise UsageError("--time-column and --rate both state the time; give one.")
-    check_time_unit(timing.unit)
     if threshold is not None and not 0.0 < threshold < np.inf:
         raise UsageError(f"--threshold must be above 0, got {threshold:g}.")
     if wish.sections is not None and wish.label_column is not None:

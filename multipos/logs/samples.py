@@ -15,12 +15,14 @@ from typing import IO, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, UsageError
+from multipos.files.csv_columns import Column
 from multipos.files.tables import Table
 from multipos.finding import Finding
 from multipos.logs.clock import (
     Clock,
     TimeUnit,
+    check_time_unit,
     counts_rows,
     read_clock,
     sample_rate,
@@ -31,7 +33,7 @@ from multipos.logs.clock import (
 )
 from multipos.logs.rests import PIECE, Rest, Spikes, Survey, Windows, choose_grid
 from multipos.logs.table import Log, Piece, Wanted
-from multipos.numerics.arrays import LARGEST_SAMPLE, Array, Mask, Places, median
+from multipos.numerics.arrays import LARGEST_SAMPLE, Array, Mask, Places, median, require_rate
 
 
 class Runs:
@@ -104,20 +106,30 @@ class Timing(NamedTuple):
     unit: TimeUnit | None = None
     rate: float | None = None
 
+    def in_log(self, log: Log) -> "Timing":
+        """Return it with the column as the log calls it."""
+        return self if self.column is None else self._replace(column=log.find(self.column))
+
+
+def read_timing(column: str | None, unit: TimeUnit | None, rate: float | None) -> Timing:
+    """Return what the user says of the time, checked."""
+    check_time_unit(unit)
+    if column is not None and rate is not None:
+        raise UsageError("--time-column and --rate both state the time; give one.")
+    if rate is not None:
+        require_rate(rate)
+    return Timing(column, unit, rate)
+
 
 class Kept(Protocol):
     """Rows that can be gone through again: what averaging a rest asks of them."""
 
-    @property
-    def log(self) -> Log: ...  # noqa: D102
-    @property
-    def outputs(self) -> tuple[str, ...]: ...  # noqa: D102
-    @property
-    def others(self) -> tuple[str, ...]: ...  # noqa: D102
-    @property
-    def clock(self) -> Clock | None: ...  # noqa: D102
-    @property
-    def step(self) -> float: ...  # noqa: D102
+    log: Log
+    outputs: tuple[str, ...]
+    others: tuple[str, ...]
+    clock: Clock | None
+    rate: float | None
+    step: float
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece, in order."""
@@ -127,9 +139,12 @@ class Kept(Protocol):
 
     def time(self, rest: Rest) -> tuple[float, float] | None:
         """Return when a rest begins and ends by the sample rate; None where there is none."""
+        if self.rate is None:
+            return None
+        return rest.start / self.rate, (rest.end - 1) / self.rate
 
 
-class Samples:
+class Samples(Kept):
     """Outputs, other columns and time of a log, in pieces that can be gone through again.
 
     Rows are counted without those that were left out; `in_log` says where they stand in the log.
@@ -171,7 +186,7 @@ class Samples:
         drop_bad: bool = False,
         as_they_are: bool = False,
     ) -> None:
-        self.log: Log = log
+        self.log = log
         self.outputs: tuple[str, ...] = outputs
         self.clock: Clock | None = None
         self.rate = timing.rate
@@ -288,12 +303,6 @@ class Samples:
                 self._sizes.append(each.shape[1])
             self._few = []
 
-    def time(self, rest: Rest) -> tuple[float, float] | None:
-        """Return when a rest begins and ends by the sample rate; None where there is none."""
-        if self.rate is None:
-            return None
-        return rest.start / self.rate, (rest.end - 1) / self.rate
-
     @property
     def dropped(self) -> int:
         """How many rows were left out."""
@@ -323,7 +332,7 @@ class Samples:
     def _read_clock(self, table: Table) -> None:
         """Find the time: in the column that was named, or in one whose name says so."""
         likely = time_columns(self.log) if self._timing.rate is None else []
-        rising = (name for name in likely if name in self.others and _rises(table, name))
+        rising = (name for name in likely if name in self.others and rises(table.columns[name]))
         column = next(iter(self._named_clock()), None) or next(rising, None)
         time = None if column is None else self._column(table, column, _LATEST)
         if time is not None and self._timing.column is None and self._timing.unit is None:
@@ -442,9 +451,9 @@ def usual_size(data: Array) -> Array:
     return np.array([median(size) if len(size) else 0.0 for size in there])
 
 
-def _rises(table: Table, name: str) -> bool:
+def rises(column: Column) -> bool:
     """Tell whether a column goes up, as a time does."""
-    time = np.asarray(table.columns[name], dtype=np.float64)
+    time = np.asarray(column, dtype=np.float64)
     time = time[np.isfinite(time)]
     return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
 

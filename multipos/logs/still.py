@@ -120,9 +120,7 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         The log cannot be read as numbers, has no rest, or its time runs backwards.
     """
     label_column = None if wish.label_column is None else log.find(wish.label_column)
-    timing = wish.timing
-    if timing.column is not None:
-        timing = timing._replace(column=log.find(timing.column))
+    timing = wish.timing.in_log(log)
     taken = [*time_columns(log), *filter(None, (timing.column, label_column))]
     outputs = choose_outputs(log, wish.outputs, taken)
     with Samples(

@@ -45,58 +45,66 @@ from multipos.numerics.quantiles import erf
 
 Instruction = tuple[Any, ...]
 
-# Operations of one and two arguments; names as casadi.OP_* in lower case.
-_UNARY = (
-    "neg",
-    "exp",
-    "log",
-    "sqrt",
-    "sq",
-    "twice",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-    "fabs",
-    "sign",
-    "inv",
-    "not",
-    "floor",
-    "ceil",
-    "erf",
-    "log1p",
-    "expm1",
-)
-_BINARY = (
-    "add",
-    "sub",
-    "mul",
-    "div",
-    "pow",
-    "constpow",
-    "lt",
-    "le",
-    "eq",
-    "ne",
-    "and",
-    "or",
-    "fmin",
-    "fmax",
-    "atan2",
-    "copysign",
-    "if_else_zero",
-    "hypot",
-)
 
-# How many numbers follow an operation's name.
+def _truth(compare: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a comparison as CasADi has it, of numbers that are 0 or 1."""
+
+    def as_number(*operands: Any) -> Any:
+        return np.multiply(compare(*operands), 1.0)
+
+    return as_number
+
+
+# Operations of one and two arguments, by NumPy; names as casadi.OP_* in lower case.
+_UNARY: dict[str, Callable[..., Any]] = {
+    "neg": np.negative,
+    "exp": np.exp,
+    "log": np.log,
+    "sqrt": np.sqrt,
+    "sq": np.square,
+    "twice": lambda x: np.add(x, x),
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    "fabs": np.fabs,
+    "sign": np.sign,
+    "inv": lambda x: np.divide(1.0, x),
+    "not": _truth(np.logical_not),
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "erf": lambda x: erf(np.asarray(x, dtype=np.float64)),
+    "log1p": np.log1p,
+    "expm1": np.expm1,
+}
+_BINARY: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "pow": np.power,
+    "constpow": np.power,
+    "lt": _truth(np.less),
+    "le": _truth(np.less_equal),
+    "eq": _truth(np.equal),
+    "ne": _truth(np.not_equal),
+    "and": _truth(np.logical_and),
+    "or": _truth(np.logical_or),
+    "fmin": np.fmin,
+    "fmax": np.fmax,
+    "atan2": np.arctan2,
+    "copysign": np.copysign,
+    "if_else_zero": lambda condition, x: np.where(condition, x, 0.0),
+    "hypot": np.hypot,
+}
 _OPERANDS: Mapping[str, int] = {
     "input": 3,
     "const": 2,
@@ -202,45 +210,6 @@ def operations() -> dict[int, str]:
 
 _BLOCK = 2048  # rows
 
-
-def _truth(compare: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a comparison as CasADi has it, of numbers that are 0 or 1."""
-
-    def as_number(*operands: Any) -> Any:
-        return np.multiply(compare(*operands), 1.0)
-
-    return as_number
-
-
-# CasADi's operations by NumPy, those of another name.
-_NAMED: dict[str, Callable[..., Any]] = {
-    "neg": np.negative,
-    "sq": np.square,
-    "twice": lambda x: np.add(x, x),
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "asinh": np.arcsinh,
-    "acosh": np.arccosh,
-    "atanh": np.arctanh,
-    "inv": lambda x: np.divide(1.0, x),
-    "not": _truth(np.logical_not),
-    "erf": lambda x: erf(np.asarray(x, dtype=np.float64)),
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "pow": np.power,
-    "constpow": np.power,
-    "lt": _truth(np.less),
-    "le": _truth(np.less_equal),
-    "eq": _truth(np.equal),
-    "ne": _truth(np.not_equal),
-    "and": _truth(np.logical_and),
-    "or": _truth(np.logical_or),
-    "atan2": np.arctan2,
-    "if_else_zero": lambda condition, x: np.where(condition, x, 0.0),
-}
-
 # Operation, the register that it fills, and its operands; no operation: the result that it fills.
 _Step = tuple[Callable[..., Any] | None, int, int, int | None]
 
@@ -275,7 +244,7 @@ class RowFunction:
                 if not self._constants[-1]:
                     nothing.add(place[written[0]])
             else:
-                operation = _NAMED.get(name) or getattr(np, name)
+                operation = _UNARY.get(name) or _BINARY[name]
                 a, b = (*(place[register] for register in read), None)[:2]
                 place[written[0]] = written[0]
                 self._steps.append((operation, written[0], a, b))

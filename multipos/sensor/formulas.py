@@ -48,15 +48,7 @@ if TYPE_CHECKING:
 CONSTANTS = {"pi": math.pi, "e": math.e}
 # How each function is called among the instructions; min and max take two arguments or more.
 UNARY = {
-    "sin": "sin",
-    "cos": "cos",
-    "tan": "tan",
-    "asin": "asin",
-    "acos": "acos",
-    "atan": "atan",
-    "exp": "exp",
-    "log": "log",
-    "sqrt": "sqrt",
+    **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "sqrt")},
     "abs": "fabs",
     "sign": "sign",
     "tanh": "tanh",

@@ -60,21 +60,9 @@ def build_parsed(
         An output without a line, a line without an output, or a component that is no input.
     """
     known = outputs, axes, inputs, unit, columns, tuple(fixed)
-    if known not in parsed.built:  # what a model knows of itself is found once
-        parsed.built[known] = _build(parsed, *known)
-    model: ExpressionModel = parsed.built[known]
-    return model
-
-
-def _build(
-    parsed: ParsedModel,
-    outputs: tuple[str, ...],
-    axes: tuple[str, ...],
-    inputs: tuple[str, ...],
-    unit: str,
-    columns: tuple[str, ...],
-    fixed: tuple[tuple[str, str, float], ...],
-) -> ExpressionModel:
+    if known in parsed.built:  # what a model knows of itself is found once
+        found: ExpressionModel = parsed.built[known]
+        return found
     check_axes(outputs, axes, inputs)
     formulas = _formula_of_each(parsed, outputs)
     for formula in formulas:
@@ -91,7 +79,7 @@ def _build(
     names = [*(n for part in own for n in part), *shared]
     if not names:
         raise parsed.fault(f"{parsed.where}: no parameter to fit other than x, y, z and own.")
-    return ExpressionModel(
+    parsed.built[known] = model = ExpressionModel(
         parsed.text,
         outputs,
         axes,
@@ -105,8 +93,9 @@ def _build(
         tuple(used),
         tuple(parsed.stated.get(n, StatedParameter(n)) for n in names),
         parsed,
-        fixed,
+        tuple(fixed),
     )
+    return model
 
 
 def _free_names(

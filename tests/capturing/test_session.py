@@ -25,7 +25,7 @@ from multipos.capturing.evaluation import (
     read_targets,
     spread_targets,
 )
-from multipos.capturing.live_rests import LiveRests, LiveRows, _rises, _Store
+from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
 from multipos.capturing.poses import (
     Frame,
     _centre,
@@ -53,7 +53,7 @@ from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
 from multipos.logs.opening import open_log
 from multipos.logs.rests import BLOCKS, Rest
-from multipos.logs.samples import Timing, rows_in_log
+from multipos.logs.samples import Timing, rises, rows_in_log
 from multipos.positions.attitudes import pose_words
 
 RATE = 100.0
@@ -846,7 +846,7 @@ def test_what_an_earlier_session_fixed_and_what_was_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("time", "rises"),
+    ("time", "rising"),
     [
         ([0.0, 1.0, 1.0, 2.0], True),
         ([1.0, np.nan, 2.0], True),
@@ -857,8 +857,8 @@ def test_what_an_earlier_session_fixed_and_what_was_asked_for():
         ([], False),
     ],
 )
-def test_a_column_that_rises_may_be_a_time(time, rises):
-    assert _rises(np.array(time)) == rises
+def test_a_column_that_rises_may_be_a_time(time, rising):
+    assert rises(np.array(time)) == rising
 
 
 @pytest.mark.parametrize(
