@@ -10,11 +10,12 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from multipos.estimation.descent import maximise
+from multipos.estimation.gains import restate
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import COMPONENTS
-from multipos.numerics.rotations import rotation_matrix
+from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.numerics.terms import NAMED
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.expressions import load_casadi
@@ -389,3 +390,18 @@ def test_uncertain_orientations_are_the_least_squares_of_scipy():
     listed = mp.fit(mp.Readings(values, up=up)).parameters
     off = [float(np.sqrt(np.mean(((p - best) / cal.u) ** 2))) for p in (cal.parameters, listed)]
     assert off[0] < min(0.12, off[1] / 3.0)
+
+
+def test_a_prior_of_a_parameter_is_one_more_square(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[parameters]\nk = {start = 0.01, sd = 0.02}\n[outputs]\neach = "b + s*own + k*own^2"\n'
+    )
+    up = read_scheme("fibonacci-24").up
+    values = up + 0.02 * up**2 + 2e-3 * np.random.default_rng(1).standard_normal(up.shape)
+    readings = mp.Readings(values, up=up)
+    c = mp.fit(readings, model=path, orientation_sd=0.1, reading_sd=1e-3)
+    problem, theta = restate(c), c.parameters + 0.05
+    point = evaluate(problem, start_state(problem, theta, directions(c.reference)))
+    squares = ((theta[2::3] - 0.01) / 0.02) ** 2  # of k of each output
+    assert_allclose(point.objective - point.q.sum(), squares.sum(), rtol=1e-9)

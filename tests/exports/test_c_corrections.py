@@ -150,9 +150,12 @@ def test_single_precision_keeps_its_figure(tmp_path, name):
     assert 0.0 < found.difference.max() <= found.allowed.max() < 1e-5
 
 
-@pytest.mark.parametrize(("compiler", "single"), [("gcc", False), ("clang", True)])
-def test_three_axes_behind_a_calibration(tmp_path, compiler, single):
-    """The compensated forces are what is corrected, and variables of it."""
+@pytest.mark.parametrize(
+    ("compiler", "single", "rate"),
+    [("gcc", False, "temperature_rate"), ("clang", True, "temperature_rate,f_{}_rate")],
+)
+def test_three_axes_behind_a_calibration(tmp_path, compiler, single, rate):
+    """The compensated forces are what is corrected, and variables of it, as are their rates."""
     calibration = made("1 + x + y + z + temperature", "xyz", 1e-3, 0.3)
     columns = chamber()
     fits = []
@@ -162,7 +165,7 @@ def test_three_axes_behind_a_calibration(tmp_path, compiler, single):
             mp.regress(
                 columns | force,
                 response=f"e{axis}",
-                variables=f"f_{axis},temperature,temperature_rate",
+                variables=f"f_{axis},temperature,{rate.format(axis)}",
                 degree=2,
                 causal=True,
             )

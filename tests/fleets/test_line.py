@@ -326,7 +326,9 @@ def test_two_of_eight_units_that_are_off_by_hand():
         unit=list("abcdefgh"),
         station=["S"] * 8,
     )
-    found = {each["unit"]: each for each in find_outliers(units, np.ones(8, dtype=bool))}
+    listed = find_outliers(units, np.ones(8, dtype=bool))
+    assert listed[0]["statistic"] > listed[1]["statistic"]
+    found = {each["unit"]: each for each in listed}
     left = value[np.abs(value) < 2.0]
     s2 = left.var(ddof=1)
     for unit, x, added in (("d", 40.0, 0.0), ("g", 43.0, 5.0**2 - 0.1**2)):

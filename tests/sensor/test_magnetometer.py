@@ -290,7 +290,10 @@ def test_heading_of_unknown_orientations_says_what_it_lacks(tmp_path, capsys):
     head = (tmp_path / "out.csv").read_text().splitlines()[0]
     assert head.endswith("b_x,b_y,b_z,u_b_x,u_b_y,u_b_z,U_b_x,U_b_y,U_b_z,heading_deg,outside")
     assert main([*asked, "--tilt"]) == 2
-    assert main(["apply", str(tmp_path / "acc.json"), str(path), "--with", asked[1]]) == 2
+    assert main([*asked, "--with", asked[1]]) == 2  # two magnetometers
+    other = str(tmp_path / "acc.json")
+    for beside in (other, asked[1]):
+        assert main(["apply", other, str(path), "--with", beside]) == 2
 
 
 FOREIGN = re.compile(

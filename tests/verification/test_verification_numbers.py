@@ -15,6 +15,7 @@ import multipos as mp
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import build_model
+from multipos.sensor.tilt import ZerosOfForce
 from multipos.verification import (
     agreement,
     checks,
@@ -183,7 +184,7 @@ def test_the_scatter_from_rest_to_rest_of_sessions_is_their_root_mean_square():
 # --- a run that is checked
 
 
-def test_errors_of_force_and_their_u_by_the_inverse_of_the_matrix():
+def test_errors_of_force_and_their_u_by_the_inverse_of_the_matrix(monkeypatch):
     """f = K⁻¹(y − b): C of K and b by its derivatives, noise by K⁻¹, placement across f."""
     rng = np.random.default_rng(4)
     K, b = (
@@ -217,6 +218,14 @@ def test_errors_of_force_and_their_u_by_the_inverse_of_the_matrix():
         square = square + (1.0 - known[row] ** 2) * orientation[row] ** 2 + reference_u[row] ** 2
         assert_allclose(u[row], np.sqrt(square), rtol=1e-4)
     assert_allclose(U, u * norm.ppf(0.975), rtol=0.025)  # or by a k of 2
+    # zeros of soaks: what the noise has of them already goes, before theirs comes
+    part = np.broadcast_to(1e-6 * np.eye(3), (5, 3, 3))
+    monkeypatch.setattr(
+        checks, "zeros_of_force", lambda *_: ZerosOfForce(4 * part, 16 * part, part)
+    )
+    *_, more, U_more = force_errors(cal, data, known, nominal, noise)
+    assert_allclose(more**2, u**2 + 3e-6, rtol=1e-9)
+    assert_allclose(U_more**2, (U / u) ** 2 * (u**2 - 1e-6) + 16e-6, rtol=1e-9)
 
 
 def test_noise_of_a_run_that_is_stated_or_not():
