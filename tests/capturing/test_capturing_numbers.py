@@ -217,6 +217,17 @@ def test_rows_are_counted_for_their_rate_from_the_first_look_on(monkeypatch):
     assert head._rate == pytest.approx(10.0)
 
 
+@pytest.mark.parametrize("untimed", [True, False])
+def test_rows_without_a_time_wait_for_their_rate(monkeypatch, untimed):
+    clock = iter([100.0, 103.0])
+    monkeypatch.setattr(streams.time, "monotonic", lambda: next(clock))
+    head = streams._Head(SimpleNamespace(name="serial", untimed=untimed), None)
+    rows = "0.01,0.02,1.0\n" * 60
+    assert head.take(rows) is not untimed
+    assert not untimed or head.take(rows)
+    assert head._rate == (20.0 if untimed else None)
+
+
 @pytest.mark.parametrize(
     ("speed", "rate", "rows"), [(2.0, 100.0, 10), (3.0, 4.0, 1), (0.0, 9.0, 0)]
 )

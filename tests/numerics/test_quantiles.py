@@ -110,6 +110,8 @@ def test_coverage_factor_meets_the_guide(dof, confidence, k):
 def test_published_values():
     assert t_quantile(0.975, 1) == pytest.approx(12.7062, abs=5e-5)
     assert t_quantile(0.975, 30) == pytest.approx(2.0423, abs=5e-5)
+    assert (normal_quantile(0.0), normal_quantile(1.0)) == (-math.inf, math.inf)
+    assert math.isnan(normal_quantile(1.5))
     assert normal_quantile(0.975) == pytest.approx(1.959963984540054, rel=1e-15)
     assert f_quantile(0.90, 7, 13) == pytest.approx(2.2341, abs=5e-5)
     assert f_quantile(0.95, 3, 10) == pytest.approx(3.7083, abs=5e-5)
