@@ -186,9 +186,9 @@ def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Arr
     v = np.repeat(np.einsum("bn,bn->b", weight, q[:, 0])[:, None] / total, len(_DS), axis=1)
     mean = total / weight.sum(axis=1)[:, None]
     both = np.stack([weight * q[:, 0] / mean, weight], axis=2)
-    above, by_d, w = 1.0 + m / d, q / d, np.empty(np.broadcast_shapes(d.shape, q.shape))
+    dofs, w = d + m, np.empty(np.broadcast_shapes(d.shape, q.shape))
     for _ in range(_STEPS):  # of a parameter-expanded EM, whose w has the mean one
-        np.divide(above, np.add(v[:, :, None], by_d, out=w), out=w)  # over v, which cancels
+        np.divide(dofs, np.add(d * v[:, :, None], q, out=w), out=w)  # over v, which cancels
         sums = w @ both
         v = sums[:, :, 0] / sums[:, :, 1]
     gammas = [[math.lgamma((each + k) / 2.0) for k in range(outputs + 1)] for each in _DS.tolist()]
