@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import multipos as mp
-from benchmarks.timing import Ratio, paired_process_ratio
+from benchmarks.timing import Ratio, paired_process_ratio, time_of_children
 from multipos.regression.regression import Regression
 
 TERMS = "1 + T + V + T^2 + T*V + T_rate + T*T_rate"
@@ -117,7 +117,7 @@ def run() -> list[Ratio]:
             sums = [float(subprocess.check_output([program])) for program in (ours, peer)]
             if not np.isclose(*sums, rtol=1e-8):
                 raise RuntimeError(f"the two do not compute the same: {sums[0]:.9g}, {sums[1]:.9g}")
-            pairs = paired_process_ratio([ours], [peer])
+            pairs = paired_process_ratio([ours], [peer], timer=time_of_children)
             what = f"regression in C, one step, {compiler}"
             found.append(Ratio(what, "the same written by hand", pairs, GOAL))
     return found

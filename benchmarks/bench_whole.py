@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 
 import multipos as mp
 from benchmarks.bench_orientations import jacobian, natural_start, residuals, simulate
-from benchmarks.timing import Ratio, paired_process_ratio, paired_ratio
+from benchmarks.timing import Ratio, paired_process_ratio, paired_ratio, time_of_children
 
 Array = NDArray[np.float64]
 
@@ -242,7 +242,7 @@ void multipos_compensate(const NUMBER raw[3], NUMBER accel[3]);
 int main(void)
 {
     NUMBER sum = 0, raw[3], accel[3];
-    for (int i = 0; i < 2000000; ++i) {
+    for (int i = 0; i < 20000000; ++i) {
         for (int k = 0; k < 3; ++k) raw[k] = (NUMBER)((i * (k + 3)) % 1999 - 999) / 1000;
         multipos_compensate(raw, accel);
         sum += accel[0] + accel[1] + accel[2];
@@ -266,14 +266,14 @@ def compensation_in_c() -> list[Ratio]:
                 compiled_in(Path(name), number, mp.export(calibration, "c", float=single).text)
                 for number, single in (("float", True), ("double", False))
             ]
-            pairs = paired_process_ratio(*([each] for each in programs))
+            pairs = paired_process_ratio(*([each] for each in programs), timer=time_of_children)
         what = f"C, {model}, --float, with its loop"
         found.append(Ratio(what, "the same in double", pairs, goal))
     return found
 
 
 def compiled_in(folder: Path, number: str, text: str) -> str:
-    """Return a program that compensates two million readings."""
+    """Return a program that compensates twenty million readings."""
     sources = {"export": text, "driver": DRIVER.replace("NUMBER", number)}
     for name, source in sources.items():
         (folder / f"{name}_{number}.c").write_text(source, encoding="utf-8")

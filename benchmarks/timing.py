@@ -5,6 +5,7 @@ then ignores the pairs that were hit on one side only. A ratio says the same on 
 time does not.
 """
 
+import resource
 import statistics
 import subprocess
 import time
@@ -49,10 +50,20 @@ def paired_ratio(
 
 
 def paired_process_ratio(
-    ours: Sequence[str], peer: Sequence[str], *, repeats: int = 15
+    ours: Sequence[str],
+    peer: Sequence[str],
+    *,
+    repeats: int = 15,
+    timer: Callable[[], float] = time.perf_counter,
 ) -> list[float]:
     """Time two whole processes, from their start to their end."""
-    return _pairs(lambda: _process_time(ours), lambda: _process_time(peer), repeats)
+    return _pairs(lambda: _process_time(ours, timer), lambda: _process_time(peer, timer), repeats)
+
+
+def time_of_children() -> float:
+    """Return the processor time [s] of the processes that were started and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _pairs(ours: Callable[[], float], peer: Callable[[], float], repeats: int) -> list[float]:
@@ -60,7 +71,7 @@ def _pairs(ours: Callable[[], float], peer: Callable[[], float], repeats: int) -
     return [ours() / peer() for _ in range(repeats)]
 
 
-def _process_time(argv: Sequence[str]) -> float:
-    start = time.perf_counter()
+def _process_time(argv: Sequence[str], timer: Callable[[], float]) -> float:
+    start = timer()
     subprocess.run(argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True)
-    return time.perf_counter() - start
+    return timer() - start
