@@ -161,9 +161,13 @@ def _batches(path: StrPath, names: list[str]) -> Iterator[Any]:
 
 def _rows_kept(path: StrPath, schema: Any, kept: tuple[str, str]) -> dict[str, Column]:
     """Return all columns of the rows of one unit, one by one so that only one is there twice."""
-    from pyarrow import parquet
+    import pyarrow as pa
+    from pyarrow import compute, parquet
 
-    texts, wanted = _texts(schema), _filter(schema, kept)
+    texts, (column, unit) = _texts(schema), kept
+    wanted = None  # a column that is not there is refused with the others named
+    if column in schema.names:  # where the name of a unit may be a number
+        wanted = compute.field(column).cast(pa.string()) == unit
     columns: dict[str, Column] = {}
     for name in schema.names:
         table = parquet.read_table(path, columns=[name], read_dictionary=texts, filters=wanted)
@@ -205,17 +209,6 @@ def _read_column(
     del table
     pa.default_memory_pool().release_unused()
     return found
-
-
-def _filter(schema: Any, kept: tuple[str, str] | None) -> Any:
-    """Return what keeps the rows of one unit, whose name may be a number in the file."""
-    import pyarrow as pa
-    from pyarrow import compute
-
-    if kept is None or kept[0] not in schema.names:
-        return None  # a column that is not there is refused with the others named
-    name, unit = kept
-    return compute.field(name).cast(pa.string()) == unit
 
 
 def _column(chunked: Any, source: str, name: str) -> Column:

@@ -18,6 +18,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.fleets import folder as fleet_folder
 from multipos.fleets.fleet_text import fleet_sentence
+from multipos.fleets.parquet import read_parquet
 
 pytestmark = pytest.mark.usefixtures("without_drawing")
 
@@ -111,6 +112,19 @@ def test_parquet_folders_and_patterns_are_read_as_the_same(tmp_path):
     for source in (lots, lots / "*.parquet"):
         found = mp.fit_many(str(source), unit_column="unit", station_column="station")
         assert found == whole
+
+
+def test_of_parquet_only_the_rows_of_a_unit_are_read(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    parquet.write_table(
+        pa.table({"unit": [7, 7, 8], "ax": [0.1, 0.2, 0.3]}), tmp_path / "a.parquet"
+    )
+    one = read_parquet(tmp_path / "a.parquet", {"unit"}, ("unit", "7"))
+    assert (one.rows, one.columns["ax"].tolist()) == (2, [0.1, 0.2])
+    # and of one without that column all, which is refused where columns are named
+    assert read_parquet(tmp_path / "a.parquet", {"unit"}, ("serial", "7")).rows == 3
 
 
 def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
