@@ -215,6 +215,14 @@ def require_writable(
             )
 
 
+def solve(path: str, key: str, matrix: Array, right: ArrayLike) -> Array:
+    """Return the inverse of a matrix that a file holds, times what stands to its right."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        raise MultiposError(f"{path}: {key} has no inverse; export again.") from None
+
+
 def origin(calibration: Calibration) -> list[str]:
     """Return what a file is of, as lines of comments: each stays on its line."""
     source = to_json(calibration.readings.source or "readings").strip()

@@ -176,10 +176,7 @@ def _read_kalibr(path: str, text: str) -> Correction:
     if turn is not None:
         response = response @ _cells(path, "C_i_case", turn[1], 9).reshape(3, 3)
     offset = _cells(path, "bias", bias[1] if bias else "", 3)
-    try:
-        return Correction(np.asarray(np.linalg.inv(response)), offset)
-    except np.linalg.LinAlgError:
-        raise MultiposError(f"{path}: M has no inverse; export again.") from None
+    return Correction(parameters.solve(path, "M", response, np.eye(3)), offset)
 
 
 def _cells(path: str, key: str, text: str, count: int) -> Array:
@@ -275,10 +272,7 @@ def _read_imu_calib(path: str, text: str) -> Correction:
         cells = re.findall(r"[^\s,]+", block[1]) if block else []
         found[key] = parameters.read_numbers(path, key, cells, count)
     matrix = found["SM"].reshape(3, 3)
-    try:
-        return Correction(matrix, np.asarray(np.linalg.solve(matrix, found["bias"])))
-    except np.linalg.LinAlgError:
-        raise MultiposError(f"{path}: SM has no inverse; export again.") from None
+    return Correction(matrix, parameters.solve(path, "SM", matrix, found["bias"]))
 
 
 ROS = parameters.parameter_target(
@@ -343,10 +337,8 @@ def _read_imucal(path: str, text: str) -> Correction:
             "again."
         )
     scale, rotation, bias = (_numbers_imucal(path, held, key) for key in _ACCELERATION)
-    try:
-        return Correction(np.linalg.inv(rotation) @ np.linalg.inv(scale), bias)
-    except np.linalg.LinAlgError:
-        raise MultiposError(f"{path}: K_a or R_a has no inverse; export again.") from None
+    one, other = (parameters.solve(path, "K_a or R_a", A, np.eye(3)) for A in (rotation, scale))
+    return Correction(one @ other, bias)
 
 
 def _numbers_imucal(path: str, held: dict[str, object], key: str) -> Array:
