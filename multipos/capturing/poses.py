@@ -152,13 +152,13 @@ def find_frame(
     asked : sequence of (3,) array or None
         What was asked for at each pose, in case axes.
     """
-    frame = _find_frame(means, axes, convention, calibration)
+    sign = -1.0 if convention == "gravity" else 1.0
+    blank = Frame(np.zeros(3), 1.0, tuple(int(i) for i in np.argsort(axes)), sign)
+    frame = _find_frame(means, blank, calibration)
     pairs = [i for i, up in enumerate(asked) if up is not None]
     if not pairs or len(axes) != len(COMPONENTS):
         return frame
-    sign = -1.0 if convention == "gravity" else 1.0
-    order = tuple(int(i) for i in np.argsort(axes))
-    seen = frame or Frame(np.zeros(3), float(median(np.linalg.norm(means, axis=1))), order, sign)
+    seen = frame or replace(blank, size=float(median(np.linalg.norm(means, axis=1))))
     wanted = np.array([asked[i] for i in pairs])
     turn = find_turn(wanted, seen.up(means[pairs]))
     return frame if turn is None else replace(seen, turn=turn)
@@ -195,23 +195,20 @@ def find_turn(asked: Array, shown: Array) -> Array | None:
     return np.asarray(_turns()[int(np.argmax(np.round(score, 6)))])
 
 
-def _find_frame(
-    means: Array, axes: tuple[int, ...], convention: Convention, calibration: Calibration | None
-) -> Frame | None:
+def _find_frame(means: Array, blank: Frame, calibration: Calibration | None) -> Frame | None:
     """Return how readings (n, M) show directions by themselves."""
-    sign = -1.0 if convention == "gravity" else 1.0
-    order = tuple(int(i) for i in np.argsort(axes))
     model = None if calibration is None else calibration.model
     if model is not None and len(model.axes) == 3 and not model.environment:
-        return Frame(np.zeros(3), 1.0, order, sign, calibration)
-    if len(axes) != 3 or not len(means):
+        return replace(blank, calibration=calibration)
+    if len(blank.order) != 3 or not len(means):
         return None
     centre = _centre(means)
     if centre is not None:
-        return Frame(centre, float(median(np.linalg.norm(means - centre, axis=1))), order, sign)
+        size = float(median(np.linalg.norm(means - centre, axis=1)))
+        return replace(blank, centre=centre, size=size)
     size = float(median(np.linalg.norm(means, axis=1)))
     in_known_unit = any(abs(size / one - 1.0) < _NEAR for one in _ONE_G)
-    return Frame(np.zeros(3), size, order, sign) if in_known_unit else None
+    return replace(blank, size=size) if in_known_unit else None
 
 
 def _centre(means: Array) -> Array | None:

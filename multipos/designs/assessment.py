@@ -475,12 +475,7 @@ def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str
     ]
     rows = []
     for entry in entries:
-        shares = [
-            entry.d_efficiency,
-            entry.a_efficiency,
-            entry.g_efficiency,
-            entry.i_efficiency,
-        ]
+        shares = [getattr(entry, f"{each}_efficiency") for each in "dagi"]
         rows.append(
             [
                 entry.name or "",

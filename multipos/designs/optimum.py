@@ -89,15 +89,13 @@ class ContinuousOptimum:
     gap: float
 
 
-def optimise_candidates(
-    rows: Blocks, criterion: Criterion, *, gap: float = GAP
-) -> ContinuousOptimum:
+def optimise_candidates(rows: Blocks, criterion: Criterion) -> ContinuousOptimum:
     """Return the best weights on candidates whose rows are (n, K, p_b).
 
     Raises
     ------
     ConvergenceError
-        The certificate stays above `gap`.
+        The certificate stays above `GAP`.
     """
     n = len(rows[0])
     start = np.unique(np.linspace(0, n - 1, min(n, _WORKING)).astype(np.intp))
@@ -106,23 +104,17 @@ def optimise_candidates(
     working, found = start, 1.0
     for _ in range(_ROUNDS):
         chosen = _taken(rows, working)
-        aim = max(_EARLY * found, 0.01 * gap)
+        aim = max(_EARLY * found, 0.01 * GAP)
         weights = weigh(chosen, criterion, gap=aim)
         weights[weights <= _NEGLIGIBLE] = 0.0
         weights /= weights.sum()
         information = inform(chosen, weights)
         s = sensitivity(rows, kernels(information, criterion))
         found = float(s.max()) - 1.0
-        if found <= gap:
+        if found <= GAP:
             kept = weights > 0.0
-            return ContinuousOptimum(
-                np.empty((0, 3)),
-                working[kept],
-                weights[kept],
-                objective(information, criterion),
-                log_det(information),
-                found,
-            )
+            reached = objective(information, criterion), log_det(information), found
+            return ContinuousOptimum(np.empty((0, 3)), working[kept], weights[kept], *reached)
         # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
         alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
         heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
@@ -135,15 +127,13 @@ def optimise_candidates(
     raise ConvergenceError(_unfinished(found))
 
 
-def optimise_sphere(
-    setting: Setting, criterion: Criterion, *, gap: float = GAP
-) -> ContinuousOptimum:
+def optimise_sphere(setting: Setting, criterion: Criterion) -> ContinuousOptimum:
     """Return the best weights over all directions of the sphere.
 
     Raises
     ------
     ConvergenceError
-        The certificate stays above `gap`.
+        The certificate stays above `GAP`.
     MultiposError
         A formula has no value somewhere.
     """
@@ -151,24 +141,18 @@ def optimise_sphere(
     for _ in range(_ROUNDS):
         rows = setting.rows(up)
         require_values(setting, rows)
-        weights = weigh(rows, criterion, gap=0.01 * gap)
+        weights = weigh(rows, criterion, gap=0.01 * GAP)
         kept = weights > _NEGLIGIBLE
         up, weights = up[kept], weights[kept] / weights[kept].sum()
         information = inform(_taken(rows, np.flatnonzero(kept)), weights)
         sensed = partial(_sensed, setting, kernels(information, criterion))
         peaks, heights = maxima(sensed)
-        if heights.max() - 1.0 <= gap:  # before it is said, look closer
+        if heights.max() - 1.0 <= GAP:  # before it is said, look closer
             peaks, heights = maxima(sensed, _FINE)
         found = float(heights.max()) - 1.0
-        if found <= gap:
-            return ContinuousOptimum(
-                up,
-                np.empty(0, dtype=np.intp),
-                weights,
-                objective(information, criterion),
-                log_det(information),
-                found,
-            )
+        if found <= GAP:
+            reached = objective(information, criterion), log_det(information), found
+            return ContinuousOptimum(up, np.empty(0, dtype=np.intp), weights, *reached)
         joining = peaks[heights > 1.0][: _MOST // 3]
         heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
         up = np.concatenate([up[np.sort(heaviest)], joining])

@@ -215,7 +215,7 @@ def require_writable(
             )
 
 
-def solve(path: str, key: str, matrix: Array, right: ArrayLike) -> Array:
+def solve(path: str, key: str, matrix: Array, right: Array) -> Array:
     """Return the inverse of a matrix that a file holds, times what stands to its right."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))

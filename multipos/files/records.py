@@ -245,13 +245,11 @@ class Fields(Kind):
         if not isinstance(value, Mapping):
             raise _KindError(place, value, "an object")
         inside = f"{place}." if place else ""
-        for name, kind in self.needed.items():
-            if name not in value:
-                raise _KindError(f"{inside}{name}")
-            kind.check(value[name], f"{inside}{name}")
-        for name, kind in self.optional.items():
+        for name, kind in (*self.needed.items(), *self.optional.items()):
             if name in value:
                 kind.check(value[name], f"{inside}{name}")
+            elif name in self.needed:
+                raise _KindError(f"{inside}{name}")
 
 
 @frozen(eq=True)

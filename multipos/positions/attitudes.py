@@ -331,10 +331,9 @@ def pose_words(up: Array, *, magnetic: bool = False) -> dict[str, str]:
             "en": f"the field {lean:.0f}° from {axis} towards {' and '.join(risen)}",
             "zh": f"磁场偏离 {axis} 轴 {lean:.0f}°，朝向 {'、'.join(risen)}",
         }
+    rise = "rises" if len(risen) == 1 else "rise"
     return {
-        "en": f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} rises"
-        if len(risen) == 1
-        else f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} rise",
+        "en": f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} {rise}",
         "zh": f"{axis} 轴向上，倾斜 {lean:.0f}°，使 {'、'.join(risen)} 抬高",
     }
 

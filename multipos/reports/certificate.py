@@ -30,7 +30,7 @@ from multipos.reports.findings import (
     signature_section,
     sphere_section,
 )
-from multipos.reports.sections import Language, PageTable, Section, Translator, with_annex
+from multipos.reports.sections import Language, Section, Translator, method_section, with_annex
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -277,11 +277,7 @@ def _method(c: Calibration, tr: Translator) -> Section:
     for name, column in c.readings.environment.items():
         if np.isfinite(column).all():
             rows.append((tr(name), f"{column.min():.6g} … {column.max():.6g}"))
-    header = (tr("Item"), tr("Value"))
-    return Section(
-        tr("Method and data"),
-        tables=(PageTable(tr("How it was done"), header, tuple(rows), left=2),),
-    )
+    return method_section(rows, tr)
 
 
 def _validity(findings: Findings, tr: Translator) -> tuple[Section, ...]:

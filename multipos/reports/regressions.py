@@ -40,6 +40,7 @@ from multipos.reports.sections import (
     Section,
     Translator,
     draw_svg,
+    method_section,
     with_annex,
 )
 
@@ -353,11 +354,7 @@ def _method(several: Sequence[Regression], tr: Translator) -> Section:
         (tr("Confidence"), f"{r.confidence:g}"),
         (tr("Computed"), f"{r.created}, multipos {r.version}"),
     ]
-    header = (tr("Item"), tr("Value"))
-    return Section(
-        tr("Method and data"),
-        tables=(PageTable(tr("How it was done"), header, tuple(rows), left=2),),
-    )
+    return method_section(rows, tr)
 
 
 def _span(r: Regression, s: Segment, tr: Translator) -> str:

@@ -131,6 +131,13 @@ class Section:
     tables: tuple[PageTable, ...] = ()
 
 
+def method_section(rows: Iterable[tuple[str, str]], tr: Translator) -> Section:
+    """Return the section on how something was done."""
+    header = (tr("Item"), tr("Value"))
+    table = PageTable(tr("How it was done"), header, tuple(rows), left=2)
+    return Section(tr("Method and data"), tables=(table,))
+
+
 def draw_svg(tr: Translator, height: float, *panels: Callable[[Any], object]) -> str:
     """Return a figure of panels of a height, each drawn on its own axes, as SVG translated."""
     # Imported here: a sentence on the screen needs no figure.

@@ -486,19 +486,16 @@ def _risks(found: Mapping[str, Any], tr: sections.Translator) -> sections.Sectio
 def _fixtures(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
     tables = []
     for station in found["stations"]:
-        rows = [
-            (each["position"], *(_angle(each[axis]) for axis in "xyz"))
+        known = [
+            each
             for each in station["positions_deg"]
             if any(each[axis] is not None for axis in "xyz")
         ]
-        if rows:
+        if known:
+            rows = [(each["position"], *(_angle(each[axis]) for axis in "xyz")) for each in known]
             name = station["station"]
             caption = tr("Station {name}", name=name) if name else tr("All units")
-            off = [
-                ", ".join(axis for axis in "xyz" if is_off(each[axis]))
-                for each in station["positions_deg"]
-                if any(each[axis] is not None for axis in "xyz")
-            ]
+            off = [", ".join(axis for axis in "xyz" if is_off(each[axis])) for each in known]
             header: tuple[str, ...] = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
             if any(off):
                 header = (*header, tr("off"))

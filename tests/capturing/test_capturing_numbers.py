@@ -12,7 +12,7 @@ from scipy.stats import t
 import multipos as mp
 from multipos.capturing import evaluation, live_rests, poses, running, screen, streams
 from multipos.capturing import session as session_module
-from multipos.capturing.poses import _find_frame, _ratios, _score, _State, best_pose, gain_of
+from multipos.capturing.poses import _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
 from multipos.logs.rests import Rest
 from multipos.sensor.model import build_model
@@ -79,15 +79,15 @@ def test_an_easy_direction_is_taken_where_it_is_nearly_the_best(share, fine, mon
 def test_a_frame_without_a_centre_is_of_a_known_g(size, found):
     """Within 15 % of 9.80665, 1 or 1000; of many poses their centre tells it."""
     up = mp.read_scheme("fibonacci-3").up
-    frame = _find_frame(size * up, (2, 0, 1), "gravity", None)
+    frame = poses.find_frame(size * up, (2, 0, 1), "gravity", None)
     assert (frame is not None) is found
     if found:
         assert (frame.size, frame.order, frame.sign) == (pytest.approx(size), (1, 2, 0), -1.0)
     many = mp.read_scheme("fibonacci-12").up
-    frame = _find_frame(7.0 * many + [3.0, -2.0, 1.0], (0, 1, 2), "force", None)
+    frame = poses.find_frame(7.0 * many + [3.0, -2.0, 1.0], (0, 1, 2), "force", None)
     assert_allclose(frame.centre, [3.0, -2.0, 1.0], atol=1e-9)
     assert (frame.size, frame.sign) == (pytest.approx(7.0), 1.0)
-    assert _find_frame(many[:, :2], (0, 1), "force", None) is None
+    assert poses.find_frame(many[:, :2], (0, 1), "force", None) is None
 
 
 def test_angles_between_directions_near_and_far():
