@@ -21,7 +21,7 @@ from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 from urllib.parse import unquote
 
 from multipos.capturing.session import Session, live_of, state_of
@@ -92,12 +92,39 @@ def bind(make: Callable[[int], Server], port: int | None, default: int) -> Serve
         ) from None
 
 
-class _Server(ThreadingHTTPServer):
-    """The server, and what all its threads share."""
+class QuietServer(ThreadingHTTPServer):
+    """A server that a browser may leave at any time."""
 
     daemon_threads = True
     block_on_close = False
-    allow_reuse_address = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing: a browser that leaves is no error."""
+
+
+class QuietHandler(BaseHTTPRequestHandler):
+    """A connection that writes nothing to stderr."""
+
+    protocol_version = "HTTP/1.1"
+    timeout = _SLOWEST
+
+    def version_string(self) -> str:
+        """Return how the server calls itself."""
+        return "multipos"
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Keep stderr for what the user must know."""
+
+    def send_head(self, status: HTTPStatus, **headers: str) -> None:
+        """Send the status and headers, which are written with underscores, and those of all."""
+        self.send_response(status)
+        shared = {"X_Content_Type_Options": "nosniff", "Referrer_Policy": "no-referrer"}
+        for name, value in (headers | shared).items():
+            self.send_header(name.replace("_", "-"), value)
+
+
+class _Server(QuietServer):
+    """The server, and what all its threads share."""
 
     def __init__(self, session: Session, port: int) -> None:
         super().__init__((LOOPBACK, port), _Handler)
@@ -131,9 +158,6 @@ class _Server(ThreadingHTTPServer):
             self._made[kind] = now, text.encode()
         return self._made[kind][1]
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a browser that leaves is no error."""
-
 
 def _whole_page() -> str:
     """Return the page with what it shares with that of `multipos page`."""
@@ -158,12 +182,10 @@ def _policy(page: str) -> str:
     )
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(QuietHandler):
     """One connection."""
 
     server: _Server
-    protocol_version = "HTTP/1.1"
-    timeout = _SLOWEST
 
     def handle(self) -> None:
         if not self.server.connections.acquire(blocking=False):
@@ -174,12 +196,6 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
         finally:
             self.server.connections.release()
-
-    def version_string(self) -> str:
-        return "multipos"
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Keep stderr for what the user must know."""
 
     def do_GET(self) -> None:
         if not self._is_let_in():
@@ -255,17 +271,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _head(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        for name, value in (
-            ("Content-Type", kind),
-            ("Content-Security-Policy", self.server.policy),
-            ("X-Content-Type-Options", "nosniff"),
-            ("Cross-Origin-Resource-Policy", "same-origin"),
-            ("Cross-Origin-Opener-Policy", "same-origin"),
-            ("Referrer-Policy", "no-referrer"),
-            ("Cache-Control", "no-store"),
-        ):
-            self.send_header(name, value)
+        self.send_head(
+            status,
+            Content_Type=kind,
+            Content_Security_Policy=self.server.policy,
+            Cross_Origin_Resource_Policy="same-origin",
+            Cross_Origin_Opener_Policy="same-origin",
+            Cache_Control="no-store",
+        )
 
     def _stream(self) -> None:
         """Send events until the browser leaves, or the session has said its last."""

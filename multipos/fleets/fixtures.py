@@ -111,22 +111,12 @@ def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[
         return ()
     usable &= rms <= _WILD * median(rms[usable])
     left = np.moveaxis(found.residuals, 0, 2) @ found.inverse.transpose(0, 2, 1)
-    angles = left.reshape(len(left), -1) @ fixture.inverse.T  # δ̂_u (B, 3 n) of every unit
-    n = len(fixture.labels)
+    angles = left.reshape(len(left), -1) @ fixture.inverse.T
+    angles = angles.reshape(len(left), -1, 3)  # δ̂_u (B, n, 3) of every unit
+    known = fixture.labels, fixture.up, fixture.identifiable
     sums = []
     for station in np.unique(stations[usable]).tolist():
         mine = angles[usable & (stations == station)]
         total, square = mine.sum(axis=0), (mine**2).sum(axis=0)
-        shape = (n, 3)
-        sums.append(
-            FixtureSums(
-                station,
-                fixture.labels,
-                fixture.up,
-                fixture.identifiable,
-                len(mine),
-                total.reshape(shape),
-                square.reshape(shape),
-            )
-        )
+        sums.append(FixtureSums(station, *known, len(mine), total, square))
     return tuple(sums)

@@ -3,10 +3,9 @@
 import mimetypes
 from functools import partial
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote, urlsplit
 
-from multipos.capturing.serving import LOOPBACK, bind
+from multipos.capturing.serving import LOOPBACK, QuietHandler, QuietServer, bind
 from multipos.page.site import Site
 
 PORT = 8036
@@ -18,7 +17,7 @@ _TYPES = {
 }
 
 
-def open_server(site: Site, port: int | None) -> ThreadingHTTPServer:
+def open_server(site: Site, port: int | None) -> QuietServer:
     """Return a server of a site, which `serve_forever` serves and ``with`` closes.
 
     Raises
@@ -29,37 +28,23 @@ def open_server(site: Site, port: int | None) -> ThreadingHTTPServer:
     return bind(partial(_Server, site), port, PORT)
 
 
-class _Server(ThreadingHTTPServer):
+class _Server(QuietServer):
     """The server, and the site that all its threads share."""
-
-    daemon_threads = True
-    block_on_close = False
 
     def __init__(self, site: Site, port: int) -> None:
         super().__init__((LOOPBACK, port), _Handler)
         self.site = site
 
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing: a browser that leaves is no error."""
 
-
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(QuietHandler):
     """One connection."""
 
     server: _Server
-    protocol_version = "HTTP/1.1"
-    timeout = 20.0  # [s] for a request to be said
 
-    def version_string(self) -> str:
-        return "multipos"
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Keep stderr for what the user must know."""
-
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802
         self._answer(with_content=True)
 
-    def do_HEAD(self) -> None:
+    def do_HEAD(self) -> None:  # noqa: N802
         self._answer(with_content=False)
 
     def _answer(self, *, with_content: bool) -> None:
@@ -67,16 +52,13 @@ class _Handler(BaseHTTPRequestHandler):
         content = self.server.site.files.get(name)
         status = HTTPStatus.NOT_FOUND if content is None else HTTPStatus.OK
         body = b"there is no such file\n" if content is None else content
-        self.send_response(status)
-        for header, value in (
-            ("Content-Type", _type(name if content is not None else "")),
-            ("Content-Length", str(len(body))),
-            ("Content-Security-Policy", self._policy(name)),
-            ("X-Content-Type-Options", "nosniff"),
-            ("Referrer-Policy", "no-referrer"),
-            ("Cache-Control", "no-cache"),
-        ):
-            self.send_header(header, value)
+        self.send_head(
+            status,
+            Content_Type=_type(name if content is not None else ""),
+            Content_Length=str(len(body)),
+            Content_Security_Policy=self._policy(name),
+            Cache_Control="no-cache",
+        )
         self.end_headers()
         if with_content:
             self.wfile.write(body)

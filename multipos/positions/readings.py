@@ -339,17 +339,12 @@ def select_outputs(readings: Readings, names: tuple[str, ...]) -> Readings:
     moved = {
         name: readings.values[:, i] for i, name in enumerate(readings.outputs) if name not in names
     }
-
-    def own(array: Array | None) -> Array | None:
-        return None if array is None else array[:, columns]
-
+    by_output = [n for n in ("values", "u", "dof", "sd") if getattr(readings, n) is not None]
+    chosen: dict[str, Any] = {name: getattr(readings, name)[:, columns] for name in by_output}
     return replace(
         readings,
-        values=readings.values[:, columns],
+        **chosen,
         outputs=names,
-        u=own(readings.u),
-        dof=own(readings.dof),
-        sd=own(readings.sd),
         covariance=covariance,
         environment={**readings.environment, **moved},
     )

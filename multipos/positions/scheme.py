@@ -156,16 +156,11 @@ def _once(up: Array) -> Array:
 
 
 _ANGLES = (
-    "direction",
-    "roll_deg",
-    "pitch_deg",
+    *attitudes.FORMS["direction"],
+    *attitudes.FORMS["roll and pitch"],
     "yaw_deg",
-    "roll_axis",
-    "angle_deg",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
+    *attitudes.FORMS["roll about an axis"],
+    *attitudes.FORMS["quaternion"],
 )
 _TWO_AXIS_BENCH_SETTINGS = re.compile(r"two-axis-.*")
 _ROLL_BENCH_SETTINGS = re.compile(r"roll-\d.*-([xyz]+)")
