@@ -21,6 +21,7 @@ import json
 import os
 import re
 import sys
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -92,8 +93,9 @@ def workbook_text(path: StrPath) -> str:
     require_extra(path, "an Excel workbook", "xlrd" if old else "openpyxl", "excel")
     text = io.StringIO()
     try:
-        rows = _rows_of_xls(path) if old else _rows_of_xlsx(path)
-        csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
+        with warnings.catch_warnings(action="ignore"):  # of print areas and styles: cells are read
+            rows = _rows_of_xls(path) if old else _rows_of_xlsx(path)
+            csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
     except Exception as error:  # of a damaged file whatever its library raises
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise MultiposError(

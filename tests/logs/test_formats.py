@@ -3,6 +3,8 @@
 import datetime
 import gzip
 import json
+import warnings
+import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -136,6 +138,23 @@ def test_excel(preamble, log, tmp_path, capsys):
     assert found.sample_rate == pytest.approx(100.0, rel=1e-4)
     assert found.unit == "m/s^2"
     assert bool(preamble) == any("the table begins on line" in note for note in texts(found))
+
+
+def test_what_a_library_says_of_other_sheets_of_a_workbook_is_left_out(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["ax", 1.5])
+    book.save(tmp_path / "whole.xlsx")
+    with zipfile.ZipFile(tmp_path / "whole.xlsx") as whole:
+        files = {name: whole.read(name) for name in whole.namelist()}
+    with zipfile.ZipFile(tmp_path / "log.xlsx", "w") as damaged:
+        for name, data in files.items():
+            lost = data.replace(b"</sheets>", b'<sheet name="Chart" sheetId="2"/></sheets>')
+            damaged.writestr(name, lost if name == "xl/workbook.xml" else data)
+    with pytest.warns(UserWarning, match="Chart"):
+        openpyxl.load_workbook(tmp_path / "log.xlsx")
+    with warnings.catch_warnings(action="error"):
+        assert handed.workbook_text(tmp_path / "log.xlsx") == "ax,1.5\n"
 
 
 @pytest.mark.parametrize("dated", [False, True])
