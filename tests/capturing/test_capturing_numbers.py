@@ -1,5 +1,6 @@
 """Numbers of a session by hand or by a second route, at points without symmetry."""
 
+import io
 import math
 import threading
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import evaluation, live_rests, poses, running, screen, streams
+from multipos.capturing import evaluation, live_rests, poses, running, screen, serving, streams
 from multipos.capturing import session as session_module
 from multipos.capturing.poses import _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
@@ -202,6 +203,16 @@ def test_the_next_position_of_a_scheme(order, monkeypatch):
     assert given[1][2].shape == (0, 3)
     every = [SimpleNamespace(position=name) for name in scheme.names]
     assert evaluation._next_of_scheme(plan, scheme, MODEL, found, every) is None
+
+
+def test_a_stream_that_begins_has_seen_no_version():
+    session = SimpleNamespace(changed=threading.Condition(), version=1, ticks=0)
+    seen = []
+    server = SimpleNamespace(ending=True, session=session, event=lambda v: seen.append(v) or b"e")
+    handler = SimpleNamespace(server=server, wfile=io.BytesIO())
+    serving._Handler._send_events(handler)
+    assert seen == [-1]
+    assert handler.wfile.getvalue() == b"e"
 
 
 def test_rows_are_counted_for_their_rate_from_the_first_look_on(monkeypatch):

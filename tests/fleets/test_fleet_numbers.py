@@ -24,7 +24,7 @@ from multipos.fleets.solving import (
     find_pattern,
     find_suspects,
 )
-from multipos.fleets.sources import _labelled
+from multipos.fleets.sources import Rows, _labelled
 from multipos.fleets.unit_findings import (
     _explained_by_temperature,
     _lack_of_fit,
@@ -689,3 +689,10 @@ def test_a_mean_of_a_fleet_is_said_to_a_third_digit_of_its_sd(sd, mean):
     unit, shown, plain, *limits = fleet_text._spread(each)
     assert (unit, shown, limits) == ("mg", mean, ["-", "-2", "-"])
     assert plain == ("-" if sd is None else "0.0234")
+
+
+def test_a_column_with_its_unit_is_found_by_its_name():
+    rows = SimpleNamespace(columns={"unit": 0, "ax (g)": 1, "T [K]": 2, "az": 3})
+    assert [Rows.written(rows, name) for name in ("ax", "T", "az", "ay")] == [
+        "ax (g)", "T [K]", "az", "ay",
+    ]  # fmt: skip
