@@ -187,9 +187,7 @@ def load_mat(path: os.PathLike[str]) -> Mapping[str, Any]:
 def loaded(path: os.PathLike[str], load: Callable[[], Any]) -> Any:
     """Return what a library's reader gives, and refuse a damaged file by its first line."""
     try:
-        with warnings.catch_warnings():
-            # Arrays written by Python 2 are read; their header only takes longer.
-            warnings.filterwarnings("ignore", "Reading `.npy`")
+        with warnings.catch_warnings(action="ignore"):  # of headers by Python 2, and the like
             return load()
     except Exception as error:  # each format has exceptions of its own for a damaged file
         raise MultiposError(
