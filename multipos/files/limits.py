@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.records import LARGEST
+from multipos.files.records import LARGEST, is_number
 from multipos.files.spelling import StrPath
 from multipos.files.tables import Table, read_table
 from multipos.files.trees import read_toml
@@ -66,13 +66,9 @@ def _side(table: Table, name: str) -> list[float]:
     return list(side)
 
 
-def _is_side(side: Any) -> bool:
-    return side is None or (isinstance(side, int | float) and not isinstance(side, bool))
-
-
 def _limit(where: str, name: str, pair: Any) -> Limit:
     known = isinstance(pair, list | tuple) and len(pair) == 2
-    if not known or not all(map(_is_side, pair)):
+    if not known or not all(side is None or is_number(side) for side in pair):
         raise MultiposError(f"{where}: '{name}' needs two limits, [lsl, usl], got {pair!r}.")
     lsl = -math.inf if pair[0] is None or math.isnan(pair[0]) else float(pair[0])
     usl = math.inf if pair[1] is None or math.isnan(pair[1]) else float(pair[1])

@@ -86,7 +86,7 @@ class Number(Kind):
 
     def check(self, value: Any, place: str) -> None:
         """Raise a fault where the value is something else."""
-        if not _is_number(value):
+        if not is_number(value):
             raise _KindError(place, value, "a number")
         low = value > self.low if self.above else value >= self.low
         high = value < self.high if self.below else value <= self.high
@@ -475,7 +475,8 @@ def require_covariance(covariance: NDArray[np.float64], u: NDArray[np.float64]) 
         raise ValueError("its covariance is not symmetric, or negative in a direction")
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Tell whether a value of a file is a number, which true is not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

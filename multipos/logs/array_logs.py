@@ -53,15 +53,12 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
     named_units = zip(named.columns, map(split_unit, whole), strict=True)
     return Log(
         source=source,
-        columns=named.columns,
+        **named._asdict(),
         numeric=_of_kind(arrays, "fiubM"),
         delimiter=",",
         text=False,
         pieces=partial(_read_arrays, source, arrays, rows),
-        header=named.header,
         units={name: unit for name, (_, unit) in named_units if unit},
-        headless=named.headless,
-        nameless=named.nameless,
         dates=frozenset(_of_kind(arrays, "M")),
     )
 

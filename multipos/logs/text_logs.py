@@ -397,16 +397,13 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log
     named_units = zip(named.columns, layout.units, strict=True)
     return Log(
         source=str(text.path),
-        columns=named.columns,
+        **named._asdict(),
         numeric=tuple(name for name, number, date in numbers if number or date),
         delimiter=layout.delimiter,
         text=True,
         pieces=read,
-        header=named.header,
         units={name: unit for name, unit in named_units if unit},
         rising=named.headless and layout.rising,
-        headless=named.headless,
-        nameless=named.nameless,
         dates=text.dates,
         rate=layout.rate,
         notes=layout.notes,

@@ -36,6 +36,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.records import is_number
 from multipos.files.spelling import StrPath, near
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE
@@ -514,7 +515,7 @@ def _check_entry(where: str, key: str, value: Any) -> None:
         if not isinstance(value, str):
             raise MultiposError(f"{where}: unit must be text in quotes, got {value!r}.")
         return
-    number = isinstance(value, int | float) and not isinstance(value, bool)
+    number = is_number(value)
     infinite = number and key in ("low", "high") and math.isinf(value)
     largest = LARGEST_SAMPLE if key == "start" else LARGEST
     if not infinite and not (number and abs(value) <= largest):

@@ -48,6 +48,7 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.records import is_number
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_toml
 from multipos.numerics.arrays import COMPONENTS, FEWEST, LARGEST, Array
@@ -90,8 +91,7 @@ def _check_numbers(where: str, table: Mapping[str, Any]) -> None:
     _check_keys(where, table)
     for name, value in table.items():
         least, most = (1.0, math.inf) if name == "dof" else (0.0, LARGEST)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not least <= value <= most:
+        if not is_number(value) or not least <= value <= most:
             raise MultiposError(
                 f"{where}: '{name}' must be a number of at least {least:g}, got {value!r}."
             )
@@ -427,15 +427,10 @@ def _number(
     where: str, table: Mapping[str, Any], key: str, name: str | None = None, *, signed: bool = False
 ) -> float:
     value, called = table[key], name or key
-    if not _is_number(value) or (math.isinf(value) and key != "dof"):
+    if not is_number(value) or math.isnan(value) or (math.isinf(value) and key != "dof"):
         raise MultiposError(f"{where}: '{called}' must be a number, got {value!r}.")
     if not signed and value < 0.0:
         raise MultiposError(f"{where}: '{called}' must be 0 or more, got {value:g}.")
     if abs(value) > LARGEST and not math.isinf(value):
         raise MultiposError(f"{where}: '{called}' must be no more than {LARGEST:g}, got {value:g}.")
     return float(value)
-
-
-def _is_number(value: Any) -> bool:
-    """Tell whether a value of a TOML file is a number, which true and nan are not."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and not math.isnan(value)
