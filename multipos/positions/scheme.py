@@ -500,7 +500,7 @@ def _faces() -> attitudes.Attitudes:
 
 
 def _corners() -> attitudes.Attitudes:
-    return attitudes.from_up([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+    return attitudes.from_up(_CUBE)
 
 
 def _edges() -> attitudes.Attitudes:
@@ -512,26 +512,23 @@ def _edges() -> attitudes.Attitudes:
     )
 
 
+_CUBE: list[list[float]] = [[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]
 _GOLDEN = (1.0 + 5.0**0.5) / 2.0
 
 
+def _rectangles(short: float) -> list[list[float]]:
+    """Return the corners of three rectangles, each across one axis, of one short side."""
+    pairs = [(a * short, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
+    across = [[0.0, a, b] for a, b in pairs]
+    return across + [[a, b, 0.0] for a, b in pairs] + [[b, 0.0, a] for a, b in pairs]
+
+
 def _icosahedron() -> attitudes.Attitudes:
-    pairs = [(a, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
-    return attitudes.from_up(
-        [[0, a, b] for a, b in pairs]
-        + [[a, b, 0] for a, b in pairs]
-        + [[b, 0, a] for a, b in pairs]
-    )
+    return attitudes.from_up(_rectangles(1.0))
 
 
 def _dodecahedron() -> attitudes.Attitudes:
-    pairs = [(a / _GOLDEN, b * _GOLDEN) for a in (1, -1) for b in (1, -1)]
-    return attitudes.from_up(
-        [[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]
-        + [[0, a, b] for a, b in pairs]
-        + [[a, b, 0] for a, b in pairs]
-        + [[b, 0, a] for a, b in pairs]
-    )
+    return attitudes.from_up([*_CUBE, *_rectangles(1.0 / _GOLDEN)])
 
 
 def _fibonacci(count: int) -> attitudes.Attitudes:
