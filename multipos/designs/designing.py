@@ -265,16 +265,10 @@ def design(
     best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
     rng = np.random.default_rng(seed)
     value, up = _search(setting, wanted, positions - len(given), bench, given, best, rng)
-    none_found = MultiposError(
-        f"no {positions} positions were found that separate the parameters; "
-        "give more --positions or more candidates."
-    )
-    if value == -math.inf:
-        raise none_found
+    _require_separated(value > -math.inf, positions)
     up = np.concatenate([given, up[_order(setting, up, given, order)]])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
-    if not described.identifiable:  # what many candidates barely show
-        raise none_found
+    _require_separated(described.identifiable, positions)  # what many candidates barely show
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     turned = travel_deg(up)
     return Design(
@@ -298,6 +292,14 @@ def design(
         findings=nothing_to_weigh(setting),
         settings=_settings(up, len(given), candidates, include),
     )
+
+
+def _require_separated(separated: bool, positions: int) -> None:
+    if not separated:
+        raise MultiposError(
+            f"no {positions} positions were found that separate the parameters; "
+            "give more --positions or more candidates."
+        )
 
 
 def _order(setting: Setting, up: Array, given: Array, order: Order) -> Places:
