@@ -154,9 +154,9 @@ def worth(
     setting, present, covered = measured(calibration)
     up = read_bench(candidates)
     pieces = information_of(setting, up)
-    now = np.diag(np.linalg.inv(present))
+    now = _variances(present)
     fixed = np.maximum(calibration.u**2 - now * covered, 0.0)
-    then = np.sqrt(_variances(present, pieces) * covered + fixed)
+    then = np.sqrt(_variances(present + pieces) * covered + fixed)
     before = np.sqrt(now * covered + fixed)
     fall = 1.0 - (then / before)[:, index] if index is not None else _mean_fall(then, before)
     order = np.argsort(-fall, kind="stable")
@@ -257,10 +257,7 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     of_session = np.isin([str(term) for _, term in model.keys], model.of_session)
     known = model.beliefs + np.where(of_session, 1.0 / calibration.u**2, 0.0)
     present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(known))
-    try:
-        ratio = calibration.u**2 / np.diag(np.linalg.inv(present))
-    except np.linalg.LinAlgError:
-        raise MultiposError(_OPEN) from None
+    ratio = calibration.u**2 / _variances(present)
     covered = np.empty(len(ratio))
     for part in setting.blocks:
         # gravity adds nothing to a bias: the least ratio is that of the noise alone
@@ -281,8 +278,12 @@ def information_of(setting: Setting, up: Array) -> Array:
     return pieces
 
 
-def _variances(present: Array, pieces: Array) -> Array:
-    variances = np.diagonal(np.linalg.inv(present + pieces), axis1=1, axis2=2)
+def _variances(information: Array) -> Array:
+    """Return the variances (…, p) of parameters, which information (…, p, p) has digits of."""
+    try:
+        variances = np.diagonal(np.linalg.inv(information), axis1=-2, axis2=-1)
+    except np.linalg.LinAlgError:
+        raise MultiposError(_OPEN) from None
     if not (variances > 0.0).all():  # a position tells so much more that no digit of others is left
         raise MultiposError(_OPEN)
     return np.asarray(variances)
@@ -298,10 +299,10 @@ def _ahead(
     """Return the candidates to take until u is at most the target, or None beyond reach."""
     path: list[int] = []
     while len(path) < _MOST:
-        now = float(np.linalg.inv(present)[index, index])
+        now = float(_variances(present)[index])
         if math.sqrt(now * scale + fixed) <= target:
             return path
-        then = _variances(present, pieces)[:, index]
+        then = _variances(present + pieces)[:, index]
         best = int(np.round(then / then.min(), 9).argmin())  # the first of equal ones
         path.append(best)
         present = present + pieces[best]

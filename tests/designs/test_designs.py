@@ -697,8 +697,9 @@ def test_worth_refuses_what_it_cannot_tell():
     saturated = mp.fit(readings("faces-6", np.random.default_rng(9)), model="1+x+y+z+own^2+y^2")
     with pytest.raises(mp.MultiposError, match="--reading-sd"):
         mp.worth(saturated)
-    with pytest.raises(mp.MultiposError, match="leave a parameter open"):  # −1/3 of a variance
-        _variances(np.eye(2), np.array([[[0.0, 2.0], [2.0, 0.0]]]))
+    for other in (2.0, 1.0):  # −1/3 of a variance, and none at all
+        with pytest.raises(mp.MultiposError, match="leave a parameter open"):
+            _variances(np.array([[[1.0, other], [other, 1.0]]]))
 
 
 def test_an_orientation_sd_beside_a_whole_g_warns():
