@@ -435,7 +435,10 @@ def _ratios(state: _State, pieces: Array, targets: dict[str, float], dof: float)
     names = state.setting.model.names
     places = [names.index(name) for name in targets if name in names]
     wanted = np.array([targets[names[i]] for i in places])
-    C = np.linalg.inv(state.present + pieces)
+    try:
+        C = np.linalg.inv(state.present + pieces)
+    except np.linalg.LinAlgError:  # one position tells so much that no digit of others is left
+        C = np.linalg.pinv(state.present + pieces, hermitian=True)
     variance = np.diagonal(C, axis1=1, axis2=2) * state.scale + state.fixed
     factor = coverage_factor(0.95, dof if dof > 0.0 else 1.0)
     return np.asarray(factor * np.sqrt(variance[:, places]) / wanted)

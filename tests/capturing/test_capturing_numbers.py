@@ -42,6 +42,10 @@ def test_what_a_pose_would_make_of_targets_and_of_the_whole():
     own = np.kron(np.eye(3), np.outer(np.append(1.0, up), np.append(1.0, up)))
     assert_allclose(_ratios(now, own[None], targets, 7.0)[0], ratios_by_hand(now, up, targets, 7.0))
     assert_allclose(_ratios(now, own[None], targets, 0.0)[0], ratios_by_hand(now, up, targets, 0.0))
+    alike = now._replace(present=np.ones((12, 12)))  # without an inverse, of which 1/144 is left
+    u = np.sqrt(now.scale / 144.0 + now.fixed)[MODEL.names.index("bias_ay")]
+    found = _ratios(alike, np.zeros((1, 12, 12)), {"bias_ay": 0.3}, 7.0)
+    assert_allclose(found, t.ppf(0.975, 7.0) * u / 0.3)
     by_hand = -math.log(sum(r**8 for r in ratios_by_hand(now, up, targets, 7.0)))
     assert _score(now, up[None], targets)[0] == pytest.approx(by_hand)
     whole = np.linalg.slogdet(now.present + own)[1]
