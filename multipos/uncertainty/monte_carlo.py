@@ -47,8 +47,8 @@ from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents
-from multipos.uncertainty.budgets import OF_FORCE_ALONE, Quantity, read_budget
-from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.budgets import Quantity, read_budget
+from multipos.uncertainty.propagation import evaluate_budget, find_quantities
 from multipos.uncertainty.sensitivities import is_bounded, reading_moves, turn_axes
 
 
@@ -193,18 +193,10 @@ class Draws:
 
 def _quantities_to_draw(c: Calibration) -> list[Quantity]:
     """Return what of the budget is drawn: all that the scatter does not contain already."""
-    tables = c.budget_tables
-    stated = read_budget(tables).quantities
-    contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()}
+    contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()} - {"gravity"}
     if c.estimator is Estimator.UNKNOWN:
         contained |= {"level", "index"}  # orientations that were not used cannot be wrong
-    left_out = ("gravity", *OF_FORCE_ALONE, *contained)
-    quantities = [quantity for name, quantity in stated.items() if name not in left_out]
-    if c.gravity is not None and c.gravity.u > 0.0:
-        given = stated.get("gravity")
-        law, dof = (given.distribution, given.dof) if given else ("normal", math.inf)
-        quantities.append(Quantity("gravity", c.gravity.u, c.gravity.size_unit, law, dof))
-    return quantities
+    return [q for q in find_quantities(c, read_budget(c.budget_tables)) if q.name not in contained]
 
 
 def _noise_root(c: Calibration, covariance: Any) -> Array:

@@ -264,8 +264,8 @@ def _evaluate(c: Calibration, budget: "BudgetSource | Budget | None") -> tuple[E
     own = read_budget(c.budget_tables)
     stated = own if budget is None else read_budget(budget)
     gain = estimator_gain(c)
-    scatter = _scatter(c, [_row(c, gain, quantity) for quantity in _quantities(c, own)])
-    quantities = _quantities(c, stated)
+    scatter = _scatter(c, [_row(c, gain, quantity) for quantity in find_quantities(c, own)])
+    quantities = find_quantities(c, stated)
     cleared = clear_scatter(c, gain, quantities)
     rows = [_row(c, gain, quantity) for quantity in quantities]
     first = [_without_causes(c, row, cleared) for row in scatter]
@@ -294,7 +294,7 @@ def budget_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
+def find_quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
     """Return the quantities that reach the parameters, gravity first and as it was used."""
     found = [q for name, q in budget.quantities.items() if name not in ("gravity", *OF_FORCE_ALONE)]
     gravity = calibration.gravity

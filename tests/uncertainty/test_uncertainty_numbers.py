@@ -500,7 +500,7 @@ def test_gravity_of_a_budget_is_as_it_was_used(used, law):
         "third_order": SimpleNamespace(name="third_order"),
     }
     c = SimpleNamespace(gravity=SimpleNamespace(u=used, size_unit="m/s^2"))
-    found = propagation._quantities(c, SimpleNamespace(quantities=stated))
+    found = propagation.find_quantities(c, SimpleNamespace(quantities=stated))
     assert [each.name for each in found] == (["gravity", "gain"] if law else ["gain"])
     if law:
         own = found[0]
