@@ -136,6 +136,7 @@ _SETTLES = -0.45  # slope of ln σ² below which the mean settles; white noise h
 _RISES = 0.1  # slope over short times, above which noise has a memory; flicker has 0
 _COUNTS = 0.1  # of u, from which rounding counts
 _APART = 2.5  # standard deviations of a mean, at which outputs differ
+_FINE = 1e3  # steps in a standard deviation, far more than averaging asks for
 _BY_PLACE = 0.25  # q², the most that rounding to steps q adds to a variance
 _NOISE = np.linspace(0.0, 1.0, 401)  # v of eq. (4), its B, and what samples vary by
 _HARMONICS = np.arange(1, 100)[:, None] ** 2 * np.pi**2
@@ -212,7 +213,8 @@ def with_rounding(found: Sequence[RestMean], resolution: Array) -> list[RestMean
     the more of a rest that varies by more than that; of outputs together unless they differ.
     """
     q = np.where(resolution > 0.0, resolution, np.inf)
-    share = (np.array([each.sd for each in found]) / q) ** 2
+    with np.errstate(over="ignore"):  # steps of one log may be nothing beside another's readings
+        share = np.minimum(np.array([each.sd for each in found]) / q, _FINE) ** 2
     kept = np.minimum(share, median(share, axis=0) + _BY_PLACE)
     usual, off = kept.mean(axis=0), _APART * kept.std(axis=0) / np.sqrt(len(kept))
     usual = np.where(np.abs(usual - usual.mean()) <= off, usual.mean(), usual)

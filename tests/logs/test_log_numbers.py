@@ -171,6 +171,15 @@ def test_rounding_adds_what_noise_does_not_average_out():
         assert one.u[0] == pytest.approx(math.hypot(u, rounding) if raised else u, rel=1e-3)
 
 
+@pytest.mark.filterwarnings("error")
+def test_steps_of_one_log_may_be_nothing_beside_another():
+    sizes = (1.0, 1e-150, 0.5)
+    rests = [mean_of(sd=np.full(2, sd), u=np.full(2, sd)) for sd in sizes]
+    for step in (1e-153, 5e-324):
+        found = with_rounding(rests, np.full(2, step))
+        assert tuple(each.u[0] for each in found) == sizes
+
+
 def test_lines_edges_and_cosines_of_batch_means():
     rng = np.random.default_rng(7)
     b = 40
