@@ -591,7 +591,8 @@ def _lost(part: Part, rows: Places) -> Array:
     e, Q = part.values[..., rows], part.basis[..., rows]
     if part.both.shape[2] > _FEW:
         left = 1.0 - np.cumsum(np.einsum("gpk,gpk->gk", Q, Q), axis=1)
-        return np.asarray(np.cumsum(e**2, axis=2) / np.maximum(left, 1e-300)[:, None])
+        with np.errstate(over="ignore"):  # where rows determine a parameter, there is no bound
+            return np.asarray(np.cumsum(e**2, axis=2) / np.maximum(left, 1e-300)[:, None])
     try:
         L = np.linalg.cholesky(np.eye(len(rows)) - Q.swapaxes(1, 2) @ Q)
     except np.linalg.LinAlgError:

@@ -370,7 +370,7 @@ def _columns_for(readings: Readings, estimable: bool) -> str:
 def _meant(readings: Readings) -> str:
     """Return what a column of text that is not used was meant to be called, in words."""
     unused = [each.text for each in readings.findings if each.code == "unused-column"]
-    for name in (text.split("'")[1] for text in unused):
+    for name in (first for text in unused for first in text.split("'")[1:2]):
         way = near(name, ("direction",)).rstrip(".?")
         if way:
             return f", and a column '{name}'{way}"

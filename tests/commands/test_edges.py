@@ -96,6 +96,15 @@ def test_a_column_that_was_meant_to_be_direction_is_named(capsys, tmp_path, name
     assert f"a column '{name}'; did you mean 'direction'" in line
 
 
+def test_many_columns_that_were_meant_for_nothing_are_not_named(capsys, tmp_path):
+    path = tmp_path / "r.csv"
+    names = ["ax", *(f"c{i}" for i in range(30))]
+    path.write_text("\n".join([",".join(names), *[",".join(["1"] * 31)] * 6]) + "\n")
+    status, line = said(capsys, "fit", path, "--outputs", "ax")
+    assert status == 1
+    assert "no orientation; give --scheme" in line
+
+
 @pytest.mark.parametrize("rate", [0, -5])
 def test_a_rate_that_is_none_is_refused(capsys, table, rate):
     for command in ("average", "calibrate", "stability"):

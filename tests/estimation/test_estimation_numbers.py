@@ -1273,6 +1273,9 @@ def test_what_squares_lose_without_the_first_of_some_rows():
                 own = np.sum(e[:, rows[:k]] ** 2, axis=1) / (1.0 - np.sum(Q[rows[:k]] ** 2))
                 assert_allclose(found[:, k - 1], own)
                 assert (found[:, k - 1] >= lost * (1.0 - 1e-9)).all()
+    part.basis = np.eye(3, 120)[None]  # three rows that all but determine a parameter each
+    part.values = np.full((1, 1, 120), 1e20)
+    assert np.isposinf(outliers._lost(part, np.arange(3))).all()
 
 
 def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
