@@ -213,6 +213,7 @@ _MANY = 200  # readings from which on the bias (3) is not computed
 _STATED = 0.1  # of u
 _EQUAL = 5.0  # of ln: residuals that differ by so much leave each output its digits in one search
 _LEAST = 1e-14  # of an output's spread, below which no residual is known
+_NONE = 1e-150  # of a reading, whose square and its inverse are numbers yet
 _WELL_POSED = 1e4  # condition up to which normal equations keep the digits of a step
 _MOST_STEPS = 12  # from the parameters of a unit beside it
 _SETTLED = 1e-8  # of u: the next step is less by as much as residuals bend the model
@@ -476,7 +477,7 @@ def _searched(
     """Return the problem and its best optimum over the starts."""
     values, n = readings.values, len(readings)
     noise = None if readings.noise is None else readings.noise.reshape(values.shape)
-    spread = np.maximum(np.ptp(values, axis=0), np.abs(values).max(axis=0) * _LEAST + 1e-300)
+    spread = np.maximum(np.ptp(values, axis=0), np.abs(values).max(axis=0) * _LEAST + _NONE)
     problem = Problem(
         model=model,
         values=values,
@@ -500,7 +501,8 @@ def _searched(
     left = np.sqrt(np.mean(best.point.residuals**2, axis=0))
     if noise is not None or np.ptp(np.log(np.maximum(left / spread, _LEAST))) < _EQUAL:
         return problem, best
-    weighed = replace(problem, precision=np.tile(np.maximum(left, _LEAST * spread) ** -2.0, (n, 1)))
+    known = np.maximum(left, np.maximum(_LEAST * spread, _NONE))
+    weighed = replace(problem, precision=np.tile(known**-2.0, (n, 1)))
     return weighed, resume(weighed, best)
 
 

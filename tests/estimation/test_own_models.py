@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 import multipos as mp
+from multipos.errors import CalibrationWarning
 from multipos.estimation.starts import _is_better
 from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
@@ -522,3 +523,20 @@ def test_the_better_of_two_ends_has_converged_or_fits_better():
     assert _is_better(near, far)
     assert not _is_better(far, near)
     assert _is_better(far, open_end)
+
+
+@pytest.mark.filterwarnings("error:overflow:RuntimeWarning")
+def test_an_output_of_zeros_leaves_the_others_their_fit(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[parameters]\nk = 0.1\n[outputs]\nax = "b + s*x"\nay = "b + s*own/(1 + k*own^2)"\n'
+        'az = "b + s*own/(1 + k*own^2)"\n'
+    )
+    up = read_scheme("all-26").up
+    values = up / (1 + 0.2 * up**2) + 1e-3 * np.random.default_rng(1).standard_normal(up.shape)
+    whole = mp.fit(mp.Readings(values, up=up), model=path)
+    with pytest.warns(CalibrationWarning, match="has the same reading at all 26 positions"):
+        found = mp.fit(mp.Readings(values * [0.0, 1.0, 1.0], up=up), model=path)
+    assert found.parameters[:2].tolist() == [0.0, 0.0]
+    # the outputs share nothing; a search ends within 1e-8 u
+    np.testing.assert_allclose(found.parameters[2:], whole.parameters[2:], atol=1e-6 * 1e-3)
