@@ -117,10 +117,13 @@ def _contraction(calibration: Calibration, slope: Array) -> float:
     sensed = list(model.sensed_axes)
     grid, columns = force_grid(calibration, _HEADROOM)
     jacobian = model.force_jacobian(calibration.parameters, grid, columns)[:, :, sensed]
-    if len(slope) > len(sensed):
-        moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
-    else:
-        moved = np.linalg.inv(slope) @ jacobian
+    try:
+        if len(slope) > len(sensed):
+            moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
+        else:
+            moved = np.linalg.inv(slope) @ jacobian
+    except np.linalg.LinAlgError:  # where no step begins, none shrinks an error
+        return np.inf
     return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
 
 

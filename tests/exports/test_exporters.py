@@ -273,6 +273,10 @@ def test_an_inverse_that_would_not_converge_is_refused():
     cal = mp.fit(mp.Readings(up + 0.2 * up**2, up=up), model="own-quadratic")
     with pytest.raises(mp.MultiposError, match="does not converge in fixed steps"):
         export(cal, "c")
+    # an output without a slope where steps begin
+    cal = mp.fit(mp.Readings(0.01 + up**3, up=up), model="each = b + s*own^3")
+    with pytest.raises(mp.MultiposError, match="Newton's steps from no force do not find"):
+        export(cal, "c", force=True)
 
 
 # --- parameters, each through the consumer's law written out here
