@@ -48,10 +48,14 @@ from multipos.estimation.unknown_orientations import Place, SearchedUnits, combi
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules
-from multipos.numerics.quantiles import chi2_quantile, f_quantile
+from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import find_outlying_positions, studentised_squares
+from multipos.sensor.fit_diagnostics import (
+    find_outlying_positions,
+    square_beyond,
+    studentised_squares,
+)
 from multipos.sensor.model import Model
 
 STILL = 0.99  # χ² point beyond which an excess variance does not explain residuals
@@ -480,9 +484,9 @@ def _stick_out(shared: SharedOrientations, residuals: Array) -> Mask:
     dof = np.rint(h.shape[1] - h.sum(axis=1))[:, None]
     if np.ptp(sd) > 0.0 or dof.min() < _FREE:
         return np.zeros(residuals.shape[1], dtype=np.bool_)
-    t2 = [[f_quantile(1.0 - _STICKS_OUT / h.size, 1.0, nu - 1.0)] for nu in dof[:, 0].tolist()]
+    most = [[square_beyond(_STICKS_OUT / h.size, nu)] for nu in dof[:, 0].tolist()]
     largest = studentised_squares(residuals, h[:, None], dof[:, None]).max(axis=2)
-    return np.asarray((largest > dof * t2 / (t2 + dof - 1.0)).any(axis=0))
+    return np.asarray((largest > most).any(axis=0))
 
 
 def _any_noise(values: Array) -> Array:

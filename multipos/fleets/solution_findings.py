@@ -17,9 +17,10 @@ from multipos.diagnostics.score_tests import CLEAR, LEVEL, ratios_of
 from multipos.estimation.batches import Estimates, Solution
 from multipos.fleets.unit_findings import DOUBTED, UnitFindings, beyond_limit
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
-from multipos.numerics.quantiles import chi2_quantile, f_quantile
+from multipos.numerics.quantiles import chi2_quantile
 from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.fit_diagnostics import square_beyond
 
 _ROUNDING = 1e-14  # of what is one: no inverse is asked of nothing
 _LEAST = 1e-300  # of a sum of squares
@@ -105,9 +106,8 @@ def _stick_out(of: Solution) -> Mask:
     free = n - of.slopes.shape[1]
     if free < _FREE:
         return np.zeros(len(square), dtype=np.bool_)
-    t2 = f_quantile(1.0 - _STICKS_OUT / n, 1.0, free - 1.0)
     share = square.max(axis=1) / np.maximum(square.sum(axis=1), _LEAST)
-    return np.asarray(share * n > free * t2 / (t2 + free - 1.0))
+    return np.asarray(share * n > square_beyond(_STICKS_OUT / n, free))
 
 
 class _Scored(NamedTuple):

@@ -431,6 +431,12 @@ def studentised_squares(error: Array, leverage: Array, dof: Array) -> Array:
     return np.asarray(r2)
 
 
+def square_beyond(chance: float, nu: float) -> float:
+    """Return the r²/s² that a probability exceeds: ν t²/(t² + ν − 1), as s² contains r itself."""
+    t2 = quantiles.f_quantile(1.0 - chance, 1.0, nu - 1.0)
+    return nu * t2 / (t2 + nu - 1.0)
+
+
 def largest_square(nu: float, readings: int) -> float:
     """Return the r²/s² beyond which `find_outliers` names one of so many readings."""
     low, high = _SUSPECT, nu
