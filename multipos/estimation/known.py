@@ -221,7 +221,7 @@ class _Positions:
         self.model = model
         self.reference = reference
         self.environment = environment
-        used = (environment.get(name) for name in (*model.environment, *model.of_session))
+        used = (environment.get(name) for name in model.fitted_columns)
         columns = (None if each is None else each.tobytes() for each in used)
         self._key = id(model), reference.tobytes(), *columns
 

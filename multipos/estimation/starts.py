@@ -430,7 +430,7 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
     environment = {
         name: np.full(count, float(np.mean(column)))
         for name, column in problem.environment.items()
-        if name in problem.model.environment
+        if name in problem.model.fitted_columns
     }
     mean = problem.precision.mean(axis=0)
     candidates = replace(

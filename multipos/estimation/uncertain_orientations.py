@@ -145,7 +145,7 @@ class UncertainSearch:
     @classmethod
     def of_problem(cls, problem: Problem) -> Self:
         """Return the search of a problem that `fits`, a batch of one."""
-        columns = {name: problem.environment[name] for name in problem.model.environment}
+        columns = {name: problem.environment[name] for name in problem.model.fitted_columns}
         return cls(
             problem.model,
             Positions.listed(problem.reference, columns),

@@ -183,7 +183,7 @@ class UnknownSearch:
     def of_problem(cls, problem: Problem) -> Self:
         """Return the search of a problem that `fits`, a batch of one."""
         model = problem.model
-        columns = {name: problem.environment[name] for name in model.environment}
+        columns = {name: problem.environment[name] for name in model.fitted_columns}
         return cls(
             SharedSphere(model, float(problem.magnitude[0]), columns),
             problem.values.T[:, None],

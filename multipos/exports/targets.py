@@ -265,4 +265,4 @@ def verify_export(
             f"{path}: neither C nor parameters that export writes; give a file of multipos export."
         )
     assert first is not None  # or there would be regressions
-    return target.read_back(given, first)
+    return target.read_back(given, first.of_sensor)

@@ -237,6 +237,11 @@ class Model(Result):
         """Columns of the session, that compensation goes without."""
         return () if self.drift_per is None else (DRIFT,)
 
+    @property
+    def fitted_columns(self) -> tuple[str, ...]:
+        """Columns beside the reference that a fit takes from the readings."""
+        return *self.environment, *self.of_session
+
     @cached_property
     def columns(self) -> tuple[Places, ...]:
         """For each output, where its terms stand in `basis_terms`."""

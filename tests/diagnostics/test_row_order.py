@@ -2,6 +2,7 @@
 
 import math
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -207,6 +208,25 @@ def test_a_drift_is_fitted_and_left_out_of_compensation(tmp_path):
     by_row = mp.fit(columns, unit="g", drift=True)["drift_ax"]
     assert by_row.unit == "g/row"
     assert abs(23.0 * by_row.value - 5e-3) < 46.0 * by_row.U
+
+
+@pytest.mark.parametrize(
+    "options", [{"orientation_sd": 0.02}, {"unknown_orientation": True}], ids=str
+)
+def test_a_drift_is_fitted_whatever_is_known_of_orientations(options, tmp_path):
+    """A rise of 5 mg from the first row to the last; an export holds the sensor without it."""
+    rng = np.random.default_rng(8)
+    up = rng.permutation(mp.read_scheme("fibonacci-24").up)
+    y = ZERO + up @ K.T + 5e-3 * np.linspace(-0.5, 0.5, 24)[:, None]
+    readings = mp.Readings(y + SD * rng.standard_normal((24, 3)), up=up, unit="g")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", mp.CalibrationWarning)  # directions are ignored
+        c = mp.fit(readings, drift=True, **options)
+    for name in ("drift_ax", "drift_ay", "drift_az"):
+        assert c[name].U < 1e-4
+        assert abs(23.0 * c[name].value - 5e-3) < 46.0 * c[name].U
+    mp.export(c, "c").save(tmp_path / "c.c")
+    assert mp.verify_export(tmp_path / "c.c", c).difference < 1e-12
 
 
 def test_a_coarse_grid_is_the_floor_of_u():
