@@ -239,6 +239,8 @@ def _orientation_sd(c: Calibration) -> float:
 
 def _repair(c: Calibration, view: View) -> Finding | None:
     """Return what one repair explains, the one after which the outputs face their own axes."""
+    if not (view.misfit > 0.0 and np.ptp(view.values, axis=0).any()):
+        return None  # nothing is left to explain, or all outputs stand still
     expected = expected_directions(c)
     found, tried = candidates(view, expected, slight=_is_slight(c))
     gross = is_gross(view, _orientation_sd(c))

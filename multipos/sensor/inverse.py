@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Environment, Mask, median
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment, Mask, median
 from multipos.numerics.factoring import is_regular
 from multipos.sensor.model import Model
 
@@ -319,10 +319,10 @@ class Nominal(NamedTuple):
 
 def read_nominal(given: Sequence[float]) -> Nominal:
     """Return a nominal conversion, refusing one that converts nothing."""
-    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or given[1] == 0.0:
+    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or not abs(given[1]) >= SMALLEST:
         raise UsageError(
-            "--nominal takes BIAS,SCALE in reading units, with a scale that is not 0, and no more "
-            f"than {LARGEST:g}."
+            f"--nominal takes BIAS,SCALE in reading units, up to {LARGEST:g}, the scale from "
+            f"{SMALLEST:g} on."
         )
     return Nominal(float(given[0]), float(given[1]))
 

@@ -87,6 +87,14 @@ def test_on_the_command_line_each_is_said_once(tmp_path, capsys):
     assert out.startswith("Not fit for use: ax, ay, az calibrated from 6 positions; 1 error.")
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_nothing_explains_outputs_of_zeros_at_poor_positions():
+    up = np.tile(mp.read_scheme("corners-8").up, (3, 1))
+    up[:, 1] = np.abs(up[:, 1]) * np.repeat([5.0, 40.0, 60.0], 8)  # all within 16 degrees of y
+    with pytest.warns(mp.CalibrationWarning, match="outputs do not respond"):
+        mp.fit(mp.Readings(np.zeros((24, 3)), up=up / np.linalg.norm(up, axis=1)[:, None]))
+
+
 @pytest.mark.parametrize(("shift", "codes"), [(0.0, []), (273.15, ["temperature-kelvin"])])
 def test_kelvin_is_told_from_celsius(shift, codes):
     rng = np.random.default_rng(4)

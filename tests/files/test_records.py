@@ -160,7 +160,9 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     rng = np.random.default_rng(3)
     up = mp.read_scheme("all-26").up
-    cal = mp.fit(mp.Readings(up + 1e-3 * rng.normal(size=up.shape), up=up, unit="g"))
+    (folder / "lab.toml").write_text("[gain]\nu = 1e-4\n", encoding="utf-8")
+    readings = mp.Readings(up + 1e-3 * rng.normal(size=up.shape), up=up, unit="g")
+    cal = mp.fit(readings, budget=folder / "lab.toml")
     cal.save(folder / "cal.json")
     run = mp.Readings(up[:9] + 1e-3 * rng.normal(size=(9, 3)), up=up[:9])
     mp.check(cal, run, limit_g=0.01).save(folder / "check.json")
@@ -188,6 +190,7 @@ REMOVED = object()
         ("cal", ["parameters", 3, "u"], "x", "parameters[3].u is 'x'; a number is needed there"),
         ("cal", ["parameters", 3, "u"], REMOVED, "the key 'parameters[3].u' is missing"),
         ("cal", ["parameters", 3, "u"], 1.0, "the squared uncertainties on its diagonal"),
+        ("cal", ["budget", "scatter", 0, 0], -1.0, "the squared uncertainties on its diagonal"),
         ("cal", ["readings", 2], [0.5], "readings[2] is a list of 1; a list of 3 is needed there"),
         ("cal", ["reference", 2, 1], 1e300, "reference[2][1] is 1e+300"),
         ("cal", ["axes"], ["x", "y"], "not a calibration: --axes names 2 axes for 3 outputs"),
