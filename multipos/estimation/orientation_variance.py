@@ -24,13 +24,22 @@ the prior information of θ and g the prior gradient, at all nodes (τ², F),
 is the restricted likelihood, S⁻¹b the shift of θ and diag S⁻¹ its variances: products of w with
 those of D and d, and one Cholesky factor of ((S, b), (b', q)) a node. Jeffreys' prior multiplies
 it: the root of tr V⁻² for τ², and for both the root of tr V⁻² tr (V⁻¹C)² − (tr V⁻²C)², C = s²JJ'.
+Where all a are equal and parameters have no prior, w is but for its size one of a curve,
+
+    w = w°(z)/v,   w° = 1/(z + (1 − z) c/κ),   v = a + τ² + κF,   z = (a + τ²)/v,           (5)
+
+with κ the largest c, and so are S, b and q. All that is found along it is analytic in ln z but for
+Im ln z = ±π, as w° has its poles, and S and q their zeros, at z < 0: a polynomial through few nodes
+of Chebyshev then has all the digits there are.
+
 `multipos.estimation.posteriors` integrates. Estimates and noise alternate until the noise has
 converged, each unit for itself; a single fit is a batch of one unit.
 
 Source: D. A. Harville, J. Amer. Statist. Assoc. 72, 1977 (restricted likelihood).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
@@ -462,6 +471,24 @@ def _without_unmoved(still: Array, moving: Array) -> tuple[Array, Array, _Unmove
     return triangle[:, q:, q:], moving, unmoved
 
 
+class _Terms(NamedTuple):
+    """The terms of eq. (4), and the parameters, at nodes (B, G)."""
+
+    log: Array  # −(ln det V + ln det S)/2, with ln of Jeffreys' prior
+    square: Array  # q − b'S⁻¹b
+    moves: Array  # (B, G, p)
+    variances: Array  # (B, G, p)
+
+
+class _Curve(NamedTuple):
+    """The terms along the curve of eq. (5), at K nodes of Chebyshev between two values of ln z."""
+
+    widest: Array  # κ, (B, 1)
+    low: Array  # (B, 1)
+    high: Array  # (B, 1)
+    values: Array  # log, ln of square, moves, variances and ones, (B, K, 2 p + 3)
+
+
 class _Evaluator:
     """What evaluates eq. (4) at nodes of B units."""
 
@@ -470,6 +497,9 @@ class _Evaluator:
         self._keeps_axes = all(block.keeps_axes for block in linear.blocks)
         self._rotated = _rotated(linear, joined=self._keeps_axes)
         self._prior = _prior_products(linear)
+        equal = self._keeps_axes and not np.ptp(self._rotated.fixed, axis=1).any()
+        self._has_curve = equal and not np.any(self._prior)
+        self._curve: _Curve | None = None
 
     def at_excess(self, nodes: Array, *, whole: bool) -> Found:
         """Return what is found at values of τ² (B, G), of the parameters only if `whole`."""
@@ -478,11 +508,11 @@ class _Evaluator:
             mine = rotated.of(units)
             tau2 = nodes[units, places]
             weight = 1.0 / ((mine.fixed + mine.moving)[:, None] + tau2[..., None])
-            found = self._likelihood(mine, weight, whole=whole)
-            found.log[:] += 0.5 * np.log((weight * weight) @ mine.number)
-            found.log[:] += np.log(tau2 + self._size[units, None])
-            parts.append((units, places, found))
-        return _joined(nodes.shape, parts)
+            log, square, *parameters = self._likelihood(mine, weight, whole=whole)
+            log += 0.5 * (np.log((weight * weight) @ mine.number) - square)
+            log += np.log(tau2 + self._size[units, None])
+            parts.append((units, places, (log, *parameters)))
+        return Found(*_joined(nodes.shape, parts))
 
     def at_both(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
         """Return what is found at all pairs of τ² (B, G) and F (B, C), F running fastest.
@@ -492,20 +522,64 @@ class _Evaluator:
         if not self._keeps_axes:
             return self._with_moving_axes(factors, nodes, whole=whole)
         tau2, F = _pairs(factors, nodes)
-        rotated, parts = self._rotated, []
+        evaluate = self._along_curve if self._has_curve else self._at_pairs
+        log, square, *parameters = evaluate(self._rotated, tau2, F, whole=whole)
+        log += np.log(F * (tau2 + self._size[:, None])) - 0.5 * square
+        return Found(log, *parameters)
+
+    def _at_pairs(self, rotated: _Rotated, tau2: Array, F: Array, *, whole: bool) -> _Terms:
+        """Return the terms at τ² and F (B, G)."""
+        parts = []
         powers = np.stack([np.ones_like(rotated.moving), rotated.moving, rotated.moving**2], axis=2)
         powers *= rotated.number[:, None]
         for units, places in _pieces(tau2.shape, len(rotated.number)):
-            mine, some, at = rotated.of(units), F[units, places], tau2[units, places]
-            weight = some[..., None] * mine.moving[:, None]
+            mine = rotated.of(units)
+            weight = F[units, places, None] * mine.moving[:, None]
             weight += mine.fixed[:, None]
-            weight += at[..., None]
+            weight += tau2[units, places, None]
             np.reciprocal(weight, out=weight)
-            found = self._likelihood(mine, weight, whole=whole)
-            sums = np.moveaxis((weight * weight) @ powers[units], 2, 0)
-            found.log[:] += _prior_of_both(*sums) + np.log(some * (at + self._size[units, None]))
-            parts.append((units, places, found))
-        return _joined(tau2.shape, parts)
+            terms = self._likelihood(mine, weight, whole=whole)
+            terms.log[:] += _prior_of_both(*np.moveaxis((weight * weight) @ powers[units], 2, 0))
+            parts.append((units, places, terms))
+        return _Terms(*_joined(tau2.shape, parts))
+
+    def _along_curve(self, rotated: _Rotated, tau2: Array, F: Array, *, whole: bool) -> _Terms:
+        """Return the terms at τ² and F (B, G) by eq. (5); the first call has the widest range."""
+        variance = rotated.fixed[:, :1] + tau2
+        curve = self._curve = self._curve or self._curve_through(variance, F)
+        values = curve.values if whole else curve.values[:, :, [0, 1, -1]]
+        nodes, signs = _chebyshev(values.shape[1])
+        size = variance + curve.widest * F
+        x = (2.0 * np.log(variance / size) - curve.low - curve.high) / (curve.high - curve.low)
+        found = np.empty((*x.shape, values.shape[2] - 1))
+        for units, places in _pieces(x.shape, len(nodes)):
+            gaps = x[units, places, None] - nodes
+            gaps += _TINY_GAP  # of a node itself
+            sums = (signs / gaps) @ values[units]
+            np.divide(sums[..., :-1], sums[..., -1:], out=found[units, places])
+        left = rotated.number.sum() - self._linear.blocks[0].design.shape[3]
+        log = found[..., 0] - (0.5 * left + 2.0) * np.log(size)  # 2: of the prior
+        moves, variances = np.split(found[..., 2:], 2, axis=2)
+        return _Terms(log, np.exp(found[..., 1]) / size, moves, size[..., None] * variances)
+
+    def _curve_through(self, variance: Array, F: Array) -> _Curve:
+        """Return the curve between the least and the largest z of a + τ² and F (B, G)."""
+        rotated = self._rotated
+        widest = rotated.moving.max(axis=1, keepdims=True)
+        x = np.log(variance / (variance + widest * F))
+        low, high = x.min(axis=1, keepdims=True), x.max(axis=1, keepdims=True)
+        span = high - low
+        if not np.isfinite(span).all():
+            raise np.linalg.LinAlgError("not positive definite")
+        count = 2 + 2 * int(_NEPERS / np.arcsinh(2.0 * np.pi / span.max()) / 2.0)
+        x = (low + high + span * _chebyshev(count)[0]) / 2.0
+        rotated = rotated._replace(fixed=np.zeros_like(rotated.fixed))
+        terms = self._at_pairs(rotated, np.exp(x), -np.expm1(x) / widest, whole=True)
+        log, square, moves, variances = terms
+        of_both = np.stack([log, np.log(square)], axis=2)
+        ones = np.ones((*x.shape, 1))
+        values = np.concatenate([of_both, moves, variances, ones], axis=2)
+        return _Curve(widest, low, high, values)
 
     def _with_moving_axes(self, factors: Array, nodes: Array, *, whole: bool) -> Found:
         """Return the same where axes depend on F: unit by unit, the values of F side by side."""
@@ -524,7 +598,7 @@ class _Evaluator:
             joined=False,
         )
         weight = 1.0 / ((rotated.fixed + rotated.moving)[:, None] + nodes[:, None])
-        log, moves, variances = self._likelihood(rotated, weight, whole=whole)
+        log, left, moves, variances = self._likelihood(rotated, weight, whole=whole)
         sums = np.zeros((3, C, G))
         first = 0
         for block, axes in zip(blocks, rotated.axes, strict=True):
@@ -538,13 +612,14 @@ class _Evaluator:
                 "bgkr,bgkr->bg", w, np.swapaxes(np.swapaxes(w, 1, 2) @ square, 1, 2)
             )
             first += k * r
-        log += _prior_of_both(*sums) + np.log(factors[:, None] * (nodes + self._size[unit]))
+        log += np.log(factors[:, None] * (nodes + self._size[unit])) - 0.5 * left
+        log += _prior_of_both(*sums)
         shape = (G * C,)
         both = (np.swapaxes(each, 0, 1).reshape(*shape, -1) for each in (moves, variances))
         return Found(log.T.reshape(shape), *both)
 
-    def _likelihood(self, rotated: _Rotated, weight: Array, *, whole: bool) -> Found:
-        """Return ln L of eq. (4) in place of the density, of the parameters only if `whole`."""
+    def _likelihood(self, rotated: _Rotated, weight: Array, *, whole: bool) -> _Terms:
+        """Return the terms but for the prior, of the parameters only if `whole`."""
         sums = np.swapaxes(rotated.products, 1, 2) @ np.swapaxes(weight, 1, 2)
         sums = np.moveaxis(sums, 1, 0)
         sums += np.reshape(self._prior, (-1, 1, 1))
@@ -552,13 +627,13 @@ class _Evaluator:
         sums[-1] += _TINY
         R = _triangles(sums)
         logs = np.log(np.einsum("ppbg->pbg", R[:-1, :-1])).sum(axis=0)
-        log = 0.5 * (np.log(weight) @ rotated.number - R[-1, -1] ** 2) - logs
+        log = 0.5 * (np.log(weight) @ rotated.number) - logs
         unmoved, common = rotated.unmoved, weight[:, :, -1]
         if unmoved is not None:  # its part of ln det S
             p, P = unmoved.outer.shape[1:]
             log -= 0.5 * (p - P) * np.log(common)
         parameters = self._parameters(R, unmoved, common) if whole else np.empty((2, *log.shape, 0))
-        return Found(log, *parameters)
+        return _Terms(log, R[-1, -1] ** 2, *parameters)
 
     def _parameters(self, R: Array, unmoved: _Unmoved | None, weight: Array) -> tuple[Array, Array]:
         """Return shifts and variances (B, G, p) of the parameters, eq. (4).
@@ -579,14 +654,26 @@ class _Evaluator:
         return moves, variances
 
 
-def _joined(shape: tuple[int, ...], parts: list[tuple[slice, slice, Found]]) -> Found:
-    """Return what is found of units and nodes (B, G) from that of some of them each."""
-    p = parts[0][2].moves.shape[2]
-    whole = Found(np.empty(shape), *np.empty((2, *shape, p)))
+def _joined(
+    shape: tuple[int, ...], parts: Sequence[tuple[slice, slice, Sequence[Array]]]
+) -> list[Array]:
+    """Return arrays (B, G, …) of all units and nodes from those of some of them each."""
+    whole = [np.empty((*shape, *each.shape[2:])) for each in parts[0][2]]
     for units, places, found in parts:
         for each, part in zip(whole, found, strict=True):
             each[units, places] = part
     return whole
+
+
+_NEPERS = 30.0  # to which the polynomial of eq. (5) is exact
+_TINY_GAP = 1e-30
+
+
+@cache
+def _chebyshev(count: int) -> tuple[Array, Array]:
+    """Return the nodes of a polynomial between −1 and 1, and their barycentric weights."""
+    angle = np.pi * (np.arange(count) + 0.5) / count
+    return np.cos(angle), np.sin(angle) * (-1.0) ** np.arange(count)
 
 
 _ROUNDING = 1e-12  # of q, which it is computed to

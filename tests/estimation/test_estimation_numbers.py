@@ -935,7 +935,7 @@ def test_the_noise_of_variance_components_in_numbers():
     assert_allclose(own.parameter_dof, 7.3)
 
 
-@pytest.mark.parametrize("kind", ["equal", "unequal", "correlated"])
+@pytest.mark.parametrize("kind", ["one", "equal", "unequal", "correlated"])
 @pytest.mark.parametrize("outputs", [3, 2])
 def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
     """−½ (ln|V| + ln|S| + q) of V = Σ + F s²JJ' + τ², Jeffreys' prior, and the parameters."""
@@ -943,7 +943,13 @@ def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
     n, P, size = 6, 4, 0.6
     error, design = rng.normal(size=(1, n, outputs)), rng.normal(size=(1, n, outputs, P))
     spread = 0.8 * rng.normal(size=(1, n, outputs, 2))
-    if kind == "equal":
+    prior, gradient = np.diag([0.0, 0.7, 0.0, 1.3]), np.array([0.0, 0.4, 0.0, -0.2])
+    penalty = 0.9
+    if kind == "one":  # eq. (5) of estimation.orientation_variance
+        variance = np.full((1, n, outputs), 0.7)
+        full = variance[0, :, :, None] * np.eye(outputs)
+        prior, gradient, penalty = 0.0 * prior, 0.0 * gradient, 0.0
+    elif kind == "equal":
         variance = np.repeat(rng.uniform(0.3, 1.0, (1, n, 1)), outputs, axis=2)
         full = variance[0, :, :, None] * np.eye(outputs)
     elif kind == "unequal":
@@ -953,9 +959,8 @@ def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
         root = rng.normal(size=(n, outputs, 5))
         full = root @ root.transpose(0, 2, 1) / 5.0
         variance = full[None]
-    prior, gradient = np.diag([0.0, 0.7, 0.0, 1.3]), np.array([0.0, 0.4, 0.0, -0.2])
     linear = orientation_variance.Linear(
-        (orientation_variance.Block(error, design, spread, variance),), prior, gradient, 0.9
+        (orientation_variance.Block(error, design, spread, variance),), prior, gradient, penalty
     )
     evaluator = orientation_variance._Evaluator(linear, np.array([size]))
     factors, nodes = np.array([[0.4, 1.7, 3.0]]), np.array([[0.2, 2.5]])
@@ -963,7 +968,7 @@ def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
     alone = evaluator.at_excess(nodes, whole=True)
 
     def by_hand(F, tau2, alone):
-        S, b, log, q, traces = prior.copy(), gradient.copy(), 0.0, 0.9, np.zeros(3)
+        S, b, log, q, traces = prior.copy(), gradient.copy(), 0.0, penalty, np.zeros(3)
         for k in range(n):
             B = spread[0, k] @ spread[0, k].T
             V = full[k] + F * B + tau2 * np.eye(outputs)
