@@ -6,7 +6,7 @@ is to be decided. A `note` leaves nothing to decide: it is so of the method, the
 scheme, or it is in the data and already in U.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal, TypeAlias
 
@@ -19,6 +19,7 @@ NOT_FIT = "This calibration is not fit for use."
 Level = Literal["error", "warning", "note"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "note")
 _SHOWN = 5  # copies that a message lists
+LONGEST = 160  # characters of a text
 
 
 @frozen
@@ -57,10 +58,12 @@ class Finding(Keyed):
     p: float | None = None
 
     def __post_init__(self) -> None:
-        """Keep its sentences on one line: some quote a file, which may hold tabs."""
+        """Keep its sentences on one line, and short: some quote a file, or its name."""
         super().__post_init__()
-        for name in ("text", "action"):
-            object.__setattr__(self, name, visible(getattr(self, name)))
+        text = visible(self.text)
+        short = text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}…"
+        object.__setattr__(self, "text", short)
+        object.__setattr__(self, "action", visible(self.action))
 
     def __str__(self) -> str:
         if not self.action:
@@ -69,6 +72,13 @@ class Finding(Keyed):
 
 
 Findings: TypeAlias = tuple[Finding, ...]
+
+
+def short_text(text_of: Callable[[int], str], most: int) -> str:
+    """Return a text of so many parts as there is room for, at least one."""
+    texts = map(text_of, range(most, 0, -1))
+    return next((text for text in texts if len(text) <= LONGEST), text_of(1))
+
 
 # Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
 _FINDING = Record.of(Finding, {"level": Text(LEVELS), "p": P_VALUE})

@@ -8,12 +8,14 @@ from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
+from multipos.reports.documents import html_report
+from multipos.reports.several import comparison_content
 from multipos.results import plain
 from multipos.verification import comparison
 from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
-OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure", "html"))
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -24,7 +26,11 @@ def run(arguments: argparse.Namespace) -> Answer:
         lambda found: comparison.comparison_sentence(plain(found.to_dict())),
         lambda found: _text(found)[0],
         detail=lambda: _text(found)[1],
-        forms={"figure": lambda: _figure(found), **_combined(found)},
+        forms={
+            "figure": lambda: _figure(found),
+            "html": lambda: html_report(comparison_content(plain(found.to_dict()))),
+            **_combined(found),
+        },
         negative=lambda _: _is_beyond(found),  # errors are of calibrations made before
     )
 

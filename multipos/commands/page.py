@@ -32,11 +32,13 @@ def run(arguments: argparse.Namespace) -> Answer:
         site = make_site(arguments.pyodide)
         write_site(folder, site)
         said = f"Written to {folder}: {len(site.files)} files.\n"
-        listed = {"folder": str(folder), "files": sorted(site.files)}
+        listed = {"folder": str(folder), "files": sorted(site.files), "findings": ()}
         return Answer(text=lambda: said, json=lambda: to_json(listed))
     with open_server(make_site(arguments.pyodide), arguments.port) as server:
         address = f"http://{LOOPBACK}:{server.server_address[1]}/"
-        print_out([to_json({"address": address}) if arguments.json else f"{address}\n"])
+        print_out(
+            [to_json({"address": address, "findings": ()}) if arguments.json else f"{address}\n"]
+        )
         with _until_a_signal():
             server.serve_forever()
     return Answer(text=lambda: "", json=lambda: "")

@@ -222,22 +222,22 @@ def rejected_noise(c: Calibration) -> Finding | None:
     claim = c.diagnostics.claim
     if claim is None or not claim.chi2 > chi2_quantile(REJECTED, claim.dof):
         return None
+    cause, action = _cause(c)
+    p = chi2_tail(claim.chi2, claim.dof)
+    text = f"residuals exceed the stated noise ({p_in_words(p)}); {_excess(c)}; {cause}"
+    return Finding("denied-noise", "warning", text, action, p=p)
+
+
+def _excess(c: Calibration) -> str:
+    """Say what of noise beyond the stated one is in U."""
     found = c.variance_components
     scatter = found and found.rest_to_rest
-    added = "U was increased"
-    if scatter:
-        sizes = ", ".join(dict.fromkeys(f"{part.value:.2g}" for part in scatter.values()))
-        added = f"U includes an excess of {sizes} {c.model.unit}"
-    cause, action = _cause(c)
-    return Finding(
-        "denied-noise",
-        "warning",
-        (
-            f"residuals exceed the stated noise (chi-square {claim.chi2:.4g} on "
-            f"{claim.dof:g} dof); {added}; {cause}"
-        ),
-        action,
-    )
+    if not scatter:
+        return "U was increased"
+    sizes = sorted({f"{part.value:.2g}" for part in scatter.values()}, key=float)
+    if len(sizes) == 1:
+        return f"U includes an excess of {sizes[0]} {c.model.unit}"
+    return f"U includes up to {sizes[-1]} {c.model.unit} of it"
 
 
 def orientation_error(
@@ -364,7 +364,7 @@ def unequal_noise(c: Calibration) -> Finding | None:
 
 _STATE = "State a larger --reading-sd."
 _STATE_EACH = "State the noise of each output with --reading-sd."
-_EXCESS = "the likely cause is variation from rest to rest"
+_EXCESS = "likely variation between rests"
 
 
 def _cause(c: Calibration) -> tuple[str, str]:
@@ -388,19 +388,19 @@ def _cause_at_known(c: Calibration) -> tuple[str, str]:
         moved = explain_orientations(of) if hints_at_orientations(of, equal)[0] else equal
         degrees = None if moved is equal else _orientation_error(equal, moved)
         if degrees is not None and moved.deviance[0] <= unequal.deviance[0]:
-            size = f"the likely cause is orientation errors of {degrees:.2g} degrees"
+            size = f"likely orientation errors of {degrees:.2g} degrees"
             if contrasts >= TELLING:
                 return size, "Fit with --orientation-sd auto."
-            return f"{size} or variation from rest to rest", f"Fit with {_sd(degrees)}."
+            return f"{size} or variation between rests", f"Fit with {_sd(degrees)}."
     if degrees is None and contrasts < 1:
         # A turn moves the two outputs across a face, a scatter all three.
         off = math.sqrt(1.5 * float(np.mean(equal.variances[0] / np.sum(c.sensitivity**2, axis=1))))
-        text = "orientation errors and variation from rest to rest cannot be separated"
+        text = "orientation errors and variation between rests cannot be separated"
         return text, f"Add {_sd(math.degrees(off))} if the sensor was positioned by hand."
     if prefers_unequal(equal, unequal)[0]:
         pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
-        return f"{_EXCESS}, unequal in the outputs ({sizes} {c.model.unit})", _STATE_EACH
+        return f"{_EXCESS}, unequal ({sizes} {c.model.unit})", _STATE_EACH
     return _EXCESS, _STATE
 
 

@@ -238,7 +238,7 @@ def _twins(found: Sequence[RestMean], labels: Sequence[str]) -> list[Finding]:
         pairs += [f"{labels[i]} and {labels[k]}" for k in others if labels[i] != labels[k]]
     if not pairs:
         return []
-    listed = ", ".join(pairs[:6]) + (f" and {len(pairs) - 6} more pairs" if len(pairs) > 6 else "")
+    listed = ", ".join(pairs[:3]) + (f" and {len(pairs) - 3} more pairs" if len(pairs) > 3 else "")
     text = (
         f"positions within about {_TWIN_DEG:g} degrees of each other: {listed}; such pairs are "
         "repeats and separate no further parameters"

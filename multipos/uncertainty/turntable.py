@@ -85,7 +85,7 @@ from multipos.errors import RankError
 from multipos.estimation.gains import estimator_gain
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import in_unit
-from multipos.finding import Finding
+from multipos.finding import Finding, short_text
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.factoring import separability
 from multipos.numerics.least_squares import solve
@@ -665,11 +665,12 @@ def changes_unseen(calibration: Calibration) -> Array:
 def in_words_of_unseen(changes: Sequence[tuple[str, float, str, float]]) -> str:
     """Return what U leaves out, from name, change, unit and U of what harmonics change."""
     largest = sorted(changes, key=lambda each: -each[1] / max(each[3], 1e-300))[:_NAMED]
-    listed = ", ".join(f"{name} by {in_unit(size, unit)}" for name, size, unit, _ in largest)
-    return (
+    said = [f"{name} by {in_unit(size, unit)}" for name, size, unit, _ in largest]
+    head = (
         "U excludes harmonics of the table's angle, which these rolls cannot show: 0.01 degrees of "
-        f"one change {listed}"
+        "one change "
     )
+    return short_text(lambda count: head + ", ".join(said[:count]), len(said))
 
 
 def find_in_rolls(calibration: Calibration) -> list[Finding]:

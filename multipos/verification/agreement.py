@@ -42,7 +42,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.files.numbers import p_in_words, plain_number
-from multipos.finding import Finding, Findings, errors_of
+from multipos.finding import Finding, Findings, errors_of, short_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
 from multipos.numerics.rotations import rotation_matrix
@@ -322,7 +322,8 @@ def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
     if not moved:
         return said
     steps = [f"{m.name} by {_with_unit(m)} ({plain_number(m.over, 2)} U)" for m in moved]
-    return f"{said}; probable cause: a change of {', '.join(steps)}"
+    cause = f"{said}; probable cause: a change of "
+    return short_text(lambda count: cause + ", ".join(steps[:count]), len(steps))
 
 
 def _with_unit(moved: _Moved) -> str:

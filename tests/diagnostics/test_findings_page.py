@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from docs_programs import load
 
+import multipos as mp
+from multipos.finding import short_text
 from multipos.reports.sections import Translator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,6 +69,17 @@ def test_every_text_of_a_finding_has_a_chinese_one():
         assert re.search(r"[\u4e00-\u9fff]", said), text
         left = re.sub(r"--[a-z-]+|\[[a-z]+\]|_deg|[a-z]+/s\^2", "", said)
         assert not re.search(r"[a-z]{4,} [a-z]{2,} [a-z]{2,}", left), said
+
+
+def test_no_text_is_longer_than_160_characters():
+    """Names of files and columns have any length; what is listed is as many as there is room for."""
+    text = mp.Finding("repeated-file", "warning", "omitted: " + 200 * "a").text
+    assert len(text) == 160
+    assert text.endswith("a…")
+    parts = [30 * letter for letter in "abcdef"]
+    said = short_text(lambda count: ", ".join(parts[:count]), len(parts))
+    assert said == ", ".join(parts[:5])
+    assert short_text(lambda count: count * 170 * "a", 3) == 170 * "a"
 
 
 def test_a_chinese_text_keeps_what_is_put_in():

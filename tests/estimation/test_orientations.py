@@ -355,7 +355,7 @@ def test_denied_noise_is_added_to_and_said(mode):
     honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
     said = [w for w in texts(cal) if "exceed the stated noise" in w]
     assert len(said) == 1
-    assert "variation from rest to rest" in said[0]
+    assert "variation between rests" in said[0]
     assert "--orientation-sd" not in said[0]  # it is given, or nothing is known of orientations
     scatter = cal.variance_components.rest_to_rest["ay"].value
     assert f"U includes an excess of {scatter:.2g} reading" in said[0]
