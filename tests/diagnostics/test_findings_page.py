@@ -72,7 +72,7 @@ def test_every_text_of_a_finding_has_a_chinese_one():
 
 
 def test_no_text_is_longer_than_160_characters():
-    """Names of files and columns have any length; what is listed is as many as there is room for."""
+    """Names of files and columns have any length; of a list there is as much as has room."""
     text = mp.Finding("repeated-file", "warning", "omitted: " + 200 * "a").text
     assert len(text) == 160
     assert text.endswith("a…")
