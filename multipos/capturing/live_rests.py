@@ -28,7 +28,7 @@ from multipos.finding import Finding
 from multipos.logs import rests
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
-from multipos.logs.samples import Kept, Timing, good_rows, rises, small_pieces, usual_size
+from multipos.logs.samples import Kept, Timing, good_rows, rises_or_wraps, small_pieces, usual_size
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
@@ -82,7 +82,9 @@ class LiveRows(Kept):
         chosen = choose_outputs(log, outputs, [*time_columns(log), *([named] if named else [])])
         self.outputs: tuple[str, ...] = chosen.names
         self.findings: tuple[Finding, ...] = (*log.notes, *chosen.findings)
-        column = named or next((name for name in likely if rises(self._of(head, name))), None)
+        column = named or next(
+            (name for name in likely if rises_or_wraps(log, name, self._of(head, name))), None
+        )
         self.clock: Clock | None = None
         self.rate = timing.rate or log.rate
         self.step: float = np.nan

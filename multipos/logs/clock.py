@@ -39,6 +39,7 @@ _NAMES = (
     "(ms|us|ns)time",
     "seconds[ _]elapsed|elapsed([ _]time)?|time[ _]elapsed",
     "timestamp|time[ _]stamp|__time",
+    "uptime([ _](s|sec|ms|us|ns))?",
     "sampletimefine",
     "seconds|secs?|millis|millisec(ond)?s|micros|microsec(ond)?s|msec|usec|nanos",
     "(utc[ _]?)?date([ _]?time)?|utc",

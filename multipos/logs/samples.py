@@ -332,7 +332,11 @@ class Samples(Kept):
     def _read_clock(self, table: Table) -> None:
         """Find the time: in the column that was named, or in one whose name says so."""
         likely = time_columns(self.log) if self._timing.rate is None else []
-        rising = (name for name in likely if name in self.others and rises(table.columns[name]))
+        rising = (
+            name
+            for name in likely
+            if name in self.others and rises_or_wraps(self.log, name, table.columns[name])
+        )
         column = next(iter(self._named_clock()), None) or next(rising, None)
         time = None if column is None else self._column(table, column, _LATEST)
         if time is not None and self._timing.column is None and self._timing.unit is None:
@@ -456,6 +460,17 @@ def rises(column: Column) -> bool:
     time = np.asarray(column, dtype=np.float64)
     time = time[np.isfinite(time)]
     return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
+
+
+def rises_or_wraps(log: Log, name: str, column: Column) -> bool:
+    """Tell whether a column goes up but where a counter wraps around."""
+    if rises(column):
+        return True
+    time = np.asarray(column, dtype=np.float64)
+    time = time[np.isfinite(time)]
+    clock = read_clock(log, name, time, None)
+    seconds = time * clock.seconds
+    return rises(unwrap(seconds, np.nan, 0.0, usual_step(seconds), wraps_of(clock)).time)
 
 
 def small_pieces(samples: Array) -> Iterator[Array]:

@@ -45,6 +45,10 @@ def clock(i, first=36_000_000):
         ("ustime", lambda i: 20_000_000 + 10_000 * i),
         ("time", lambda i: 10 * i % 2**16),  # wraps after 65.5 s
         ("time", lambda i: (4_290_000_000 + 10_000 * i) % 2**32),
+        ("timestamp", lambda i: (4_290_000_000 + 10_000 * i) % 2**32),
+        ("time_ms", lambda i: 10 * i % 2**16),
+        ("uptime", lambda i: 150_000_000 + 10_000 * i),
+        ("uptime_ms", lambda i: 108_000_000 + 10 * i),
         ("time", clock),
         ("time", lambda i: clock(i, 86_390_000)),  # over midnight
         ("time", lambda i: f"11/21/2026 {clock(i)}"),

@@ -839,7 +839,7 @@ def test_rests_within_two_degrees_are_named(off, named):
     two = [mean_of(mean=np.array(m[:2])) for m in means]
     assert faults._twins(two, "ABCD") == []
     many = [mean_of(mean=np.array(m)) for m in [*[means[0]] * 5, means[1]]]
-    assert "and 4 more pairs; such" in faults._twins(many, "abcdef")[0].text
+    assert "and 7 more pairs; such" in faults._twins(many, "abcdef")[0].text
     assert faults._twins(many[:2], "ab") == []
 
 
