@@ -32,6 +32,7 @@ from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
 from multipos.files.records import LARGEST
 from multipos.files.tables import Column, Source, Table
+from multipos.finding import Findings
 from multipos.fitting.fit_readings import FitOptions
 from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
 from multipos.fleets.labels import Codes, Labels, joined_labels
@@ -220,6 +221,8 @@ class Known:
     model : Model or None
     gravity_u : float
         Relative.
+    notes : tuple of Finding
+        Which columns are no outputs.
     """
 
     def __init__(self, options: dict[str, Any]) -> None:
@@ -228,6 +231,7 @@ class Known:
         self.outputs: tuple[str, ...] | None = None
         self.model: Model | None = None
         self.gravity_u = 0.0
+        self.notes: Findings = ()
 
     def learn(self, fitted: Calibration) -> None:
         """Take the model from the first unit that is fitted."""
@@ -235,6 +239,7 @@ class Known:
             self.model = fitted.model
             gravity = fitted.gravity
             self.gravity_u = 0.0 if gravity is None else gravity.u / gravity.value
+            self.notes = tuple(f for f in fitted.findings if f.code == "outputs-by-name")
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -549,7 +554,7 @@ def _solve(
         sources=tuple((table.source, table.sha256) for table in rows.tables),
         counted=rows.counted and not more,
         key=rows.unit_column,
-        notes=rows.findings,
+        notes=(*rows.findings, *known.notes),
     )
 
 

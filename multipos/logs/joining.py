@@ -526,7 +526,7 @@ def _unit(logs: Sequence[StillLog]) -> str | None:
 def _find_short(found: StillLog) -> Findings:
     if not found.short:
         return ()
-    rows = listed([f"rows {rest.start} to {rest.end}" for rest in found.short])
+    rows = listed([f"rows {rest.start} to {rest.end}" for rest in found.short], 2)
     said = would_take(found.short, found.shortest, found.rate)
     return (Finding("short-rests", "note", f"{said.removeprefix('; ')}: {rows}"),)
 
