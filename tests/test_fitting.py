@@ -509,3 +509,39 @@ def test_a_covariance_without_digits_and_a_number_of_samples_beyond_measure_are_
         mp.MultiposError, match="column 'n': 1e\\+102 is no number that is measured"
     ):
         mp.fit(path, scheme="faces-6")
+
+
+EDGES = mp.read_scheme("edges-12").up
+DEAD = np.tile([0.3, 0.0, 1.0], (12, 1))
+
+
+@pytest.mark.parametrize(
+    ("values", "up", "options"),
+    [
+        (
+            mp.read_scheme("corners-8").up,
+            mp.read_scheme("corners-8").up,
+            {"orientation_sd": "auto"},
+        ),
+        (  # az follows -y and nothing of z
+            EDGES[:, [0, 1, 1]] * [1, 1, -1],
+            EDGES,
+            {"orientation_sd": 0.2, "model": "1 + own", "robust": "soft-l1"},
+        ),
+        (  # ax is always 0, and one row of ay is an outlier
+            (EDGES + 1e-3 * np.cos(np.arange(36.0)).reshape(12, 3)) * [0, 1, 1]
+            + 0.5 * np.eye(12, 3, -1),
+            EDGES,
+            {"exclude": "auto"},
+        ),
+        (DEAD, EDGES, {"model": "1 + x + y + z + own^2", "reading_sd": 1e-12}),
+    ],
+    ids=["exact", "follows another axis", "zeros and an outlier", "constants"],
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning", "ignore::multipos.errors.CalibrationWarning")
+def test_outputs_that_leave_or_follow_nothing_are_met(values, up, options):
+    readings = mp.Readings(values, up=up)
+    cal = mp.fit(readings, **options)
+    assert np.isfinite(cal.parameters).all()
+    if values is DEAD:
+        assert mp.check(cal, readings, limit_g=0.01).findings

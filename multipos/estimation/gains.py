@@ -215,7 +215,9 @@ def restate(calibration: Calibration) -> Problem:
     stated_up = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     shape = c.readings.values.shape
     if c.noise is None:
-        precision = np.broadcast_to(1.0 / c.residual_sd**2, shape)
+        # where no residual is left, the optimum is the same whatever the noise
+        sd = np.where(c.residual_sd > 0.0, c.residual_sd, 1.0)
+        precision = np.broadcast_to(1.0 / sd**2, shape)
     else:
         precision = precision_of(c.noise, *shape)
     problem = pose(c.model, c.readings, stated_up, precision)

@@ -43,7 +43,7 @@ from multipos.estimation.starts import (
     too_few,
 )
 from multipos.finding import Finding, Findings, about
-from multipos.numerics.arrays import Array, Places
+from multipos.numerics.arrays import SMALLEST, Array, Places
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import StatedOrientations, across
@@ -342,7 +342,10 @@ def _scale_bias(problem: Problem, theta: Array, u: Array, sd: Array, magnitude: 
     own = list(model.own_scales)
     if not problem.orientation_sd.any() or len(own) != 3 or len(model.outputs) != 3:
         return ()
-    relative = (sd / (np.abs(theta[own]) * magnitude)) ** 2  # (3,), variances in g² per g²
+    response = np.abs(theta[own]) * magnitude
+    if not (response > SMALLEST * sd).all():
+        return ()  # an output does not respond, and other findings say so
+    relative = (sd / response) ** 2  # (3,), variances in g² per g²
     across = (relative.sum() - relative) / 2.0
     # s²/(s² + sigma²), 1 where s is infinite
     fraction = 1.0 - relative.mean() / (problem.orientation_sd**2 + relative.mean())

@@ -491,7 +491,9 @@ def with_excluded(
         off = np.abs(np.linalg.norm(force, axis=1) - size)
     else:
         left = rows.values - calibration.predict(reference[apart], rows.environment)
-        off = np.linalg.norm(left / np.linalg.norm(calibration.sensitivity, axis=1), axis=1)
+        response = np.linalg.norm(calibration.sensitivity, axis=1)
+        response[response == 0.0] = np.inf  # an output that does not respond is off by no force
+        off = np.linalg.norm(left / response, axis=1)
     pairs = zip(rows.labels, off.tolist(), strict=True)
     excluded = tuple(Excluded(label, each, calibration.field.unit) for label, each in pairs)
     calibration = replace(calibration, excluded=excluded)

@@ -19,7 +19,7 @@ where its p is below `enter`), until neither is there.
 **It ends.** With enter ≤ remove, a term goes in only where it divides the residual sum by more than
 1 + F_in/ν, and out only where that multiplies it by less than 1 + F_out/ν, at the same ν, and
 F_in ≥ F_out. A cycle crosses every ν as often up as down and would end with a smaller residual sum
-than it began with: there is none.
+than it began with: there is none. Where rounding makes one, what stood before ends the search.
 
 **Guard.** A column whose z_j is less than 1e-5 of the column itself (beyond the terms that are
 always in) has half its digits in common with the model: it is not entered, and named. Who
@@ -69,7 +69,8 @@ from multipos.results import Result, frozen
 
 COLLINEAR = 1e-5  # part of a column's length below which it says nothing of its own
 NOTHING = 1e-12  # part of a column's length below which what the forced terms leave is rounding
-_EXACT = 1e-14  # part of the response below which a residual is rounding
+_EXACT = 1e-14  # part of what the forced terms leave below which a residual is rounding
+_ROUNDING = 1e-15  # likewise, of the response as a whole
 
 
 @frozen
@@ -273,7 +274,9 @@ def select_stepwise(
     """
     search = _TermSearch(triangle, names, forced, requires, guard=guard)
     path: list[Step] = []
-    while True:
+    stood: set[tuple[frozenset[int], ...]] = set()
+    while (now := (frozenset(search.inside), frozenset(search.cancelling))) not in stood:
+        stood.add(now)
         removable, addable = search.removable(), search.addable()
         tested = (*removable, *addable)
         out = min(removable, key=lambda t: t.F, default=None)
@@ -289,7 +292,8 @@ def select_stepwise(
             runner_up = max(rest, key=lambda t: t.F, default=None)
             path.append(search.take(len(path) + 1, best, runner_up, tested))
         else:
-            return search.result(path, best, limits)
+            break
+    return search.result(path, best, limits)
 
 
 def select_backward(
@@ -368,7 +372,8 @@ class _TermSearch:
         base = _residual(self.X, self._basis(sorted(self.forced)))
         self.scale = np.linalg.norm(base, axis=0)
         self.dead = self.scale <= NOTHING * np.linalg.norm(self.X, axis=0)
-        self.total = float(np.linalg.norm(_residual(self.y, self._basis(sorted(self.forced)))))
+        total = float(np.linalg.norm(_residual(self.y, self._basis(sorted(self.forced)))))
+        self.exact = max(_EXACT * total, _ROUNDING * float(np.linalg.norm(self.y)))
 
     def _basis(self, columns: Sequence[int]) -> Array:
         return np.asarray(np.linalg.qr(self.X[:, list(columns)])[0])
@@ -398,7 +403,7 @@ class _TermSearch:
         Q = self._basis(sorted(self.inside))
         e = _residual(self.y, Q)
         dof = self.rows - len(self.inside) - 1
-        if dof <= 0 or float(np.linalg.norm(e)) <= _EXACT * self.total:
+        if dof <= 0 or float(np.linalg.norm(e)) <= self.exact:
             return []
         outside = [j for j in range(len(self.names)) if j not in self.inside]
         Z = _residual(self.X[:, outside], Q)
@@ -416,7 +421,7 @@ class _TermSearch:
             z = Z[:, place] / length[place]
             part = float(z @ e)
             rss = float(((e - z * part) ** 2).sum())
-            exact = rss <= (_EXACT * self.total) ** 2
+            exact = rss <= self.exact**2
             F = float("inf") if exact else part * part / (rss / dof)
             found.append(Tested("add", self.names[j], F, f_tail(F, 1, dof)))
         return found

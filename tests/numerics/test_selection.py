@@ -25,6 +25,7 @@ from multipos.numerics.selection import (
     select_stepwise,
     thresholds,
 )
+from multipos.positions.scheme import read_scheme
 
 NAMES = ["1", "x1", "x2", "x3", "x4"]
 HALD = compress(hald.DESIGN, hald.RESPONSE)
@@ -244,6 +245,17 @@ def test_exact_response_ends_the_search():
         compress(X, 2 * X[:, 1] - X[:, 3]), [str(j) for j in range(6)], Thresholds(), forced=[0]
     )
     assert found.columns == (0, 1, 3)
+
+
+@pytest.mark.parametrize("level", np.random.default_rng(1).uniform(-1.0, 1.0, 8))
+def test_a_constant_is_explained_by_the_constant(level):
+    """What is left of it is rounding, 1e-16 of it, which other columns may explain by chance."""
+    up = read_scheme("fibonacci-24").up
+    X = np.column_stack((np.ones(24), up, up**2))
+    found = select_stepwise(
+        compress(X, np.full(24, level)), list("1xyzabc"), Thresholds(), forced=[0]
+    )
+    assert found.columns == (0,)
 
 
 def test_f_thresholds():
