@@ -135,7 +135,7 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
     unit, found = _find(first, start, nu, both=False)
     claim = NoiseTest(start.point.objective, nu)
     unexplained = unit.optimum.point.objective > chi2_quantile(STILL, nu)
-    if unexplained and first.prior.any() and separates(first, start):
+    if unexplained and first.prior.any() and _separates(linear_model(first, start))[0]:
         # the stated orientation sds are then a lower bound as well
         unit, found = _find(first, start, nu, both=True, least=True)
         text = (
@@ -157,7 +157,8 @@ def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
 
 def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> Found:
     """Return the solution with an estimated noise, given stated orientation sds."""
-    first = _least_noise(problem, optimum)
+    linear = linear_model(problem, optimum)
+    first = _least_noise(problem, optimum, linear, _separates(linear))
     unit, found = _find(first, descent.resume(first, optimum), nu, both=False, stated=False)
     noise = _noise_of(unit.problem, found, stated=False)
     estimated = Finding("estimated-noise", "note", f"estimated {_noise_in_words(noise)}")
@@ -167,7 +168,9 @@ def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> F
 
 def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
     """Return the solution with noise and orientation sd estimated, where readings separate them."""
-    if not separates(first, optimum):
+    linear = linear_model(first, optimum)
+    separated = _separates(linear)
+    if not separated[0]:
         exact, exactly, noise = estimate_noise(
             *_at_listed(first, optimum), nu, stated=stated, estimate_sd=False
         )
@@ -175,7 +178,7 @@ def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
         noise = replace(noise, orientation_sd=exact.orientation_sd, findings=findings)
         return exact, exactly, noise
     if not stated:
-        first = _least_noise(first, optimum)
+        first = _least_noise(first, optimum, linear, separated)
     unit, found = _find(first, optimum, nu, both=True, stated=stated)
     noise = _noise_of(unit.problem, found, stated=stated)
     sd = _widest(unit.problem)
@@ -347,13 +350,11 @@ def _precision(problem: Problem, excess: float) -> Array:
     return np.asarray(np.linalg.inv(covariances + excess * np.eye(covariances.shape[1])))
 
 
-def _least_noise(problem: Problem, optimum: Optimum) -> Problem:
+def _least_noise(problem: Problem, optimum: Optimum, linear: Linear, separated: Mask) -> Problem:
     """Return the problem with a noise so small that it changes nothing.
 
     Where no orientation has an sd it is a small part of the residuals.
     """
-    linear = linear_model(problem, optimum)
-    separated = contrasts(linear) >= SEPARATING
     spreads, values = linear.spreads, problem.values
     if not spreads.any():
         spreads, separated = np.array([np.sum(optimum.point.residuals**2)]), np.array([True])
@@ -361,9 +362,9 @@ def _least_noise(problem: Problem, optimum: Optimum) -> Problem:
     return replace(problem, precision=np.full(values.shape, 1.0 / least[0]))
 
 
-def separates(problem: Problem, optimum: Optimum) -> bool:
+def _separates(linear: Linear) -> Mask:
     """Return whether readings separate noise from orientation errors; where few do, U fails."""
-    return bool(contrasts(linear_model(problem, optimum))[0] >= SEPARATING)
+    return contrasts(linear) >= SEPARATING
 
 
 def _at_listed(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:

@@ -555,7 +555,7 @@ class _Evaluator:
         for units, places in _pieces(x.shape, len(nodes)):
             gaps = x[units, places, None] - nodes
             gaps += _TINY_GAP  # of a node itself
-            sums = (signs / gaps) @ values[units]
+            sums = np.divide(signs, gaps, out=gaps) @ values[units]
             np.divide(sums[..., :-1], sums[..., -1:], out=found[units, places])
         left = rotated.number.sum() - self._linear.blocks[0].design.shape[3]
         log = found[..., 0] - (0.5 * left + 2.0) * np.log(size)  # 2: of the prior
