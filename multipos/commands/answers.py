@@ -58,6 +58,11 @@ _LINES = 34  # of a table on the screen, which with the sentence and findings is
 _ESCAPES = "multipos.escapes"  # what an encoding lacks is escaped as JSON does it
 
 
+def written_to(*names: str) -> str:
+    """Return the sentence of a command whose answer is a file."""
+    return f"Written to {', '.join('stdout' if name == STDOUT else name for name in names)}."
+
+
 @frozen(eq=True)
 class Output:
     """What ``-o`` of a command writes.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multipos.bias_stability.stability_result import SCHEMA, load_stability
-from multipos.commands.answers import STDOUT, Answer, Output
+from multipos.commands.answers import STDOUT, Answer, Output, written_to
 from multipos.commands.options import declare, options_of
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
@@ -22,9 +22,10 @@ from multipos.sensor.calibration import Calibration
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     target = named_target(arguments.to)
-    if target is None or not target.is_code or Path(arguments.output).suffix.lower() == ".json":
+    path = arguments.output
+    if target is None or not target.is_code or path == STDOUT or path.lower().endswith(".json"):
         return ()
-    return self_test(arguments.output)
+    return self_test(path)
 
 
 def _is_json(name: str) -> bool:
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         "findings": _listed(exported),
     }
     return Answer(
-        sentence=lambda: f"Written to {', '.join(names)}.",
+        sentence=lambda: written_to(*names),
         text=str,
         json=lambda: to_json(listing),
         forms={

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from multipos.commands.answers import Answer, Output
+from multipos.commands.answers import Answer, Output, written_to
 from multipos.commands.options import progress_bar
 from multipos.errors import UsageError
 from multipos.files.pipes import is_folder
@@ -139,7 +139,7 @@ def _answer(
     certificate: Callable[[], str],
 ) -> Answer:
     return Answer(
-        sentence=lambda: f"Written to {arguments.output}.",
+        sentence=lambda: written_to(arguments.output),
         text=str,
         json=lambda: to_json({**listing, "findings": ()}),
         forms={

@@ -393,6 +393,11 @@ def _records(
 
 
 def _check_header(path: StrPath, header: list[str]) -> None:
+    if all(math.isfinite(_float(name)) for name in header):
+        raise MultiposError(
+            f"{path}: the first row holds only numbers; put a row of names above, such as "
+            "position,ax,ay,az."
+        )
     seen = set()
     for index, name in enumerate(header):
         if not name:
@@ -403,11 +408,6 @@ def _check_header(path: StrPath, header: list[str]) -> None:
             raise MultiposError(f"{path}: column '{name}' appears twice; rename or remove one.")
         seen.add(name)
     _check_names(path, header)
-    if all(math.isfinite(_float(name)) for name in header):
-        raise MultiposError(
-            f"{path}: the first row holds only numbers; put a row of names above, such as "
-            "position,ax,ay,az."
-        )
 
 
 def _check_names(source: StrPath, names: Iterable[str]) -> None:

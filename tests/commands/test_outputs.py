@@ -351,6 +351,7 @@ def test_an_export_in_json_is_one_file_with_both_texts(here, capsys):
     assert run(capsys, "export", "cal.json", "--to", "c", "-o", "new.c")[0] == 0
     command = ["export", "cal.json", "--to", "c", "-o"]
     assert run(capsys, *command, "new.json")[1] == "Written to new.json.\n"
+    assert run(capsys, *command, "-")[2] == "multipos: Written to stdout.\n"
     content = json.loads(Path("new.json").read_text())
     assert content["text"] == Path("new.c").read_text()
     assert content["test"] == Path("new_test.c").read_text()
