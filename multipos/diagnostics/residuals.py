@@ -400,7 +400,7 @@ def _cause_at_known(c: Calibration) -> tuple[str, str]:
     if prefers_unequal(equal, unequal)[0]:
         pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
         sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
-        return f"{_EXCESS}, unequal ({sizes} {c.model.unit})", _STATE_EACH
+        return f"{_EXCESS}, unequal ({sizes})", _STATE_EACH
     return _EXCESS, _STATE
 
 

@@ -137,7 +137,7 @@ def _residual_error(
     beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
     residuals = laws.law_residuals(calibration, law.correction, tesla)
     turned = hidden_turn(calibration, calibration.sign * residuals) is not None
-    left = ", without a rotation that hand placement hides" if turned else ""
+    left = ", without a rotation that hand positioning hides" if turned else ""
     return (
         f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
         f"({beside}full model: {full}){left}."

@@ -999,7 +999,7 @@ def test_stated_orientations_are_too_small_by_chi_square(
     [
         (6, (50.0, 40.0, 41.0), "orientation errors of 1.7 degrees", "--orientation-sd auto."),
         (5, (50.0, 40.0, 41.0), "1.7 degrees or variation between", "--orientation-sd 1.7."),
-        (6, (50.0, 40.0, 39.0), "unequal (a 0.2, b 0.3, c 0.5 V)", "each output"),
+        (6, (50.0, 40.0, 39.0), "unequal (a 0.2, b 0.3, c 0.5)", "each output"),
         (6, (50.0, 45.0, 45.5), "variation between rests", "larger --reading-sd."),
         (0, (50.0, 45.0, 39.0), "cannot be separated", "Add --orientation-sd 4.9 if"),
     ],

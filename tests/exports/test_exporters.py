@@ -570,7 +570,7 @@ def test_the_error_of_a_target_has_no_hand_placement_in_it(sd):
         text = str(mp.export(cal, "px4", allow_lossy=True).findings[0])
         shown, before = map(float, re.findall(r"([0-9.]+) mg(?= rms|, full)", text))
         assert shown == pytest.approx(said[-1], abs=0.005)
-        assert ("a rotation that hand placement hides" in text) == (sd > 0.0)
+        assert ("a rotation that hand positioning hides" in text) == (sd > 0.0)
         assert before == pytest.approx(shown, abs=0.2)  # there is neither bias nor scale error
         left = cross if not sd else (cross + cross.T) / 2.0  # without its rotation
         true.append(1e3 * np.sqrt(np.mean(np.sum((up @ left.T) ** 2, axis=1))))
