@@ -23,6 +23,7 @@ from multipos.diagnostics import (
 )
 from multipos.errors import MultiposError
 from multipos.estimation.known import REJECTED
+from multipos.files.numbers import p_in_words
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
@@ -495,8 +496,10 @@ def test_a_stated_noise_is_rejected_by_chi_square(share, said, monkeypatch):
     found = residuals.rejected_noise(c)
     assert (found is not None) is said
     if said:
-        assert f"(chi-square {claim.chi2:.4g} on 9 dof); U includes" in found.text
-        assert "an excess of 0.0002, 0.0003 V; a cause" in found.text
+        assert found.p == pytest.approx(chi2.sf(claim.chi2, 9.0), rel=1e-9)
+        assert f"({p_in_words(found.p)}); U includes up to 0.0003 V of it; a cause" in found.text
+        scatter["a"] = scatter["b"]
+        assert "; U includes an excess of 0.0003 V; a cause" in residuals.rejected_noise(c).text
         c.variance_components = None
         assert "; U was increased; a cause" in residuals.rejected_noise(c).text
 
