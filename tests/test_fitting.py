@@ -13,6 +13,8 @@ from scipy import stats
 import multipos as mp
 from multipos.errors import MultiposError, RankError, UsageError
 from multipos.fitting.completion import _require_in_files
+from multipos.reports.certificate import build_content
+from multipos.reports.documents import markdown_report
 
 UP14 = mp.read_scheme("faces-corners-14").up
 LINEAR = np.column_stack([np.ones(14), UP14])
@@ -512,6 +514,7 @@ def test_a_covariance_without_digits_and_a_number_of_samples_beyond_measure_are_
 
 
 EDGES = mp.read_scheme("edges-12").up
+NOISY = EDGES + 1e-3 * np.cos(np.arange(36.0)).reshape(12, 3)
 DEAD = np.tile([0.3, 0.0, 1.0], (12, 1))
 
 
@@ -529,19 +532,22 @@ DEAD = np.tile([0.3, 0.0, 1.0], (12, 1))
             {"orientation_sd": 0.2, "model": "1 + own", "robust": "soft-l1"},
         ),
         (  # ax is always 0, and one row of ay is an outlier
-            (EDGES + 1e-3 * np.cos(np.arange(36.0)).reshape(12, 3)) * [0, 1, 1]
-            + 0.5 * np.eye(12, 3, -1),
+            NOISY * [0, 1, 1] + 0.5 * np.eye(12, 3, -1),
             EDGES,
             {"exclude": "auto"},
         ),
         (DEAD, EDGES, {"model": "1 + x + y + z + own^2", "reading_sd": 1e-12}),
+        (0.0 * DEAD, EDGES, {"model": "own-quadratic", "pool": True}),
+        (np.sign(UP14[:6]), UP14[:6], {"model": "1 + own", "reading_sd": 1e-3}),
+        (NOISY, EDGES, {"model": "1 + own", "orientation_sd": "auto", "reading_sd": 1e-12}),
     ],
-    ids=["exact", "follows another axis", "zeros and an outlier", "constants"],
+    ids=["exact", "other axis", "zeros, outlier", "constants", "zeros", "signs", "no noise"],
 )
 @pytest.mark.filterwarnings("error::RuntimeWarning", "ignore::multipos.errors.CalibrationWarning")
 def test_outputs_that_leave_or_follow_nothing_are_met(values, up, options):
     readings = mp.Readings(values, up=up)
     cal = mp.fit(readings, **options)
     assert np.isfinite(cal.parameters).all()
+    assert markdown_report(build_content(cal))
     if values is DEAD:
         assert mp.check(cal, readings, limit_g=0.01).findings

@@ -119,7 +119,7 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
                 continue  # the positions cannot tell it
             small, large = (other, own) if inside else (own, other)
             dof = n - max(p, len(changed))
-            f = (small - large) / (large / dof) if large > 0.0 else math.inf
+            f = max(small - large, 0.0) / (large / dof) if large > 0.0 else math.inf
             result.append(
                 TermTest(
                     output,

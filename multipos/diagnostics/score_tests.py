@@ -107,14 +107,18 @@ def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
         blocks = [each for each in places if each]
         if not alone:
             blocks = [[i for each in blocks for i in each]]
-        ratios = [
-            float(c.parameters[i] @ np.linalg.solve(c.covariance[np.ix_(i, i)], c.parameters[i]))
-            / len(i)
-            for i in blocks
-        ]
+        ratios = [_wald(c.parameters[i], c.covariance[np.ix_(i, i)]) for i in blocks]
         dofs = tuple((float(len(i)), float(c.parameter_dof[i].min())) for i in blocks)
         tests.append(ModelTest(kind, c.outputs if alone else (), tuple(ratios), dofs))
     return tuple(tests)
+
+
+def _wald(b: Array, covariance: Array) -> float:
+    """Return b'C⁻¹b/q; NaN where C has no inverse, as of readings that are fitted exactly."""
+    try:
+        return float(b @ np.linalg.solve(covariance, b)) / len(b)
+    except np.linalg.LinAlgError:
+        return math.nan
 
 
 def _beats_slow_noise(c: Calibration, tests: tuple[ModelTest, ...]) -> bool:

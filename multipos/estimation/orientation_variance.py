@@ -486,7 +486,7 @@ class _Curve(NamedTuple):
     widest: Array  # κ, (B, 1)
     low: Array  # (B, 1)
     high: Array  # (B, 1)
-    values: Array  # log, ln of square, moves, variances and ones, (B, K, 2 p + 3)
+    values: Array  # log, ln of square, moves, ln of variances, and ones, (B, K, 2 p + 3)
 
 
 class _Evaluator:
@@ -560,7 +560,8 @@ class _Evaluator:
         left = rotated.number.sum() - self._linear.blocks[0].design.shape[3]
         log = found[..., 0] - (0.5 * left + 2.0) * np.log(size)  # 2: of the prior
         moves, variances = np.split(found[..., 2:], 2, axis=2)
-        return _Terms(log, np.exp(found[..., 1]) / size, moves, size[..., None] * variances)
+        variances = size[..., None] * np.exp(variances)
+        return _Terms(log, np.exp(found[..., 1]) / size, moves, variances)
 
     def _curve_through(self, variance: Array, F: Array) -> _Curve:
         """Return the curve between the least and the largest z of a + τ² and F (B, G)."""
@@ -578,6 +579,8 @@ class _Evaluator:
         log, square, moves, variances = terms
         of_both = np.stack([log, np.log(square)], axis=2)
         ones = np.ones((*x.shape, 1))
+        # logarithms, as variances at the two ends may have no digit in common
+        variances = np.log(np.maximum(variances, np.finfo(float).tiny))
         values = np.concatenate([of_both, moves, variances, ones], axis=2)
         return _Curve(widest, low, high, values)
 

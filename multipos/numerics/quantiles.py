@@ -448,8 +448,8 @@ def f_tail(f: float, k: float, dof: float) -> float:
     """Probability that a ratio of variances on `k` and `dof` degrees of freedom exceeds `f`."""
     if not (k > 0.0 and dof > 0.0):
         return math.nan
-    if not math.isfinite(f):
-        return math.nan if math.isnan(f) else float(f < 0.0)
+    if not 0.0 < f < math.inf:
+        return math.nan if math.isnan(f) else float(f <= 0.0)
     if dof > _NORMAL:
         return chi2_tail(k * f, k)
     return _f_tails(float(f), float(k), float(dof))[0]

@@ -56,6 +56,7 @@ from multipos.verification.consistency import Words, is_apart, judge_together
 
 RATE = 0.01  # of runs that agree, the share that is said to disagree: half by each test
 _MOST_NAMED = 3
+_ROUNDING = 1e-14  # of the variances of a row, beside which noise that is less has no digits
 _IDENTIFIABLE = 1e-9  # of its own information, which a parameter keeps beside others
 _TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
 
@@ -187,7 +188,8 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     D = noise[:, :, None] ** 2 * np.eye(noise.shape[1]) + np.einsum(
         "nmi,nij,nkj->nmk", J, of_orientation, J
     )
-    W = np.linalg.inv(np.linalg.cholesky(D))
+    size = np.einsum("nmm->n", D)[:, None, None]
+    W = np.linalg.inv(np.linalg.cholesky(D + _ROUNDING * size * np.eye(noise.shape[1])))
     predicted = np.einsum("nmp,pq,nmq->nm", X, c.covariance, X) + estimated**2
     whole = np.einsum("nmm->nm", D) + np.sum(L**2, axis=2)
     free = np.zeros((*r.shape, 0)) if c.model.gauge is None else _turns(c, data, known)
