@@ -482,12 +482,14 @@ def score_equality(
     information += np.einsum("ibpq,jbqp->bij", sums, sums)
     squares = np.einsum("ibn,ibn->bi", root * push, root * push)
     total = squares.sum(axis=1, keepdims=True)
-    common = np.where(total > 0.0, total, 1.0) / traces.sum(axis=1, keepdims=True)
+    whole = traces.sum(axis=1, keepdims=True)
+    left = (total > 0.0) & (whole > 0.0)  # not of readings so coarse that nothing is left
+    common = np.where(left, total, 1.0) / np.where(left, whole, 1.0)
     U = 0.5 * (squares / common - traces)
-    U *= total > 0.0  # readings so coarse that nothing is left
+    U *= left
     solved = np.linalg.solve(0.5 * information, U[:, :, None])[:, :, 0]
     size = np.sqrt(variance.mean(axis=2).T * common * np.maximum(1.0 + solved, 0.05))
-    return np.einsum("bi,bi->b", U, solved), size * (total > 0.0)
+    return np.einsum("bi,bi->b", U, solved), size * left
 
 
 def _separable(c: Calibration) -> bool:

@@ -108,7 +108,8 @@ def helpful_positions(information: Array, gains: Array, count: int) -> list[int]
     count : int
     """
     gains = np.where(np.isfinite(gains).all(axis=(1, 2), keepdims=True), gains, 0.0)
-    seen = np.maximum(np.diag(gains.sum(axis=0)), SMALLEST * np.abs(information).max(axis=1))
+    largest = np.maximum(np.abs(information).max(axis=1), np.abs(gains).max(axis=(0, 2)))
+    seen = np.maximum(np.diag(gains.sum(axis=0)), SMALLEST * largest)
     scale = np.sqrt(np.maximum(seen, 1e-300))
     unit = np.outer(scale, scale)
     # A ridge far below any real information lets the determinant rank singular ones.

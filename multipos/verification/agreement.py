@@ -284,8 +284,9 @@ def _moved(c: Calibration, run: _Run) -> list[_Moved]:
         steps = np.asarray(
             np.linalg.solve(gram[np.ix_(chosen, chosen)], right[chosen]), dtype=np.float64
         )
+    U = np.where(c.U > 0.0, c.U, np.nan)  # of a calibration without residuals there is none
     return [
-        _Moved(c.names[j], float(by), float(abs(by) / c.U[j]), c.model.units[j])
+        _Moved(c.names[j], float(by), float(abs(by) / U[j]), c.model.units[j])
         for j, by in zip(chosen, steps, strict=True)
     ]
 
@@ -323,9 +324,13 @@ def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
     said = f"the run disagrees with the calibration beyond chance{chance}"
     if not moved:
         return said
-    steps = [f"{m.name} by {_with_unit(m)} ({plain_number(m.over, 2)} U)" for m in moved]
+    steps = [f"{m.name} by {_with_unit(m)}{_over(m)}" for m in moved]
     cause = f"{said}; probable cause: a change of "
     return short_text(lambda count: cause + ", ".join(steps[:count]), len(steps))
+
+
+def _over(moved: _Moved) -> str:
+    return f" ({plain_number(moved.over, 2)} U)" if moved.over > 0.0 else ""
 
 
 def _with_unit(moved: _Moved) -> str:

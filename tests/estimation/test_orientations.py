@@ -1103,5 +1103,5 @@ def test_positions_where_the_model_has_no_slopes_are_not_proposed():
         1,
     ]  # 2 * 9, 1 * 11; 3 * 9, 2 * 11
     # of sums that are below zero by rounding there is no root
-    rounded = np.array([np.diag([4e24, -2.7e8])])
+    rounded = np.array([[[4e24, 1e9], [1e9, -2.7e8]]])
     assert helpful_positions(np.diag([-3.7e9, -4.1e8]), rounded, 1) == [0]

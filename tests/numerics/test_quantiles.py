@@ -80,6 +80,7 @@ def test_f_with_two_degrees_of_freedom_above(p, dof):
     f = dof / 2 * ((1 - p) ** (-2 / dof) - 1)
     assert f_quantile(p, 2, dof) == pytest.approx(f, rel=1e-12)
     assert f_tail(f, 2, dof) == pytest.approx(1 - p, rel=1e-12)
+    assert f_tail(-dof / 2, 2, dof) == 1.0  # by rounding of sums that differ in nothing
 
 
 # --- printed tables: JCGM 100 table G.2 for t, Abramowitz and Stegun tables 26.8, 26.9 and

@@ -293,3 +293,13 @@ def test_degrees_of_freedom_of_a_step_by_its_share_from_soaks(nu):
     assert_allclose(found, expected, rtol=1e-9)
     run.soaks = 0
     assert_allclose(_dof_of_steps(c, run, _Weights(L, free), [L, free, X, None]), min(nu, 40.0))
+
+
+@pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
+def test_noise_far_below_the_errors_of_orientation_is_met():
+    """1e-12 beside .1 degrees: their variances of a row have no digit in common."""
+    up = read_scheme("edges-12").up
+    off = up + 1e-3 * np.cos(np.arange(36.0)).reshape(12, 3)
+    run = mp.Readings(off, up=up, orientation_sd=np.full(12, np.radians(0.1)))
+    cal = mp.fit(mp.Readings(off, up=up), reading_sd=1e-12)
+    assert mp.check(cal, run, limit_g=0.01, reading_sd=1e-12).findings
