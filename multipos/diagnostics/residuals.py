@@ -56,6 +56,7 @@ from multipos.sensor.found import Estimator
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
 _LEVEL = 0.01  # at which repeats reject the model, all outputs together
 _ROUNDING = 1e-12  # of a response: residuals that are nothing
+_SINGULAR = 1e-12  # of a determinant, beside the product of its diagonal
 _SHOWN = 4
 _NAMED = 2  # outlying readings in one sentence
 _GROSS = 100.0  # times that residuals are smaller without rows that nobody should use
@@ -483,7 +484,11 @@ def score_equality(
     squares = np.einsum("ibn,ibn->bi", root * push, root * push)
     total = squares.sum(axis=1, keepdims=True)
     whole = traces.sum(axis=1, keepdims=True)
-    left = (total > 0.0) & (whole > 0.0)  # not of readings so coarse that nothing is left
+    # not where readings are so coarse that nothing is left, or outputs cannot be told apart
+    least = _SINGULAR * np.einsum("bii->bi", information).prod(axis=1)
+    separated = np.linalg.det(information) > np.maximum(least, 0.0)
+    left = (total > 0.0) & (whole > 0.0) & separated[:, None]
+    information[~separated] = np.eye(len(W))
     common = np.where(left, total, 1.0) / np.where(left, whole, 1.0)
     U = 0.5 * (squares / common - traces)
     U *= left

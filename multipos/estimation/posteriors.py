@@ -175,10 +175,12 @@ def integrate(
     nodes = np.concatenate([np.zeros((len(size), 1)), _nodes(x, size)], axis=1)
     found = evaluate(nodes, whole=True)
     log = found.log[:, 1:]
-    top = log.max(axis=1, keepdims=True)
+    top = (found.log if stated else log).max(axis=1, keepdims=True)
     weights = np.exp(log - top) * (x[:, 1:2] - x[:, :1])
     weights[:, [0, -1]] /= 2.0
-    at_stated = stated * stated_weight(dof) * np.exp(found.log[:, :1] - top)
+    at_stated = np.zeros_like(top)
+    if stated:
+        at_stated = stated_weight(dof) * np.exp(found.log[:, :1] - top)
     weights = np.concatenate([at_stated, weights], axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     return Posterior(nodes, weights, found.moves, found.variances, size)

@@ -58,6 +58,7 @@ from multipos.sensor.temperature import find_soaks
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 DOUBTED = 1e-3  # of a limit: what noise that has converged leaves open of a test
 _LEAST = 1e-300  # of a probability
+_ROUNDING = 1e-15  # of a sum of squares
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
 _CLOSE = 1.0  # of S, within which causes are as good
 _FEW = 6.0  # degrees of freedom of an output
@@ -463,7 +464,8 @@ def may_lack_terms(
         free = float(n - shared.by_output[i].Q.shape[1] - q[kind, i])
         tested = np.isfinite(own) & (free >= 1.0)
         ratio = own * np.maximum(left[:, 0, i] - q[kind, i], 1.0)
-        ratio /= q[kind, i] * np.maximum(whole[:, 0, i] - own, _LEAST)
+        least = np.maximum(_ROUNDING * whole[:, 0, i], _LEAST)
+        ratio /= q[kind, i] * np.maximum(whole[:, 0, i] - own, least)
         logs[tested, kind] += f_log_tails(ratio[tested], q[kind, i], max(free, 1.0))
         used[tested, kind] += 1
     return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))

@@ -12,7 +12,7 @@ from scipy.stats import f as fisher
 
 import multipos as mp
 from multipos.diagnostics import residuals, variances
-from multipos.diagnostics.residuals import judge_equality
+from multipos.diagnostics.residuals import judge_equality, score_equality
 from multipos.diagnostics.variances import Residuals, explain_equal, explain_orientations
 from multipos.positions.scheme import read_scheme
 from tests.diagnostics.test_model_error import BIAS, MATRIX
@@ -200,6 +200,14 @@ def test_groups_that_leave_directions_free_end_no_fit(seed):
     columns["group"] = list(map(int, group))
     fitted = mp.fit(columns, orientation_sd=0.1, reading_sd=0.001)
     assert 0.0 <= judge_equality(fitted)[0] <= 1.0
+
+
+def test_outputs_whose_parameters_take_all_are_not_told_apart():
+    """Two outputs, one row and a parameter for each: W - W A S^-1 A'W is zero, by hand."""
+    one = np.eye(2)[:, :, None, None]
+    statistic, sizes = score_equality(one, one, one, np.ones((2, 1, 1)), np.ones((2, 1, 1)))
+    assert statistic[0] == 0.0
+    assert not sizes.any()
 
 
 def test_steps_follow_the_slopes_of_the_deviance():

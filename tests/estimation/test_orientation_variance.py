@@ -13,7 +13,14 @@ import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
 from multipos.estimation.orientation_variance import Block, _axes, _axes_of_errors, _Evaluator
-from multipos.estimation.posteriors import _COVERAGE, _INNER, _search_half, dof_of_tails
+from multipos.estimation.posteriors import (
+    _COVERAGE,
+    _INNER,
+    Found,
+    _search_half,
+    dof_of_tails,
+    integrate,
+)
 from multipos.estimation.problem import start_state
 from multipos.positions.orientations import OpenRolls
 
@@ -243,3 +250,18 @@ def test_the_interval_of_a_law_beside_a_value():
     sds, weights = np.array([[[1e-30], [2.0]]]), np.array([[0.5, 0.5]])
     found = _search_half(np.zeros((1, 2, 1)), sds, weights, 0.95)
     assert found == pytest.approx(2.0 * 1.6449, rel=1e-4)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_stated_noise_may_be_all_but_certain():
+    """Of 37 decades between readings and what is stated: its density is e^800 of any other's."""
+
+    def density(nodes, *, whole):
+        log, none = -800.0 - nodes, np.zeros((*nodes.shape, 0))
+        if whole:
+            log[:, 0] = 0.0
+        return Found(log, none, none)
+
+    found = integrate(density, 20.0, np.ones(1), (np.full(1, 1.0), np.full(1, 30.0)))
+    assert found.weights[0, 0] == 1.0
+    assert not found.weights[0, 1:].any()

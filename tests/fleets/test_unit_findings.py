@@ -256,3 +256,7 @@ def test_what_robust_units_may_lack_is_found_by_weighted_least_squares():
         expected.append(bool(beyond.any()))
     assert 5 < sum(expected) < 19
     assert unit_findings.may_lack_terms(kinds, shared, found).tolist() == expected
+    cubes = (up**3 - X @ np.linalg.pinv(X) @ up**3).T[:, None]  # beside them rounding is left
+    exact = cubes * (1e18 * rng.uniform(1.0, 2.0, units))[:, None]
+    found = SimpleNamespace(weight=np.ones((units, 3, 24)), residuals=exact)
+    assert unit_findings.may_lack_terms(kinds, shared, found).all()
