@@ -262,7 +262,10 @@ def design(
     _check_candidates(assessor, bench, given)
     judged = criterion in ("D", "A", "I") and region is None and not setting.draws
     sphere = assessor.optimum(criterion) if judged else optimise_sphere(setting, wanted)
-    best = sphere if bench is None else optimise_candidates(setting.rows(bench), wanted)
+    reach = bench
+    if bench is not None and assessor.separate(bench)[0]:  # by themselves they have no optimum
+        reach = np.concatenate([bench, given])
+    best = sphere if reach is None else optimise_candidates(setting.rows(reach), wanted)
     rng = np.random.default_rng(seed)
     value, up = _search(setting, wanted, positions - len(given), bench, given, best, rng)
     _require_separated(value > -math.inf, positions)
@@ -282,7 +285,7 @@ def design(
         efficiency=efficiency,
         certificate=_certificate(setting, best, "sphere" if bench is None else "candidates"),
         optimum={
-            "positions": best.up if bench is None else bench[best.chosen],
+            "positions": best.up if reach is None else reach[best.chosen],
             "weights": best.weights,
         },
         bench_efficiency=on_bench,

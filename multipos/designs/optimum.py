@@ -117,6 +117,8 @@ def optimise_candidates(rows: Blocks, criterion: Criterion) -> ContinuousOptimum
             return ContinuousOptimum(np.empty((0, 3)), working[kept], weights[kept], *reached)
         # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
         alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
+        if not alive.any():
+            break
         heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
         staying = working[alive][heaviest]
         if log_det(inform(_taken(rows, staying))) == -np.inf:  # L: weights of all but one are small

@@ -220,6 +220,8 @@ def _off_ellipsoid(model: Model, readings: Readings, variance: Array | None) -> 
     form = np.diag([1.0 - c[0], 1.0 - c[1], 1.0 + c[0] + c[1]])
     if crossed:
         form[np.triu_indices(3, 1)] = form[np.tril_indices(3, -1)] = -c[6:9] / 2.0
+    if not np.linalg.eigvalsh(form)[0] > 0.0:
+        return None  # without the rows it is no ellipsoid
     radius = c[5] + 0.25 * float(c[2:5] @ np.linalg.solve(form, c[2:5]))
     off = np.abs(np.sqrt(np.maximum(1.0 + (square - X @ c)[rows] / radius, 0.0)) - 1.0)
     step = max(resolution(each) / s for each, s in zip(readings.values.T, size, strict=True))

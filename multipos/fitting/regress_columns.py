@@ -357,9 +357,7 @@ def _fit_joined(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) 
     """Return the segments of one branch without a jump at the edges."""
     variable, spans = _spans(plan, data, cut)
     for number, span in enumerate(spans):
-        if number not in branch.place:
-            empty = _segment_name(number, variable, span, branch)
-            raise MultiposError(f"{empty} has no rows; move the edge, or give more rows.")
+        _require_rows(branch, number, _segment_name(number, variable, span, branch))
     where = "the continuous model" if branch.name is None else f"the {branch.name} branch"
     rows = data.take(branch.rows)
     return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
@@ -373,11 +371,17 @@ def _fit_apart(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) -
         where = "the table"
         if cut.edges or branch.name:
             where = _segment_name(number, variable, span, branch)
+        _require_rows(branch, number, where)
         mine = branch.rows[branch.place == number]
         some = data if len(mine) == len(data) else data.take(mine)
         alone = where == "the table"
         segments.append(fit_segment(plan, some, variable, span, branch.name, where, alone=alone))
     return segments
+
+
+def _require_rows(branch: _Branch, number: int, where: str) -> None:
+    if number not in branch.place:
+        raise MultiposError(f"{where} has no rows; move the edge, or give more rows.")
 
 
 def _spans(plan: Plan, data: observations.Data, cut: Cut) -> tuple[str, list[tuple[float, float]]]:

@@ -123,7 +123,8 @@ def force_errors(
     square = np.einsum("ni,ni->n", known, known)[:, None]
     across = np.sqrt(np.maximum(square - reference**2, 0.0))
     zeros = zeros_of_force(calibration, rest, data.environment, data, noise.estimated)
-    own = np.sqrt(np.einsum("nkk->nk", covariance - zeros.contained))
+    left = np.einsum("nkk->nk", covariance - zeros.contained)
+    own = np.sqrt(np.maximum(left, 0.0))  # of rounding
     u = np.hypot(own, across * _orientation_error(data))
     if data.reference_u is not None:
         u = np.hypot(u, data.reference_u[:, axes])

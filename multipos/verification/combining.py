@@ -45,7 +45,7 @@ from multipos.estimation.gains import estimator_gain, gravity_effect
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import calibrate_at
 from multipos.fitting.options import Options
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import SMALLEST, Array
 from multipos.numerics.quantiles import coverage_factors
 from multipos.positions.orientations import place
 from multipos.positions.readings import Readings, diagonal
@@ -357,6 +357,7 @@ def predict_next(p: Array, v: Array, w: Array, known: float) -> tuple[Array, flo
     known : float
         Degrees of freedom of the variances.
     """
+    v = np.maximum(v, SMALLEST**2)  # sessions without residuals have none
     mean = v.mean(axis=0)
     free = min(p.shape[1], _APART) * (len(p) - 1.0)
     spread = float(np.max((p - p.mean(axis=0)) ** 2 / mean))

@@ -882,3 +882,24 @@ def test_a_certificate_is_looked_at_closer_before_it_is_said(monkeypatch):
     optimise_sphere(setting("linear"), Criterion("D"))
     assert looked[-1] == (_FINE,)
     assert looked.count((_FINE,)) == 1  # as it takes longer
+
+
+def test_included_positions_help_candidates_that_separate_nothing_by_themselves():
+    """Corners show neither own^2 nor own^3 apart; beside the faces they do, and are the best."""
+    found = mp.design("ieee", 14, candidates="corners-8", include="faces-6")
+    assert found.certificate["gap"] < 1e-7
+    assert 0.9 < found.bench_efficiency <= 1.0
+    assert found.efficiency <= found.bench_efficiency * (1.0 + 1e-7)  # to the gaps of both optima
+
+
+def test_weights_that_no_search_finds_are_refused():
+    """At 40 degrees of orientation error a face tells 1e6 times less of its own axis."""
+    with pytest.raises(mp.ConvergenceError, match="nearly inseparable"):
+        mp.design(
+            "1 + x",
+            3,
+            criterion="A",
+            candidates="faces-6",
+            orientation_sd=40.0,
+            reading_sd=1e-3,
+        )

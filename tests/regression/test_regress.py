@@ -556,6 +556,12 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
             1,
             "segment 2 (t -5 to 5) has no rows; move the edge",
         ),
+        (
+            {"t": np.where(np.abs(GOOD["t"]) < 5.0, 20.0, GOOD["t"])},
+            [*REGRESS, "--segment", "t:-5,5", "--free"],
+            1,
+            "segment 2 (t -5 to 5) has no rows; move the edge",
+        ),
         ({}, [*REGRESS, "--segment", "t"], 2, "VARIABLE:EDGE,EDGE or VARIABLE:auto"),
         ({}, [*REGRESS, "--segment", "t:warm"], 2, "not a list of numbers"),
         ({}, [*REGRESS, "--segment", "q:1"], 1, "no column 'q'"),

@@ -269,3 +269,10 @@ def test_a_head_that_turns_otherwise_is_named_by_its_first_reading():
     assert found.text.startswith("reading 7: ")
     (found,) = _unused([SimpleNamespace(roll=roll, head=np.full(9, np.nan))])
     assert "of the roll about x lack" in found.text
+
+
+def test_where_no_attitude_is_listed_there_is_no_roll():
+    up = read_scheme("all-26").up
+    off = up + 1e-3 * np.cos(np.arange(78.0)).reshape(26, 3)
+    found = mp.table_errors(mp.fit(mp.Readings(off), unknown_orientation=True))
+    assert str(found) == "no roll determines table errors"

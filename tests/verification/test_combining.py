@@ -328,3 +328,10 @@ def test_u_of_the_next_session_is_the_same_in_any_unit():
         again = combining.predict_next(unit * p, unit**2 * own, share, 30.0)
         assert_allclose(again[0], unit * U, rtol=1e-9)
         assert again[1] == pytest.approx(dof, rel=1e-9)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_sessions_that_agree_exactly_leave_next_to_no_u():
+    p = np.full((3, 4), 2.0)
+    U, _ = combining.predict_next(p, np.zeros((3, 4)), np.full((3, 4), 1.0 / 3.0), 30.0)
+    assert (U < 1e-30).all()
