@@ -112,7 +112,8 @@ def exchange(
             best = int(gains.argmax())
             if gains[best] > _BETTER:
                 choice[i] = best
-                state.take(choice)
+                if not state.take(choice):
+                    return choice
                 moved = True
         if not moved:
             break
@@ -130,11 +131,14 @@ class _State:
         """Take another choice; tell whether it separates the parameters."""
         taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in self.rows]
         information = tuple(M + T.T @ T for M, T in zip(self.staying, taken, strict=True))
-        # an exchange only adds information: what is regular stays so
+        # an exchange only adds information: what is regular stays so, but for rounding
         self.sound = self.sound or objective(information, self.criterion) > -math.inf
         if not self.sound:
             return False
-        inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
+        try:
+            inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
+        except np.linalg.LinAlgError:
+            return False
         self.own, self.left = _forms(self.rows, inverse)
         if self.criterion.weight is not None:
             products = [C @ B for C, B in zip(inverse, self.criterion.weight, strict=True)]
@@ -160,7 +164,8 @@ class _State:
                 return np.asarray(np.log(np.abs(determinants)))
             # what the trace becomes is 0 or less only by rounding of a singular choice
             left = np.where(self.trace - falls > 0.0, self.trace - falls, np.inf)
-            return np.asarray(math.log(self.trace) - np.log(left))
+            now = max(self.trace, np.finfo(float).tiny)
+            return np.asarray(math.log(now) - np.log(left))
 
 
 def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:

@@ -240,7 +240,7 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if calibration.noise is not None:
         variances = diagonal(calibration.noise).reshape(readings.values.shape)
         sd = np.sqrt(np.mean(variances, axis=0))
-    if not np.all(np.isfinite(calibration.u)) or not np.all(np.isfinite(sd) & (sd > 0.0)):
+    if not all(np.all(np.isfinite(each) & (each > 0.0)) for each in (calibration.u, sd)):
         raise MultiposError(
             "the calibration has no reading noise to predict from: as many terms as readings; "
             "fit again with --reading-sd."

@@ -82,7 +82,7 @@ class Posterior:
         precision = 1.0 / (self.size[:, None] + self.nodes)
         mean = self._mean(precision)
         spread = self._mean((precision - mean[:, None]) ** 2)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             dof = 2.0 * mean**2 / spread
         sd = np.sqrt(self.nodes)
         u = np.sqrt(self._mean((sd - self._mean(sd)[:, None]) ** 2))

@@ -450,8 +450,9 @@ def _candidate_gains(problem: Problem, theta: Array) -> Array:
     )
     state = start_state(candidates, theta, CANDIDATES)
     jacobian = parameter_jacobian(problem.model, state.theta, size * CANDIDATES, environment)
-    marginal = linearise(candidates, state, evaluate(candidates, state)).marginal
-    return np.asarray(jacobian.transpose(0, 2, 1) @ marginal @ jacobian)
+    with np.errstate(over="ignore", invalid="ignore"):  # where a model has no slopes
+        marginal = linearise(candidates, state, evaluate(candidates, state)).marginal
+        return np.asarray(jacobian.transpose(0, 2, 1) @ marginal @ jacobian)
 
 
 def too_few(problem: Problem) -> RankError:

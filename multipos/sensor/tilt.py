@@ -313,7 +313,7 @@ def triad_tilt_u(force: Array, covariance: Array) -> Array:
             steep = across[upright]
             away[upright] = np.linalg.eigh(np.where(np.isfinite(steep), steep, 0.0))[1][:, :, -1]
         gradient[:, others] = -force[:, [i]] * away
-        gradient /= square[:, None]
+        gradient /= np.where(square > 0.0, square, np.nan)[:, None]  # of no force there is no tilt
         variance = np.einsum("nij,ni,nj->n", covariance, gradient, gradient)
         result[:, i] = np.sqrt(np.maximum(variance, 0.0))
     return result

@@ -903,3 +903,10 @@ def test_weights_that_no_search_finds_are_refused():
             orientation_sd=40.0,
             reading_sd=1e-3,
         )
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_choice_without_an_inverse_by_rounding_is_left():
+    """Orientation errors of 1e-6 degrees beside noise of 1e-12 g: 17 digits between them."""
+    with pytest.raises((mp.MultiposError, mp.ConvergenceError)):
+        mp.design("own-cubic", 6, criterion="I", orientation_sd=1e-6, reading_sd=1e-12)

@@ -17,6 +17,7 @@ from multipos.estimation.posteriors import (
     _COVERAGE,
     _INNER,
     Found,
+    Posterior,
     _search_half,
     dof_of_tails,
     integrate,
@@ -265,3 +266,6 @@ def test_a_stated_noise_may_be_all_but_certain():
     found = integrate(density, 20.0, np.ones(1), (np.full(1, 1.0), np.full(1, 30.0)))
     assert found.weights[0, 0] == 1.0
     assert not found.weights[0, 1:].any()
+    nodes, weights = np.array([[0.0, 1.0]]), np.array([[1.0, 1e-310]])
+    _, _, dof = Posterior(nodes, weights, nodes, nodes, np.ones(1)).summary
+    assert np.isfinite(dof).all()  # 2/.25e-310 is none

@@ -168,6 +168,8 @@ def test_tilt_of_a_triad_by_hand():
     u = triad_tilt_u(2.0 * np.array([[0.6, 0.0, 0.8]]), covariance[None])
     # 0.64 · 4 + 0.36 · 1 − 2 · 0.48 · 1 = 1.96, of z as of x
     assert_allclose(u[0], 1e-4 * np.array([1.4, 3.0, 1.4]) / 2.0, rtol=1e-12)
+    with np.errstate(all="raise"):
+        assert np.isnan(triad_tilt_u(np.zeros((1, 3)), covariance[None])).all()
 
 
 def test_tilt_uncertainty_grows_like_the_secant_and_stays_finite():
