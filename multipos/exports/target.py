@@ -244,9 +244,10 @@ def find_strange(path: str, difference: float, allowed: float, field: Field = GR
     """Return an error where forces differ [g] from the calibration's by more than digits do."""
     if difference <= allowed:
         return ()
+    size = f"{difference:.2g} {field.unit}".rstrip()
     text = (
-        f"{path} differs from this calibration by {f'{difference:.2g} {field.unit}'.rstrip()}: it "
-        "was exported from another, or changed since"
+        f"{Path(path).name} differs from this calibration by {size}: it was exported from another, "
+        "or changed since"
     )
     return (Finding("export-differs", "error", text, "Export again."),)
 

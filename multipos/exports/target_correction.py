@@ -14,6 +14,7 @@ it; there is a gap in time, and the run starts again.
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -510,7 +511,7 @@ def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -
         if codes
         else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
     )
-    text = f"{path}: {what}; it was exported from another regression, or changed since"
+    text = f"{Path(path).name}: {what}; it was exported from another regression, or changed since"
     return (Finding("export-differs", "error", text, "Export again."),)
 
 
