@@ -537,8 +537,9 @@ def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None
         raise ValueError(f"its gauge is for outputs on x, y and z, not on {c.model.axes}")
     # NaN is right where nothing was left to estimate an uncertainty from.
     require_covariance(c.covariance, _numbers([entry["u"] for entry in parameters]))
-    if c.budget is not None and c.budget.scatter is not None:
-        require_covariance(c.budget.scatter, np.sqrt(np.abs(np.diag(c.budget.scatter))))
+    scatter = None if c.budget is None else c.budget.scatter
+    if scatter is not None and (np.diag(scatter) < 0.0).any():
+        raise ValueError("the scatter of its budget has a variance below zero")
 
 
 def _numbers(value: Any) -> Any:

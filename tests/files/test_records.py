@@ -190,7 +190,7 @@ REMOVED = object()
         ("cal", ["parameters", 3, "u"], "x", "parameters[3].u is 'x'; a number is needed there"),
         ("cal", ["parameters", 3, "u"], REMOVED, "the key 'parameters[3].u' is missing"),
         ("cal", ["parameters", 3, "u"], 1.0, "the squared uncertainties on its diagonal"),
-        ("cal", ["budget", "scatter", 0, 0], -1.0, "the squared uncertainties on its diagonal"),
+        ("cal", ["budget", "scatter", 0, 0], -1.0, "its budget has a variance below zero"),
         ("cal", ["readings", 2], [0.5], "readings[2] is a list of 1; a list of 3 is needed there"),
         ("cal", ["reference", 2, 1], 1e300, "reference[2][1] is 1e+300"),
         ("cal", ["axes"], ["x", "y"], "not a calibration: --axes names 2 axes for 3 outputs"),
