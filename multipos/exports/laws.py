@@ -41,6 +41,7 @@ _METRES = ("m/s^2", "m/s2", "m/s²", "m/s/s", "ms-2", "m s-2", "m s^-2")
 
 TEMPERATURE = "temperature"
 _POWERS = (TEMPERATURE, f"{TEMPERATURE}^2", f"{TEMPERATURE}^3")
+_SINGULAR = 1e12  # condition of sensitivities whose inverse has no digits to rely on
 
 
 class Drift(NamedTuple):
@@ -141,13 +142,12 @@ def reduce_to(
     order = [model.axes.index(axis) for axis in COMPONENTS]
     K = sign * linear[:, 1:] / reference_in(calibration, tesla, linear[:, 1:])
     # Columns of T belong to the outputs in the order x, y, z in which consumers hold them.
-    try:
-        inverse = np.asarray(np.linalg.inv(K))
-    except np.linalg.LinAlgError:
+    if not np.linalg.cond(K) < _SINGULAR:
         raise MultiposError(
             f"{target} needs the inverse of the sensitivities, and this calibration's have none; "
             "an output does not sense its axis."
-        ) from None
+        )
+    inverse = np.asarray(np.linalg.inv(K))
     drift = _drift(calibration, model, parameters)
     matrix, turn = inverse[:, order], np.eye(3)
     if tesla is not None:

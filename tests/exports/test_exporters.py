@@ -719,6 +719,14 @@ def test_vectors_are_the_readings_and_the_middles_of_neighbours():
     np.testing.assert_allclose(1.1 * force + 0.01 + 1e-4 * env, raw, atol=1e-12)
 
 
+def test_sensitivities_next_to_nothing_have_no_inverse():
+    cal = made(*SENSORS["linear"])
+    at = cal.model.names.index("scale_az")
+    none = replace(cal, parameters=np.where(np.arange(12) < at, cal.parameters, 1e-300))
+    with pytest.raises(mp.MultiposError, match="an output does not sense its axis"):
+        reduce_to(none, "1 + x + y + z", "ros-imu-calib", allow_lossy=True)
+
+
 def test_what_a_law_leaves_by_hand():
     """f = V T (raw − o − c (t − 20) …)/9.80665, less the force: minus a reference of gravity."""
     rng = np.random.default_rng(3)
