@@ -721,10 +721,10 @@ def test_vectors_are_the_readings_and_the_middles_of_neighbours():
 
 def test_sensitivities_next_to_nothing_have_no_inverse():
     cal = made(*SENSORS["linear"])
-    at = cal.model.names.index("scale_az")
-    none = replace(cal, parameters=np.where(np.arange(12) < at, cal.parameters, 1e-300))
+    parameters = cal.parameters.copy()
+    parameters[cal.model.slices[-1]] *= 1e-300
     with pytest.raises(mp.MultiposError, match="an output does not sense its axis"):
-        reduce_to(none, "1 + x + y + z", "ros-imu-calib", allow_lossy=True)
+        reduce_to(replace(cal, parameters=parameters), "1 + x + y + z", "px4", allow_lossy=True)
 
 
 def test_what_a_law_leaves_by_hand():
