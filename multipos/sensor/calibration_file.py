@@ -539,7 +539,7 @@ def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None
     require_covariance(c.covariance, _numbers([entry["u"] for entry in parameters]))
     scatter = None if c.budget is None else c.budget.scatter
     if scatter is not None and (np.diag(scatter) < 0.0).any():
-        raise ValueError("the scatter of its budget has a variance below zero")
+        raise ValueError("its budget has a variance below zero")
 
 
 def _numbers(value: Any) -> Any:
