@@ -263,7 +263,8 @@ def design(
     judged = criterion in ("D", "A", "I") and region is None and not setting.draws
     sphere = assessor.optimum(criterion) if judged else optimise_sphere(setting, wanted)
     reach = bench
-    if bench is not None and assessor.separate(bench)[0]:  # by themselves they have no optimum
+    if bench is not None and len(given) and assessor.separate(bench)[0]:
+        # by themselves the candidates have no optimum
         reach = np.concatenate([bench, given])
     best = sphere if reach is None else optimise_candidates(setting.rows(reach), wanted)
     rng = np.random.default_rng(seed)
