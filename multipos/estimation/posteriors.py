@@ -372,9 +372,11 @@ def integrate_grid(
         found = evaluate(np.exp(y), tau2, whole=side == _FINE)
         log = found.log.reshape(count, side + 1, side)
         x_ends = _probable(x, log[:, 1:].max(axis=2))
-        y_ends = _probable(y, log.max(axis=1))
+        counted = log if stated else log[:, 1:]
+        y_ends = _probable(y, counted.max(axis=1))
     dx, dy = (each[:, 1] - each[:, 0] for each in (x, y))
-    weights = np.exp(log - log.max(axis=(1, 2), keepdims=True)) * dx[:, None, None]
+    above = np.minimum(log - counted.max(axis=(1, 2), keepdims=True), 0.0)
+    weights = np.exp(above) * dx[:, None, None]
     weights[:, [1, -1]] /= 2.0
     weights[:, 0] *= stated * stated_weight(dof) / dx[:, None]
     weights[:, :, [0, -1]] /= 2.0

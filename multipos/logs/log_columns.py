@@ -145,10 +145,13 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     MultiposError
         There is no such column, none can be an output, or one that is named as one holds text.
     UsageError
-        More than three could be.
+        More than three could be, or one is given twice.
     """
     if given is not None:
-        return Outputs(tuple(map(log.find, given)), ())
+        found = tuple(map(log.find, given))
+        if len(set(found)) < len(found):
+            raise UsageError(f"--outputs names a column twice: {', '.join(found)}.")
+        return Outputs(found, ())
     apart = {*clocks, *log.nameless, *filter(headers.is_environment, log.numeric)}
     names = [name for name in log.numeric if name not in apart]
     kinds = {name: headers.component(name) for name in log.columns}

@@ -443,6 +443,7 @@ BAD = {
     ),
     "too short": (lambda log: {n: c[:50] for n, c in log.items()}, [], 1, "fewer than one rest"),
     "no such output": (lambda log: log, ["--outputs", "bx"], 1, "no column 'bx'"),
+    "an output twice": (lambda log: log, ["--outputs", "ax,ax,ax"], 2, "names a column twice"),
     "too many outputs": (
         lambda log: dict.fromkeys("abcd", log["ax"] ** 2),  # no three of which are gravity
         [],
