@@ -141,9 +141,22 @@ def _listed_state(problem: Problem, theta: Array) -> State:
     """Return the state at given parameters, with unknown directions and rotations from readings."""
     if problem.listed.all():
         return start_state(problem, theta)
-    force = invert(problem.model, theta, problem.values, problem.environment)
-    direction = directions(force)
+    direction = _directions_by_readings(problem, theta)
     return start_state(problem, theta, direction, _turns(problem, direction))
+
+
+def _directions_by_readings(problem: Problem, theta: Array) -> Array:
+    """Return the directions (n, 3) that readings show; along those listed where none senses."""
+    model, force = problem.model, np.array(problem.reference)
+    unseen = force if model.unseen_axes else None
+    found = invert(model, theta, problem.values, problem.environment, unseen=unseen)
+    force[:, model.sensed_axes] = found
+    if model.unseen_axes:
+        others = force[:, model.unseen_axes]
+        length = np.linalg.norm(others, axis=1)[:, None]
+        left = np.maximum(problem.magnitude[:, None] ** 2 - np.sum(found**2, axis=1)[:, None], 0.0)
+        force[:, model.unseen_axes] = others * np.sqrt(left) / np.where(length > 0.0, length, 1.0)
+    return directions(force)
 
 
 def _turns(problem: Problem, direction: Array) -> Array:

@@ -171,10 +171,10 @@ class Thresholds:
         if (self.f_enter is None) != (self.f_remove is None):
             raise UsageError("--f-enter and --f-remove go together; give both.")
         if self.f_enter is not None and self.f_remove is not None:
-            if not 0.0 <= self.f_remove <= self.f_enter:
+            if not 0.0 <= self.f_remove <= self.f_enter < np.inf:
                 raise UsageError(
-                    f"--f-remove must not be above --f-enter, or terms go in and out for ever; "
-                    f"got {self.f_enter:g} and {self.f_remove:g}."
+                    f"--f-remove must not be above --f-enter, or terms go in and out for ever, and "
+                    f"both finite; got {self.f_enter:g} and {self.f_remove:g}."
                 )
         elif not 0.0 < self.enter <= self.remove <= 1.0:
             raise UsageError(

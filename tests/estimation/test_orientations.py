@@ -590,6 +590,16 @@ def test_two_groups_and_listed_positions():
     assert list(cal.to_dict()["group_rotation_deg"]) == ["a", "b"]
 
 
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_a_group_of_fewer_outputs_beside_listed_positions(outputs):
+    """What no output senses is taken from the listed directions, where the search starts."""
+    force = np.vstack([UP @ TURN.T, UP])
+    values = SENSOR.read(force)[:, :outputs] + 1e-5 * rng().standard_normal((48, outputs))
+    readings = mp.Readings(values, up=np.vstack([UP, UP]), group=["a"] * 24 + [""] * 24)
+    cal = mp.fit(readings, reading_sd=1e-5)
+    assert close(cal, SENSOR.truth(cal.model))
+
+
 def test_groups_with_a_roll_about_an_unknown_direction():
     """INTERFACE's example: rolls about a pointing direction which is not known."""
     rolls = [read_scheme(f"roll-{axis}-12").up for axis in "xyz"]

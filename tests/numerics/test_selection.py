@@ -270,6 +270,7 @@ def test_f_thresholds():
     [
         ((0.2, 0.1, None, None), "--remove must not be below --enter"),
         ((None, None, 3.0, 4.0), "--f-remove must not be above --f-enter"),
+        ((None, None, math.inf, 4.0), "both finite"),
         ((None, None, 3.0, None), "go together"),
         ((0.1, None, 3.0, 2.0), "give one kind"),
     ],
