@@ -33,6 +33,7 @@ from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
+from multipos.numerics.factoring import join_combinations
 from multipos.numerics.terms import ModelText
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme
@@ -383,7 +384,7 @@ def _check_candidates(assessor: assessment.Assessor, bench: Array | None, given:
         who, way_out = "no static positions can", "drop terms from the model"
     total = len(assessor.setting.model.keys)
     raise RankError(
-        f"{who} separate the parameters: {'; '.join(problems)}; {way_out}.",
+        f"{who} separate the parameters: {join_combinations(problems)}; {way_out}.",
         rank=total - len(problems),
         parameters=total,
         combinations=problems,

@@ -12,7 +12,7 @@ import numpy as np
 
 from multipos.errors import RankError
 from multipos.numerics.arrays import SMALLEST, Array
-from multipos.numerics.factoring import name_combinations, separability
+from multipos.numerics.factoring import join_combinations, name_combinations, separability
 from multipos.sensor.model import Model
 
 _UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
@@ -54,8 +54,8 @@ def require_separable(information: Array, names: Sequence[str], way_out: str) ->
     found = separability(root)
     said = name_combinations(found.null, names)
     raise RankError(
-        f"{int(seen.sum())} of {len(names)} parameters can be separated: {'; '.join(said)}; "
-        f"{way_out}.",
+        f"{int(seen.sum())} of {len(names)} parameters can be separated: "
+        f"{join_combinations(said)}; {way_out}.",
         rank=int(seen.sum()),
         parameters=len(names),
         combinations=said,

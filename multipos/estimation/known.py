@@ -814,7 +814,8 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     name = model.outputs[output]
     terms = model.terms[output]
     if isinstance(model, ExpressionModel):
-        said = "; ".join(error.combinations) or f"{len(phi)} readings for {len(terms)} parameters"
+        said = factoring.join_combinations(error.combinations)
+        said = said or f"{len(phi)} readings for {len(terms)} parameters"
         return RankError(
             f"{error.rank} of {error.parameters} parameters of {name} can be separated: {said}; "
             "add positions that differ more, or drop a parameter.",
@@ -842,7 +843,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
         )
     return RankError(
         f"{error.rank} of {error.parameters} parameters of {name} can be separated: "
-        f"{'; '.join(error.combinations)}; {way_out}.",
+        f"{factoring.join_combinations(error.combinations)}; {way_out}.",
         rank=error.rank,
         parameters=error.parameters,
         combinations=error.combinations,

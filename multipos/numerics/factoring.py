@@ -453,6 +453,12 @@ def name_combinations(
     return tuple(_sentence(v, names, rows) for v in np.asarray(null, dtype=np.float64).T)
 
 
+def join_combinations(combinations: Sequence[str], most: int = 3) -> str:
+    """Return the first combinations as one phrase, and how many more there are."""
+    more = len(combinations) - most
+    return "; ".join(combinations[:most]) + (f"; and {more} more" if more > 0 else "")
+
+
 def _sentence(v: Array, names: Sequence[str], rows: str) -> str:
     used = np.flatnonzero(v)
     if len(used) == 1:

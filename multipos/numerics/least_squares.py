@@ -53,6 +53,7 @@ from multipos.numerics.factoring import (
     column_norms,
     design_matrix,
     factor,
+    join_combinations,
     name_combinations,
     separability,
     singular_values,
@@ -334,7 +335,7 @@ def _refuse(
     combinations = name_combinations(found.null, names, rows=rows)
     raise DependentColumnsError(
         f"{found.rank} of {found.parameters} parameters can be separated: "
-        f"{'; '.join(combinations)}. Add {rows} that separate them, or drop a term.",
+        f"{join_combinations(combinations)}. Add {rows} that separate them, or drop a term.",
         rank=found.rank,
         parameters=found.parameters,
         combinations=combinations,

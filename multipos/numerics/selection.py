@@ -63,7 +63,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import Array, Mask
-from multipos.numerics.factoring import BLOCK, name_combinations, separability
+from multipos.numerics.factoring import BLOCK, join_combinations, name_combinations, separability
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.results import Result, frozen
 
@@ -327,7 +327,7 @@ def select_backward(
         )
     found = separability(triangle.R[:, :p])
     if found.rank < p:
-        said = "; ".join(name_combinations(found.null, names, rows="rows"))
+        said = join_combinations(name_combinations(found.null, names, rows="rows"))
         raise MultiposError(
             f"backward selection starts from the full model, but {said}; drop a term, or use "
             "--stepwise."

@@ -30,6 +30,7 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.files.records import LARGEST
 from multipos.files.spelling import Names, split_names
 from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import join_combinations
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.selection import (
@@ -443,7 +444,7 @@ def _fit(
         sizes = np.fmax(np.abs(found.coefficients), u)
         _check_size("coefficient", sizes, [names[j] for j in columns])
     except RankError as error:
-        said = "; ".join(error.combinations) or str(error)
+        said = join_combinations(error.combinations) or str(error)
         raise RankError(
             f"{where}: {said}; drop a term, give rows that separate them, or use --stepwise.",
             rank=error.rank,
