@@ -696,7 +696,7 @@ def _prior_products(linear: Linear) -> Array | float:
 
 def _prior_of_both(by_excess: Array, by_both: Array, by_orientation: Array) -> Array:
     """Return ln of Jeffreys' prior of τ² and ln F but for F, from its traces."""
-    determinant = np.maximum(by_excess * by_orientation - by_both**2, 0.0)
+    determinant = np.maximum(by_excess * by_orientation - by_both**2, _TINY)
     return np.asarray(0.5 * np.log(determinant))
 
 

@@ -12,7 +12,13 @@ from test_likelihood import KINDS, a_problem
 import multipos as mp
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
-from multipos.estimation.orientation_variance import Block, _axes, _axes_of_errors, _Evaluator
+from multipos.estimation.orientation_variance import (
+    Block,
+    _axes,
+    _axes_of_errors,
+    _Evaluator,
+    _prior_of_both,
+)
 from multipos.estimation.posteriors import (
     _COVERAGE,
     _INNER,
@@ -269,3 +275,11 @@ def test_a_stated_noise_may_be_all_but_certain():
     nodes, weights = np.array([[0.0, 1.0]]), np.array([[1.0, 1e-310]])
     _, _, dof = Posterior(nodes, weights, nodes, nodes, np.ones(1)).summary
     assert np.isfinite(dof).all()  # 2/.25e-310 is none
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_the_prior_of_two_variances_that_do_the_same_is_next_to_nothing():
+    """Traces 1, 1, 1 have no determinant; 5, 1, 2 have 9, and its root."""
+    found = _prior_of_both(*np.array([[1.0, 5.0], [1.0, 1.0], [1.0, 2.0]]))
+    assert -np.inf < found[0] < -300.0
+    assert found[1] == pytest.approx(np.log(3.0))
