@@ -430,7 +430,7 @@ def test_several_dependences_are_told_apart():
 
 def test_a_message_names_three_dependences():
     a, b = np.random.default_rng(4).standard_normal((2, 15))
-    with pytest.raises(RankError, match="; and 1 more. Add positions") as caught:
+    with pytest.raises(RankError, match=r"; and 1 more\. Add positions") as caught:
         solve(np.column_stack((a, b, a, np.zeros(15), -b, a)), a)
     assert len(caught.value.combinations) == 4
 
