@@ -15,7 +15,7 @@ from multipos.numerics.arrays import SMALLEST, Array
 from multipos.numerics.factoring import join_combinations, name_combinations, separability
 from multipos.sensor.model import Model
 
-_UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
+UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
 _PLAUSIBLE = 0.5  # of a scale factor, at one g
 CANDIDATES = np.array(
     [[x, y, z] for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if x or y or z],
@@ -31,7 +31,7 @@ def condition(information: Array) -> float:
         return np.inf
     scale = np.sqrt(diagonal)
     eigenvalues = np.linalg.eigvalsh(information / np.outer(scale, scale))
-    if eigenvalues[0] <= _UNSEEN * eigenvalues[-1]:
+    if eigenvalues[0] <= UNSEEN * eigenvalues[-1]:
         return np.inf
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0]))
 
@@ -49,7 +49,7 @@ def require_separable(information: Array, names: Sequence[str], way_out: str) ->
     scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     eigenvalues, vectors = np.linalg.eigh(information / np.outer(safe, safe))
-    seen = eigenvalues > _UNSEEN * eigenvalues[-1]
+    seen = eigenvalues > UNSEEN * eigenvalues[-1]
     root = np.sqrt(np.where(seen, eigenvalues, 0.0))[:, None] * vectors.T * scale
     found = separability(root)
     said = name_combinations(found.null, names)

@@ -27,6 +27,7 @@ from multipos.estimation import descent, uncertain_orientations, unknown_orienta
 from multipos.estimation.gains import FisherInformation, information_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
+    UNSEEN,
     condition,
     helpful_positions,
     least_determined,
@@ -431,8 +432,10 @@ def reduced_information(full: Array, p: int) -> Array:
     """Return the information of the parameters with the shared unknowns eliminated."""
     if len(full) == p:
         return full
-    cross = full[:p, p:]
-    return np.asarray(full[:p, :p] - cross @ np.linalg.pinv(full[p:, p:]) @ cross.T)
+    scale = np.sqrt(np.where(np.diag(full)[p:] > 0.0, np.diag(full)[p:], 1.0))
+    cross, shared = full[:p, p:] / scale, full[p:, p:] / np.outer(scale, scale)
+    inverse = np.linalg.pinv(shared, rcond=UNSEEN, hermitian=True)
+    return np.asarray(full[:p, :p] - cross @ inverse @ cross.T)
 
 
 def _candidate_gains(problem: Problem, theta: Array) -> Array:

@@ -44,7 +44,7 @@ from multipos.estimation.problem import (
     turn_to_axes,
 )
 from multipos.estimation.robustness import _middle
-from multipos.estimation.starts import search
+from multipos.estimation.starts import reduced_information, search
 from multipos.estimation.stated_uncertainty import (
     add_reference_noise,
     combined_dof,
@@ -1309,3 +1309,11 @@ def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
             assert_allclose(found.u[unit, places], u, rtol=1e-4)
             assert_allclose(found.residuals[i, unit], -best.fun, atol=1e-7)
     assert (found.dof == 21.0).all()
+
+
+def test_shared_unknowns_are_eliminated_whatever_their_units():
+    """1 − (5e-4)²/1e-6 = .75, beside an unknown whose information is 1e24 times as large."""
+    full = np.array([[1.0, 0.0, 5e-4], [0.0, 1e18, 0.0], [5e-4, 0.0, 1e-6]])
+    assert reduced_information(full, 1) == pytest.approx(0.75)
+    full[2] = full[:, 2] = 0.0  # nothing is known of it, and it takes nothing
+    assert reduced_information(full, 1) == pytest.approx(1.0)
