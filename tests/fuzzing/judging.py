@@ -213,8 +213,9 @@ def _expected(case: Case, run: Run, changed: set[str]) -> set[str]:
 
 
 def _kept(case: Case) -> set[str]:
-    """What a live recording may leave where it fails, as a refused target loses no readings."""
-    if not _is_live(case) or not case.output or case.output == "-":
+    """What may be left on failure, as a refused target loses neither readings nor calibration."""
+    targets = case.argv[0] == "calibrate" and any(word.startswith("--to") for word in case.argv)
+    if not (_is_live(case) or targets) or not case.output or case.output == "-":
         return set()
     own = PurePath(os.path.normpath(case.output))
     if not own.name:
