@@ -317,6 +317,15 @@ def check_columns(
             )
 
 
+def place_outside(calibration: Calibration, table: tables.Table, row: int) -> str:
+    """Return the place of a row that is outside: at the column of the model that is, if one is."""
+    for name in calibration.model.environment:
+        seen = calibration.readings.environment[name]
+        if not seen.min() <= table.number(name)[row] <= seen.max():
+            return table.where(row, name)
+    return table.where(row, calibration.outputs[0])
+
+
 def refusal(where: str, beyond: int, rows: int) -> MultiposError:
     """Return the error of rows beyond what was calibrated, the first of which is named."""
     return MultiposError(
@@ -431,7 +440,7 @@ class AppliedLog:
             )
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
-                first = piece.table.where(int(np.argmax(beyond)), self.calibration.outputs[0])
+                first = place_outside(self.calibration, piece.table, int(np.argmax(beyond)))
             self.rows += piece.table.rows
             self.beyond += int(beyond.sum())
             yield piece, added
@@ -643,7 +652,7 @@ def apply(
         calibration, table, tilt=tilt, uncertainty=wanted, outside=outside, beside=beside
     )
     if outside == "refuse" and added["outside"].any():
-        where = table.where(int(np.argmax(added["outside"])), calibration.outputs[0])
+        where = place_outside(calibration, table, int(np.argmax(added["outside"])))
         raise refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
     said: Findings = ()

@@ -108,7 +108,7 @@ def correct(
     place = prediction.place_rows(regression, columns, table.rows, run)
     beyond, clamped = prediction.hold_inside(regression, columns, place)
     if outside == "refuse":
-        _refuse_outside(table, target or next(iter(columns), ""), beyond)
+        _refuse_outside(table, target or next(iter(columns), ""), beyond, columns, clamped)
     used = clamped if outside == "clamp" else columns
     predicted = prediction.predict_rows(regression, used, place)
     values: dict[str, Array] = {"predicted": predicted}
@@ -226,11 +226,19 @@ def _noise(
     return "what the regression left of its own rows", None
 
 
-def _refuse_outside(table: Table, target: str, beyond: Mask) -> None:
+def _refuse_outside(
+    table: Table,
+    target: str,
+    beyond: Mask,
+    columns: Mapping[str, Array],
+    clamped: Mapping[str, Array],
+) -> None:
+    """Refuse rows outside; the first is named with the variable beyond its limits, if one is."""
     if beyond.any():
         row = int(np.argmax(beyond))
+        name = next((n for n in columns if columns[n][row] != clamped[n][row]), target)
         raise MultiposError(
-            f"{table.where(row, target)}: the row is outside what the regression was fitted to "
+            f"{table.where(row, name)}: the row is outside what the regression was fitted to "
             f"({int(beyond.sum())} of {table.rows} rows are); use --outside flag to see them."
         )
 

@@ -258,6 +258,19 @@ def test_a_path_in_python_is_read_as_the_command_reads_it(tmp_path):
         mp.apply(cal, columns, outside="refuse")
 
 
+def test_a_row_too_warm_is_refused_by_its_temperature(tmp_path):
+    up = mp.read_scheme("faces-6").up
+    columns = dict(zip(("ax", "ay", "az"), np.vstack([up, up]).T, strict=True))
+    columns |= {"position": list("123456") * 2, "temperature": np.repeat([20.0, 40.0], 6)}
+    how = {"model": "1 + x + y + z + temperature", "unit": "g", "reading_sd": 1e-4}
+    cal = mp.fit(columns, scheme="faces-6", **how)
+    rows = {"ax": [0.5, 0.5], "ay": [0.0, 0.0], "az": [0.0, 0.0], "temperature": [30.0, 41.0]}
+    path = write_csv(tmp_path / "warm.csv", {name: np.array(each) for name, each in rows.items()})
+    for table in (rows, path):
+        with pytest.raises(MultiposError, match=r"row 2.*, column 'temperature': .* \(1 of 2"):
+            mp.apply(cal, table, outside="refuse")
+
+
 @pytest.mark.parametrize(
     ("outputs", "tilt"), [("xyz", 30.0), ("xy", math.degrees(math.asin(0.49)))]
 )

@@ -147,7 +147,7 @@ def test_rows_beyond_the_columns_of_the_calibration_are_clamped():
 def test_a_refusal_names_the_column_that_is_corrected_or_read(column, named, monkeypatch):
     told = []
 
-    def refuse(table, name, beyond):
+    def refuse(table, name, *_):
         told.append(name)
         raise UsageError("outside")
 

@@ -476,7 +476,7 @@ def test_rows_outside_are_flagged_clamped_or_refused(fitted, capsys, tmp_path):
     assert clamped["predicted"][1] == pytest.approx(at_edge["predicted"][0])
     status, out, err = run(capsys, "apply", model, beyond, "--outside", "refuse")
     assert (status, out) == (1, "")
-    assert "row 2" in err
+    assert "row 2 (line 3), column 't': the row is outside" in err
     status, out, err = run(capsys, "apply", model, beyond)
     assert status == 0
     assert "1 of 2 rows are outside" in err
