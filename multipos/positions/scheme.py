@@ -170,7 +170,7 @@ _SAME_BENCH_SETTINGS = 1e-6  # [rad], to which a position of a bench is found ag
 
 def read_once(source: "Source | Scheme | None") -> "Source | Scheme | None":
     """Return what can be read again: of an open file or a stream the table that it holds."""
-    if source is None or isinstance(source, str | os.PathLike | Scheme):
+    if source is None or isinstance(source, str | os.PathLike | Scheme | np.ndarray):
         return source
     return read_table(source, what="bench")
 
@@ -244,7 +244,8 @@ def _set_by(columns: Iterable[str]) -> tuple[str, ...]:
 
 
 def _of_table(source: "Source | Scheme") -> list[tuple[Array, dict[str, Any]]]:
-    table = None if isinstance(source, Scheme) else read_table(source, what="bench")
+    bare = isinstance(source, Scheme | np.ndarray)
+    table = None if bare else read_table(source, what="bench")
     scheme = read_scheme(source if table is None else table)
     settings: list[dict[str, Any]] = [{} for _ in range(len(scheme))]
     if scheme.labels is not None:
