@@ -386,8 +386,8 @@ def read_observations(
     _require_columns(table, [*needed, *_named(cluster), *_named(run)])
     if formed and time is None:
         raise MultiposError(
-            f"{table.source}: no column '{next(iter(formed))}', and no time column to form it "
-            "from; name one with --time."
+            f"{table.source}: no column '{next(iter(formed))}', and no time column of numbers "
+            "to form it from; name one with --time."
         )
     columns, kept, found = _read_complete(table, needed, largest, drop_missing)
     runs = None if run is None else _labelled(table, run, kept, "run")

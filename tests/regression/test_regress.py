@@ -584,7 +584,7 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, [*REGRESS, "--confidence", "5e-324"], 2, "between 0 and 1"),
         ({}, [*REGRESS, "--robust", "bootstrap"], 2, "--robust takes hac, effective"),
         ({}, [*REGRESS, "--cross-validate", "1"], 2, "2 blocks or more"),
-        ({}, [*REGRESS, "--branches", "v_rate"], 1, "no time column to form it from"),
+        ({}, [*REGRESS, "--branches", "v_rate"], 1, "no time column of numbers to form it from"),
         ({"v": np.abs(GOOD["v"])}, [*REGRESS, "--branches", "v"], 1, "has one sign only"),
         ({}, [*REGRESS, "--variables", "t,t_rate", "--time", "v"], 1, "does not increase"),
         ({}, [*REGRESS, "--cluster", "group"], 1, "no column 'group'"),
