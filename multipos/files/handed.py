@@ -228,9 +228,12 @@ def _by_protocol(source: Any, what: str) -> dict[str, Any]:
         )
     require_extra(f"the {what}", f"a {kind}", "pyarrow", "parquet")
     if stream:
-        from pyarrow import table
+        from pyarrow import ArrowInvalid, table
 
-        return arrow_columns(table(source))
+        try:
+            return arrow_columns(table(source))
+        except ArrowInvalid:
+            raise TypeError(f"{what} is one column, a {kind}; give a data frame.") from None
     from pyarrow.interchange import from_dataframe
 
     return arrow_columns(from_dataframe(source))
