@@ -90,7 +90,8 @@ class Table:
         cells = self.columns[name]
         if set(map(type, cells)) == {int}:
             return tuple(map(str, cells))
-        return tuple(spelling.of_cell(_label(cell)) for cell in cells)
+        labels = (_label(None if _is_nan(cell) else cell) for cell in cells)
+        return tuple(map(spelling.of_cell, labels))
 
     def number(
         self, name: str, *, empty: bool = False, largest: float = math.inf
@@ -215,6 +216,9 @@ def _of_columns(given: Mapping[str, Any], what: str) -> Table:
 
 
 def _array(column: Any, name: Any, what: str) -> NDArray[Any]:
+    if isinstance(column, np.ma.MaskedArray):
+        empty: Any = np.nan if column.dtype.kind in "fiub" else None
+        column = np.where(np.ma.getmaskarray(column), empty, column.data)
     found = np.asarray(column)
     if found.ndim != 1:
         raise MultiposError(
@@ -425,6 +429,10 @@ def _float(cell: Any) -> float:
         return math.nan if "_" in text else float(text)
     except ValueError:
         return math.nan
+
+
+def _is_nan(cell: Any) -> bool:
+    return isinstance(cell, float | np.floating) and bool(np.isnan(cell))
 
 
 def _label(cell: Any) -> str:

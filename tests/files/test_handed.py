@@ -195,3 +195,31 @@ def test_an_open_file_is_read_once_by_those_who_ask_it_twice(tmp_path):
     sections.write_text('[{"position": "a", "start": 0, "end": 99}]', encoding="utf-8")
     still = {"ax": 1.0 + 1e-3 * np.sin(np.arange(100.0) ** 2)}
     assert len(mp.average(still, sections=sections).rests) == 1
+
+
+def test_a_masked_cell_is_empty():
+    masked = np.ma.masked_greater(TABLE["ax"], 0.9)
+    for table in (TABLE | {"ax": masked}, FRAME.assign(ax=masked.filled(np.nan))):
+        with pytest.raises(mp.MultiposError, match="column 'ax': 'nan' is not finite"):
+            mp.fit(table)
+    named = mp.read_table({"a": np.ma.masked_equal(["x", "-"], "-")})
+    assert named.text("a") == ("x", "")
+
+
+def test_one_column_is_no_table():
+    pytest.importorskip("pyarrow")
+    with pytest.raises(TypeError, match="readings is one column, a Series; give a data frame"):
+        mp.fit(FRAME["ax"])
+
+
+def test_directions_of_a_design_are_an_array():
+    up = mp.read_scheme("faces-corners-14").up
+    found = mp.design(positions=7, include=up[:3], candidates=up)
+    np.testing.assert_allclose(found.positions[:3], up[:3], atol=1e-12)
+    assert (found.positions @ up.T > 1.0 - 1e-12).any(axis=1).all()
+
+
+def test_a_unit_that_is_no_number_is_empty():
+    rows = pd.concat([FRAME.assign(unit=np.nan), FRAME.assign(unit=1.0)], ignore_index=True)
+    with pytest.raises(mp.MultiposError, match="row 1, column 'unit': the cell is empty"):
+        mp.fit_many(rows, unit_column="unit")
