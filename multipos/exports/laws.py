@@ -354,6 +354,11 @@ def check_inputs(calibration: Calibration, target: str, *, thermal: bool) -> Non
         )
     strange = [name for name in model.environment if not (thermal and name == TEMPERATURE)]
     if strange:
+        if thermal and model.environment == (strange[0],):
+            raise MultiposError(
+                f"the model uses column '{strange[0]}', but {target} takes '{TEMPERATURE}' alone; "
+                "name a temperature so, as with --columns, and fit again, or export --to c."
+            )
         raise MultiposError(
             f"the model uses column '{strange[0]}', but {target} has no such input; "
             "export --to c, or fit a model without it."

@@ -462,6 +462,15 @@ def test_bad_exports(case, options, status, message, tmp_path, capsys):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["cal.json"]
 
 
+def test_a_temperature_of_another_name_is_to_be_renamed():
+    up = np.vstack([mp.read_scheme("faces-6").up] * 2)
+    warm = {"Temp": np.repeat([20.0, 40.0], 6)}
+    readings = mp.Readings(9.8 * up, unit="m/s^2", up=up, environment=warm)
+    cal = mp.fit(readings, model="1 + x + y + z + Temp", reading_sd=1e-3)
+    with pytest.raises(mp.MultiposError, match="px4 takes 'temperature' alone; name a temperature"):
+        export(cal, "px4")
+
+
 def test_export_needs_a_file(tmp_path, capsys):
     made(*SENSORS["linear"]).save(tmp_path / "cal.json")
     assert main(["export", str(tmp_path / "cal.json"), "--to", "c"]) == 2
