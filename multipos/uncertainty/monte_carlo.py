@@ -328,7 +328,7 @@ def simulate_budget(
     Raises
     ------
     UsageError
-        An option is out of range, or the calibration needs an `estimator`.
+        An option is out of range, the calibration needs an `estimator`, or is of several sessions.
 
     Examples
     --------
@@ -341,6 +341,11 @@ def simulate_budget(
     require(calibration, Calibration)
     _check_options(trials, digits)
     c = calibration
+    if c.sessions is not None:
+        raise UsageError(
+            "U of a combined calibration comes from how its sessions differ, which trials do not "
+            "draw; simulate the calibration of one session."
+        )
     generator = np.random.default_rng(rng)
     solve = estimator or _own_estimator(c)
     draw = Draws(c, generator)

@@ -335,3 +335,9 @@ def test_sessions_that_agree_exactly_leave_next_to_no_u():
     p = np.full((3, 4), 2.0)
     U, _ = combining.predict_next(p, np.zeros((3, 4)), np.full((3, 4), 1.0 / 3.0), 30.0)
     assert (U < 1e-30).all()
+
+
+def test_how_sessions_differ_is_not_simulated():
+    one = combined(sessions(1, 3, reading_sd=SD))
+    with pytest.raises(UsageError, match=r"how its sessions differ, .* of one session"):
+        mp.simulate_budget(one, trials=100)
