@@ -498,7 +498,7 @@ def _require_same_data(c: Correction, source: str, sha256: str | None) -> None:
         if r.sha256 is not None and r.sha256 != sha256:
             raise MultiposError(
                 f"{source}: not the data that the regression of '{r.response}' was fitted to "
-                f"({r.source}), by its checksum; give these, or leave out --data."
+                f"({r.source}), by its checksum; give it where it is one file, or leave out --data."
             )
 
 

@@ -141,7 +141,7 @@ def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) ->
     if r.sha256 is not None and found.sha256 != r.sha256:
         raise MultiposError(
             f"{found.source}: not the data that the regression of '{r.response}' was fitted to "
-            f"({r.source}), by its checksum; give these, or leave out --data."
+            f"({r.source}), by its checksum; give it where it is one file, or leave out --data."
         )
     return found
 

@@ -219,6 +219,7 @@ def test_rows_of_the_fit_are_replayed(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert out == ""
     assert "not the data that the regression of 'error' was fitted to" in err
+    assert "give it where it is one file, or leave out --data" in err  # --data takes one
     text = c.read_text().replace("dt * s0", "dt * 2.0 * s0", 1)
     c.write_text(text)
     assert main(["verify-export", str(c), str(reg)]) == 1
