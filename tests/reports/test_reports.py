@@ -23,6 +23,7 @@ from multipos.reports.documents import html_report, markdown_report, plain_repor
 from multipos.reports.sections import Translator
 from multipos.reports.summary import text_report
 from multipos.results import plain
+from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.verification.comparison import compare
 
@@ -186,6 +187,11 @@ def test_warnings_stand_on_top(calibration, pages):
     assert page.index("position 8 (") < page.index("Sensitivity, offset and axes")
     chinese = build_content(calibration, language="zh")
     assert any("偏离其余位置的拟合" in text for text in texts(chinese))
+
+
+def test_every_quantity_of_a_budget_is_named_in_chinese():
+    tr = Translator("zh")
+    assert [kind.text for kind in KINDS.values() if tr(kind.text) == kind.text] == []
 
 
 def test_beyond_one_g_is_marked(calibration, six):
