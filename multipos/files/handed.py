@@ -364,7 +364,7 @@ def read_json_columns(path: StrPath, what: str) -> dict[str, Any]:
     if isinstance(found, list) and found and all(isinstance(each, dict) for each in found):
         names = dict.fromkeys(name for each in found for name in each)
         return {name: _column([each.get(name) for each in found]) for name in names}
-    if isinstance(found, dict) and "schema" not in found:
+    if isinstance(found, dict) and not {"schema", "findings"} & found.keys():
         lists = {n: [*c.values()] if isinstance(c, dict) else c for n, c in found.items()}
         columns = {n: _column(c) for n, c in lists.items() if isinstance(c, list) and c}
         if columns:

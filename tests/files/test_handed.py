@@ -151,6 +151,7 @@ def test_arrays_are_named_by_outputs():
     ("name", "content", "message"),
     [
         ("cal.json", b'{"schema": "x", "a": [1]}', "the JSON is no table; give records"),
+        ("rests.json", b'{"positions": [{}], "findings": []}', "the JSON is no table; give rec"),
         ("cut.json", b'{"ax": [1, 2', "not valid JSON"),
         ("bytes.json", b'[{"ax": "\xe4"}]', "not UTF-8 text"),
         ("cut.csv.xz", lzma.compress(TEXT.encode())[:-40], "cannot unpack: .* cut off"),
