@@ -22,8 +22,9 @@ from multipos.logs.opening import less_copies, open_log
 from multipos.logs.rests import read_sections
 from multipos.logs.samples import Progress, read_timing, rows_of_sensor, share_of
 from multipos.logs.still import StillLog, Wish, find_still
-from multipos.logs.table import Log
+from multipos.logs.table import Log, called_as
 from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.headers import TEMPERATURE
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme
 
@@ -135,7 +136,7 @@ def average(
     _check(wish, len(sources))
     found: list[StillLog] = []
     for i, source in enumerate(sources):
-        log = open_log(source, columns=columns, outputs=outputs)
+        log = called_as(open_log(source, columns=columns, outputs=outputs), (TEMPERATURE,))
         log = log if sensor is None else rows_of_sensor(log, *sensor)
         found.append(find_still(log, wish, share_of(progress, i, len(sources))))
     require_alike(found)

@@ -403,7 +403,9 @@ def _read_run(
         data = read_readings(readings, outputs=names, environment=calibration.model.environment)
     else:
         data = replace(means.readings, up=None, findings=means.findings)
-    data = replace(data, outputs=calibration.outputs)
+    called = {name.casefold(): name for name in calibration.model.environment}
+    seen = {called.get(name.casefold(), name): c for name, c in data.environment.items()}
+    data = replace(data, outputs=calibration.outputs, environment=seen)
     require_units(
         data.source or "the run",
         dict.fromkeys(data.outputs, data.unit) if unit_of(data.unit) else {},

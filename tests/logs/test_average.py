@@ -89,6 +89,13 @@ def test_content_decides_before_the_suffix(log, tmp_path):
     assert average(tmp_path / "log.csv").readings.values.shape == (6, 3)
 
 
+def test_a_temperature_is_known_in_letters_of_whatever_case(tmp_path):
+    log = dict(columns_of())
+    log["Temperature (°C)"] = np.full(len(log["time"]), 24.5)
+    for source in (log, write_csv(tmp_path / "log.csv", log)):
+        assert mp.average(source).readings.environment["temperature"] == pytest.approx(24.5)
+
+
 def test_other_columns_are_averaged_along(tmp_path, capsys):
     log = dict(columns_of())
     n = len(log["time"])

@@ -173,6 +173,9 @@ def test_temperature_model_is_checked_at_its_temperatures():
     found = mp.check(cal, columns, limit_g=1e-4)
     assert found.verdict == "pass"
     assert found.summary()["before"]["maximum"] > 0.01
+    warm = mp.Readings(values, outputs=("ax",), up=up, environment={"Temperature": temperature})
+    other = mp.fit(warm, model="1 + x + y + z + Temperature")
+    assert_allclose(mp.check(other, columns, limit_g=1e-4).after, found.after, atol=1e-12)
 
 
 def test_within_counts_only_the_axes_near_level(calibration):
