@@ -48,7 +48,7 @@ from multipos.finding import Finding, Findings, in_order
 from multipos.logs.clock import TimeUnit
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress, read_timing, share_of
-from multipos.logs.table import Log
+from multipos.logs.table import Log, called_as
 from multipos.numerics.arrays import Array, Places, median
 from multipos.numerics.quantiles import check_confidence, coverage_factor
 from multipos.results import frozen
@@ -253,7 +253,8 @@ def stability(
     raw = []
     for i, each in enumerate(given):
         report = share_of(progress, i, len(given))
-        raw.append(read_record(open_log(each, columns=columns, outputs=outputs), wanted, report))
+        log = called_as(open_log(each, columns=columns, outputs=outputs), (trends.TEMPERATURE,))
+        raw.append(read_record(log, wanted, report))
     _check_alike(raw)
     own = raw[0].unit or "reading" if model is None else model.field.printed
     found = _complete(raw, model, unit or own, confidence)

@@ -154,6 +154,14 @@ def test_a_temperature_coefficient_stands_beside_drift_and_warm_up():
     assert abs(found.warm_up.amplitude.value - 5e-3) <= 1.5 * found.warm_up.amplitude.U
 
 
+def test_a_temperature_is_known_in_letters_of_whatever_case():
+    log = record(np.random.default_rng(7), k=2e-4)  # 0.2 mg a degree
+    log["Temperature (°C)"] = log.pop("temperature")
+    (found,) = mp.stability(log, unit="g").outputs.values()  # the temperature is no output
+    change = found.temperature_coefficient.change
+    assert abs(change.value - 2e-4) < 5.0 * change.u
+
+
 def test_a_warm_up_that_follows_the_temperature_is_one_all_the_same():
     rng = np.random.default_rng(8)
     t = np.arange(N) / RATE
