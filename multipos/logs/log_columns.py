@@ -153,6 +153,7 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
             raise UsageError(f"--outputs names a column twice: {', '.join(found)}.")
         return Outputs(found, ())
     apart = {*clocks, *log.nameless, *filter(headers.is_environment, log.numeric)}
+    apart |= {name for name, unit in log.units.items() if unit in headers.OF_SURROUNDINGS}
     names = [name for name in log.numeric if name not in apart]
     kinds = {name: headers.component(name) for name in log.columns}
     chosen, by = _by_name(names, kinds), "their names"

@@ -96,6 +96,15 @@ def test_a_temperature_is_known_in_letters_of_whatever_case(tmp_path):
         assert mp.average(source).readings.environment["temperature"] == pytest.approx(24.5)
 
 
+def test_a_column_in_degrees_celsius_is_no_output():
+    log = dict(columns_of())
+    log = {"time": log["time"], "Ux (V)": log["ax"], "Uy (V)": log["ay"], "Uz (V)": log["az"]}
+    log["Temp (degC)"] = np.full(len(log["time"]), 24.5)
+    readings = mp.average(log).readings
+    assert readings.outputs == ("Ux", "Uy", "Uz")
+    assert readings.environment["Temp"] == pytest.approx(24.5)
+
+
 def test_other_columns_are_averaged_along(tmp_path, capsys):
     log = dict(columns_of())
     n = len(log["time"])
