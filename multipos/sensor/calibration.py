@@ -569,14 +569,11 @@ def rms_before(calibration: Calibration) -> float | None:
     """
     if calibration.field.magnetic or not has_nominal(calibration):
         return None
-    error = nominal_error(replace(calibration, nominal=conversion_before(calibration)))
+    if calibration.nominal is None:
+        nominal = Nominal(0.0, _PER_G / MICRO_G[calibration.model.unit])
+        calibration = replace(calibration, nominal=nominal)
+    error = nominal_error(calibration)
     return math.sqrt(float(error @ error) / len(error))
-
-
-def conversion_before(calibration: Calibration) -> Nominal:
-    """Return the conversion of the calibration, or of the unit of its readings, else none."""
-    scale = _PER_G / MICRO_G.get(calibration.model.unit, _PER_G)
-    return calibration.nominal or Nominal(0.0, scale)
 
 
 def has_nominal(calibration: Calibration) -> bool:

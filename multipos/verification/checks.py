@@ -56,7 +56,7 @@ from multipos.positions.readings import Readings, require_range, spread_reading_
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
-from multipos.sensor.calibration import Calibration, conversion_before
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, require_response
 from multipos.sensor.tilt import (
     at_rest,
@@ -265,7 +265,7 @@ def check(
         Count only axes that stand within so many degrees of the horizon.
     nominal : (bias, scale), optional
         The conversion (raw − bias)/scale used before the calibration: by default that which the
-        calibration was made with or its unit says, else (0, 1).
+        calibration was made with, else (0, 1).
     reading_sd : float or M floats, optional
         Standard uncertainty of a reading of the run; by default that of the calibration's.
     range : (low, high), optional
@@ -310,7 +310,7 @@ def check(
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg)
-    before = conversion_before(calibration)
+    before = calibration.nominal or Nominal(0.0, 1.0)
     if nominal is not None:
         before = read_nominal(nominal)
     require_response(calibration)
