@@ -330,7 +330,7 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
     reference = calibration.reference
     problem = replace(restate(calibration), reference=reference)
     state = start_state(problem, calibration.parameters)
-    return problem, standing(problem, state, state.centre)
+    return problem, standing(problem, state, directions(reference))
 
 
 def information_at_solution(calibration: Calibration) -> tuple[Problem, FisherInformation]:

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import multipos as mp
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.likelihood import eliminate
 from multipos.estimation.problem import circle_basis, over_circle, turn_about
 
@@ -137,6 +138,25 @@ def test_all_angles_as_unknowns_of_one_search_give_the_same():
     whole = np.linalg.inv(found.jac.T @ found.jac) * np.sum(found.fun**2) / dof
     assert cal.dof[0] == dof == 27
     assert_allclose(np.sqrt(np.diag(whole)[:11]), u, rtol=1e-4)
+
+
+@pytest.mark.parametrize("session", [pointer, beside_known])
+def test_parameters_follow_readings_of_rolls_that_lean_as_fits_of_changed_readings_do(session):
+    rng = np.random.default_rng(8)
+    up, said = session(rng)
+    noise = SD * rng.standard_normal(up.shape)
+
+    def parameters(k, j, change):
+        moved = noise.copy()
+        moved[k, j] += change
+        return mp.fit({**said, **read(up, moved)}, reading_sd=SD).parameters
+
+    cal = mp.fit({**said, **read(up, noise)}, reading_sd=SD)
+    gain = estimator_gain(cal).reshape(-1, len(up), 3)
+    for k, j in ((0, 1), (12, 0), (14, 1), (20, 2)):
+        slope = (parameters(k, j, 1e-6) - parameters(k, j, -1e-6)) / 2e-6
+        # second order: residuals times the curvature of the sphere, some 1e-4 of a slope
+        assert_allclose(gain[:, k, j], slope, atol=1e-3)
 
 
 def test_an_angle_that_is_free_is_eliminated_as_by_a_wide_prior():
