@@ -231,11 +231,16 @@ def restate(calibration: Calibration) -> Problem:
 def return_to_optimum(calibration: Calibration, problem: Problem) -> Optimum:
     """Return the optimum of a restated problem, searched from where the calibration ended."""
     c = calibration
-    direction = directions(c.reference)
-    found = (c.orientations and c.orientations.group_rotation_deg) or {}
-    turns = [rotation_matrix(np.radians(vector)) for vector in found.values()]
-    state = start_state(problem, c.parameters.copy(), direction, np.array(turns).reshape(-1, 3, 3))
+    state = start_state(problem, c.parameters.copy(), directions(c.reference), _turns(c))
     return maximise(problem, state)
+
+
+def _turns(calibration: Calibration) -> Array:
+    """Return the rotations (G, 3, 3) of groups as found."""
+    orientations = calibration.orientations
+    found = (orientations and orientations.group_rotation_deg) or {}
+    turns = [rotation_matrix(np.radians(vector)) for vector in found.values()]
+    return np.array(turns).reshape(-1, 3, 3)
 
 
 def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -> float:
@@ -329,6 +334,10 @@ def about_solution(calibration: Calibration) -> tuple[Problem, State]:
     """
     reference = calibration.reference
     problem = replace(restate(calibration), reference=reference)
+    if problem.groups and problem.attitude is not None:
+        member, attitude = problem.group >= 0, problem.attitude.copy()
+        attitude[member] = _turns(calibration)[problem.group[member]] @ attitude[member]
+        problem = replace(problem, attitude=attitude)
     state = start_state(problem, calibration.parameters)
     return problem, standing(problem, state, directions(reference))
 

@@ -1047,7 +1047,9 @@ def test_noise_only_readings_are_refused():
 # --- how parameters follow readings
 
 
-@pytest.mark.parametrize("mode", ["unknown", "uncertain", "mixed", "group", "level", "auto"])
+@pytest.mark.parametrize(
+    "mode", ["unknown", "uncertain", "mixed", "group", "level", "level-group", "auto"]
+)
 def test_gain_by_finite_differences(mode, tmp_path):
     generator = rng()
     scheme = read_scheme("roll-x-8+roll-y-8+roll-z-8")
@@ -1056,13 +1058,17 @@ def test_gain_by_finite_differences(mode, tmp_path):
     if mode == "mixed":
         sd[:5], sd[5:9] = 0.0, np.nan
     force = up @ TURN.T if mode == "group" else scatter(up, 0.02, generator)
+    if mode == "level-group":
+        force[12:] = up[12:] @ TURN.T
     values = SENSOR.read(force) + 1e-5 * generator.standard_normal(up.shape)
     known = {"up": up, "rotation": scheme.rotation}
     known |= {"group": ["g"] * 24} if mode == "group" else {}
+    known |= {"group": [""] * 12 + ["g"] * 12} if mode == "level-group" else {}
     known |= {"orientation_sd": sd} if mode in ("uncertain", "mixed") else {}
     how = {
         "unknown": {"unknown_orientation": True},
         "level": {"level_sd": 0.1, "reading_sd": 1e-5},
+        "level-group": {"level_sd": 0.1, "reading_sd": 1e-5},
         "auto": {"orientation_sd": "auto"},
     }.get(mode, {"reading_sd": 1e-5})
     known = {} if mode == "unknown" else known
