@@ -161,9 +161,20 @@ def _directions_by_readings(problem: Problem, theta: Array) -> Array:
 
 
 def _turns(problem: Problem, direction: Array) -> Array:
-    """Return the rotation of each group that brings its listed directions nearest to others."""
-    groups = (problem.group == g for g in range(problem.groups))
-    turns = [align(problem.reference[rows], direction[rows]) for rows in groups]
+    """Return the rotation of each group that brings its listed directions nearest to others.
+
+    Of fewer outputs than axes the others are partly a guess: what is sensed determines it alone,
+    where the listed directions of a group span space.
+    """
+    sensed, turns = list(problem.model.sensed_axes), []
+    for g in range(problem.groups):
+        rows = problem.group == g
+        listed, wanted = directions(problem.reference[rows]), direction[rows]
+        if problem.model.unseen_axes and np.linalg.matrix_rank(listed) == len(COMPONENTS):
+            wanted, by_row = np.zeros((3, 3)), wanted[:, sensed]
+            wanted[:, sensed] = np.linalg.lstsq(listed, by_row)[0]
+            listed = np.eye(3)
+        turns.append(align(listed, wanted))
     return np.array(turns).reshape(-1, 3, 3)
 
 

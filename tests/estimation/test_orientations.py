@@ -600,6 +600,20 @@ def test_a_group_of_fewer_outputs_beside_listed_positions(outputs):
     assert close(cal, SENSOR.truth(cal.model))
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_group_turned_over_tells_no_less_than_its_listed_rows_alone(axis):
+    """Half a turn reverses what two outputs do not sense of every listed direction."""
+    turn = 2.0 * np.diag(np.eye(3)[axis]) - np.eye(3)
+    values = SENSOR.read(np.vstack([UP[:6] @ turn.T, UP]))[:, :2]
+    values += 1e-5 * rng().standard_normal((30, 2))
+    readings = mp.Readings(values, up=np.vstack([UP[:6], UP]), group=["a"] * 6 + [""] * 24)
+    cal = mp.fit(readings, reading_sd=1e-5)
+    alone = mp.fit(mp.Readings(values[6:], up=UP), reading_sd=1e-5)
+    assert close(cal, SENSOR.truth(cal.model))
+    # the excess noise of either is another estimate, less than 1.5 times the stated
+    assert (cal.u < 1.5 * alone.u).all()
+
+
 def test_groups_with_a_roll_about_an_unknown_direction():
     """INTERFACE's example: rolls about a pointing direction which is not known."""
     rolls = [read_scheme(f"roll-{axis}-12").up for axis in "xyz"]
