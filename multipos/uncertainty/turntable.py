@@ -345,9 +345,22 @@ def _slopes(model: Model, calibration: Calibration) -> Array:
     """Return the derivative of readings by the parameters of a model (n, M, p)."""
     own = model is calibration.model
     parameters = calibration.parameters if own else np.zeros(len(model.keys))
-    return parameter_jacobian(
-        model, parameters, calibration.reference, calibration.readings.environment
-    )
+    environment = calibration.readings.environment
+    return parameter_jacobian(model, parameters, _listed(calibration), environment)
+
+
+def _listed(calibration: Calibration) -> Array:
+    """Return the reference (n, 3) [g], as listed where it was estimated about that.
+
+    At estimated positions no residual shows what the table moves, nor the noise of positions.
+    """
+    c, up, sd = calibration, calibration.readings.up, calibration.readings.orientation_sd
+    if up is None or sd is None:
+        return c.reference
+    group = np.array(c.readings.group or [""] * len(up))
+    about = (group == "") & (sd > 0.0) & np.isfinite(sd) & np.isfinite(up).all(axis=1)
+    size = np.linalg.norm(c.reference, axis=1, keepdims=True)
+    return np.where(about[:, None], c.sign * size * up, c.reference)
 
 
 def _response(calibration: Calibration) -> Array:
@@ -356,7 +369,8 @@ def _response(calibration: Calibration) -> Array:
     if not isinstance(c.model, ExpressionModel):
         return c.readings.values
     # about its solution, where it is linear
-    return np.asarray(c.residuals + _slopes(c.model, c) @ c.parameters)
+    left = c.readings.values - c.predict(_listed(c), c.readings.environment)
+    return np.asarray(left + _slopes(c.model, c) @ c.parameters)
 
 
 def _shifts(outputs: Sequence[str], n: int, rolls: Iterable[Roll]) -> Effects:
