@@ -298,6 +298,7 @@ class Bench:
         self.weight = np.tile(
             np.concatenate([_precision(part) for part in parts]), len(self.first.readings)
         )
+        self.weight *= np.concatenate([_kept(part) for part in parts], axis=1).ravel()
         slopes = [
             part.model.linear_part(part.parameters, part.mean_environment)[:, 1:] for part in parts
         ]
@@ -391,6 +392,15 @@ def _precision(calibration: Calibration) -> Array:
     return 1.0 / sd if usable else np.ones(len(sd))
 
 
+def _kept(calibration: Calibration) -> Array:
+    """Return 0 for readings (n, M) that a robust fit set aside, 1 for the others."""
+    c, shape = calibration, calibration.residuals.shape
+    if c.robust_weight is None:
+        return np.ones(shape)
+    by_row = c.robust_weight.reshape(len(c.residuals), -1) > 0.0
+    return np.broadcast_to(by_row, shape).astype(np.float64)
+
+
 def _separable(design: Array, effects: Array) -> list[int]:
     """Return the columns of `effects` that the design does not explain, the earlier first."""
     kept: list[int] = []
@@ -423,7 +433,7 @@ def _solve_beside(
     values = bench.values.ravel() * bench.weight
     found = solve(design * bench.weight[:, None], values)
     alone = solve(bench.sensor * bench.weight[:, None], values)
-    dof = float(found.dof)
+    dof = float(found.dof - np.count_nonzero(bench.weight == 0.0))
     variance = float(found.rss) / dof
     covariance = found.cofactor * variance
     gain = max(float(alone.rss) - float(found.rss), 0.0) / more
@@ -611,7 +621,8 @@ def _estimate(bench: Bench) -> TableErrors:
         estimated += [here.texts[i] for i in kept]
         columns = columns.with_(here)
         null, same = _confounded(bench, bench.models, columns)
-        solvable = solvable and bool(estimated) and len(design) > design.shape[1]
+        rows = np.count_nonzero(bench.weight)
+        solvable = solvable and bool(estimated) and rows > design.shape[1]
         beside = None
         if solvable:
             beside, fitted = _solve_beside(bench, design, (null[:p] == 0.0).all(axis=1))

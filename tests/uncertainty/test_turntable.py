@@ -110,6 +110,19 @@ def test_zero_shift_is_seen_and_warned_of():
     assert sum("shifted by" in warning for warning in texts(cal)) == 2
 
 
+def test_a_row_that_was_set_aside_is_no_zero_shift():
+    table, gross = rolls(T, sd=1e-5), rolls(T, sd=1e-5)
+    gross["Ux"] = gross["Ux"] + np.where(np.arange(48) == 30, 5e-3, 0.0)
+    found, clean = (
+        mp.table_errors(mp.fit(each, scheme="dual-axis-48", unit="V", robust="huber"))
+        for each in (gross, table)
+    )
+    for shift, without in zip(found.zero_shifts, clean.zero_shifts, strict=True):
+        # of one row in twelve u and value move by less than their u
+        assert abs(shift.value - without.value) < without.u
+        assert shift.u < 1.3 * without.u
+
+
 def test_positions_that_are_uncertain_are_no_zero_shift():
     up = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
     up /= np.linalg.norm(up, axis=1)[:, None]
