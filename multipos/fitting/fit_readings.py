@@ -38,6 +38,7 @@ from multipos.fitting.options import Options, choose_estimator, criterion_in_wor
 from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
+from multipos.numerics.rotations import rotation_matrix, rotation_vector
 from multipos.numerics.terms import ModelText, Term, formula_columns, largest_value
 from multipos.positions import headers, orientations
 from multipos.positions.attitudes import CONVENTIONS, Convention
@@ -93,8 +94,8 @@ def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibratio
     if facing is None:
         return _with_convention(calibration, calibration.model.axes)
     down = {axis.removeprefix("-") for axis in facing if axis.startswith("-")}
-    if down and calibration.model.gauge is not None:
-        calibration = _reflected(calibration, down)
+    if down:
+        calibration = _reflected(calibration, _other_way_round(calibration, down))
     return _with_convention(replace(calibration, facing=facing), facing)
 
 
@@ -125,8 +126,26 @@ def _own_scales(c: Calibration) -> list[tuple[str, float]]:
     return [(c.model.keys[i][0], float(c.parameters[i])) for i in c.model.own_scales]
 
 
+def _other_way_round(c: Calibration, down: set[str]) -> set[str]:
+    """Return the axes to reverse, where nothing listed ties them, so that those said face down.
+
+    Rows of a group determine the handedness, so that only an even number of axes is reversed.
+    """
+    rolled = c.readings.open_roll is not None
+    if c.model.gauge is None and not rolled:
+        return set()
+    stated = orientations.place(c.readings, 1.0)
+    if stated.listed.any():
+        return set()
+    own = {c.model.axes[c.outputs.index(output)]: scale for output, scale in _own_scales(c)}
+    wrong = {axis for axis, scale in own.items() if (scale < 0.0) != (axis in down)}
+    return own.keys() - wrong if stated.groups and len(wrong) % 2 else wrong
+
+
 def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
-    """Return a calibration whose gauge leaves it free with some axes the other way round."""
+    """Return a calibration whose orientation is free with some axes the other way round."""
+    if not down:
+        return calibration
     gauge = calibration.model.gauge
     terms = [term for _, term in calibration.model.keys]
     if gauge == "symmetric" or not all(isinstance(term, Term) for term in terms):
@@ -138,8 +157,22 @@ def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
     odd = [sum(f.power for f in term.factors if f.variable in down) for term in terms]
     sign = np.where(np.array(odd) % 2 == 1, -1.0, 1.0)
     mirror = np.array([-1.0 if axis in down else 1.0 for axis in COMPONENTS])
+    c, found = calibration, calibration.orientations
+    if found is not None and found.inclination_deg:
+        about = dict(zip(c.readings.group or (), c.readings.open_roll or (), strict=True))
+        leans = {
+            g: -beta if about[g] in down else beta for g, beta in found.inclination_deg.items()
+        }
+        found = replace(found, inclination_deg=leans)
+    if found is not None and found.group_rotation_deg:
+        turned = {
+            g: np.degrees(rotation_vector(mirror[:, None] * rotation_matrix(np.radians(vector))))
+            for g, vector in found.group_rotation_deg.items()
+        }
+        found = replace(found, group_rotation_deg=turned)
     return replace(
         calibration,
+        orientations=found,
         parameters=sign * calibration.parameters,
         covariance=np.outer(sign, sign) * calibration.covariance,
         reference=calibration.reference * mirror + 0.0,

@@ -104,6 +104,22 @@ def test_the_truth_is_found_without_noise(session, gauge, convention):
         assert_allclose([found["a"], found["b"]], np.degrees([-0.15, 0.3]), atol=1e-6)
 
 
+def test_an_output_that_is_said_to_face_down_does_where_rolls_alone_tell_the_case():
+    """Rolls leave the sense of each axis open, and with it that of their inclination."""
+    rng = np.random.default_rng(3)
+    leans = {"x": 0.2, "y": -0.1, "z": 0.3}
+    up = np.concatenate([on_cone(axis, angles(rng, 8), beta) for axis, beta in leans.items()])
+    matrix = MATRIX * [1.0, 1.0, -1.0]
+    values = dict(zip(NAMES, (up @ matrix.T + BIAS).T, strict=True))
+    rolled = {"roll_axis": [*"xxxxxxxxyyyyyyyyzzzzzzzz"], "group": [*"xxxxxxxxyyyyyyyyzzzzzzzz"]}
+    cal = mp.fit({**rolled, **values}, axes="x,y,-z")
+    assert_allclose(cal.sensitivity, matrix, atol=1e-9)
+    assert_allclose(cal.reference, up, atol=1e-9)
+    found = cal.orientations.inclination_deg
+    assert_allclose([found[axis] for axis in leans], np.degrees([*leans.values()]), atol=1e-6)
+    assert not any(each.level == "error" for each in cal.findings)
+
+
 def test_all_angles_as_unknowns_of_one_search_give_the_same():
     # eq. (1) of estimation.problem
     rng = np.random.default_rng(8)

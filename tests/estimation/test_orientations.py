@@ -575,6 +575,19 @@ def test_a_group_shares_one_unknown_rotation():
     assert (cal.u < alone.u).all()
 
 
+@pytest.mark.parametrize("sign", [(-1, 1, 1), (1, -1, -1), (-1, -1, -1)])
+def test_outputs_that_are_said_to_face_down_do_in_groups(sign):
+    """A group determines the handedness, so that an odd number of outputs reverses it."""
+    matrix = np.tril(MATRIX) * sign
+    values = BIAS + UP @ TURN.T @ matrix.T
+    axes = [f"{'-' * (s < 0)}{axis}" for s, axis in zip(sign, "xyz", strict=True)]
+    cal = mp.fit(mp.Readings(values, up=UP, group=("cube",) * 24), axes=axes)
+    assert_allclose(cal.sensitivity, matrix, atol=1e-8)
+    found = rotation_matrix(np.radians(cal.orientations.group_rotation_deg["cube"]))
+    assert_allclose(found, TURN, atol=1e-8)
+    assert_allclose(cal.reference, UP @ TURN.T, atol=1e-8)
+
+
 def test_two_groups_and_listed_positions():
     other = rotation_matrix(np.array([-0.2, 0.3, 2.5]))
     force = np.vstack([UP @ TURN.T, UP @ other.T, np.eye(3)])
