@@ -46,7 +46,7 @@ def fault_and_way(wrong: Finding) -> str:
     """Return what is wrong with means and the ways out, as an error says it."""
     action = wrong.action or "Correct the log."
     way = f"{action[0].lower()}{action[1:].removesuffix('.')}"
-    return f"{wrong.text}; {way}, or continue with --accept-faults, as average and calibrate do."
+    return f"{wrong.text}; {way}, or continue with --accept-faults of average or calibrate."
 
 
 def compare_scales(outputs: Sequence[str], means: Array) -> Finding | None:
