@@ -81,7 +81,7 @@ def no_redundancy(c: Calibration) -> Finding | None:
                 "no-residuals",
                 "error",
                 f"{n} positions for as many parameters: nothing checks the fit, and {noise} "
-                f"changes {name} by {100.0 * moved:.2g} % of 1 g",
+                f"changes {name} by {min(100.0 * moved, 1e6):.2g} % of 1 g",
                 "Add positions that differ more.",
             )
         return Finding(

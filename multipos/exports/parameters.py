@@ -133,14 +133,18 @@ def _residual_error(
     calibration: Calibration, law: laws.Law, called: str, tesla: float | None
 ) -> str:
     """Return in words what a law leaves of the readings, beside no calibration and a full one."""
-    before, full = rms_before(calibration), _rms(calibration, calibration.rms)
-    beside = "" if before is None else f"uncalibrated: {_rms(calibration, before)}, "
+    beside = {"uncalibrated": rms_before(calibration), "full model": calibration.rms}
+    said = ", ".join(
+        f"{name}: {_rms(calibration, rms)}"
+        for name, rms in beside.items()
+        if rms is not None and math.isfinite(rms)
+    )
     residuals = laws.law_residuals(calibration, law.correction, tesla)
     turned = hidden_turn(calibration, calibration.sign * residuals) is not None
     left = ", without a rotation that hand positioning hides" if turned else ""
     return (
-        f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms "
-        f"({beside}full model: {full}){left}."
+        f"Residual error with the {called} parameters: {_rms(calibration, law.rms)} rms"
+        f"{f' ({said})' if said else ''}{left}."
     )
 
 

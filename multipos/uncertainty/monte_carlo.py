@@ -491,7 +491,7 @@ def _symmetric(values: Array, confidence: float) -> tuple[Array, Array]:
 def _shortest(values: Array, confidence: float) -> Array:
     """Ends (p, 2) of the shortest interval, from sorted trials (JCGM 101, 7.7.4)."""
     count = values.shape[1]
-    inside = int(confidence * count + 0.5)
+    inside = min(int(confidence * count + 0.5), count - 1)
     width = values[:, inside:] - values[:, : count - inside]
     first = width.argmin(axis=1)
     rows = np.arange(len(values))

@@ -186,6 +186,7 @@ def test_the_ends_of_intervals_of_trials():
     assert _shortest(thirteen, 0.33).tolist() == [[0.0, 16.0]]
     low, high = _symmetric(values, 0.9)
     assert (low[0], high[0]) == (0.5, 30.0)
+    assert _shortest(values, 0.9999).tolist() == [[0.5, 30.0]]
 
 
 @pytest.mark.parametrize("whole", [False, True])
