@@ -172,7 +172,7 @@ def _turns(problem: Problem, direction: Array) -> Array:
         listed, wanted = directions(problem.reference[rows]), direction[rows]
         if problem.model.unseen_axes and np.linalg.matrix_rank(listed) == len(COMPONENTS):
             wanted, by_row = np.zeros((3, 3)), wanted[:, sensed]
-            wanted[:, sensed] = np.linalg.lstsq(listed, by_row)[0]
+            wanted[:, sensed] = np.linalg.lstsq(listed, by_row, rcond=None)[0]
             listed = np.eye(3)
         turns.append(align(listed, wanted))
     return np.array(turns).reshape(-1, 3, 3)
