@@ -236,7 +236,7 @@ def force_uncertainty(
     shared = model.output_of == len(model.outputs)  # what several outputs tell together
     if shared.any():
         own, block = from_parameters[:, :, shared], calibration.covariance[np.ix_(shared, shared)]
-        effective += (quadratic(own, block) / size) ** 2 / calibration.dof.sum()
+        effective += (quadratic(own, block) / size) ** 2 / (calibration.dof.sum() or math.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         dof = np.where(effective == 0.0, np.inf, (total / size) ** 2 / effective)
     if k == 1:

@@ -1,6 +1,7 @@
 """The dual-axis inclinometer on the simulated bench: fit, tilt, check, and what U claims."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,16 @@ def test_a_huge_noise_has_the_degrees_of_freedom_of_a_large_one():
         dof = [force_uncertainty(cal, up, {}, np.full(3, sd))[1] for sd in (1e3, 1e78)]
     assert_allclose(dof[1], dof[0], rtol=1e-6)
     assert_allclose(dof[0], cal.dof[0], rtol=1e-3)
+
+
+def test_a_shared_parameter_without_redundancy_leaves_no_degrees_of_freedom():
+    up = read_scheme("faces-corners-14").up
+    values = up + np.random.default_rng(3).normal(0.0, 1e-3, up.shape)
+    readings = mp.Readings(values, up=up, outputs=("ax", "ay", "az"), unit="g")
+    cal = mp.fit(readings, model="each = b + s*own + common_k*own^2")
+    with np.errstate(all="raise"):
+        found = force_uncertainty(replace(cal, dof=np.zeros(3)), up, {}, np.full(3, 1e-3))
+    assert np.isnan(found[1]).all()
 
 
 @pytest.mark.parametrize(("inputs", "third"), [("x,y", 0.0), ("x,y,z", 0.01)])
