@@ -60,6 +60,7 @@ from multipos.sensor.model import Model
 _OFF = 0.1  # [deg] from which a station is said to be off,
 _CLEAR = 5.0  # where it is so many times its u
 _ALARM, _LEVEL, _OF_UNITS = 0.01, 0.02, 0.1  # of eq. (5); [deg], and of what units differ by
+_VERTICAL = 1e-9  # 1 − cosine, nearer than which an axis is the vertical
 FEWEST = 10  # units that a correction rests on: of fewer it adds as much doubt as it takes away
 
 
@@ -89,16 +90,16 @@ def _described(parts: Sequence[FixtureSums]) -> dict[str, Any]:
 
 
 def _angles(fixture: FixtureSums, value: Array, u: Array, count: int) -> list[dict[str, Any]]:
-    found = []
-    for row, (label, identifiable) in enumerate(
-        zip(fixture.labels, fixture.identifiable, strict=True)
-    ):
-        angles = {
-            axis: {"value": float(value[row, i]), "u": float(u[row, i])} if count > 1 else None
+    """Return the angles of positions, none about the vertical: such a turn changes no reading."""
+    seen = fixture.identifiable[:, None] & (np.abs(fixture.up) < 1.0 - _VERTICAL) & (count > 1)
+    return [
+        {"position": label}
+        | {
+            axis: {"value": float(value[row, i]), "u": float(u[row, i])} if seen[row, i] else None
             for i, axis in enumerate(COMPONENTS)
         }
-        found.append({"position": label, **(angles if identifiable else dict.fromkeys(COMPONENTS))})
-    return found
+        for row, label in enumerate(fixture.labels)
+    ]
 
 
 def _correction(
