@@ -391,7 +391,8 @@ class Calibration(Result, Drawn):
         Parameters
         ----------
         raw : (n, M) or (M,) array, or (n,) for a single output
-            In the unit of the readings.
+            In the unit of the readings. A data frame's outputs are taken by name, where it has
+            these names.
         environment : mapping of str to (n,) array, optional
             Columns that the model uses beside the components, such as temperature.
 
@@ -401,6 +402,8 @@ class Calibration(Result, Drawn):
             On the K axes that the sensor has, in the calibration's convention; NaN where no
             force explains the reading.
         """
+        if set(self.outputs) <= set(getattr(raw, "columns", ())):
+            raw = raw[list(self.outputs)]  # type: ignore[index, call-overload]
         values = np.array(raw, dtype=np.float64)
         if values.ndim < 2:  # one reading of all outputs, or many of the only one
             values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]

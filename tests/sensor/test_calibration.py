@@ -163,6 +163,8 @@ def test_predict_and_compensate_take_one_or_many():
     assert_allclose(cal.compensate(cal.predict(f)), f, atol=1e-14)
     assert_allclose(cal.compensate(cal.predict(f[0])[0]), f[:1], atol=1e-14)
     assert_allclose(cal.compensate(pd.DataFrame(cal.predict(f))), f, atol=1e-14)
+    named = pd.DataFrame(cal.predict(f), columns=cal.outputs)
+    assert_allclose(cal.compensate(named[[*cal.outputs[::-1]]]), f, atol=1e-14)
     with pytest.raises(MultiposError, match=r"`raw` must have shape \(n, 3\), got \(2, 2\)"):
         cal.compensate(np.ones((2, 2)))
     one = CALIBRATIONS["no dof"]
