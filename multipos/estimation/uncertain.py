@@ -255,7 +255,7 @@ def _together(stated_noise: list[NoiseTest]) -> NoiseTest | None:
 def _require_triad(model: Model) -> None:
     if sorted(model.axes) != ["x", "y", "z"] or set(model.inputs) != {"x", "y", "z"}:
         raise MultiposError(
-            f"unknown orientations need three outputs, one along each axis; got "
+            "unknown orientations and open rolls need three outputs, one along each axis; got "
             f"{', '.join(model.outputs)} along {', '.join(model.axes)}. Give the orientations."
         )
     if len(model.own_scales) < 3 and not isinstance(model, ExpressionModel):

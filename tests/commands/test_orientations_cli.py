@@ -153,7 +153,7 @@ BAD = {
         table(),
         ("--unknown-orientation", "--outputs", "ax,ay"),
         1,
-        "unknown orientations need three outputs, one along each axis; got ax, ay along x, y",
+        "unknown orientations and open rolls need three outputs, one along each axis; got ax, ay ",
     ),
     "no orientation": (table(), ("--orientation-sd", "0.1"), 1, "no orientation; give --scheme"),
     "no heading": (
