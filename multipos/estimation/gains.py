@@ -244,11 +244,11 @@ def _turns(calibration: Calibration) -> Array:
 
 
 def noise_factor(calibration: Calibration, problem: Problem, optimum: Optimum) -> float:
-    """Return what F is to be divided by: F/nu where a stated noise was rejected, else one."""
+    """Return F/nu where the noise is that of the residuals, NaN without any; else one."""
     if np.isinf(calibration.dof[0]) or calibration.variance_components:
         return 1.0
     nu = float(problem.degrees.sum()) - problem.unknowns
-    return optimum.point.objective / nu
+    return optimum.point.objective / nu if nu > 0.0 else np.nan
 
 
 def estimator_gain(calibration: Calibration) -> Array:

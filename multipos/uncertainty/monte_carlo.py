@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.estimation.descent import maximise
 from multipos.estimation.gains import estimator_gain, noise_factor, restate, return_to_optimum
 from multipos.estimation.problem import circle_basis, start_state
@@ -71,6 +71,11 @@ class Draws:
             self._take_from_likelihood()
         else:
             self.noise = _noise_root(c, sum(row.covariance for row in scatter))
+        if np.isnan(self.noise).any() or not (self.dof > 0.0).all():
+            raise MultiposError(
+                "there are no residuals, so nothing tells the noise that trials draw; state it, "
+                "as with --reading-sd, or add positions."
+            )
 
     @property
     def dof_of_parameters(self) -> Array:
@@ -329,6 +334,8 @@ def simulate_budget(
     ------
     UsageError
         An option is out of range, the calibration needs an `estimator`, or is of several sessions.
+    MultiposError
+        Nothing tells the noise of the readings.
 
     Examples
     --------
