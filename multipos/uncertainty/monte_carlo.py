@@ -73,7 +73,7 @@ class Draws:
             self.noise = _noise_root(c, sum(row.covariance for row in scatter))
         if np.isnan(self.noise).any() or not (self.dof > 0.0).all():
             raise MultiposError(
-                "there are no residuals, so nothing tells the noise that trials draw; state it, "
+                "there are no residuals, so the noise that trials draw is unknown; state it, "
                 "as with --reading-sd, or add positions."
             )
 
@@ -335,7 +335,7 @@ def simulate_budget(
     UsageError
         An option is out of range, the calibration needs an `estimator`, or is of several sessions.
     MultiposError
-        Nothing tells the noise of the readings.
+        The noise of the readings is unknown.
 
     Examples
     --------

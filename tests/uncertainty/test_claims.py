@@ -448,7 +448,7 @@ def test_criticism_needs_known_orientations():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_trials_need_a_noise_that_something_tells(known):
+def test_trials_need_a_noise_that_is_known(known):
     """Four known positions for four terms, six norms for six parameters: no residuals are left."""
     up = read_scheme("faces-6").up
     if known:
@@ -456,6 +456,6 @@ def test_trials_need_a_noise_that_something_tells(known):
     values = up + np.random.default_rng(4).normal(0.0, 1e-3, up.shape)
     data = mp.Readings(values, up=up if known else None)
     how = {} if known else {"model": "1 + own", "unknown_orientation": True}
-    with pytest.raises(MultiposError, match="nothing tells the noise"):
+    with pytest.raises(MultiposError, match="the noise that trials draw is unknown"):
         simulate_budget(mp.fit(data, **how), trials=100)
     assert simulate_budget(mp.fit(data, reading_sd=1e-3, **how), trials=100).trials == 100
