@@ -317,13 +317,12 @@ def check_columns(
             )
 
 
-def place_outside(calibration: Calibration, table: tables.Table, row: int) -> str:
+def _place_outside(calibration: Calibration, table: tables.Table, row: int) -> str:
     """Return the place of a row that is outside: at the column of the model that is, if one is."""
-    for name in calibration.model.environment:
-        seen = calibration.readings.environment[name]
-        if not seen.min() <= table.number(name)[row] <= seen.max():
-            return table.where(row, name)
-    return table.where(row, calibration.outputs[0])
+    columns = {name: table.number(name) for name in calibration.model.environment}
+    _, clamped = _environment_outside(calibration, table, columns)
+    apart = (name for name in columns if columns[name][row] != clamped[name][row])
+    return table.where(row, next(apart, calibration.outputs[0]))
 
 
 def refusal(where: str, beyond: int, rows: int) -> MultiposError:
@@ -440,7 +439,7 @@ class AppliedLog:
             )
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
-                first = place_outside(self.calibration, piece.table, int(np.argmax(beyond)))
+                first = _place_outside(self.calibration, piece.table, int(np.argmax(beyond)))
             self.rows += piece.table.rows
             self.beyond += int(beyond.sum())
             yield piece, added
@@ -652,7 +651,7 @@ def apply(
         calibration, table, tilt=tilt, uncertainty=wanted, outside=outside, beside=beside
     )
     if outside == "refuse" and added["outside"].any():
-        where = place_outside(calibration, table, int(np.argmax(added["outside"])))
+        where = _place_outside(calibration, table, int(np.argmax(added["outside"])))
         raise refusal(where, int(added["outside"].sum()), table.rows)
     kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
     said: Findings = ()

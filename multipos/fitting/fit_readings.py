@@ -94,8 +94,8 @@ def face(calibration: Calibration, facing: tuple[str, ...] | None) -> Calibratio
     if facing is None:
         return _with_convention(calibration, calibration.model.axes)
     down = {axis.removeprefix("-") for axis in facing if axis.startswith("-")}
-    if down:
-        calibration = _reflected(calibration, _other_way_round(calibration, down))
+    if down and (reversed_axes := _other_way_round(calibration, down)):
+        calibration = _reflected(calibration, reversed_axes)
     return _with_convention(replace(calibration, facing=facing), facing)
 
 
@@ -144,8 +144,6 @@ def _other_way_round(c: Calibration, down: set[str]) -> set[str]:
 
 def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
     """Return a calibration whose orientation is free with some axes the other way round."""
-    if not down:
-        return calibration
     gauge = calibration.model.gauge
     terms = [term for _, term in calibration.model.keys]
     if gauge == "symmetric" or not all(isinstance(term, Term) for term in terms):
