@@ -263,6 +263,8 @@ def settle_edges(
     variable: str | None,
     given: tuple[float, ...] | None,
     min_rows: int | None,
+    *,
+    free: bool,
 ) -> tuple[tuple[float, ...], Findings]:
     """Return the edges that are given or found, and what there is to say of them.
 
@@ -278,7 +280,7 @@ def settle_edges(
     if given is not None:
         segmentation.check_edges(variable, given, data.columns[variable])
         return given, ()
-    edges = _find_edges(plan, data, variable, min_rows)
+    edges = _find_edges(plan, data, variable, min_rows, free)
     if not edges:
         text = f"no edge in {variable} improves the model enough: one segment"
         return (), (Finding("one-segment", "note", text),)
@@ -286,15 +288,17 @@ def settle_edges(
 
 
 def _find_edges(
-    plan: Plan, data: observations.Data, variable: str, min_rows: int | None
+    plan: Plan, data: observations.Data, variable: str, min_rows: int | None, free: bool
 ) -> tuple[float, ...]:
     p = len(plan.terms)
     minimum = 2 * p if min_rows is None else min_rows
     if minimum <= p and plan.method == "full":
         raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
+    read = data
     design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
     values = data.columns[variable]
     response = data.response
+    whitening = None
     if data.order is not None:
         # what five segments leave is close to noise alone, whatever the edges will be
         bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
@@ -302,7 +306,15 @@ def _find_edges(
         whitening = whitening_of(data.order, noise)
         if whitening is not None:
             design, response = whitening(design), whitening(response)
-    return segmentation.find_edges(values, design, response, minimum=minimum)
+
+    def adjust(columns: Array) -> Array:
+        within = within_runs(columns, read)[0]
+        return within if whitening is None else whitening(within)
+
+    joined = None
+    if not free and segmentation.hinges(plan.terms, variable, [0.0], both=False):
+        joined = segmentation.Joined(plan.terms, variable, data.columns, adjust)
+    return segmentation.find_edges(values, design, response, minimum=minimum, joined=joined)
 
 
 def _noise(design: Array, data: observations.Data, place: observations.Rows) -> Noise | None:
@@ -543,7 +555,7 @@ def regress(
     source, sha256, found = table.source, table.sha256, (*repeated_files(table.copies), *converted)
     del table  # whose text may be most of what is in memory
     observations.check_columns(source, read.data, response, names, constant=plan.constant)
-    edges, said = settle_edges(plan, read.data, wanted, given, min_rows)
+    edges, said = settle_edges(plan, read.data, wanted, given, min_rows, free=free)
     cut = Cut(wanted, edges, bool(edges) and not free, branches)
     _require_bending(plan, cut)
     result = _describe(plan, response, read, cut, cross_validate)

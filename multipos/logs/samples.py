@@ -455,10 +455,15 @@ def usual_size(data: Array) -> Array:
     return np.array([median(size) if len(size) else 0.0 for size in there])
 
 
+def _clock_values(column: Column) -> Array:
+    """Return what a clock may have counted to in a column."""
+    time = np.asarray(column, dtype=np.float64)
+    return time[np.abs(time) <= _LATEST]
+
+
 def rises(column: Column) -> bool:
     """Tell whether a column goes up, as a time does."""
-    time = np.asarray(column, dtype=np.float64)
-    time = time[np.isfinite(time)]
+    time = _clock_values(column)
     return len(time) > 1 and bool((np.diff(time) >= 0.0).all()) and bool(time[-1] > time[0])
 
 
@@ -466,8 +471,7 @@ def rises_or_wraps(log: Log, name: str, column: Column) -> bool:
     """Tell whether a column goes up but where a counter wraps around."""
     if rises(column):
         return True
-    time = np.asarray(column, dtype=np.float64)
-    time = time[np.isfinite(time)]
+    time = _clock_values(column)
     clock = read_clock(log, name, time, None)
     seconds = time * clock.seconds
     return rises(unwrap(seconds, np.nan, 0.0, usual_step(seconds), wraps_of(clock)).time)

@@ -26,12 +26,21 @@ the coefficients of each segment are sums of those of (3): d of v^k r, and −d 
 are chosen one by one, its mirror image below the edge is a candidate too, or a term of the lowest
 segment alone would need two columns at once.
 
+Where edges are looked for, those of (1) are where it begins. With the c coefficients d of (3) at
+an edge,
+
+    −Σ d k e^(k−1) r above e,    0 below                                                   (4)
+
+is the column of a change of e: Gauss–Newton steps, halved until they lessen the residual sum of all
+rows, move the edges, and (2) counts p + (m − 1)(c + 1) for its m p + m − 1.
+
 Sources: R. Bellman, Commun. ACM 4, 1961; J. Bai, P. Perron, J. Appl. Econometrics 18, 2003;
-Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty).
+Y.-C. Yao, Statist. Probab. Lett. 6, 1988 (the penalty); V. M. R. Muggeo, Statist. Med. 22, 2003
+(moving edges).
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate, pairwise
 from math import log
 
@@ -48,6 +57,9 @@ Rows = Places
 
 MOST = 6  # segments that are looked for
 _BINS = 48  # candidate edges and one: every pair of them is fitted
+_STEPS = 20  # that edges may move without a jump
+_SHORTEST = 0.1  # part of a step that is still tried
+_SETTLED = 1e-6  # relative change of the residual sum at which edges stay
 
 
 @frozen(eq=True)
@@ -106,7 +118,49 @@ def segment_of(values: Array, edges: Sequence[float]) -> Places:
     return np.searchsorted(np.asarray(edges, dtype=np.float64), values, side="right")
 
 
-def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -> tuple[float, ...]:
+@frozen
+class Joined:
+    """A model without a jump at its edges, eq. (3).
+
+    Attributes
+    ----------
+    terms : sequence of Term
+    variable : str
+    columns : mapping of str to (n,) array
+        Of the variables of the terms, in the order of the response.
+    adjust : function
+        Makes of columns (n, q) those of independent rows.
+    """
+
+    terms: Sequence[Term]
+    variable: str
+    columns: Mapping[str, Array]
+    adjust: Callable[[Array], Array]
+
+    @property
+    def values(self) -> int:
+        """Different values of the variable that determine its highest power in one segment."""
+        return 1 + max(h.power for h in hinges(self.terms, self.variable, [0.0], both=False))
+
+    def changes(self, edges: Sequence[float]) -> Array:
+        """Return the columns of eq. (3) beside one another, edge by edge (n, (m − 1) c)."""
+        every = hinges(self.terms, self.variable, edges, both=False)
+        return self.adjust(np.column_stack([h.evaluate(self.columns) for h in every]))
+
+    def moves(self, edges: Sequence[float], d: Array) -> Array:
+        """Return the columns of eq. (4), one for each edge (n, m − 1)."""
+        above = [self.columns[self.variable] >= edge for edge in edges]
+        found = np.zeros((len(above[0]), len(edges)))
+        for h, size in zip(hinges(self.terms, self.variable, edges, both=False), d, strict=True):
+            i = edges.index(h.edge)
+            slope = size * h.power * h.edge ** (h.power - 1)
+            found[:, i] -= np.where(above[i], slope * h.rest.evaluate(self.columns), 0.0)
+        return self.adjust(found)
+
+
+def find_edges(
+    values: Array, design: Array, response: Array, *, minimum: int, joined: Joined | None = None
+) -> tuple[float, ...]:
     """Return the edges that explain the response best, by eqs. (1) and (2).
 
     Parameters
@@ -118,6 +172,8 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
     response : (n,) array
     minimum : int
         Fewest rows of a segment.
+    joined : Joined, optional
+        The model where it may not jump at an edge.
 
     Returns
     -------
@@ -127,12 +183,11 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
     n, p = design.shape
     order = np.argsort(values, kind="stable")
     v = values[order]
-    scale = np.linalg.norm(design, axis=0)
-    X, y = design[order] / np.where(scale > 0.0, scale, 1.0), response[order]
-    data = _Sorted(v, X, y, _cuts(v, minimum))
-    cost = _costs(data.bins, minimum)
+    X, y = design[order] / _lengths(design), response[order]
+    data = _Sorted(v, X, y, _cuts(v, minimum), minimum, 1 if joined is None else joined.values)
+    cost = _costs(data)
     best, score = cost[0], np.inf
-    chosen: tuple[int, ...] = ()
+    chosen: tuple[float, ...] = ()
     last: list[Rows] = []
     # of a response that is nothing throughout no logarithm is lost
     least_rss = max((1e-12 * float(np.linalg.norm(y))) ** 2, float(np.finfo(float).tiny))
@@ -145,19 +200,34 @@ def find_edges(values: Array, design: Array, response: Array, *, minimum: int) -
             best = total.min(axis=0)
         if not np.isfinite(best[-1]):
             break
-        rss, edges = _polish(data, _trace(last, len(data.bins)), minimum)
-        bic = n * log(max(rss, least_rss) / n) + (m * p + m - 1) * log(n)
+        rss, rows = _polish(data, _trace(last, len(data.bins)))
+        edges = tuple(float(v[i - 1] + v[i]) / 2.0 for i in rows)
+        count = m * p + m - 1
+        if joined is not None and edges:
+            rss, edges = _move(joined, edges, design, response, data)
+            count = p + len(edges) + len(hinges(joined.terms, joined.variable, edges, both=False))
+        bic = n * log(max(rss, least_rss) / n) + count * log(n)
         if bic < score:
             score, chosen = bic, edges
-    return tuple(float(v[i - 1] + v[i]) / 2.0 for i in chosen)
+    return chosen
 
 
 class _Sorted:
     """Rows sorted by the segment variable, with triangles of their bins ready made."""
 
-    def __init__(self, v: Array, X: Array, y: Array, cuts: Sequence[int]) -> None:
+    def __init__(
+        self, v: Array, X: Array, y: Array, cuts: Sequence[int], minimum: int, values: int
+    ) -> None:
         self.v, self.X, self.y, self.cuts = v, X, y, cuts
+        self.minimum, self.values = minimum, values  # of a segment, at the least
+        self.distinct = np.cumsum(np.diff(v, prepend=v[0]) > 0.0)
         self.bins = [compress(X[a:b], y[a:b]) for a, b in pairwise(cuts)]
+
+    def enough(self, start: int, end: int) -> bool:
+        """Tell whether rows start … end make a segment, by their number and by their values."""
+        if end - start < self.minimum:
+            return False
+        return bool(self.distinct[end - 1] - self.distinct[start] + 1 >= self.values)
 
     def triangle(self, start: int, end: int) -> Triangle:
         """Return the triangle of rows start … end, of whole bins where they are inside."""
@@ -171,14 +241,17 @@ class _Sorted:
         return join(parts)
 
 
-def _polish(data: _Sorted, bins: Sequence[int], minimum: int) -> tuple[float, tuple[int, ...]]:
+def _polish(data: _Sorted, bins: Sequence[int]) -> tuple[float, tuple[int, ...]]:
     """Move one edge after another among finer cuts; return the residual sum and the rows."""
     n, cuts = len(data.v), data.cuts
     edges = [cuts[i] for i in bins]
     for i, place in enumerate(bins):
         start, end = (edges[i - 1] if i else 0), (edges[i + 1] if i + 1 < len(edges) else n)
-        low, high = max(cuts[place - 1], start + minimum), min(cuts[place + 1], end - minimum)
-        fine = sorted({edges[i], *(j for j in _between(data.v, low, high) if low <= j <= high)})
+        low = max(cuts[place - 1], start + data.minimum)
+        high = min(cuts[place + 1], end - data.minimum)
+        finer = _between(data.v, low, high)
+        fine = [j for j in finer if data.enough(start, j) and data.enough(j, end)]
+        fine = sorted({edges[i], *fine})
         if len(fine) > 1:
             edges[i] = _best_edge(data, start, fine, end)
     rss = sum(residual_sum(data.triangle(a, b)) for a, b in pairwise((0, *edges, n)))
@@ -192,6 +265,47 @@ def _best_edge(data: _Sorted, start: int, fine: Sequence[int], end: int) -> int:
     right = list(accumulate(parts[:0:-1], lambda a, b: join([a, b])))[::-1]
     costs = [residual_sum(a) + residual_sum(b) for a, b in zip(left, right, strict=True)]
     return fine[int(np.argmin(costs))]
+
+
+def _move(
+    joined: Joined, edges: tuple[float, ...], design: Array, response: Array, data: _Sorted
+) -> tuple[float, tuple[float, ...]]:
+    """Move edges without a jump to where all rows have the least residual sum, eq. (4)."""
+    p = design.shape[1]
+
+    def solve(columns: Array) -> tuple[float, Array]:
+        triangle = compress(columns, response)
+        R, y = triangle.R[:, :-1], triangle.R[:, -1]
+        scale = _lengths(R)
+        b = np.linalg.lstsq(R / scale, y, rcond=1e-10)[0] / scale
+        return float(((y - R @ b) ** 2).sum()), b
+
+    columns = np.column_stack([design, joined.changes(edges)])
+    rss, b = solve(columns)
+    for _ in range(_STEPS):
+        least, both = solve(np.column_stack([columns, joined.moves(edges, b[p:])]))
+        if least > (1.0 - _SETTLED) * rss:
+            break
+        step, before, part = both[-len(edges) :], rss, 1.0
+        while rss == before and part > _SHORTEST:
+            tried = tuple(float(e) for e in np.asarray(edges) + part * step)
+            part /= 2.0
+            rows = np.searchsorted(data.v, tried).tolist()
+            if not all(data.enough(a, b) for a, b in pairwise((0, *rows, len(data.v)))):
+                continue
+            there = np.column_stack([design, joined.changes(tried)])
+            less, coefficients = solve(there)
+            if less < rss:
+                rss, edges, columns, b = less, tried, there, coefficients
+        if rss > (1.0 - _SETTLED) * before:
+            break
+    return rss, edges
+
+
+def _lengths(columns: Array) -> Array:
+    """Return the lengths of columns, one where there is nothing."""
+    lengths = np.linalg.norm(columns, axis=0)
+    return np.where(lengths > 0.0, lengths, 1.0)
 
 
 def _between(v: Array, low: int, high: int) -> list[int]:
@@ -208,14 +322,15 @@ def _cuts(v: Array, minimum: int) -> list[int]:
     return sorted({0, n, *inner})
 
 
-def _costs(bins: Sequence[Triangle], minimum: int) -> Array:
+def _costs(data: _Sorted) -> Array:
     """c(i, j) of eq. (1) as cost[i, j − 1]: residual sums of bins i … j − 1, inf where too few."""
+    bins, cuts = data.bins, data.cuts
     cost = np.full((len(bins), len(bins)), np.inf)
     for i in range(len(bins)):
         whole = None
         for j in range(i, len(bins)):
             whole = bins[j] if whole is None else join([whole, bins[j]])
-            if whole.rows >= minimum:
+            if data.enough(cuts[i], cuts[j + 1]):
                 cost[i, j] = residual_sum(whole)
     return cost
 

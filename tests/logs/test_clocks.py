@@ -8,6 +8,7 @@ from log_bench import columns_of
 
 import multipos as mp
 from multipos.logs.clock import _turns_slowly, read_clock, usual_step
+from multipos.logs.samples import rises
 
 OUTPUTS = ("ax", "ay", "az")
 RATE = 100.0
@@ -269,3 +270,9 @@ def test_the_unit_of_a_time_by_its_size_or_its_steps(first, step, unit, since):
 )
 def test_the_usual_step_of_bursts_is_their_mean_and_of_corrupt_times_no_number(time, step):
     assert usual_step(np.array(time)) == pytest.approx(step)
+
+
+def test_what_no_clock_counts_to_is_left_out_of_its_steps():
+    """Cells of ±1e308, whose differences have no size: the times between them rise, or do not."""
+    assert rises([1.0, -1e308, 2.0, 1e308, 3.0])
+    assert not rises([-1e308, 1e308, 5.0, -1e308])

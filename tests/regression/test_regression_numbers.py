@@ -424,11 +424,11 @@ def test_an_edge_is_polished_among_finer_cuts():
     y = np.where(v < v[19], 1.3 * v, 4.0 - v) + np.where(v < v[33], 0.0, 3.0)
     y = y + 0.05 * rng.normal(size=n)
     cuts = [0, 6, 13, 22, 30, 37, 48]
-    data = segmentation._Sorted(v, X, y, cuts)
+    data = segmentation._Sorted(v, X, y, cuts, minimum, 1)
     for start, end in ((0, 6), (3, 20), (14, 21), (6, 37), (14, 48)):
         found = segmentation.residual_sum(data.triangle(start, end))
         assert found == pytest.approx(least_squares(X[start:end], y[start:end]))
-    cost, edges = segmentation._polish(data, (3, 4), minimum)
+    cost, edges = segmentation._polish(data, (3, 4))
     wanted, first, second = [22, 30], [*range(13, 31)], [*range(22, 38)]
     for i, fine in enumerate((first, second)):
         start, end = (0, wanted[1]) if i == 0 else (wanted[0], n)

@@ -10,9 +10,15 @@ from numpy.testing import assert_allclose
 from multipos.errors import MultiposError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.selection import compress
-from multipos.numerics.terms import parse_terms
+from multipos.numerics.terms import evaluate_terms, parse_terms
 from multipos.regression.observations import causal_rate, default_window, smoothed_rate
-from multipos.regression.segmentation import find_edges, hinges, residual_sum, segment_of
+from multipos.regression.segmentation import (
+    Joined,
+    find_edges,
+    hinges,
+    residual_sum,
+    segment_of,
+)
 
 
 def test_edges_of_a_broken_line_are_found():
@@ -92,6 +98,61 @@ def test_hinges_vanish_at_their_edge():
     assert [str(h.term) for h in found] == ["t", "t^2*v"]
     assert_allclose(found[0].evaluate(columns), [0, 0, 1])
     assert_allclose(found[1].evaluate(columns), [0, 0, (9 - 4) * 2])
+
+
+# --- edges without a jump
+
+
+def joined_of(terms, t):
+    terms = parse_terms(terms)
+    return evaluate_terms(terms, {"t": t}, len(t)), Joined(terms, "t", {"t": t}, lambda each: each)
+
+
+@pytest.mark.parametrize("terms", ["1 + t", "1 + t + t^2"])
+def test_kinks_without_noise_are_found_to_rounding(terms):
+    t = np.random.default_rng(8).uniform(-40.0, 60.0, 400)
+    y = 0.3 * t + 0.5 * np.maximum(t + 13.7, 0.0) - 0.9 * np.maximum(t - 21.3, 0.0)
+    X, joined = joined_of(terms, t)
+    assert_allclose(find_edges(t, X, y, minimum=8, joined=joined), (-13.7, 21.3), atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_kink_is_where_every_place_was_tried(seed):
+    """The least residual sum of lines that meet, by a fit at each of 2,000 places."""
+    rng = np.random.default_rng(seed)
+    t, kink = np.sort(rng.uniform(-40.0, 60.0, 120)), rng.uniform(-20.0, 40.0)
+    y = 0.01 * t + 0.02 * np.maximum(t - kink, 0.0) + rng.normal(0.0, 0.02, 120)
+    X, joined = joined_of("1 + t", t)
+    (edge,) = find_edges(t, X, y, minimum=12, joined=joined)
+
+    def rss(e):
+        D = np.column_stack((np.ones_like(t), t, np.maximum(t - e, 0.0)))
+        return float(((y - D @ np.linalg.lstsq(D, y, rcond=None)[0]) ** 2).sum())
+
+    assert rss(edge) <= min(map(rss, np.linspace(t[12], t[-13], 2000))) * (1.0 + 1e-4)
+
+
+def test_a_change_of_an_edge_is_the_difference_quotient():
+    # eq. (4) of regression.segmentation
+    t = np.linspace(-3.0, 5.0, 41)
+    v = np.cos(t)
+    terms = parse_terms("1 + t + v + t^2*v")
+    joined = Joined(terms, "t", {"t": t, "v": v}, lambda each: each)
+    d, h, edges = np.array([0.7, -0.4]), 1e-6, (1.13,)
+    moved = (joined.changes((edges[0] + h,)) - joined.changes((edges[0] - h,))) @ d / (2.0 * h)
+    assert_allclose(joined.moves(edges, d)[:, 0], moved, atol=1e-9)
+
+
+def test_joined_segments_have_as_many_values_as_their_highest_power_needs():
+    """Soaks at 11 temperatures: a quadratic that one soak, or two, determines is none."""
+    t = np.repeat(np.linspace(-40.0, 60.0, 11), 12)
+    y = 0.01 * t + 0.05 * np.maximum(t - 27.0, 0.0)
+    y += 1e-3 * np.random.default_rng(9).normal(size=len(t))
+    X, joined = joined_of("1 + t + t^2", t)
+    edges = find_edges(t, X, y, minimum=6, joined=joined)
+    assert min(len(np.unique(t[segment_of(t, edges) == i])) for i in range(len(edges) + 1)) >= 3
+    X, joined = joined_of("1 + t", t)  # between soaks an edge is where the lines meet
+    assert_allclose(find_edges(t, X, y, minimum=6, joined=joined), (27.0,), atol=0.05)
 
 
 # --- rates
