@@ -50,6 +50,7 @@ from multipos.errors import MultiposError
 from multipos.logs.faults import at_one_value, is_factor
 from multipos.logs.still import Still
 from multipos.numerics.arrays import COMPONENTS, Array, median
+from multipos.numerics.factoring import log_determinant
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.attitudes import Convention
 from multipos.positions.scheme import read_scheme
@@ -425,7 +426,7 @@ def _score(state: _State, up: Array | None, targets: dict[str, float]) -> Array:
         np.zeros((1, *state.present.shape)) if up is None else information_of(state.setting, up)
     )
     if not targets:
-        return np.asarray(np.linalg.slogdet(state.present + pieces)[1])
+        return np.asarray(log_determinant(state.present + pieces)[1])
     ratio = _ratios(state, pieces, targets, state.dof)
     return np.asarray(-np.log(np.sum(ratio**_POWER, axis=1)))
 
@@ -452,5 +453,5 @@ def gain_of(state: _State, up: Array, targets: dict[str, float]) -> float:
         now = _ratios(state, nothing, targets, state.dof).max()
         then = _ratios(state, piece, targets, state.dof + 1.0).max()
         return float(now - then)
-    now = np.linalg.slogdet(state.present)[1]
-    return float(np.linalg.slogdet(state.present + piece[0])[1] - now)
+    now = log_determinant(state.present)[1]
+    return float(log_determinant(state.present + piece[0])[1] - now)

@@ -28,6 +28,7 @@ import numpy as np
 from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array, Places
+from multipos.numerics.factoring import log_determinant
 
 Choice = Places
 
@@ -248,7 +249,7 @@ def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
     """Return the criterion of many information matrices at once; singular ones come last."""
     value = np.zeros(len(matrices[0]))
     for b, M in enumerate(matrices):
-        sign, size = np.linalg.slogdet(M)
+        sign, size = log_determinant(M)
         diagonal = np.maximum(np.einsum("nii->ni", M), _TINY)
         sound = (sign > 0.0) & (size > _SINGULAR + np.log(diagonal).sum(axis=1))
         if criterion.weight is None:

@@ -26,6 +26,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.estimation.user_models import hold_free_rotations, nominal_parameters
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
+from multipos.numerics.factoring import log_determinant
 from multipos.numerics.rotations import directions
 from multipos.positions.order import share_absorbed
 from multipos.results import frozen
@@ -307,7 +308,7 @@ def log_det(information: Blocks) -> float:
     """Return ln det of the information, −inf where it is singular."""
     total = 0.0
     for M in information:
-        sign, value = np.linalg.slogdet(M)
+        sign, value = log_determinant(M)
         if sign <= 0.0 or not np.isfinite(value) or np.linalg.cond(_scaled(M)) > 1e13:
             return -math.inf
         total += float(value)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.numerics.arrays import Array, Mask, Places
-from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.factoring import cofactors_of, log_determinant
 from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.results import frozen
 
@@ -345,7 +345,7 @@ def _evaluate(of: Residuals, components: Sequence[Array], theta: Array) -> _Slop
         return np.asarray(white - np.einsum("ijbn,kjbn->kibn", W, back))
 
     q = projected(e[None])[0]
-    log_det = log_det + np.linalg.slogdet(unit)[1] + 2.0 * np.log(size).sum(axis=1)
+    log_det = log_det + log_determinant(unit)[1] + 2.0 * np.log(size).sum(axis=1)
     pulled = np.stack([np.einsum("ijbn,jbn->ibn", component, q) for component in components])
     traces = [
         np.einsum("iibn->b", each) - np.einsum("bpq,bqp->b", inverse, own)

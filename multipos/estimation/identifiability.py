@@ -12,7 +12,12 @@ import numpy as np
 
 from multipos.errors import RankError
 from multipos.numerics.arrays import SMALLEST, Array
-from multipos.numerics.factoring import join_combinations, name_combinations, separability
+from multipos.numerics.factoring import (
+    join_combinations,
+    log_determinant,
+    name_combinations,
+    separability,
+)
 from multipos.sensor.model import Model
 
 UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best
@@ -117,7 +122,7 @@ def helpful_positions(information: Array, gains: Array, count: int) -> list[int]
     scaled = gains / unit
     chosen: list[int] = []
     for _ in range(count):
-        best = int(np.argmax(np.linalg.slogdet(current + scaled)[1]))
+        best = int(np.argmax(log_determinant(current + scaled)[1]))
         chosen.append(best)
         current = current + scaled[best]
     return chosen

@@ -7,6 +7,7 @@ them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten d
 import heapq
 import math
 import re
+import sys
 import unicodedata
 from collections.abc import Iterable, Sequence
 
@@ -32,8 +33,8 @@ _SMALLEST = {
 
 def uncertain(value: float, u: float) -> str:
     """Return a value with its standard uncertainty, as in ``-0.00079(52)``."""
-    if not (math.isfinite(value) and math.isfinite(u) and u > 0.0):
-        return f"{value:.10g}"
+    if not (math.isfinite(value) and math.isfinite(u) and u >= sys.float_info.min):
+        return f"{value:.10g}"  # of fewer than 53 bits two digits are none
     exponent = 0
     largest = max(abs(value), u)
     if math.log10(largest) < _SHORTEST or math.log10(u) >= 6:

@@ -162,7 +162,7 @@ class Conditions:
             if _is_used(name, outputs, used) and name not in apart
         ]
         asked = TEMPERATURE in rows.columns and TEMPERATURE not in used
-        self.temperature = self._columns(rows, [TEMPERATURE]) if asked else []
+        self.temperature = [self._whole(rows.numbers(TEMPERATURE))] if asked else []
         if asked:
             self._cells.append(self._over_temperature(self.temperature[0]))
 
@@ -212,6 +212,13 @@ class Conditions:
         if numbers is None or np.isnan(numbers).any():
             return self._grouped.arranged(rows.conditions(name).codes)
         return self._grouped.arranged((numbers + 0.0).view(np.uint64))
+
+    def _whole(self, column: Array) -> Array:
+        """Return a column in the order of the units, 0 where a unit lacks a number of it."""
+        arranged = self._grouped.arranged(column)
+        bad = ~(np.abs(arranged) <= LARGEST)
+        lacking = np.logical_or.reduceat(bad, self._grouped.starts[:-1])
+        return np.where(np.repeat(lacking, self._grouped.counts), 0.0, arranged)
 
     def _over_temperature(self, column: Array) -> AnyArray:
         """Return temperature where a unit was at several, as the tests of its residuals ask it."""

@@ -229,7 +229,7 @@ def find_off(station: Mapping[str, Any], beyond: set[tuple[str, str]], unit: str
         if kind == "level_deg" and size >= _LEVEL:
             angles.append((size, "level", what, u, ()))
         elif kind == "shift" and size >= _OF_UNITS * root * u:
-            shifts.append((size / u, what, figure))
+            shifts.append((size / u if u else np.inf, what, figure))
     for each in station["positions_deg"]:
         angles += [
             (

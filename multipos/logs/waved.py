@@ -121,7 +121,8 @@ def read_rows(
     environment = {}
     for name in warm:
         pieces = [p.table.columns[name] for log in logs for p in log.read((), (name,), ())]
-        environment[name] = np.concatenate([np.asarray(p, dtype=np.float64) for p in pieces])
+        column = np.concatenate([np.asarray(p, dtype=np.float64) for p in pieces])
+        environment[name] = np.where(np.abs(column) <= LARGEST, column, np.nan)
     good = np.isfinite(values).all(axis=1)
     values, environment = values[good], {n: c[good] for n, c in environment.items()}
     if len(values) < _FEWEST:

@@ -198,6 +198,13 @@ def is_regular(matrix: Array) -> bool:
     return bool(abs(np.linalg.det(matrix / size)) > _REGULAR)
 
 
+def log_determinant(matrices: Array) -> tuple[Array, Array]:
+    """Return sign and logarithm of the determinant (…), 0 and −inf of a singular matrix."""
+    with np.errstate(divide="ignore"):  # libraries may divide by its zero pivot
+        sign, size = np.linalg.slogdet(matrices)
+    return np.asarray(sign), np.asarray(size)
+
+
 def design_matrix(design: ArrayLike) -> Array:
     """Return a design as an array (n, p), or refuse it."""
     X = np.asarray(design, dtype=np.float64)

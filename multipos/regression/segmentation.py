@@ -49,6 +49,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.numbers import number
 from multipos.numerics.arrays import Array, Places
+from multipos.numerics.factoring import column_scales
 from multipos.numerics.selection import Triangle, compress, join
 from multipos.numerics.terms import Factor, Term
 from multipos.results import frozen
@@ -183,7 +184,7 @@ def find_edges(
     n, p = design.shape
     order = np.argsort(values, kind="stable")
     v = values[order]
-    X, y = design[order] / _lengths(design), response[order]
+    X, y = design[order] / column_scales(design), response[order]
     data = _Sorted(v, X, y, _cuts(v, minimum), minimum, 1 if joined is None else joined.values)
     cost = _costs(data)
     best, score = cost[0], np.inf
@@ -276,7 +277,7 @@ def _move(
     def solve(columns: Array) -> tuple[float, Array]:
         triangle = compress(columns, response)
         R, y = triangle.R[:, :-1], triangle.R[:, -1]
-        scale = _lengths(R)
+        scale = column_scales(R)
         b = np.linalg.lstsq(R / scale, y, rcond=1e-10)[0] / scale
         return float(((y - R @ b) ** 2).sum()), b
 
@@ -300,12 +301,6 @@ def _move(
         if rss > (1.0 - _SETTLED) * before:
             break
     return rss, edges
-
-
-def _lengths(columns: Array) -> Array:
-    """Return the lengths of columns, one where there is nothing."""
-    lengths = np.linalg.norm(columns, axis=0)
-    return np.where(lengths > 0.0, lengths, 1.0)
 
 
 def _between(v: Array, low: int, high: int) -> list[int]:

@@ -157,6 +157,20 @@ def test_a_term_of_temperature_that_the_model_lacks(rows, sd):
     assert worst_difference(found, table) < 1e-10
 
 
+@pytest.mark.parametrize("cell", [np.nan, 1e308, -1e308])
+@pytest.mark.parametrize("options", [{}, {"orientation_sd": 0.2, "reading_sd": 1e-3}])
+def test_a_unit_without_a_temperature_is_not_asked_what_it_explains(cell, options):
+    table = line(4)
+    column = 25.0 + 10.0 * np.random.default_rng(2).standard_normal(96)
+    table["ax"] = table["ax"] + 0.01 * (column - 25.0)
+    column[np.flatnonzero(table["unit"] == "U0002")[3]] = cell
+    table["temperature"] = column
+    found = mp.fit_many(table, unit_column="unit", station_column="station", **options)
+    missing = ["missing-term" in each for each in found["findings"].tolist()]
+    assert missing == [True, True, False, True]
+    assert (found["reason"] == "").all()
+
+
 def test_a_unit_that_fails_is_a_row_with_its_reason():
     table = line(5)
     table["ay"][24 + 3] = np.nan  # of U0001

@@ -371,12 +371,12 @@ def test_values_far_from_the_median_of_their_station_by_hand():
 
 
 def test_what_is_off_at_a_station_by_its_limits():
-    def found(level, shift, angle, kinds):
+    def found(level, shift, angle, kinds, u_shift=1e-3):
         station = {
             "station": "S1",
             "units": 100,
             "level_deg": {"x": {"value": -level, "u": 0.01}},
-            "shift": {"ax": {"value": -shift, "u": 1e-3}},
+            "shift": {"ax": {"value": -shift, "u": u_shift}},
             "positions_deg": [{"position": "7", "y": {"value": -angle, "u": 0.001}}],
         }
         return find_off(station, {("level_deg", "x"), ("shift", "ax")} if kinds else set(), " g")
@@ -388,6 +388,7 @@ def test_what_is_off_at_a_station_by_its_limits():
     assert of_level.text.startswith("level of station S1 is off by ")
     (of_shift,) = found(0.99 * level, 1.01 * shift, 0.0, True)
     assert of_shift.text.startswith("zero of ax at station S1 is off by -")
+    assert len(found(0.0, shift, 0.0, True, u_shift=0.0)) == 1  # of units that are all alike
     (of_position,) = found(1.01 * level, 0.0, 5.0 + level, True)
     assert of_position.text.startswith("position 7 of station S1 is off by ")
     assert of_position.text.endswith(", and 1 more")

@@ -14,6 +14,7 @@ from multipos.files.numbers import (
     p_in_words,
     plain_number,
     readable_unit,
+    uncertain,
 )
 from multipos.plots.calibration import draw_size_residuals, residual_panels, size_residuals
 from multipos.plots.style import name_axis, new_figure
@@ -178,3 +179,10 @@ def test_an_axis_has_the_unit_that_its_numbers_are_read_in():
 )
 def test_what_rounds_to_zero_has_no_sign(text, shown):
     assert readable(text) == shown
+
+
+def test_an_uncertainty_without_two_digits_of_its_own_is_not_shown():
+    """Below 2.2e-308 a float has fewer bits; above, value and u are shown with an exponent."""
+    assert uncertain(3e-308, 2.5e-308) == "3.0(25)e-308"
+    assert uncertain(5e-324, 5e-324) == "4.940656458e-324"
+    assert uncertain(1.0, 1e-310) == "1"

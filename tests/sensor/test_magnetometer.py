@@ -649,6 +649,16 @@ def test_a_flipped_bit_in_a_waved_log_is_named():
         mp.calibrate(log, unit="uT")
 
 
+def test_a_temperature_that_none_is_leaves_no_other_out(tmp_path):
+    log = wave(1000, 29)
+    log["temperature"] = np.full(1000, 25.0)
+    log["temperature"][[10, 20]] = 1e308, -1e308
+    found = mp.calibrate(log, unit="uT")
+    assert np.isnan(found.readings.environment["temperature"]).sum() <= 2
+    found.save(tmp_path / "o.json")
+    assert mp.load(tmp_path / "o.json").names == found.names
+
+
 def test_percentages_are_of_the_field_whatever_its_size(tmp_path, capsys):
     """The same rows with and without the size have the same linearity, of a fit and of a check."""
     rows, u = readings(sd=0.3)
