@@ -22,7 +22,7 @@ from multipos.estimation.correlated_rows import order_in_time
 from multipos.files.numbers import number, table
 from multipos.files.tables import Source
 from multipos.finding import Findings, errors_of
-from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array
 from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme, read_bench
 from multipos.results import Keyed, data_frame, frozen, require
@@ -240,7 +240,7 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if calibration.noise is not None:
         variances = diagonal(calibration.noise).reshape(readings.values.shape)
         sd = np.sqrt(np.mean(variances, axis=0))
-    if not all(np.all(np.isfinite(each) & (each > 0.0)) for each in (calibration.u, sd)):
+    if not all(np.all(np.isfinite(each) & (each >= SMALLEST)) for each in (calibration.u, sd)):
         raise MultiposError(
             "the calibration has no reading noise to predict from: as many terms as readings; "
             "fit again with --reading-sd."

@@ -273,7 +273,9 @@ def test_slow_noise_of_a_bias_falls_with_more_readings_and_what_gravity_adds_doe
         assert_allclose(found, np.tile([bias, 1.0, 1.0, 1.0], 3), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("size", "u"), [(0.0, 1e-3), (np.nan, 1e-3), (1e-3, np.nan)])
+@pytest.mark.parametrize(
+    ("size", "u"), [(0.0, 1e-3), (1e-160, 1e-3), (np.nan, 1e-3), (1e-3, np.nan)]
+)
 def test_without_noise_or_u_nothing_is_predicted(size, u):
     cal = SimpleNamespace(
         model=SimpleNamespace(environment=(), outputs=("ax",)),
