@@ -47,7 +47,7 @@ from multipos.files.records import (
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, read_findings
-from multipos.numerics.arrays import COMPONENTS, LARGEST, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
 from multipos.positions.readings import Readings
@@ -391,7 +391,7 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
         parameter_dof=_dof([entry["dof"] for entry in parameters], parameters),
         dof=_dof([content["dof"][output] for output in outputs]),
         residuals=_numbers(content["residuals"]),
-        residual_sd=_numbers([content["residual_sd"][output] for output in outputs]),
+        residual_sd=_sds([content["residual_sd"][output] for output in outputs]),
         reference=_numbers(content["reference"]),
         readings=_readings(content, model),
         convention=content["convention"],
@@ -545,6 +545,12 @@ def _check_consistency(c: Calibration, parameters: list[dict[str, Any]]) -> None
 def _numbers(value: Any) -> Any:
     """Return nested lists as an array, null as NaN; None stays None."""
     return None if value is None else np.array(value, dtype=np.float64)
+
+
+def _sds(values: list[float | None]) -> Array:
+    """Return standard deviations, null as NaN; what is too small to divide by is 0."""
+    sds = np.array(values, dtype=np.float64)
+    return np.where(sds < SMALLEST, 0.0, sds)
 
 
 def _dof(values: list[float | None], parameters: list[dict[str, Any]] | None = None) -> Array:
