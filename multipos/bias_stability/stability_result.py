@@ -27,6 +27,7 @@ from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
+    DOF,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
@@ -226,16 +227,14 @@ class Stability(Result, Drawn, Tabular):
 
 SCHEMA = "multipos/stability/1"
 
-_ESTIMATE = Record.of(
-    Estimate, {"u": NOT_NEGATIVE, "U": NOT_NEGATIVE, "dof": Maybe(POSITIVE, math.inf)}
-)
-_POINT = Fields({"tau": POSITIVE, "adev": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": POSITIVE})
+_ESTIMATE = Record.of(Estimate, {"u": NOT_NEGATIVE, "U": NOT_NEGATIVE, "dof": Maybe(DOF, math.inf)})
+_POINT = Fields({"tau": POSITIVE, "adev": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": DOF})
 _WARM_UP = Fields(
     {
         "amplitude": ANY_NUMBER,
         "amplitude_u": NOT_NEGATIVE,
         "amplitude_U": NOT_NEGATIVE,
-        "amplitude_dof": Maybe(POSITIVE),
+        "amplitude_dof": Maybe(DOF),
         "unit": ANY_TEXT,
         "time_constant": POSITIVE,
         "time_constant_u": NOT_NEGATIVE,

@@ -119,7 +119,8 @@ def parity(
     vector = np.einsum("ndm,nm->nd", basis, residual)
     spread = basis @ covariance @ basis.transpose(0, 2, 1)
     distance = np.full(len(raw), np.nan)
-    volume = np.linalg.det(spread)
+    finite = np.isfinite(spread).all(axis=(1, 2), keepdims=True)
+    volume = np.linalg.det(np.where(finite, spread, 0.0))
     known = np.flatnonzero(sound & np.isfinite(volume) & (volume > 0.0))
     weighted = np.linalg.solve(spread[known], vector[known][:, :, None])[:, :, 0]
     distance[known] = np.einsum("nd,nd->n", vector[known], weighted)

@@ -207,6 +207,12 @@ def _allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array)
     return np.asarray(allow_for_axes(*(np.asarray(each)[None] for each in found))[0])
 
 
+def _usable_sd(calibration: Calibration) -> Array:
+    """Return residual sd (M,), 1 where no residual is left: the optimum is the same anyhow."""
+    sd = calibration.residual_sd
+    return np.where(sd > 0.0, sd, 1.0)
+
+
 def restate(calibration: Calibration) -> Problem:
     """Return the problem of a calibration; a robust loss only as the positions it set aside."""
     c = calibration
@@ -215,9 +221,7 @@ def restate(calibration: Calibration) -> Problem:
     stated_up = place(c.readings, size, level_sd=float(np.radians(level_sd_deg)))
     shape = c.readings.values.shape
     if c.noise is None:
-        # where no residual is left, the optimum is the same whatever the noise
-        sd = np.where(c.residual_sd > 0.0, c.residual_sd, 1.0)
-        precision = np.broadcast_to(1.0 / sd**2, shape)
+        precision = np.broadcast_to(1.0 / _usable_sd(c) ** 2, shape)
     else:
         precision = precision_of(c.noise, *shape)
     problem = pose(c.model, c.readings, stated_up, precision)
@@ -276,7 +280,9 @@ def estimator_gain(calibration: Calibration) -> Array:
     sd = np.ones(n * m) if noise is None else np.sqrt(noise)
     if isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any()):
         # priors or shared parameters tie the outputs
-        weighted = design / (np.tile(c.residual_sd, n) if noise is None else sd)[:, None] ** 2
+        if noise is None:
+            sd = np.tile(_usable_sd(c), n)
+        weighted = design / sd[:, None] ** 2
         return _solved(weighted.T @ design + np.diag(c.model.beliefs), weighted.T)
     result = np.zeros((design.shape[1], n * m))
     for output, part in enumerate(c.model.slices):  # block by block: the outputs are independent

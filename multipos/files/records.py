@@ -355,6 +355,7 @@ NAMES = Listed(NAME)
 TEXTS = Listed(ANY_TEXT)
 ANY_NUMBER = Number()
 POSITIVE = Number(0.0, above=True)
+DOF = Number(1e-6)  # degrees of freedom; of fewer a tail has no digits
 NOT_NEGATIVE = Number(0.0)
 SHARE = Number(SMALLEST, 1.0, below=True)  # a probability that is neither never nor always
 INPUT = Fields({"file": Maybe(ANY_TEXT), "sha256": Maybe(ANY_TEXT)})

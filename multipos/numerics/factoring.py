@@ -393,9 +393,10 @@ def separability(
     scales = column_scales(judged)
     _, singular, Vt = np.linalg.svd(judged / scales, full_matrices=n < p)
     rank = int((singular > least * singular[0]).sum())
-    null = _echelon(Vt[rank:]).T / scales[:, np.newaxis]
+    null = _echelon(Vt[rank:]).T
     for v in null.T:
-        v /= v[np.flatnonzero(v)[-1]]
+        used = np.flatnonzero(v)
+        v[used] *= scales[used[-1]] / scales[used] / v[used[-1]]
     whole = np.rint(null)
     condition = np.inf
     if rank == p:

@@ -20,6 +20,7 @@ from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
     AXIS,
+    DOF,
     FIGURE,
     INPUT,
     LARGEST_SQUARE,
@@ -72,7 +73,7 @@ from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
 
 SCHEMA = "multipos/calibration/1"
 # Null is infinite, 0 none; less than a millionth of one is neither.
-_DOF = Maybe(AnyOf((Number(0.0, 0.0), Number(1e-6))), math.inf)
+_DOF = Maybe(AnyOf((Number(0.0, 0.0), DOF)), math.inf)
 _SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table in a budget
 
 # One number a position, or one an output as well where the outputs were fitted apart.
@@ -121,9 +122,7 @@ _DIAGNOSTICS = Record(
     },
     {
         "hidden": TEXTS,
-        "claim": Maybe(
-            Record({"chi2": NOT_NEGATIVE, "dof": POSITIVE}, make=fit_diagnostics.NoiseTest)
-        ),
+        "claim": Maybe(Record({"chi2": NOT_NEGATIVE, "dof": DOF}, make=fit_diagnostics.NoiseTest)),
     },
 )
 # What is known of the readings beside their values, each with what it is called in `Readings` and
@@ -235,7 +234,7 @@ CALIBRATION = Fields(
         "field": Fields(
             {
                 "kind": Text(FIELD_KINDS),
-                "size": Maybe(POSITIVE),
+                "size": Maybe(Number(SMALLEST)),
                 "u": NOT_NEGATIVE,
                 "unit": Maybe(Text(MAGNETIC_UNITS)),
             }

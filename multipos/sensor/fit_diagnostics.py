@@ -61,7 +61,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.files.records import ANY_TEXT, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named, Number
+from multipos.files.records import ANY_TEXT, DOF, NOT_NEGATIVE, P_VALUE, Fields, Listed, Named
 from multipos.finding import Findings
 from multipos.numerics import quantiles
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
@@ -203,16 +203,15 @@ def _law(q: Array, left: Array, weight: Array, outputs: int) -> tuple[Array, Arr
 
 
 _LEAST = 1e-300  # of a probability, whose logarithm is a number still
-_DOF = Number(0.0, above=True)
 MODEL_TESTS = Listed(
     Fields(
         {
             "term": ANY_TEXT,
             "statistic": NOT_NEGATIVE,
-            "dof": Listed(_DOF, 1, 2),
+            "dof": Listed(DOF, 1, 2),
             "p": P_VALUE,
         },
-        {"outputs": Named(Fields({"F": NOT_NEGATIVE, "dof": Listed(_DOF, 2, 2)}))},
+        {"outputs": Named(Fields({"F": NOT_NEGATIVE, "dof": Listed(DOF, 2, 2)}))},
     )
 )
 

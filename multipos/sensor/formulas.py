@@ -39,7 +39,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.records import is_number
 from multipos.files.spelling import StrPath, near
 from multipos.files.trees import read_toml
-from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE
+from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE, SMALLEST
 from multipos.positions.headers import is_environment
 from multipos.results import Result, frozen
 
@@ -530,8 +530,8 @@ def _check_quantity(quantity: StatedParameter, where: str) -> None:
         raise MultiposError(f"{where}: low {low:g} must be below high {high:g}.")
     if start is not None and not low <= start <= high:
         raise MultiposError(f"{where}: start {start:g} is not from {low:g} to {high:g}.")
-    if sd is not None and not sd > 0.0:
-        raise MultiposError(f"{where}: sd must be above 0, got {sd:g}.")
+    if sd is not None and not sd >= SMALLEST:
+        raise MultiposError(f"{where}: sd must be at least {SMALLEST:g}, got {sd:g}.")
     if sd is not None and start is None:
         raise MultiposError(f"{where}: sd is that of a prior about start; give start as well.")
 

@@ -271,7 +271,10 @@ def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
 
 
 def _weighed(a: Array, V: Array) -> float:
-    return float(a @ np.linalg.solve(V, a))
+    try:
+        return float(a @ np.linalg.solve(V, a))
+    except np.linalg.LinAlgError:  # a file may state a variance beside which no noise has digits
+        return float(a @ np.linalg.pinv(V, hermitian=True) @ a)
 
 
 def check_regressions(

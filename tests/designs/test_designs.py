@@ -913,7 +913,7 @@ def test_a_choice_without_an_inverse_by_rounding_is_left():
 
 
 def test_no_positions_beside_a_line_of_them_separate_the_parameters():
-    """Eight up and down, as near as numbers have it, and one more: all that is tried is singular."""
+    """Eight up and down, as near as numbers have it, and one more: all is singular."""
     include = np.tile([[0.6e-308, 0.3e-308, 1.0], [-0.2e-308, 0.7e-308, -1.0]], (4, 1))
     with pytest.raises(mp.MultiposError, match="no 9 positions were found that separate the"):
         mp.design(positions=9, include=include, candidates="all-26")

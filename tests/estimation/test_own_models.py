@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.stats import t as student
 
 import multipos as mp
 from multipos.errors import CalibrationWarning
+from multipos.estimation.gains import estimator_gain
 from multipos.estimation.starts import _is_better
 from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
@@ -540,3 +542,20 @@ def test_an_output_of_zeros_leaves_the_others_their_fit(tmp_path):
     assert found.parameters[:2].tolist() == [0.0, 0.0]
     # the outputs share nothing; a search ends within 1e-8 u
     np.testing.assert_allclose(found.parameters[2:], whole.parameters[2:], atol=1e-6 * 1e-3)
+
+
+def test_an_output_without_residuals_follows_its_readings_as_the_others(tmp_path):
+    """Beside a prior: the gain of outputs that share nothing, whatever the noise of one is."""
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[parameters]\nk = { start = 0.1, sd = 0.2 }\n[outputs]\neach = "b + s*own/(1 + k*own^2)"\n'
+    )
+    up = read_scheme("all-26").up
+    values = up / (1 + 0.2 * up**2) + 1e-3 * np.random.default_rng(1).standard_normal(up.shape)
+    found = mp.fit(mp.Readings(values, up=up), model=path)
+    none = replace(found, residual_sd=found.residual_sd * [1.0, 0.0, 1.0])
+    gain, wanted = estimator_gain(none), estimator_gain(found)
+    others = found.model.slices[0], found.model.slices[2]
+    for part in others:
+        np.testing.assert_allclose(gain[part], wanted[part], rtol=1e-9, atol=1e-12)
+    assert np.isfinite(gain).all()

@@ -93,6 +93,15 @@ def test_no_parity_without_redundancy():
     assert "parity" not in mp.apply(cal, dict(zip(NAMES, raw.T, strict=False)))
 
 
+def test_without_the_noise_of_an_output_parity_has_a_vector_and_no_p(calibration):
+    raw = readings(read_scheme("fibonacci-24").up)
+    noise = reading_noise(calibration)
+    noise = np.where(np.arange(len(noise)) == 1, np.nan, noise)
+    found = parity(calibration, raw, calibration.compensate(raw), {}, noise)
+    assert np.isfinite(found.vector).all()
+    assert np.isnan(found.p).all()
+
+
 def test_a_row_without_an_answer_has_no_parity():
     up = read_scheme("fibonacci-24").up
     raw = readings(up)

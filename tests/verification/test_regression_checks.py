@@ -19,7 +19,7 @@ from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
 from multipos.reports.check_text import check_text
 from multipos.verification import regressions
-from multipos.verification.regressions import _judge_by
+from multipos.verification.regressions import _judge_by, _weighed
 
 
 def chamber(seed, n=80, noise=1e-3):
@@ -421,6 +421,12 @@ def test_the_agreement_of_a_run_by_dense_covariances(between):
     else:
         assert found.statistic == pytest.approx(Q / 3, rel=1e-9)
         assert found.p == pytest.approx(p[0], rel=1e-9)
+
+
+def test_a_variance_beside_which_no_noise_has_digits_agrees_with_everything():
+    """V = s² I + v v' with v beyond 1e16 s: only what is across v is weighed, by s² alone."""
+    a, v = np.array([3.0, 4.0]), np.array([1e20, 1e20])
+    assert _weighed(a, np.eye(2) + np.outer(v, v)) <= (a @ [1.0, -1.0]) ** 2 / 2.0 * (1.0 + 1e-9)
 
 
 def test_a_model_of_no_term_is_written_read_and_checked(tmp_path):
