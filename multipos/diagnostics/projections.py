@@ -342,6 +342,8 @@ def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
     """
     if not (np.mean(error**2, axis=0) > _IMITATED**2 * np.mean(whole**2, axis=0)).any():
         return False
+    if not size > 0.0:  # no term is of force
+        return False
     scale = float(np.trace(gram)) + size**-1.0 * float(np.mean(error**2))
     mean = error.T @ error / len(error)
     ratio = np.linalg.eigvals(np.linalg.solve(gram + _NOTHING * scale * np.eye(len(gram)), mean))

@@ -215,6 +215,7 @@ def test_a_term_is_hidden_by_hand():
     assert hides(np.array([[0.0224]]), small, ones, 1.0)  # r = .09/.0224 above 4
     assert not hides(np.array([[0.0226]]), small, ones, 1.0)
     assert hides(np.array([[0.0112]]), small, ones, 2.0)
+    assert not hides(np.array([[0.0112]]), small, ones, 0.0)  # of a model without force
     assert not hides(np.array([[0.0113]]), small, ones, 2.0)
     assert not hides(np.array([[1e-9]]), np.full((4, 1), 0.09), ones, 1.0)  # the model does it
     # E'E = diag(1, .25)/2 and V'V = [[a, b], [b, a]]: r is the larger root of
