@@ -173,6 +173,7 @@ def test_a_file_says_what_is_known_of_parameters(tmp_path):
         ('[parameters]\nb = "one"\n[outputs]\neach = "b"', "start must be a number"),
         ('[parameters]\nb = {strat = 1}\n[outputs]\neach = "b"', "did you mean 'start'?"),
         ('[parameters]\nb = {sd = 1}\n[outputs]\neach = "b"', "give start as well"),
+        (
             '[parameters]\nb = {start = 1, sd = 0}\n[outputs]\neach = "b"',
             "sd must be at least 1e-40",
         ),
