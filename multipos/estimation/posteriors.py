@@ -40,6 +40,7 @@ _NARROWED = 3  # times that the range is cut to where something is probable
 NEGLIGIBLE = 30.0  # of -2 ln: one part in three million of the posterior
 _MOST_DOF = 1000.0  # beyond which Student's t is normal to a thousandth
 _SHAPES = 64  # steps of degrees of freedom, between which tails are nearly straight
+_UNFELT = 1e-60  # of the squares, at which any orientation error is one
 _SAME = 1e-9  # relative difference of mixtures that are one
 _NEAR = 1e-4  # a step of Halley's method that leaves its cube
 _ROOT, _AREA = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
@@ -363,7 +364,8 @@ def integrate_grid(
     tail = 28.0 / dof + 0.5
     x_ends = np.log(size), np.log(whole) + tail
     bottom = np.zeros(count) if least is None else np.log(least)
-    y_ends = bottom, np.maximum(np.log(whole / slopes), bottom) + tail
+    felt = np.maximum(slopes, _UNFELT * whole)
+    y_ends = bottom, np.maximum(np.log(whole / felt), bottom) + tail
     for side in (*[_COARSE] * _NARROWED, _FINE):
         x, y = np.linspace(*x_ends, side, axis=1), np.linspace(*y_ends, side, axis=1)
         tau2 = np.concatenate(

@@ -686,6 +686,8 @@ def _check_options(
             "--cluster changes the tests alone, --run what is uncertain too; give one of them."
         )
     for option, name in (("--branches", branches), ("--cluster", cluster), ("--run", run)):
+        if name == "":
+            raise UsageError(f"{option} names no column; give one, or leave it out.")
         if name == response:
             raise UsageError(f"{option} names the response '{response}'; give another column.")
     if criterion not in CRITERIA:

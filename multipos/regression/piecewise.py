@@ -247,8 +247,11 @@ def _regions(
     left_out = [plan.terms[j] for j in short if data.variances[j] > 0.0]
     shortest = np.sqrt(LEAST * len(data) * data.variances[[plan.terms.index(t) for t in left_out]])
     beyond = evaluate_terms(left_out, data.columns, len(data))
-    found = []
+    found: list[tuple[Region, dict[str, Array], int] | None] = []
     for terms, L, rows, span in parts:
+        if not terms and not left_out:
+            found.append(None)
+            continue
         G = region_factor(kept, beyond, shortest, L)
         _check_size("factor of the region", np.abs(G).max(axis=0), (*terms, *left_out))
         region = Region((*terms, *left_out), G, np.inf)
@@ -258,8 +261,8 @@ def _regions(
             columns = {name: np.append(column, column[next_to]) for name, column in columns.items()}
             columns[variable][-1] = edge
         found.append((region, columns, len(columns[variable])))
-    limit = largest_leverage(found)
-    return tuple(replace(region, limit=limit) for region, _, _ in found)
+    limit = largest_leverage([one for one in found if one is not None])
+    return tuple(None if one is None else replace(one[0], limit=limit) for one in found)
 
 
 def fit_segment(

@@ -98,7 +98,7 @@ def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None
 
     Returns
     -------
-    (r + m, r + m) array
+    (r + m, r + m) array, of fewer rows where terms share a column
     """
     q, m = kept.shape[1], left_out.shape[1]
     scale = np.linalg.norm(kept, axis=0)
@@ -112,6 +112,7 @@ def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None
     if L is not None:  # a triangle again: a row of G costs as many products as it has entries
         triangle: Array = np.asarray(np.linalg.qr(inverse[:, ::-1], mode="r"))
         inverse = triangle[::-1, ::-1]
+        inverse = inverse[inverse.any(axis=1)]  # terms that share one column of the fit
     rows = [np.hstack([inverse, np.zeros((len(inverse), m))])]
     rows.append(np.hstack([beyond, np.diag(1.0 / length)]))
     return np.tril(np.vstack(rows)) if L is None else np.vstack(rows)

@@ -226,7 +226,7 @@ class _Sorted:
 
     def enough(self, start: int, end: int) -> bool:
         """Tell whether rows start … end make a segment, by their number and by their values."""
-        if end - start < self.minimum:
+        if end - start < max(self.minimum, 1):
             return False
         return bool(self.distinct[end - 1] - self.distinct[start] + 1 >= self.values)
 

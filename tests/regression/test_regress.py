@@ -571,6 +571,7 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, ["--response", "y", "--variables", "t,y"], 2, "'y' is among the variables"),
         ({}, ["--response", "y", "--variables", "t,t"], 2, "names a column twice"),
         ({}, ["--response", "y"], 2, "needs --variables A,B,C or --terms"),
+        ({}, [*REGRESS, "--branches", ""], 2, "--branches names no column"),
         ({}, ["--response", "q", "--variables", "t"], 1, "no column 'q'"),
         ({}, [*REGRESS, "--degree", "0"], 2, "--degree must lie between 1 and 30"),
         ({}, [*REGRESS, "--degree", "2", "--terms", "1 + t"], 2, "--degree and --terms both"),
@@ -731,3 +732,26 @@ def test_the_region_of_a_term_that_varied_too_little_by_hand():
         np.testing.assert_allclose(
             np.sum((at @ G.T) ** 2, axis=1), line + (beyond / length) ** 2, rtol=1e-6
         )
+
+
+@pytest.mark.parametrize(
+    ("terms", "kink", "rows"),
+    [
+        ("T", 0.0, (None, 1)),  # below the kink there is no term at all
+        ("H + T", 10.0, (None, 1)),  # above it are 1 and T, of one column of the fit
+    ],
+)
+def test_terms_that_share_a_column_and_a_segment_of_none(terms, kink, rows, tmp_path):
+    rng = np.random.default_rng(3)
+    t = np.linspace(-40.0, 60.0, 200)
+    table = {"T": t, "H": rng.normal(size=200)}
+    table["y"] = 0.01 * np.maximum(t - kink, 0.0) + 1e-4 * rng.normal(size=200)
+    options = {"segment": f"T:{kink:g}", "stepwise": True}
+    found = mp.regress(table, response="y", terms=terms, **options)
+    assert tuple(s.region and len(s.region.factor) for s in found.segments) == rows
+    found.save(tmp_path / "r.json")
+    again = mp.load_regression(tmp_path / "r.json")
+    assert_allclose(again.predict(table), found.predict(table))
+    assert_allclose(found.predict(table)[t < kink], 0.0)
+    after = mp.correct(again, {"T": [61.0, 59.0, -30.0], "H": [0.0] * 3})
+    assert list(after["outside"]) == [1, 0, 0]
