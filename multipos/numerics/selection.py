@@ -363,7 +363,9 @@ class _TermSearch:
         guard: Guard | None = None,
     ) -> None:
         self.triangle = triangle
-        self.X, self.y, self.rows = triangle.R[:, :-1], triangle.R[:, -1], triangle.rows
+        X, self.y, self.rows = triangle.R[:, :-1], triangle.R[:, -1], triangle.rows
+        # F does not depend on lengths; by powers of two, so that nothing is rounded
+        self.X = np.ldexp(X, -np.frexp(np.abs(X).max(axis=0, initial=0.0))[1])
         self.names, self.forced = names, frozenset(forced)
         self.requires = requires or [frozenset()] * len(names)
         self.inside = set(forced) | set(start)

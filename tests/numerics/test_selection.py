@@ -50,6 +50,15 @@ def test_hald_path_with_every_f(enter, remove):
     assert found.runner_up.term == "x4"
 
 
+@pytest.mark.parametrize("size", [1e-155, 1e-120, 1e120])
+def test_the_length_of_a_column_changes_no_f(size):
+    """Which goes in and out again, whose square is no number."""
+    long = compress(hald.DESIGN * [1.0, 1.0, 1.0, 1.0, size], hald.RESPONSE)
+    found = select_stepwise(long, NAMES, Thresholds(0.06, 0.10), forced=[0])
+    assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
+    assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
+
+
 def test_hald_default_thresholds_stop_at_x1_x4():
     found = select_stepwise(HALD, NAMES, Thresholds(), forced=[0])
     assert found.columns == (0, 1, 4)
