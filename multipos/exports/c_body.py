@@ -453,8 +453,9 @@ class _Writer:
 
 def _held_by_both(value: float) -> float:
     """Return a number that single precision holds, so that both are about the same middle."""
-    with np.errstate(over="ignore"):  # what overflows is refused when it is written
-        return float(np.float32(value))
+    with np.errstate(over="ignore"):  # what overflows is refused when it is written in single
+        held = float(np.float32(value))
+    return held if math.isfinite(held) else value
 
 
 def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:

@@ -229,7 +229,7 @@ CALIBRATION = Fields(
         **_ORIENTATIONS.optional,
         **_ADDED.optional,
         "orientation_sd_deg": Numbers(1, gaps=True),
-        "environment": Named(Numbers(1, gaps=True)),
+        "environment": Named(Numbers(1, gaps=True, low=-LARGEST, high=LARGEST)),
         "drift_per": Text(("h", "row")),
         "field": Fields(
             {

@@ -11,7 +11,7 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.c_body import exact_inverse, exact_normal_inverse, literal
+from multipos.exports.c_body import _held_by_both, exact_inverse, exact_normal_inverse, literal
 from multipos.exports.target import self_test
 from multipos.exports.targets import export
 
@@ -177,3 +177,8 @@ def test_a_self_test_stands_beside_a_file_alone(tmp_path):
         path.write_text("")
     for other in (tmp_path, "/", ".", "/dev/null"):
         assert self_test(other) == ()
+
+
+def test_a_middle_that_single_precision_cannot_hold_is_that_of_double():
+    assert _held_by_both(0.1) == float(np.float32(0.1)) != 0.1
+    assert _held_by_both(1e39) == 1e39
