@@ -275,11 +275,9 @@ def _move(
     p = design.shape[1]
 
     def solve(columns: Array) -> tuple[float, Array]:
-        triangle = compress(columns, response)
-        R, y = triangle.R[:, :-1], triangle.R[:, -1]
-        scale = column_scales(R)
-        b = np.linalg.lstsq(R / scale, y, rcond=1e-10)[0] / scale
-        return float(((y - R @ b) ** 2).sum()), b
+        scale = column_scales(columns)
+        rss, b = _fitted(compress(columns / scale, response))
+        return rss, b / scale
 
     columns = np.column_stack([design, joined.changes(edges)])
     rss, b = solve(columns)
@@ -332,9 +330,14 @@ def _costs(data: _Sorted) -> Array:
 
 def residual_sum(triangle: Triangle) -> float:
     """Return the residual sum of all columns, of which some may say the same."""
+    return _fitted(triangle)[0]
+
+
+def _fitted(triangle: Triangle) -> tuple[float, Array]:
+    """Return the residual sum of all columns, and their coefficients."""
     X, y = triangle.R[:, :-1], triangle.R[:, -1]
-    b = np.linalg.lstsq(X, y, rcond=1e-10)[0]
-    return float(((y - X @ b) ** 2).sum())
+    b = np.asarray(np.linalg.lstsq(X, y, rcond=1e-10)[0], dtype=np.float64)
+    return float(((y - X @ b) ** 2).sum()), b
 
 
 def _trace(last: Sequence[Rows], bins: int) -> tuple[int, ...]:
