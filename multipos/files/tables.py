@@ -513,9 +513,13 @@ def safe_rows(lines: list[str], delimiter: str) -> list[str]:
         return lines
     stream = io.StringIO()
     writer = csv.writer(stream, delimiter=delimiter, lineterminator="\n")
-    writer.writerows(
-        [spelling.as_cell(cell) for cell in row] for row in csv.reader(lines, delimiter=delimiter)
-    )
+    # a cell that nothing reads may be as long as its line
+    limit = csv.field_size_limit(max(csv.field_size_limit(), *map(len, lines)))
+    try:
+        rows = csv.reader(lines, delimiter=delimiter)
+        writer.writerows([spelling.as_cell(cell) for cell in row] for row in rows)
+    finally:
+        csv.field_size_limit(limit)
     return stream.getvalue().split("\n")[:-1]
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.records import LONGEST
 from multipos.files.spelling import control_characters, numbered, require_columns, visible
 from multipos.finding import Findings
 from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask
@@ -233,10 +234,15 @@ class Readings(Result, Tabular):
         return names
 
     def _check_text(self) -> None:
-        """Refuse names and labels that would do something to a terminal or a file of lines."""
+        """Refuse names and labels that no file holds, or that would do something to a terminal."""
         named = {"outputs": self.outputs, "environment": self.environment, "unit": (self.unit,)}
         for name, labels in {**named, "positions": self.positions, "group": self.group}.items():
             for row, label in enumerate(labels or (), start=1):
+                if len(label) > LONGEST:
+                    raise MultiposError(
+                        f"`{name}` {row} has {len(label)} characters, and the file of a "
+                        f"calibration holds at most {LONGEST}; shorten it."
+                    )
                 if control_characters(label):
                     raise MultiposError(
                         f"`{name}` {row} is '{visible(label)}', with a control character; "

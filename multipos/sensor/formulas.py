@@ -514,6 +514,8 @@ def _check_entry(where: str, key: str, value: Any) -> None:
     if key == "unit":
         if not isinstance(value, str):
             raise MultiposError(f"{where}: unit must be text in quotes, got {value!r}.")
+        if len(value) > _LONGEST:
+            raise MultiposError(f"{where}: unit has {len(value)} characters, above {_LONGEST}.")
         return
     number = is_number(value)
     infinite = number and key in ("low", "high") and math.isinf(value)

@@ -637,6 +637,18 @@ def test_no_spreadsheet_runs_a_label(here, capsys, label, cell):
         assert found[0] == label
 
 
+def test_a_cell_that_nothing_reads_may_be_as_long_as_its_line(here, capsys):
+    (here / "six.csv").write_text(SIX.replace("\n1,", "\n=1+1,"), encoding="utf-8")
+    run(capsys, "fit", "six.csv", "-o", "cal.json")
+    memo = "a" * 140_000
+    header, *rows = (here / "six.csv").read_text().splitlines()
+    text = "\n".join([f"{header},memo", *(f"{row},{memo}" for row in rows)])
+    (here / "long.csv").write_text(text, encoding="utf-8")
+    status, out, _ = run(capsys, "apply", "cal.json", "long.csv")
+    assert (status, out.count(memo)) == (0, len(rows))
+    assert out.splitlines()[1].startswith("'=1+1,")
+
+
 def test_a_terminal_without_latin_letters_gets_json_escapes(here, monkeypatch):
     (here / "six.csv").write_text(SIX.replace("\n1,", "\né😀,", 1), encoding="utf-8")
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")

@@ -153,6 +153,10 @@ def test_unknown_outputs_are_named():
         ({"values": [[1.0]], "sd": [[-1.0]]}, "`sd` of row 1 is -1; it must be 0 or more"),
         ({"values": [[1.0]], "u": [1.0]}, r"`u` must have shape \(1, 1\), got \(1,\)"),
         ({"values": [[1.0]], "positions": ("a", "b")}, "`positions` must have 1 labels, got 2"),
+        (
+            {"values": [[1.0]], "positions": ("a" * 10_001,)},  # no file of a result would be read
+            "`positions` 1 has 10001 characters, and the file of a calibration holds at most 10000",
+        ),
         ({"values": [[1.0]], "up": [[0, 0, 0]]}, "the up vector of row 1 is zero"),
         ({"values": [[1.0]], "u": [[1]], "covariance": [[1]]}, "both state the reading noise"),
         ({"values": [[1.0]], "environment": {"t": [1, 2]}}, "must have shape"),

@@ -183,6 +183,10 @@ def test_a_file_says_what_is_known_of_parameters(tmp_path):
         ),
         ('[parameters]\nb = {low = 1, high = 1}\n[outputs]\neach = "b"', "below high"),
         ('[parameters]\nb = {start = 3, high = 1}\n[outputs]\neach = "b"', "start 3 is not from"),
+        (
+            f'[parameters]\nb = {{unit = "{"V" * 4001}"}}\n[outputs]\neach = "b"',
+            "unit has 4001 characters, above 4000",
+        ),
         ('[parameters]\nx = 1\n[outputs]\neach = "b + x"', "no name for a parameter"),
         ('[outputs]\neach = "b + (own"', "[outputs] each, character 9: expected ')'"),
         ("[outputs\n", "not valid TOML"),
