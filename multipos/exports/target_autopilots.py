@@ -140,6 +140,16 @@ def _reader(
     return read
 
 
+def _read_drift(
+    path: str, text: str, slopes: tuple[str, ...], limits: tuple[str, ...]
+) -> Drift | None:
+    """Return the drift of the offset in a file's own units, about the first of its limits."""
+    if not any(name in text for name in slopes):
+        return None
+    held = parameters.read_named(path, text, slopes).reshape(3, 3)
+    return Drift(held, *parameters.read_named(path, text, limits).tolist())
+
+
 def _turned(law: Correction) -> list[str]:
     """Return what is said of the turn that a symmetric matrix leaves open."""
     if np.allclose(law.turn, np.eye(3)):
@@ -179,14 +189,19 @@ def _params_text(head: list[str], found: _Values) -> str:
 
 def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
     instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
-    found = _values(calibration, law, _px4_names(instance))
-    missing = _identified(found, f"CAL_ACC{instance}_ID", wish, px4=True)
+    names, sensor = _px4_names, "ACC"
+    if calibration.field.magnetic:
+        names, sensor = _px4_mag_names, "MAG"
+    found = _values(calibration, law, names(instance))
+    missing = _identified(found, f"CAL_{sensor}{instance}_ID", wish, px4=True)
     thermal = ""
     if law.drift is not None:
         found += _px4_thermal(law.drift, instance, wish.device_id)
         thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
-    head = [*parameters.origin(calibration), f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"]
-    return _params_text(head, found), missing
+    equation = f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"
+    if calibration.field.magnetic:
+        equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
+    return _params_text([*parameters.origin(calibration), *_turned(law), equation], found), missing
 
 
 def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
@@ -204,19 +219,8 @@ def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
 def _read_px4(path: str, text: str) -> Correction:
     instance = _instance(_PX4_GIVEN, text)
     numbers = parameters.read_named(path, text, _px4_names(instance))
-    drift = None
-    if any(name in text for name in _px4_slopes(instance)):
-        slopes = parameters.read_named(path, text, _px4_slopes(instance)).reshape(3, 3)
-        drift = Drift(slopes, *parameters.read_named(path, text, _px4_limits(instance)).tolist())
+    drift = _read_drift(path, text, _px4_slopes(instance), _px4_limits(instance))
     return _correction(numbers, drift=drift)
-
-
-def _write_px4_mag(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
-    instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
-    found = _values(calibration, law, _px4_mag_names(instance))
-    missing = _identified(found, f"CAL_MAG{instance}_ID", wish, px4=True)
-    equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
-    return _params_text([*parameters.origin(calibration), *_turned(law), equation], found), missing
 
 
 PX4 = _target(
@@ -232,7 +236,7 @@ PX4 = _target(
 PX4_MAGNETOMETER = _target(
     "px4",
     LINEAR,
-    write=_write_px4_mag,
+    write=_write_px4,
     recognises=lambda text: _PX4_MAG_GIVEN.search(text) is not None,
     read=_reader(_PX4_MAG_GIVEN, _px4_mag_names, 1.0),
     suffix=".params",
@@ -282,16 +286,21 @@ def _parm_text(head: list[str], found: _Values) -> str:
 
 def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
     instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
-    found = _values(calibration, law, _ardupilot_names(instance))
-    findings = _beyond(found, magnetic=False)
-    sensor = f"INS_ACC{_numbered(instance)}_ID"
+    magnetic, number = calibration.field.magnetic, _numbered(instance)
+    names, sign, sensor = _ardupilot_names, 1.0, f"INS_ACC{number}_ID"
+    if magnetic:
+        names, sign, sensor = _ardupilot_mag_names, -1.0, f"COMPASS_DEV_ID{number}"
+    found = _values(calibration, law, names(instance), sign)
+    findings = _beyond(found, magnetic=magnetic)
     findings += _identified(found, sensor, wish, px4=False)
     thermal = ""
     if law.drift is not None:
         found += _ardupilot_thermal(law.drift, instance)
         thermal = " - p(t) + p(CALTEMP)"
-    head = [*parameters.origin(calibration), f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"]
-    return _parm_text(head, found), findings
+    equation = f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"
+    if magnetic:
+        equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
+    return _parm_text([*parameters.origin(calibration), *_turned(law), equation], found), findings
 
 
 def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
@@ -308,27 +317,13 @@ def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
 
 def _read_ardupilot(path: str, text: str) -> Correction:
     instance = _instance(_ARDUPILOT_GIVEN, text)
-    numbers, drift = parameters.read_named(path, text, _ardupilot_names(instance)), None
-    if any(name in text for name in _ardupilot_slopes(instance)):
-        slopes = (
-            parameters.read_named(path, text, _ardupilot_slopes(instance)).reshape(3, 3) * _UNIT
-        )
-        at, low, high = parameters.read_named(path, text, _ardupilot_limits(instance)).tolist()
-        drift = Drift(slopes, _REFERENCE, low, high)
+    numbers = parameters.read_named(path, text, _ardupilot_names(instance))
+    drift = _read_drift(path, text, _ardupilot_slopes(instance), _ardupilot_limits(instance))
+    if drift is not None:
+        at = drift.reference
+        drift = drift.scaled(_UNIT)._replace(reference=_REFERENCE)
         numbers[:3] -= drift.offset(at)
     return _correction(numbers, drift=drift)
-
-
-def _write_ardupilot_mag(
-    calibration: Calibration, law: Correction, wish: Wish
-) -> parameters.Written:
-    instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
-    found = _values(calibration, law, _ardupilot_mag_names(instance), -1.0)
-    findings = _beyond(found, magnetic=True)
-    sensor = f"COMPASS_DEV_ID{_numbered(instance)}"
-    findings += _identified(found, sensor, wish, px4=False)
-    equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
-    return _parm_text([*parameters.origin(calibration), *_turned(law), equation], found), findings
 
 
 ARDUPILOT = _target(
@@ -344,7 +339,7 @@ ARDUPILOT = _target(
 ARDUPILOT_MAGNETOMETER = _target(
     "ardupilot",
     LINEAR,
-    write=_write_ardupilot_mag,
+    write=_write_ardupilot,
     recognises=lambda text: _ARDUPILOT_MAG_GIVEN.search(text) is not None,
     read=_reader(_ARDUPILOT_MAG_GIVEN, _ardupilot_mag_names, -1.0),
     suffix=".parm",
