@@ -28,11 +28,11 @@ as many are written as bring all of it within the tolerance.
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from operator import mul
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import COMPONENTS, Array
@@ -88,10 +88,10 @@ def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> i
     raw, found = model.predict(parameters, force, columns), np.zeros_like(force)
     normal = np.linalg.inv(slope.T @ slope)
     for step in range(1, _MOST):
-        turned = (raw - model.predict(parameters, found, columns)) @ slope
+        left = raw - model.predict(parameters, found, columns)
+        turned = left @ slope
         if len(slope) > len(sensed):
             J = model.force_jacobian(parameters, found, columns)[:, :, sensed]
-            left = raw - model.predict(parameters, found, columns)
             turned = np.einsum("nmk,nm->nk", J, left)
         found[:, sensed] += turned @ normal
         if np.abs(found - force).max() <= tolerance:
@@ -134,7 +134,7 @@ def steps_in_words(steps: int, rho: float) -> str:
 
 # Output, product of force components, and its coefficient: a number times a named constant.
 _RestTerm = tuple[int, Term, tuple[float, str]]
-_Exact = list[list[Fraction]]
+_Exact = NDArray[np.object_]  # of fractions
 
 
 def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
@@ -174,49 +174,31 @@ def exact_inverse(A: Array) -> Array:
     Kernels of linear algebra differ in the last digit; a file that is verified on another machine,
     or was written in a browser, must be the same there.
     """
-    rows = [[Fraction(value) for value in row] for row in A.tolist()]
-    n, k = A.shape
-    if n == k:
-        return _rounded(_solved(rows, [[Fraction(i == j) for j in range(k)] for i in range(k)]))
-    return _rounded(_solved(_normal(rows), _transposed(rows)))
+    exact = _as_fractions(A)
+    return _solved(exact.T @ exact, exact.T)
 
 
 def exact_normal_inverse(A: Array) -> Array:
     """Return (AᵀA)⁻¹, correctly rounded."""
-    k = A.shape[1]
-    rows = [[Fraction(value) for value in row] for row in A.tolist()]
-    return _rounded(
-        _solved(_normal(rows), [[Fraction(i == j) for j in range(k)] for i in range(k)])
-    )
+    exact = _as_fractions(A)
+    return _solved(exact.T @ exact, _as_fractions(np.eye(A.shape[1])))
 
 
-def _transposed(A: _Exact) -> _Exact:
-    return [list(column) for column in zip(*A, strict=True)]
+def _as_fractions(A: Array) -> _Exact:
+    return np.array([[Fraction(value) for value in row] for row in A.tolist()], dtype=object)
 
 
-def _normal(A: _Exact) -> _Exact:
-    """Return AᵀA."""
-    columns = _transposed(A)
-    return [[sum(map(mul, a, b), Fraction(0)) for b in columns] for a in columns]
-
-
-def _solved(A: _Exact, B: _Exact) -> _Exact:
-    """Return A⁻¹ B by elimination, which needs no pivot but one that is not zero."""
-    rows = [[*a, *b] for a, b in zip(A, B, strict=True)]
+def _solved(A: _Exact, B: _Exact) -> Array:
+    """Return A⁻¹ B of a normal matrix, whose pivots are above zero unless it is singular."""
+    rows = np.hstack([A, B])
     for i in range(len(rows)):
-        pivot = next((j for j in range(i, len(rows)) if rows[j][i]), None)
-        if pivot is None:
+        if not rows[i, i]:
             raise np.linalg.LinAlgError("Singular matrix")
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        rows[i] = [value / rows[i][i] for value in rows[i]]
-        for j, row in enumerate(rows):
-            if j != i and row[i]:
-                rows[j] = [value - row[i] * lead for value, lead in zip(row, rows[i], strict=True)]
-    return [row[len(A) :] for row in rows]
-
-
-def _rounded(A: _Exact) -> Array:
-    return np.array([[float(value) for value in row] for row in A])
+        rows[i] = rows[i] / rows[i, i]
+        for j in range(len(rows)):
+            if j != i:
+                rows[j] = rows[j] - rows[j, i] * rows[i]
+    return rows[:, len(A) :].astype(np.float64)
 
 
 class _Writer:
@@ -337,25 +319,23 @@ class _Writer:
         """Write all that is read before anything is written: raw and accel may be one array."""
         lines = []
         for i, bias in enumerate(self._bias.tolist()):
-            parts = [bias]
-            if self._single:
-                parts = [float(np.float32(bias)), bias - float(np.float32(bias))]
-            text = f"raw[{i}]"
-            for part in parts:
-                if part:
-                    sign = "-" if part > 0.0 else "+"
-                    text = f"{text} {sign} {self._number(abs(part))}"
-                    text = f"({text})" if part is parts[0] and len(parts) > 1 and parts[1] else text
+            held = float(np.float32(bias)) if self._single else bias
+            text = f"raw[{i}] {self._less(held)}" if held else f"raw[{i}]"
+            if bias != held:
+                text = f"({text})" if held else text
+                text = f"{text} {self._less(bias - held)}"
             lines.append(f"    const {self._kind} d{i} = {text};")
         return lines
+
+    def _less(self, value: float) -> str:
+        return f"{'-' if value > 0.0 else '+'} {self._number(abs(value))}"
 
     def _shifts(self, constants: list[str]) -> list[str]:
         """Write the other columns about their middle, those that the constants use."""
         lines = []
         for j, middle in enumerate(self._middle.values()):
             if any(re.search(rf"\bt{j}\b", line) for line in constants):
-                shift = f"{'-' if middle > 0.0 else '+'} {self._number(abs(middle))}"
-                lines.append(f"t{j} = env[{j}] {shift}")
+                lines.append(f"t{j} = env[{j}] {self._less(middle)}")
         return lines
 
     def _coefficients(self) -> tuple[list[str], list[_RestTerm]]:
@@ -435,17 +415,15 @@ class _Writer:
         return " * ".join(factors)
 
     def _sum(self, parts: list[tuple[float, str]]) -> str:
-        text = ""
+        pieces = []
         for value, product in parts:
-            if not value:
-                continue
             size = abs(float(value))
             piece = self._number(size)
             if product:
                 piece = product if size == 1.0 else f"{piece} * {product}"
-            sign = "-" if value < 0.0 else "+"
-            text = f"{text} {sign} {piece}" if text else (f"-{piece}" if value < 0.0 else piece)
-        return text or self._number(0.0)
+            if value:
+                pieces.append((value, piece))
+        return signed_sum(pieces) or self._number(0.0)
 
     def _number(self, value: float) -> str:
         return literal(value, self._single)
@@ -456,6 +434,12 @@ def _held_by_both(value: float) -> float:
     with np.errstate(over="ignore"):  # what overflows is refused when it is written in single
         held = float(np.float32(value))
     return held if math.isfinite(held) else value
+
+
+def signed_sum(pieces: Sequence[tuple[float, str]]) -> str:
+    """Return a sum in the order it is given, each piece written for the size of its number."""
+    signed = " ".join(f"{'-' if value < 0.0 else '+'} {piece}" for value, piece in pieces)
+    return signed.removeprefix("+ ") if signed[:1] != "-" else f"-{signed[2:]}"
 
 
 def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:

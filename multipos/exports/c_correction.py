@@ -26,7 +26,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos import __version__
-from multipos.exports.c_body import environment_range, literal, written_factors
+from multipos.exports.c_body import environment_range, literal, signed_sum, written_factors
 from multipos.exports.parts import Correction
 from multipos.exports.target_c import c_source, comment
 from multipos.files.numbers import number
@@ -334,12 +334,11 @@ class _Writer:
 
     def _sum(self, weights: Sequence[float], values: Sequence[str]) -> str:
         """Return a sum in the order it is given, values of 1 by their weight alone."""
-        text = ""
-        for b, value in zip(weights, values, strict=True):
-            piece = " * ".join([self._number(abs(b)), *([value] if value else [])])
-            sign = "-" if b < 0.0 else "+"
-            text = f"{text} {sign} {piece}" if text else (f"-{piece}" if b < 0.0 else piece)
-        return text or self._number(0.0)
+        pieces = [
+            (b, " * ".join([self._number(abs(b)), *([value] if value else [])]))
+            for b, value in zip(weights, values, strict=True)
+        ]
+        return signed_sum(pieces) or self._number(0.0)
 
     def _leverage(self, region: Region | None, values: Sequence[str], indent: str) -> list[str]:
         """Write what tells rows beyond the region, summed as `Region.leverage` does."""
