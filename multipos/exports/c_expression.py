@@ -33,49 +33,47 @@ from multipos.sensor.expressions import ExpressionModel
 _BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
 _SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
 _MOST = 30
-# CasADi's operations as C: of one operand, of two, and functions of the library.
-_UNARY = {
-    "OP_ASSIGN": "{0}",
-    "OP_NEG": "-{0}",
-    "OP_SQ": "{0} * {0}",
-    "OP_TWICE": "{0} + {0}",
-    "OP_INV": "{one} / {0}",
-    "OP_NOT": "{0} == {zero} ? {one} : {zero}",
-    "OP_SIGN": "{0} > {zero} ? {one} : ({0} < {zero} ? -{one} : {zero})",
-}
-_BINARY = {
-    "OP_ADD": "{0} + {1}",
-    "OP_SUB": "{0} - {1}",
-    "OP_MUL": "{0} * {1}",
-    "OP_DIV": "{0} / {1}",
-    "OP_LT": "{0} < {1} ? {one} : {zero}",
-    "OP_LE": "{0} <= {1} ? {one} : {zero}",
-    "OP_IF_ELSE_ZERO": "{0} > {zero} || {0} < {zero} ? {1} : {zero}",
-    "OP_FMIN": "{0} < {1} ? {0} : {1}",
-    "OP_FMAX": "{0} > {1} ? {0} : {1}",
-    "OP_POW": "pow{f}({0}, {1})",
-    "OP_CONSTPOW": "pow{f}({0}, {1})",
-    "OP_ATAN2": "atan2{f}({0}, {1})",
+# CasADi's operations as C, and those that are functions of the library.
+_OPERATIONS = {
+    "assign": "{0}",
+    "neg": "-{0}",
+    "sq": "{0} * {0}",
+    "twice": "{0} + {0}",
+    "inv": "{one} / {0}",
+    "not": "{0} == {zero} ? {one} : {zero}",
+    "sign": "{0} > {zero} ? {one} : ({0} < {zero} ? -{one} : {zero})",
+    "add": "{0} + {1}",
+    "sub": "{0} - {1}",
+    "mul": "{0} * {1}",
+    "div": "{0} / {1}",
+    "lt": "{0} < {1} ? {one} : {zero}",
+    "le": "{0} <= {1} ? {one} : {zero}",
+    "if_else_zero": "{0} > {zero} || {0} < {zero} ? {1} : {zero}",
+    "fmin": "{0} < {1} ? {0} : {1}",
+    "fmax": "{0} > {1} ? {0} : {1}",
+    "pow": "pow{f}({0}, {1})",
+    "constpow": "pow{f}({0}, {1})",
+    "atan2": "atan2{f}({0}, {1})",
 }
 _FUNCTIONS = (
-    "EXP",
-    "LOG",
-    "SQRT",
-    "SIN",
-    "COS",
-    "TAN",
-    "ASIN",
-    "ACOS",
-    "ATAN",
-    "SINH",
-    "COSH",
-    "TANH",
-    "ASINH",
-    "ACOSH",
-    "ATANH",
-    "FABS",
-    "FLOOR",
-    "CEIL",
+    "exp",
+    "log",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "fabs",
+    "floor",
+    "ceil",
 )
 
 
@@ -142,14 +140,7 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
     force = casadi.SX.sym("f", 3)
     env = casadi.SX.sym("e", len(model.environment))
     without = casadi.vertcat(*(0 if i == third else force[i] for i in range(3)))
-    with_it, less = (
-        casadi.substitute(
-            [casadi.vertcat(*model.compiled.outputs)],
-            list(model.compiled.symbols),
-            [at, env, casadi.SX(calibration.parameters)],
-        )[0]
-        for at in (force, without)
-    )
+    with_it, less = (_outputs_at(calibration, at, env) for at in (force, without))
     added = [i for i in range(with_it.numel()) if casadi.depends_on(with_it[i], force[third])]
     parts = [f"part{i}" if i in added else "" for i in range(with_it.numel())]
     if not added:
@@ -208,11 +199,7 @@ def _write_step(
     env = casadi.SX.sym("e", len(model.environment))
     full = casadi.SX.zeros(3)
     full[sensed] = force
-    outputs = casadi.substitute(
-        [casadi.vertcat(*model.compiled.outputs)],
-        list(model.compiled.symbols),
-        [full, env, casadi.SX(calibration.parameters)],
-    )[0]
+    outputs = _outputs_at(calibration, full, env)
     left = raw - outputs
     axes = [COMPONENTS[i] for i in sensed]
     results = axes
@@ -237,6 +224,17 @@ def _write_step(
     return _write(function, names, results, single)
 
 
+def _outputs_at(calibration: Calibration, force: Any, env: Any) -> Any:
+    """Return the outputs as CasADi's expressions of a force (3,) and other columns."""
+    import casadi
+
+    model = calibration.model
+    assert isinstance(model, ExpressionModel)
+    outputs, symbols = model.compiled.outputs, model.compiled.symbols
+    at = [force, env, casadi.SX(calibration.parameters)]
+    return casadi.substitute([casadi.vertcat(*outputs)], list(symbols), at)[0]
+
+
 def _write(
     step: Any, names: list[list[str]], ends: list[str], single: bool
 ) -> tuple[list[str], bool]:
@@ -249,14 +247,14 @@ def _write(
     for k in range(step.n_instructions()):
         code = codes[step.instruction_id(k)]
         into, operands = step.instruction_output(k), step.instruction_input(k)
-        if code == "OP_INPUT":
+        if code == "input":
             held[into[0]] = names[operands[0]][operands[1]]
             continue
-        if code == "OP_CONST":
+        if code == "const":
             number = literal(step.instruction_constant(k), single)
             held[into[0]] = f"({number})" if number.startswith("-") else number
             continue
-        if code == "OP_OUTPUT":
+        if code == "output":
             results.append((ends[into[1]], held[operands[0]]))
             continue
         template = _template(code)
@@ -273,7 +271,7 @@ def _codes() -> dict[int, str]:
     """Return the names of CasADi's operations by their numbers."""
     import casadi
 
-    return {getattr(casadi, name): name for name in dir(casadi) if name.startswith("OP_")}
+    return {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name[:3] == "OP_"}
 
 
 def _template(code: str) -> str:
@@ -284,12 +282,11 @@ def _template(code: str) -> str:
     MultiposError
         It has no counterpart in C.
     """
-    function = code.removeprefix("OP_")
-    if function in _FUNCTIONS:
-        return f"{function.lower()}{{f}}({{0}})"
-    if code in _UNARY or code in _BINARY:
-        return _UNARY.get(code) or _BINARY[code]
+    if code in _FUNCTIONS:
+        return f"{code}{{f}}({{0}})"
+    if code in _OPERATIONS:
+        return _OPERATIONS[code]
     raise MultiposError(
-        f"the expression uses CasADi's {function.lower()}, which has no counterpart in "
+        f"the expression uses CasADi's {code}, which has no counterpart in "
         "the C file; write it with other operations."
     )
