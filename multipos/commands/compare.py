@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable
-from typing import Any
 
 from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
@@ -27,7 +26,11 @@ def run(arguments: argparse.Namespace) -> Answer:
         lambda found: _text(found)[0],
         detail=lambda: _text(found)[1],
         forms={
-            "figure": lambda: _figure(found),
+            "figure": lambda: (
+                terms_figure(found)
+                if isinstance(found, RegressionComparison)
+                else runs_figure(found)
+            ),
             "html": lambda: html_report(comparison_content(plain(found.to_dict()))),
             **_combined(found),
         },
@@ -53,10 +56,3 @@ def _text(found: comparison.Comparison | RegressionComparison) -> tuple[str, str
         return str(found), ""
     changes = comparison.changes_text(found)
     return (changes, comparison.runs_text(found)) if changes else (comparison.runs_text(found), "")
-
-
-def _figure(found: comparison.Comparison | RegressionComparison) -> Any:
-    """Return the figure of what was compared."""
-    if isinstance(found, RegressionComparison):
-        return terms_figure(found)
-    return runs_figure(found)

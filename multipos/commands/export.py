@@ -59,13 +59,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         nominal=arguments.nominal,
     )
     names = [arguments.output, *map(str, _beside(arguments))]
-    listing = {"target": exported.target, "files": names, "findings": _listed(exported)}
-    content = {
-        "target": exported.target,
-        "text": exported.text,
-        "test": exported.test,
-        "findings": _listed(exported),
-    }
+    listing = {"target": exported.target, "files": names, "findings": exported.findings}
     return Answer(
         sentence=lambda: written_to(*names),
         text=str,
@@ -75,7 +69,7 @@ def run(arguments: argparse.Namespace) -> Answer:
                 exported.text if arguments.output == STDOUT else exported.files(arguments.output)
             ),
             # a file of the target that is JSON itself stays as it is
-            "json": lambda: exported.text if _is_json(arguments.to) else to_json(content),
+            "json": lambda: exported.text if _is_json(arguments.to) else to_json(vars(exported)),
         },
         findings=lambda: exported.findings,
     )
@@ -86,10 +80,6 @@ def _loaded(paths: list[str]) -> Any:
     if len(paths) == 1 and read_schema(paths[0]) == SCHEMA:
         return load_stability(paths[0])
     return load_parts(paths)
-
-
-def _listed(exported: Exported) -> list[dict[str, Any]]:
-    return [found.to_dict() for found in exported.findings]
 
 
 def files_beside(targets: Sequence[str], calibration: StrPath) -> tuple[Path, ...]:

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +45,7 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
         raise UsageError("--lab, --nominal, --check and --monte-carlo are of one calibration.")
     found = read_summary(arguments.calibration)
     content = fleet_content(found, language=arguments.language)
-    listing = {"report": arguments.output, "created": found["created"]}
-    return _answer(arguments, content, listing, _no_certificate)
+    return _answer(arguments, content, found["created"])
 
 
 def _no_certificate() -> str:
@@ -68,8 +68,7 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
         beside=arguments.calibration,
         language=arguments.language,
     )
-    listing = {"report": arguments.output, "created": all_of(regression)[0].created}
-    return _answer(arguments, content, listing, _no_certificate)
+    return _answer(arguments, content, all_of(regression)[0].created)
 
 
 def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> Answer:
@@ -77,8 +76,7 @@ def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> A
     if arguments.check or arguments.monte_carlo or arguments.nominal or arguments.data:
         raise UsageError("--check, --nominal, --monte-carlo and --data are of one calibration.")
     content = comparison_content(found, lab=arguments.lab, language=arguments.language)
-    listing = {"report": arguments.output, "created": None}
-    return _answer(arguments, content, listing, _no_certificate)
+    return _answer(arguments, content, None)
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -128,20 +126,21 @@ def _of_calibration(calibration: Calibration, arguments: argparse.Namespace) -> 
         simulated=simulated,
         check=None if arguments.check is None else load_check(arguments.check),
     )
-    listing = {"report": arguments.output, "created": calibration.created}
-    return _answer(arguments, content, listing, lambda: documents.xml_report(calibration, content))
+    certificate = partial(documents.xml_report, calibration, content)
+    return _answer(arguments, content, calibration.created, certificate)
 
 
 def _answer(
     arguments: argparse.Namespace,
     content: Content,
-    listing: dict[str, str | None],
-    certificate: Callable[[], str],
+    created: str | None,
+    certificate: Callable[[], str] = _no_certificate,
 ) -> Answer:
+    listing = {"report": arguments.output, "created": created, "findings": ()}
     return Answer(
         sentence=lambda: written_to(arguments.output),
         text=str,
-        json=lambda: to_json({**listing, "findings": ()}),
+        json=lambda: to_json(listing),
         forms={
             "html": lambda: documents.html_report(content),
             "paper": lambda: _on_paper(content),
