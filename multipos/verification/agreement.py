@@ -210,10 +210,15 @@ def _whiten(c: Calibration, data: Readings, known: Array, noise: Array, estimate
     )
 
 
+def stated_orientation_sd(data: Readings) -> Array:
+    """Return how well each position of a run is known (n,) [rad]; exact where not stated."""
+    sd = np.zeros(len(data)) if data.orientation_sd is None else data.orientation_sd
+    return np.where(np.isfinite(sd), sd, 0.0)
+
+
 def _orientation_error(data: Readings, known: Array) -> Array:
     """Return T of eq. (1), (n, 3, 3) [g²]."""
-    sd = np.zeros(len(known)) if data.orientation_sd is None else data.orientation_sd
-    square = np.where(np.isfinite(sd), sd, 0.0) ** 2
+    square = stated_orientation_sd(data) ** 2
     across = np.einsum("ni,ni->n", known, known)[:, None, None] * np.eye(3)
     of_orientation = square[:, None, None] * (across - known[:, :, None] * known[:, None, :])
     if data.reference_u is not None:

@@ -33,6 +33,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,6 @@ from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.quantiles import coverage_by_tenths
-from multipos.positions.attitudes import Convention
 from multipos.positions.headers import require_units, unit_of
 from multipos.positions.orientations import are_samples, orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
@@ -69,7 +69,7 @@ from multipos.sensor.tilt import (
     zeros_of_force,
 )
 from multipos.uncertainty.validity import unseen_covariance
-from multipos.verification.agreement import judge_run
+from multipos.verification.agreement import judge_run, stated_orientation_sd
 from multipos.verification.regressions import check_regression, check_regressions
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
@@ -125,7 +125,7 @@ def force_errors(
     zeros = zeros_of_force(calibration, rest, data.environment, data, noise.estimated)
     left = np.einsum("nkk->nk", covariance - zeros.contained)
     own = np.sqrt(np.maximum(left, 0.0))  # of rounding
-    u = np.hypot(own, across * _orientation_error(data))
+    u = np.hypot(own, across * stated_orientation_sd(data)[:, None])
     if data.reference_u is not None:
         u = np.hypot(u, data.reference_u[:, axes])
     of_zeros, U_zeros = (
@@ -174,7 +174,7 @@ def tilt_errors(
     unseen = unseen_covariance(calibration, rest[:, axes], data.environment)
     zeros = zeros_of_force(calibration, rest, data.environment, data, noise.estimated)
     found = tilt_at_rest(calibration, rest, data.environment, noise.whole, unseen, zeros)
-    of_orientation = _orientation_error(data)
+    of_orientation = stated_orientation_sd(data)[:, None]
     force = nominal_force(calibration.model, data.values, nominal)
     if len(axes) == 3:
         before = triad_tilt(force, calibration.sign)
@@ -185,14 +185,6 @@ def tilt_errors(
     u = np.hypot(found.u, of_orientation)
     arrays = (reference, before - reference, found.tilt - reference, u, U)
     return tuple(np.degrees(array) for array in arrays)
-
-
-def _orientation_error(data: Readings) -> Array:
-    """Return how well each position of the run is known (n, 1) [rad]; exact where not stated."""
-    if data.orientation_sd is None:
-        return np.zeros((len(data), 1))
-    sd = data.orientation_sd
-    return np.where(np.isfinite(sd), sd, 0.0)[:, None]
 
 
 def _expanded(calibration: Calibration, own: Array, u: Array, dof: Array) -> Array:
@@ -354,22 +346,17 @@ def average_run(
     if isinstance(run, Readings):
         return None
     names = _columns_of_run(calibration, outputs)
+    averaged = partial(
+        average, run, outputs=names, scheme=scheme, convention=calibration.convention
+    )
     try:
         data = read_readings(run, outputs=names, environment=calibration.model.environment)
     except MultiposError:  # a log without header, or of another kind than tables
         with suppress(MultiposError):
-            return _averaged(run, names, scheme, calibration.convention)
+            return averaged()
         return None
     stated = data.up is not None or data.force is not None
-    if stated or not are_samples(data) or _fits(scheme, data):
-        return None
-    return _averaged(run, names, scheme, calibration.convention)
-
-
-def _averaged(
-    run: Source, names: tuple[str, ...], scheme: Source | Scheme | None, convention: Convention
-) -> Averages:
-    return average(run, outputs=names, scheme=scheme, convention=convention)
+    return None if stated or not are_samples(data) or _fits(scheme, data) else averaged()
 
 
 def _fits(scheme: Source | Scheme | None, data: Readings) -> bool:
@@ -502,11 +489,8 @@ def _check_options(
 ) -> None:
     if tilt and limit_g is not None:
         raise UsageError("--limit-g is a limit of force; give --limit-deg for tilt.")
-    for name, value in (
-        ("--limit-deg", limit_deg),
-        ("--limit-g", limit_g),
-        ("--within-deg", within_deg),
-    ):
+    given = {"--limit-deg": limit_deg, "--limit-g": limit_g, "--within-deg": within_deg}
+    for name, value in given.items():
         if value is not None:
             require_limit(name, value)
 

@@ -31,7 +31,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files import numbers, spelling, trees
 from multipos.files.spelling import StrPath
-from multipos.finding import Finding, Findings, in_order
+from multipos.finding import Finding, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence, t_tail
 from multipos.numerics.terms import CONSTANT
@@ -125,8 +125,8 @@ _LEAST = 4  # repeats that the six-position paper asks for
 
 
 @frozen
-class Comparison(Result, Drawn):
-    """Repeated calibrations, or several methods on the same readings.
+class Comparison(Judgement, Result, Drawn):
+    """Repeated calibrations, or several methods on the same readings, and their judgement.
 
     Attributes
     ----------
@@ -166,21 +166,10 @@ class Comparison(Result, Drawn):
     drift: Array
     drift_u: Array
     drift_p: Array
-    chi2: Array
-    p: Array
-    dof: Array
-    scatter_dof: Array
     bias_stability: dict[str, float]
-    statistic: float
-    dof_total: float | list[float]
-    p_total: float
-    test: str
-    consistent: bool
-    moved: tuple[str, ...]
     per: str
     times: str
     combined: Calibration | None = None
-    findings: Findings = ()
     changes: tuple[Change, ...] = ()
 
     @property

@@ -89,7 +89,7 @@ class Judgement:
     test: str
     consistent: bool
     moved: tuple[str, ...]
-    findings: Findings = ()
+    findings: Findings
 
     @classmethod
     def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
@@ -112,6 +112,7 @@ class Judgement:
             moved=names,
             test="the readings are the same, so their noise cannot separate the methods: "
             "consistent where no parameter differs by more than its U",
+            findings=(),
         )
 
 
@@ -237,21 +238,16 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
     """Return the parameters grouped by what scatter they are judged by."""
     budgets = [evaluate_budget(c) for c in found]
     covariances = np.array([budget.independent for budget in budgets])
-    output_of, count = found[0].model.output_of, found[0].outputs
+    output_of, count = found[0].model.output_of, len(found[0].outputs)
     apart = all(
         is_apart(c, covariance, output_of) for c, covariance in zip(found, covariances, strict=True)
     )
-    groups = [np.flatnonzero(output_of == i) for i in range(len(count))]
-    names = list(found[0].outputs)
-    outputs = [[i] for i in range(len(count))]
-    if not apart:
-        groups, names, outputs = (
-            [np.arange(len(output_of))],
-            ["all outputs"],
-            [list(range(len(count)))],
-        )
+    members = {"all outputs": list(range(count))}
+    if apart:
+        members = {name: [i] for i, name in enumerate(found[0].outputs)}
     families = []
-    for group, name, mine in zip(groups, names, outputs, strict=True):
+    for name, mine in members.items():
+        group = np.flatnonzero(np.isin(output_of, mine)) if apart else np.arange(len(output_of))
         cleared = [budget.cleared for budget in budgets]
         dof = np.array([left.dof[mine[0]] for left in cleared])
         ratio = np.array([left.ratio[mine].mean() for left in cleared])
