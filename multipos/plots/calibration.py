@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, scale_by_powers
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
@@ -115,10 +115,16 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
 
 def compensated_error(calibration: Calibration) -> Array:
     """Return the size (n,) [g] of what is left after compensation."""
-    c = calibration
+    return np.asarray(np.linalg.norm(compensated_errors(calibration), axis=1))
+
+
+def compensated_errors(calibration: Calibration) -> Array:
+    """Return compensated force less reference (n, 3) [g], nothing along what is not sensed."""
+    c, sensed = calibration, list(calibration.model.sensed_axes)
+    errors = np.zeros(c.reference.shape)
     force = c.compensate(c.readings.values, c.readings.environment)
-    sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
-    return np.asarray(np.linalg.norm(force - c.reference[:, sensed], axis=1))
+    errors[:, sensed] = force - c.reference[:, sensed]
+    return errors
 
 
 def draw_budget(evaluation: Evaluation, axes: "Axes") -> None:

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_When = Literal["both", "before", "after"]
+
 _WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
 _LIMIT = 10.0  # times what is left after, from which a limit would hide it
 _APART = 5.0  # times what is left after, from which errors before have axes of their own
 
 
-def draw_check(
-    found: Check, axes: "Axes", *, axis: str, when: Literal["both", "before", "after"] = "both"
-) -> None:
+def draw_check(found: Check, axes: "Axes", *, axis: str, when: _When = "both") -> None:
     """Draw the errors of one axis before and after, U about the latter, and the limit.
 
     Those of a regression are drawn against its segment variable. A limit so wide
@@ -117,8 +117,7 @@ def _limit_fits(found: Check) -> bool:
 
 def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
     """Return what draws each panel: before and after apart, where one would hide the other."""
-    drawn: tuple[Literal["both", "before", "after"], ...]
-    drawn = ("before", "after") if errors_apart(found) else ("both",)
+    drawn: tuple[_When, ...] = ("before", "after") if errors_apart(found) else ("both",)
     return [
         partial(draw_check, found, axis=axis, when=when) for axis in found.axes for when in drawn
     ]
@@ -128,8 +127,6 @@ def check_figure(found: Check) -> "Figure":
     """Return the errors of every axis; before and after apart, where one would hide the other."""
     return style.figure_of(check_panels(found))
 
-
-_When = Literal["both", "before", "after"]
 
 _FAR = 5.0  # times what is left after, from which the response before would hide it
 

@@ -1,6 +1,6 @@
 """Figures of many units, drawn from counts and means and never from the units themselves."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +9,16 @@ from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+def limited(parameters: Sequence[Mapping[str, Any]], most: int) -> list[Mapping[str, Any]]:
+    """Return the first parameters that have limits, or the first that are counted where none has.
+
+    At the most so many, each with a histogram.
+    """
+    counted = [each for each in parameters if each["histogram"] is not None]
+    held = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
+    return (held or counted)[:most]
 
 
 def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 
 from multipos.files.numbers import number, readable_unit
-from multipos.numerics.arrays import COMPONENTS, Array, Places
+from multipos.numerics.arrays import Array, Places
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import residual_series
+from multipos.plots.calibration import compensated_errors, residual_series
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_errors
@@ -40,10 +40,9 @@ class _Picture:
             f'<svg viewBox="0 0 {_WIDTH} {height:g}" xmlns="http://www.w3.org/2000/svg">'
         ]
 
-    def path(self, steps: str, colour: str, width: float, *, filled: bool = False) -> None:
-        paint = colour if filled else "none"
+    def path(self, steps: str, colour: str, width: float) -> None:
         self._parts.append(
-            f'<path d="{steps}" fill="{paint}" stroke="{colour}" stroke-width="{width:g}" '
+            f'<path d="{steps}" fill="none" stroke="{colour}" stroke-width="{width:g}" '
             'stroke-linecap="round" stroke-linejoin="round"/>'
         )
 
@@ -112,7 +111,7 @@ def error_picture(calibration: Calibration, words: Words = str) -> str:
 def split_errors(c: Calibration, when: str) -> tuple[Array, Array]:
     """Return the errors before or after across the up vector (n, 3) and along it (n,) [g]."""
     up = c.sign * directions(c.reference)
-    error = c.sign * (nominal_errors(c) if when == "before" else _left(c))
+    error = c.sign * (nominal_errors(c) if when == "before" else compensated_errors(c))
     along = np.einsum("ni,ni->n", error, up)
     across = error - along[:, None] * up
     if c.estimator is Estimator.UNKNOWN:
@@ -150,15 +149,6 @@ def _moved(up: Array, step: Array, side: float) -> Array:
     return np.asarray(
         moved / np.maximum(length, 1e-12) * np.linalg.norm(step, axis=1, keepdims=True)
     )
-
-
-def _left(c: Calibration) -> Array:
-    """Return compensated force less reference (n, 3) [g], nothing along what is not sensed."""
-    sensed = [i for i, axis in enumerate(COMPONENTS) if axis in c.model.axes]
-    error = np.zeros(c.reference.shape)
-    force = c.compensate(c.readings.values, c.readings.environment)
-    error[:, sensed] = force - c.reference[:, sensed]
-    return error
 
 
 def residual_picture(calibration: Calibration, words: Words = str) -> str:

@@ -1,13 +1,21 @@
 """Figures of repeated calibrations."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import CONSTANT
-from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series, new_figure, write_title
+from multipos.plots.style import (
+    COLOURS,
+    MARKERS,
+    figure_of,
+    name_axis,
+    name_series,
+    new_figure,
+    write_title,
+)
 from multipos.verification.comparison import Comparison, since_1970
 from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
 from multipos.verification.regressions import RegressionComparison
@@ -27,11 +35,7 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     Each less its mean, with U of each run.
     """
     model = comparison.calibrations[0].model
-    wanted = [
-        i
-        for i, (_, t) in enumerate(model.keys)
-        if (t == CONSTANT if term == "1" else str(t) == term)
-    ]
+    wanted = [i for i, (_, t) in enumerate(model.keys) if str(t) == term]
     draw_values(
         {
             model.names[i]: (
@@ -78,9 +82,7 @@ def runs_figure(comparison: Comparison) -> "Figure":
     the limits of the value.
     """
     if not comparison.changes:
-        figure, axes = new_figure()
-        draw_runs(comparison, axes[0])
-        return figure
+        return figure_of([partial(draw_runs, comparison)])
     rows = -(-len(comparison.changes) // _PANELS)
     figure, panels = new_figure(rows, _PANELS, width=7.8, height=1.6)
     for axes in panels[len(comparison.changes) :]:
@@ -102,10 +104,10 @@ def draw_chart(comparison: Comparison, index: int, axes: "Axes") -> None:
     U = np.array([expanded_apart(c)[index] for c in found])
     if change.per_year is not None:
         line = np.array([x.min(), x.max()])
-        slope, about = change.per_year.value, (np.mean(x), np.mean(values))
-        axes.plot(line, about[1] + slope * (line - about[0]), color=COLOURS[1], linewidth=0.9)
-        wide = change.per_year.U * np.abs(line - about[0])
-        middle = about[1] + slope * (line - about[0])
+        away = line - np.mean(x)
+        middle = np.mean(values) + change.per_year.value * away
+        wide = change.per_year.U * np.abs(away)
+        axes.plot(line, middle, color=COLOURS[1], linewidth=0.9)
         axes.fill_between(line, middle - wide, middle + wide, color=COLOURS[1], alpha=0.15)
     axes.errorbar(
         x,
@@ -164,6 +166,4 @@ def draw_terms(comparison: RegressionComparison, axes: "Axes") -> None:
 
 def terms_figure(comparison: RegressionComparison) -> "Figure":
     """Return the terms of repeated regressions."""
-    figure, axes = new_figure(height=0.9 + 0.22 * len(comparison.terms))
-    draw_terms(comparison, axes[0])
-    return figure
+    return figure_of([partial(draw_terms, comparison)], height=0.9 + 0.22 * len(comparison.terms))

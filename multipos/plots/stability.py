@@ -1,6 +1,7 @@
 """Figures of static records: the Allan deviation, and the zero against time."""
 
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from multipos.bias_stability.allan import FLICKER
 from multipos.bias_stability.stability_result import Stability
 from multipos.files.numbers import SUPERSCRIPT
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, scale_by_powers, write
+from multipos.plots.style import COLOURS, MARKERS, figure_of, name_series, scale_by_powers, write
 from multipos.units import MICRO_G
 
 if TYPE_CHECKING:
@@ -87,11 +88,8 @@ def draw_zero(found: Stability, axes: "Axes", *, output: str) -> None:
 
 def stability_figure(found: Stability) -> "Figure":
     """Return the Allan deviation, and below it the zero of every output against time."""
-    figure, axes = new_figure(1 + len(found.outputs))
-    draw_allan(found, axes[0])
-    for output, one in zip(found.outputs, axes[1:], strict=True):
-        draw_zero(found, one, output=output)
-    return figure
+    zeros = [partial(draw_zero, found, output=output) for output in found.outputs]
+    return figure_of([partial(draw_allan, found), *zeros])
 
 
 def _shown(found: Stability) -> tuple[float, str]:

@@ -63,9 +63,9 @@ def new_figure(
     return figure, axes
 
 
-def figure_of(panels: "Sequence[Callable[[Axes], object]]") -> "Figure":
+def figure_of(panels: "Sequence[Callable[[Axes], object]]", **size: float) -> "Figure":
     """Return a figure of panels below each other, each drawn by its own function."""
-    figure, axes = new_figure(len(panels))
+    figure, axes = new_figure(len(panels), 1, **size)
     for draw, one in zip(panels, axes, strict=True):
         draw(one)
     return figure

@@ -73,15 +73,11 @@ def hatch_lines(hatch: str, low: tuple[float, float], high: tuple[float, float])
     step = _HATCH_STEP / len(hatch)
     ends: list[tuple[float, float]] = []
     for slope in _SLOPES[hatch[0]]:
-        ends += _upright(step, low, high) if slope is None else _sloping(slope, step, low, high)
+        if slope is None:  # as level ones, x and y interchanged
+            ends += [(x, y) for y, x in _sloping(0.0, step, low[::-1], high[::-1])]
+        else:
+            ends += _sloping(slope, step, low, high)
     return Path(ends or [low], [Path.MOVETO, Path.LINETO] * (len(ends) // 2) or [Path.MOVETO])
-
-
-def _upright(
-    step: float, low: tuple[float, float], high: tuple[float, float]
-) -> list[tuple[float, float]]:
-    places = range(ceil(low[0] / step), floor(high[0] / step) + 1)
-    return [(k * step, y) for k in places for y in (low[1], high[1])]
 
 
 def _sloping(

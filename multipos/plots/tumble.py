@@ -1,13 +1,14 @@
 """Figures of a single-axis tumble, and of the rolls of any calibration."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
 from multipos.numerics.arrays import Array
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, new_figure
+from multipos.plots.style import COLOURS, HATCHES, MARKERS, figure_of, name_axis, name_series
 from multipos.positions.harmonics import Harmonic, Roll, beyond_chance, find_rolls, series
 from multipos.sensor.calibration import Calibration
 from multipos.verification.tumbling import Tumble, Tumbles
@@ -104,8 +105,5 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
 def tumble_figure(found: Tumble | Tumbles) -> "Figure":
     """Return the signal of every output, and what the model leaves of its harmonics."""
     each = (found,) if isinstance(found, Tumble) else tuple(found.outputs.values())
-    figure, axes = new_figure(2 * len(each))
-    for place, one in enumerate(each):
-        draw_signal(one, axes[2 * place])
-        draw_residual_harmonics(one, axes[2 * place + 1])
-    return figure
+    drawn = (draw_signal, draw_residual_harmonics)
+    return figure_of([partial(draw, one) for one in each for draw in drawn])

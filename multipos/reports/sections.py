@@ -141,12 +141,9 @@ def method_section(rows: Iterable[tuple[str, str]], tr: Translator) -> Section:
 def draw_svg(tr: Translator, height: float, *panels: Callable[[Any], object]) -> str:
     """Return a figure of panels of a height, each drawn on its own axes, as SVG translated."""
     # Imported here: a sentence on the screen needs no figure.
-    from multipos.plots.style import new_figure, to_svg
+    from multipos.plots.style import figure_of, to_svg
 
-    figure, axes = new_figure(len(panels), width=_WIDTH, height=height)
-    for draw, one in zip(panels, axes, strict=True):
-        draw(one)
-    return to_svg(figure, tr.label)
+    return to_svg(figure_of(panels, width=_WIDTH, height=height), tr.label)
 
 
 def chosen_rows(

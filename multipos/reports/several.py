@@ -37,7 +37,7 @@ from multipos.finding import FINDINGS, errors_of, read_findings, serious
 from multipos.fleets import fleet_text
 from multipos.fleets.stations import is_off
 from multipos.numerics.arrays import Array
-from multipos.plots.fleets import draw_chart, draw_histogram
+from multipos.plots.fleets import draw_chart, draw_histogram, limited
 from multipos.plots.runs import draw_values
 from multipos.reports import sections
 from multipos.reports.certificate import Content, lab_fields, read_lab
@@ -435,8 +435,6 @@ def _heading(text: str, tr: sections.Translator) -> str:
 
 
 def _histograms(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sections.Figure, ...]:
-    counted = [each for each in found["parameters"] if each["histogram"] is not None]
-    limited = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
     return tuple(
         sections.Figure(
             each["name"],
@@ -446,7 +444,7 @@ def _histograms(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sect
             ),
             partial(sections.draw_svg, tr, 2.2, partial(draw_histogram, each)),
         )
-        for each in (limited or counted)[:_DRAWN]
+        for each in limited(found["parameters"], _DRAWN)
     )
 
 

@@ -154,16 +154,10 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
     if isinstance(found, Design):
         return [partial(schemes.draw_scheme, found.columns())]
     if isinstance(found, Fleet):
-        return [partial(fleets.draw_histogram, each) for each in _limited(found)]
+        drawn = fleets.limited(found.summary["parameters"], _PARAMETERS)
+        return [partial(fleets.draw_histogram, each) for each in drawn]
     one = _ONE_PANEL.get(type(found))
     return [] if one is None else [partial(one, found)]
-
-
-def _limited(found: Fleet) -> list[Mapping[str, Any]]:
-    """Return the first parameters of a fleet that have limits, or the first where none has."""
-    counted = [each for each in found.summary["parameters"] if each["histogram"] is not None]
-    held = [each for each in counted if each["lsl"] is not None or each["usl"] is not None]
-    return (held or counted)[:_PARAMETERS]
 
 
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
