@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 
 from multipos.commands.answers import Answer, Output
-from multipos.commands.options import file_progress
+from multipos.commands.options import file_progress, options_of
 from multipos.compensation.applying import apply_log, digits_written
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
@@ -28,14 +28,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     if arguments.correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")
     calibration = load(arguments.calibration)
-    options = {
-        "tilt": arguments.tilt,
-        "uncertainty": arguments.uncertainty,
-        "reading_sd": arguments.reading_sd,
-        "parameters_only": arguments.parameters_only,
-        "outside": arguments.outside,
-        "beside": None if arguments.beside is None else load(arguments.beside),
-    }
+    options = options_of(arguments, "apply", ["columns", "correct"])
+    options["beside"] = None if arguments.beside is None else load(arguments.beside)
     log = open_log(arguments.data, columns=arguments.columns)
     applied = apply_log(calibration, log, **options)
 
@@ -74,10 +68,7 @@ def _correct(arguments: argparse.Namespace) -> Answer:
         load_regression(arguments.calibration),
         table,
         column=arguments.correct,
-        uncertainty=arguments.uncertainty,
-        reading_sd=arguments.reading_sd,
-        parameters_only=arguments.parameters_only,
-        outside=arguments.outside,
+        **options_of(arguments, "apply", ["columns", "correct", "tilt"]),
     )
     digits = digits_written({*columns} - {*table.columns})
     return _answer(
@@ -102,8 +93,7 @@ def _answer(
 ) -> Answer:
     def json() -> Iterable[str]:
         table, said = columns(), {} if noise is None else {"noise": noise}
-        listed = {"findings": [each.to_dict() for each in findings()]}
-        return json_table(table, len(table["outside"]), said | listed)
+        return json_table(table, len(table["outside"]), {**said, "findings": findings()})
 
     return Answer(
         sentence=sentence,

@@ -51,13 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    exported = export(
-        _loaded(arguments.calibration),
-        arguments.to,
-        **options_of(arguments, "export options"),
-        correct=arguments.correct,
-        nominal=arguments.nominal,
-    )
+    exported = export(_loaded(arguments.calibration), **options_of(arguments, "export"))
     names = [arguments.output, *map(str, _beside(arguments))]
     listing = {"target": exported.target, "files": names, "findings": exported.findings}
     return Answer(
