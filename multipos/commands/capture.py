@@ -22,7 +22,6 @@ from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
-from multipos.results import frozen
 
 
 def _calibration_path(output: str) -> Path:
@@ -90,8 +89,8 @@ def run(arguments: argparse.Namespace) -> Answer:
         except BaseException as error:
             if path is None or not session.accepted:
                 raise
-            return _answer(arguments, _Result(running.rescued(session), arguments), error)
-    return _answer(arguments, _Result(captured(session), arguments))
+            return _answer(arguments, running.rescued(session), error)
+    return _answer(arguments, captured(session))
 
 
 def _begin(
@@ -113,42 +112,37 @@ def _readings_path(arguments: argparse.Namespace) -> Path | None:
     return None if arguments.output in (None, STDOUT) else Path(arguments.output)
 
 
-@frozen(eq=True)
-class _Result:
-    """What is written, and how it is printed."""
+def _exports(
+    found: running.Captured, arguments: argparse.Namespace
+) -> tuple[dict[Path, Exported], list[str]]:
+    if not arguments.to:
+        return {}, []
+    if found.calibration is None:
+        return {}, [f"no calibration to export: {found.problem}"]
+    return make_exports(found.calibration, arguments, _calibration_path(arguments.output))
 
-    captured: running.Captured
-    arguments: argparse.Namespace
 
-    def exports(self) -> tuple[dict[Path, Exported], list[str]]:
-        calibration = self.captured.calibration
-        if not self.arguments.to:
-            return {}, []
-        if calibration is None:
-            return {}, [f"no calibration to export: {self.captured.problem}"]
-        return make_exports(calibration, self.arguments, _calibration_path(self.arguments.output))
-
-    def files(self, made: str, exports: Mapping[Path, Exported]) -> Any:
-        """Return what ``-o`` writes: the readings, and everything beside them."""
-        if self.arguments.output == STDOUT:
-            return made
-        files: dict[Any, Any] = {self.arguments.output: made}
-        calibration = self.captured.calibration
-        if calibration is not None:
-            path = _calibration_path(self.arguments.output)
-            files[path] = to_json(calibration.to_dict())
-            files[path.with_suffix(".html")] = html_report(build_content(calibration))
-        for path, each in exports.items():
-            files |= each.files(path)
-        return files
+def _files(
+    found: running.Captured, output: str, made: str, exports: Mapping[Path, Exported]
+) -> Any:
+    """Return what ``-o`` writes: the readings, and everything beside them."""
+    if output == STDOUT:
+        return made
+    files: dict[Any, Any] = {output: made}
+    if found.calibration is not None:
+        path = _calibration_path(output)
+        files[path] = to_json(found.calibration.to_dict())
+        files[path.with_suffix(".html")] = html_report(build_content(found.calibration))
+    for path, each in exports.items():
+        files |= each.files(path)
+    return files
 
 
 def _answer(
-    arguments: argparse.Namespace, result: _Result, ended_by: BaseException | None = None
+    arguments: argparse.Namespace, found: running.Captured, ended_by: BaseException | None = None
 ) -> Answer:
     """Return what is written and printed; of a session that an error ended its readings."""
-    found = result.captured
-    exports, refused = result.exports() if ended_by is None else ({}, [])
+    exports, refused = _exports(found, arguments) if ended_by is None else ({}, [])
     table = "" if found.averages is None else format_csv(found.averages.columns())
 
     def sentence() -> str:
@@ -173,8 +167,8 @@ def _answer(
         verbatim=arguments.headless,
         json=lambda: "" if arguments.headless else to_json(found.to_dict()),
         forms={
-            "table": lambda: result.files(table, exports),
-            "json": lambda: result.files(to_json(found.to_dict()), exports),
+            "table": lambda: _files(found, arguments.output, table, exports),
+            "json": lambda: _files(found, arguments.output, to_json(found.to_dict()), exports),
         },
         findings=lambda: (
             *found.findings,

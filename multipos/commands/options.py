@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,16 +22,6 @@ _PATIENCE = 2.0  # [s] before progress shows
 _OFTEN = 0.2  # [s] from one line of it to the next
 _BITS = 64  # of a reading, the most
 _LARGE = 1 << 24  # bytes; a smaller file is read before a bar could be seen
-
-
-def names(text: str) -> tuple[str, ...]:
-    """Return names separated by commas."""
-    return _read(split_names, text)
-
-
-def numbers(text: str) -> tuple[float, ...]:
-    """Return numbers separated by commas."""
-    return _read(split_numbers, text)
 
 
 def _read(split: Callable[[str], T], text: str) -> T:
@@ -56,8 +46,8 @@ def _degrees(text: str) -> float | str:
 
 
 _TYPES: dict[str, Callable[[str], Any]] = {
-    "names": names,
-    "numbers": numbers,
+    "names": partial(_read, split_names),
+    "numbers": partial(_read, split_numbers),
     "float": float,
     "int": int,
     "whole": _whole,

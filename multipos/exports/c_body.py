@@ -54,6 +54,13 @@ def environment_range(calibration: Calibration, name: str) -> tuple[float, float
     return float(seen.min()), float(seen.max())
 
 
+def slope_in_the_middle(calibration: Calibration) -> Array:
+    """Return dh/df (M, 3) at no force, in the middle of the calibrated environment."""
+    model = calibration.model
+    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
+    return np.asarray(model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0])
+
+
 def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tuple[int, float]:
     """Return the number of steps, eq. (3), and rho; `slope` (M, K) is K0.
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import (
-    environment_range,
     force_grid,
     literal,
     needed_steps,
+    slope_in_the_middle,
     steps_in_words,
 )
 from multipos.numerics.arrays import COMPONENTS, Array
@@ -88,15 +88,14 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
     model = calibration.model
     assert isinstance(model, ExpressionModel)
     sensed = list(model.sensed_axes)
-    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
-    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0][:, sensed]
+    slope = slope_in_the_middle(calibration)[:, sensed]
     kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
     start = ", ".join(f"{axis} = {literal(0.0, single)}" for axis in axes)
     try:
         if len(model.outputs) > len(sensed):
             raise MultiposError("more outputs than axes")  # whose steps are Newton's
         steps, rho = needed_steps(calibration, slope, single=single)
-        lines, library = _write_step(calibration, np.linalg.inv(slope), single)
+        lines, library = _write_step(calibration, np.asarray(np.linalg.inv(slope)), single)
         how, ends = steps_in_words(steps, rho), axes
     except MultiposError:
         steps = _newton_steps(calibration, single)

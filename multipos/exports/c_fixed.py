@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
-from multipos.exports.c_running import fill
+from multipos.exports.c_running import array, fill
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.results import frozen
@@ -272,12 +272,8 @@ def fixed_test(fixed: FixedPoint, name: str) -> str:
     """Return a C99 program that checks the function against Python, to the bit."""
     values = fixed.calibration.readings.values
     rows = fixed.whole(np.concatenate([values, 2.0 * values - np.roll(values, 1, axis=0)])[:24])
-    arrays = "\n".join(
-        f"static const int32_t {key}[COUNT][{numbers.shape[1]}] = {{\n"
-        + ",\n".join(f"    {{{', '.join(map(str, row))}}}" for row in numbers.tolist())
-        + "\n};"
-        for key, numbers in (("raw", rows), ("expected", fixed_forces(fixed, rows)))
-    )
+    both = (("raw", rows), ("expected", fixed_forces(fixed, rows)))
+    arrays = "\n".join(array(key, "int32_t", numbers.tolist()) for key, numbers in both)
     return fill(
         "test_fixed.c",
         name=name,

@@ -66,14 +66,14 @@ class Drift(NamedTuple):
         powers = (off - self.reference)[..., None] ** np.arange(1, 4)
         return np.asarray(powers @ self.slopes)
 
-    def about(self, reference: float) -> tuple[Array, "Drift"]:
-        """Return the same drift about another t_0: what the offset gains, and the drift."""
+    def about(self, reference: float) -> "Drift":
+        """Return the same drift about another t_0, without what the offset gains there."""
         x = np.polynomial.Polynomial([reference - self.reference, 1.0])
         found = np.zeros((4, 3))
         for axis in range(3):
             moved = np.polynomial.Polynomial([0.0, *self.slopes[:, axis]])(x).coef
             found[: len(moved), axis] = moved
-        return found[0], self._replace(slopes=found[1:], reference=reference)
+        return self._replace(slopes=found[1:], reference=reference)
 
     def scaled(self, factor: float) -> "Drift":
         """Return the drift of readings in another unit."""
@@ -230,7 +230,7 @@ def _drift(calibration: Calibration, model: Model, parameters: Array) -> Drift |
             axis = COMPONENTS.index(model.axes[model.outputs.index(output)])
             slopes[_POWERS.index(str(term)), axis] = value
     zero = Drift(slopes, 0.0, float(seen.min()), float(seen.max()))
-    return zero.about(float(np.mean(seen)))[1]
+    return zero.about(float(np.mean(seen)))
 
 
 def law_residuals(calibration: Calibration, law: Correction, tesla: float | None = None) -> Array:

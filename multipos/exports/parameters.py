@@ -82,10 +82,14 @@ def parameter_target(
     """
     of_target = partial(laws.reduce_to, thermal=thermal, tesla=tesla, offset_alone=offset_alone)
 
-    def write_file(calibration: Calibration, wish: Wish) -> Exported:
+    def conversion(calibration: Calibration) -> tuple[float, float]:
+        """Return what the consumer holds for a unit of the readings, and the reading of its 0."""
         laws.check_inputs(calibration, name, thermal=thermal)
         metres = laws.in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
-        zero = 0.0 if raw == "readings" else laws.raw_zero(calibration)
+        return metres, 0.0 if raw == "readings" else laws.raw_zero(calibration)
+
+    def write_file(calibration: Calibration, wish: Wish) -> Exported:
+        metres, zero = conversion(calibration)
         law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
         text, found = write(calibration, law.correction.of_raw_in(metres, zero), wish)
         if law.lost:
@@ -100,10 +104,8 @@ def parameter_target(
         given = read(file.path, file.text)
         if (stated := _NOMINAL.search(file.text)) is not None:
             calibration = replace(calibration, nominal=read_nominal([*map(float, stated.groups())]))
-        laws.check_inputs(calibration, name, thermal=thermal)
         expected = of_target(calibration, formula, name, allow_lossy=True).correction
-        metres = laws.in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
-        zero = 0.0 if raw == "readings" else laws.raw_zero(calibration)
+        metres, zero = conversion(calibration)
         with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in the file
             law = given.of_raw_in(1.0 / metres, -zero * metres)._replace(turn=expected.turn)
             residuals = laws.law_residuals(calibration, law, tesla)

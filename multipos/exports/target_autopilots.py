@@ -305,8 +305,7 @@ def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> p
 
 def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
     """Return the parameters of eq. (1)."""
-    _, about = drift.about(_REFERENCE)
-    slopes = (about.slopes / _UNIT).ravel().tolist()
+    slopes = (drift.about(_REFERENCE).slopes / _UNIT).ravel().tolist()
     limits = (drift.reference, drift.low, drift.high)
     return [
         (f"INS_TCAL{instance}_ENABLE", 1),

@@ -29,7 +29,13 @@ import numpy as np
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
 from multipos.exports import c_expression, c_fixed, c_running, laws, parameters
-from multipos.exports.c_body import environment_range, function_body, literal, written_factors
+from multipos.exports.c_body import (
+    environment_range,
+    function_body,
+    literal,
+    slope_in_the_middle,
+    written_factors,
+)
 from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
@@ -334,11 +340,8 @@ def _require_held(calibration: Calibration, single: bool) -> None:
 
 def _negligible(calibration: Calibration) -> Array:
     """Return how small each parameter (p,) may be and be nothing, in its output."""
-    model = calibration.model
-    middle = {n: np.array([np.mean(environment_range(calibration, n))]) for n in model.environment}
-    slope = model.force_jacobian(calibration.parameters, np.zeros((1, 3)), middle)[0]
-    sizes = _NEGLIGIBLE * np.abs(slope).max(axis=1)
-    return model.per_parameter(sizes, sizes.min())
+    sizes = _NEGLIGIBLE * np.abs(slope_in_the_middle(calibration)).max(axis=1)
+    return calibration.model.per_parameter(sizes, sizes.min())
 
 
 def _header(
@@ -427,13 +430,11 @@ def _vectors(calibration: Calibration, single: bool) -> tuple[Array, Array, Arra
 
 def array(name: str, values: Array, single: bool) -> str:
     """Return a constant array of rows, of length ``COUNT``."""
-    kind = "float" if single else "double"
     cells = [
         ["NAN" if value != value else literal(value, single) for value in row]
         for row in values.tolist()
     ]
-    rows = ",\n".join(f"    {{{', '.join(row)}}}" for row in cells)
-    return f"static const {kind} {name}[COUNT][{values.shape[1]}] = {{\n{rows}\n}};"
+    return c_running.array(name, "float" if single else "double", cells)
 
 
 _SHOWN = 60  # characters of a line in a message

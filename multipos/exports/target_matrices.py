@@ -89,12 +89,8 @@ def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> para
     if wish.stability is None:
         findings.append(_NO_NOISE)
     else:
-        white, walk = densities(calibration, wish.stability)
-        noise = [
-            f"  accelerometer_noise_density: {white!r}  # m/s^2/sqrt(Hz)",
-            f"  accelerometer_random_walk: {walk!r}  # m/s^3/sqrt(Hz)",
-            f"  update_rate: {float(wish.stability.sample_rate)!r}  # Hz",
-        ]
+        found = _noise_lines(*densities(calibration, wish.stability), wish.stability)
+        noise = [f"  {line}" for line in found]
     lines = [
         *(f"# {line}" for line in parameters.origin(calibration)),
         f"# raw = M {'C_i_case ' * bool(turned)}a + bias in m/s^2; Kalibr has no constant bias",
@@ -108,6 +104,15 @@ def _write_kalibr(calibration: Calibration, law: Correction, wish: Wish) -> para
         *noise,
     ]
     return "\n".join(lines) + "\n", findings
+
+
+def _noise_lines(white: float, walk: float, stability: Stability) -> list[str]:
+    """Return eq. (2) and the sample rate as Kalibr names them."""
+    return [
+        f"accelerometer_noise_density: {white!r}  # m/s^2/sqrt(Hz)",
+        f"accelerometer_random_walk: {walk!r}  # m/s^3/sqrt(Hz)",
+        f"update_rate: {float(stability.sample_rate)!r}  # Hz",
+    ]
 
 
 def _in_own_axes(response: Array) -> tuple[Array, Array]:
@@ -221,12 +226,8 @@ def write_noise(stability: Stability, to: str) -> Exported:
     walk = [float(metres * each.random_walk.value) for each in stability.outputs.values()]
     rate = float(stability.sample_rate)
     if to == "kalibr":
-        lines = [
-            "# of the accelerometer; gyroscopes are not measured in static positions",
-            f"accelerometer_noise_density: {max(white)!r}  # m/s^2/sqrt(Hz)",
-            f"accelerometer_random_walk: {max(walk)!r}  # m/s^3/sqrt(Hz)",
-            f"update_rate: {rate!r}  # Hz",
-        ]
+        head = "# of the accelerometer; gyroscopes are not measured in static positions"
+        lines = [head, *_noise_lines(max(white), max(walk), stability)]
         return Exported("kalibr", "\n".join(lines) + "\n")
     if len(white) != 3:
         raise MultiposError(

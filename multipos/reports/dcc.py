@@ -166,6 +166,12 @@ class _Writer:
         self.add(parent, "mimeType", kind)
         self.add(parent, "dataBase64", base64.b64encode(text.encode("utf-8")).decode("ascii"))
 
+    def data_of(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
+        """Add a named element and return where its data go."""
+        child = self.add(parent, name)
+        self.text_element(child, "name", text)
+        return self.add(child, "data")
+
     def quantity(
         self, parent: ElementTree.Element, name: str, value: float, unit: str, label: str = ""
     ) -> ElementTree.Element:
@@ -292,9 +298,8 @@ def _results(writer: _Writer, root: ElementTree.Element, c: Calibration, lab: La
     found = writer.add(result, "results")
     _parameters(writer, found, c)
     _covariance(writer, found, c)
-    whole = writer.add(found, "result")
-    writer.text_element(whole, "name", "The calibration as JSON")
-    data = writer.add(writer.add(whole, "data"), "byteData")
+    whole = writer.data_of(found, "result", "The calibration as JSON")
+    data = writer.add(whole, "byteData")
     writer.file(data, "calibration.json", "application/json", to_json(c.to_dict()))
 
 
@@ -312,16 +317,14 @@ def _conditions(writer: _Writer, result: ElementTree.Element, c: Calibration) ->
     temperature = c.readings.environment.get("temperature")
     if temperature is None or not np.isfinite(temperature).all():
         return
-    condition = writer.add(writer.add(result, "influenceConditions"), "influenceCondition")
-    writer.text_element(condition, "name", "temperature during the calibration, mean")
-    data = writer.add(condition, "data")
+    conditions = writer.add(result, "influenceConditions")
+    said = "temperature during the calibration, mean"
+    data = writer.data_of(conditions, "influenceCondition", said)
     writer.quantity(data, "temperature", float(temperature.mean()), r"\degreecelsius")
 
 
 def _parameters(writer: _Writer, found: ElementTree.Element, c: Calibration) -> None:
-    result = writer.add(found, "result")
-    writer.text_element(result, "name", "Parameters")
-    table = writer.add(writer.add(result, "data"), "list")
+    table = writer.add(writer.data_of(found, "result", "Parameters"), "list")
     for parameter in c.entries:
         factor, unit, named = _unit(parameter.unit, known=c.gravity is not None)
         label = f"{parameter.label}, unit {parameter.unit}" if named else parameter.label
@@ -344,9 +347,8 @@ def _covariance(writer: _Writer, found: ElementTree.Element, c: Calibration) -> 
     units = [_unit(parameter.unit, known=c.gravity is not None) for parameter in c.entries]
     factors = np.array([factor for factor, _, _ in units])
     covariance = c.covariance * np.outer(factors, factors)
-    result = writer.add(found, "result")
-    writer.text_element(result, "name", "Covariance of the parameters, in their order")
-    table = writer.add(writer.add(result, "data"), "list")
+    said = "Covariance of the parameters, in their order"
+    table = writer.add(writer.data_of(found, "result", said), "list")
     for name, row, (_, own, _) in zip(names, covariance, units, strict=True):
         quantity = writer.add(table, "quantity")
         writer.words(quantity, "name", name)

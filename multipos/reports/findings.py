@@ -44,7 +44,7 @@ from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Sessions
 from multipos.uncertainty.budgets import KINDS
-from multipos.uncertainty.propagation import Evaluation, Row
+from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
 from multipos.units import unit_per
 
@@ -455,20 +455,13 @@ def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
             *_scaled(row.u, row.unit),
             number(float(row.dof.min())),
             tr("yes") if row.common else tr("no"),
-            _treatment(row, tr),
+            tr("in the residuals" if row.contained.all() else "added"),
         )
         for row in budget.rows
         if row is first[row.quantity]
     ]
     header = ("Quantity", "Evaluation", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
     return PageTable(tr("Input quantities"), tuple(map(tr, header)), tuple(lines), left=3)
-
-
-def _treatment(row: Row, tr: Translator) -> str:
-    """Return what becomes of a quantity: added, unless the scatter holds it."""
-    if row.contained.all():
-        return tr("in the residuals")
-    return tr("added")
 
 
 def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:

@@ -109,7 +109,8 @@ _REGRESSIONS = Fields(
     },
     FINDINGS,
 )
-_KEYS = ("calibrations", "regressions")
+# What a comparison is of: how it is described, and which entries have a value for each run.
+_KINDS = {"calibrations": (_CALIBRATIONS, "parameters"), "regressions": (_REGRESSIONS, "terms")}
 
 
 def read_comparison(path: StrPath) -> dict[str, Any] | None:
@@ -126,14 +127,13 @@ def read_comparison(path: StrPath) -> dict[str, Any] | None:
         return None
     if not isinstance(content, dict) or "consistent" not in content:
         return None
-    kind = next((key for key in _KEYS if key in content), None)
+    kind = next((key for key in _KINDS if key in content), None)
     if kind is None:
         return None
-    described = _CALIBRATIONS if kind == "calibrations" else _REGRESSIONS
+    described, entries = _KINDS[kind]
     require(content, described, str(path), "compare again")
     runs = len(content[kind])
-    entries = content["parameters" if kind == "calibrations" else "terms"]
-    columns = [entry[key] for entry in entries for key in ("values", "U") if key in entry]
+    columns = [entry[k] for entry in content[entries] for k in ("values", "U") if k in entry]
     if any(len(column) != runs for column in columns):
         raise MultiposError(f"{path}: it has not a value for each of {runs} runs; compare again.")
     return content

@@ -37,7 +37,7 @@ References
 JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/formats`.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -235,14 +235,9 @@ def root_of(covariance: Array) -> Array:
 
 
 def _judge(run: _Run) -> Agreement:
-    nu = run.nu
-    if np.isinf(nu).all():
-        nu_of = [np.inf]
-        parts: list[Any] = [slice(None)]
-    elif run.apart:
-        nu_of, parts = nu.tolist(), [slice(i, i + 1) for i in range(len(nu))]
-    else:
-        nu_of, parts = [float(nu.min())], [slice(None)]
+    nu_of, parts = [float(run.nu.min())], [slice(None)]
+    if run.apart and not np.isinf(run.nu).all():
+        nu_of, parts = run.nu.tolist(), [slice(i, i + 1) for i in range(len(run.nu))]
     outcome = []
     for part, of_it in zip(parts, nu_of, strict=True):
         r = run.r[:, part].reshape(-1, 1)

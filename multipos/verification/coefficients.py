@@ -128,6 +128,7 @@ def kept_coefficients(
                 f"{loss:.2g} times as large; it is taken as zero"
             )
     found = separability(design, least_norm=ZERO_NORM)
+    said = name_combinations(found.null, every, rows="points")
     if kept[:2] != [0, 1]:
         raise RankError(
             f"{data.source or 'the readings'}: these points cannot separate K0 from K1 of "
@@ -135,9 +136,8 @@ def kept_coefficients(
             "output out with --outputs.",
             rank=found.rank,
             parameters=found.parameters,
-            combinations=name_combinations(found.null, every, rows="points"),
+            combinations=said,
         )
-    said = name_combinations(found.null, every, rows="points")
     said = (*_with_squares(said, found.null, every), *faint)
     return tuple(every[column] for column in kept), said
 

@@ -194,45 +194,28 @@ class Comparison(Judgement, Result, Drawn):
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
         first = self.calibrations[0].model
-        names = (
-            "values",
-            "mean",
-            "sd",
-            "range",
-            "chi2",
-            "dof",
-            "p",
-            "scatter_dof",
-            "drift",
-            "drift_u",
-            "drift_p",
-        )
-        columns = (self.values.T, *(getattr(self, name) for name in names[1:]))
+        judged = ("chi2", "dof", "p", "scatter_dof")
+        names = ("mean", "sd", "range", *judged, "drift", "drift_u", "drift_p")
+        parameters = [
+            {
+                "output": output,
+                "term": str(term),
+                "name": name,
+                "unit": first.units[i],
+                "U": tuple(float(c.U[i]) for c in self.calibrations),
+                "values": self.values[:, i],
+                **{key: getattr(self, key)[i] for key in names},
+                "drift_unit": f"{first.units[i]}/{'s' if self.per == 'time' else 'run'}",
+                "moved": name in self.moved,
+            }
+            for i, (name, (output, term)) in enumerate(zip(first.names, first.keys, strict=True))
+        ]
         return {
             "calibrations": [
                 {"file": file, "created": c.created}
                 for file, c in zip(self.files, self.calibrations, strict=True)
             ],
-            "parameters": [
-                {
-                    "output": output,
-                    "term": str(term),
-                    "name": name,
-                    "unit": unit,
-                    "U": U,
-                    **dict(zip(names, row, strict=True)),
-                    "drift_unit": f"{unit}/{'s' if self.per == 'time' else 'run'}",
-                    "moved": name in self.moved,
-                }
-                for (output, term), name, unit, U, row in zip(
-                    first.keys,
-                    first.names,
-                    first.units,
-                    zip(*(c.U.tolist() for c in self.calibrations), strict=True),
-                    zip(*columns, strict=True),
-                    strict=True,
-                )
-            ],
+            "parameters": parameters,
             "bias_stability": self.bias_stability,
             "statistic": self.statistic,
             "dof": self.dof_total,
@@ -364,25 +347,26 @@ def _kind(run: Run) -> str:
 
 
 def _check_alike(found: Sequence[Calibration], files: Sequence[str]) -> None:
-    first = found[0]
+    first = _nature(found[0])
     for c, file in zip(found[1:], files[1:], strict=True):
-        for what, mine, other in (
-            ("outputs", first.outputs, c.outputs),
-            (
-                "terms",
-                [f"{o}:{t}" for o, t in first.model.keys],
-                [f"{o}:{t}" for o, t in c.model.keys],
-            ),
-            ("unit", first.model.unit, c.model.unit),
-            ("convention", first.convention, c.convention),
-            ("units of the field", first.field.printed, c.field.printed),
-            ("gauge", first.model.gauge, c.model.gauge),
-        ):
+        for (what, other), mine in zip(_nature(c).items(), first.values(), strict=True):
             if mine != other:
                 raise MultiposError(
                     f"{file}: its {what} differ from those of {files[0]} ({_listed(other)}, not "
                     f"{_listed(mine)}); compare calibrations of one unit and one model."
                 )
+
+
+def _nature(c: Calibration) -> dict[str, object]:
+    """Return what repeats have in common."""
+    return {
+        "outputs": c.outputs,
+        "terms": [f"{output}:{term}" for output, term in c.model.keys],
+        "unit": c.model.unit,
+        "convention": c.convention,
+        "units of the field": c.field.printed,
+        "gauge": c.model.gauge,
+    }
 
 
 def _of_biases(calibration: Calibration, sd: Array) -> dict[str, float]:

@@ -44,6 +44,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import in_tesla
 from multipos.uncertainty.propagation import evaluate_budget
 
+LimitsSource = StrPath | dict[str, Any]
+Stated = float | tuple[float | None, float | None]  # a limit on |change|, or the two of the value
 YEAR = 365.25 * 86400.0  # s
 _LEVEL = 0.05  # at which χ² rejects a straight line
 _LONGEST = 10.0  # years to a due date
@@ -86,7 +88,7 @@ class Change(Keyed):
     U: float
     En: float
     per_year: Rate | None
-    limit: float | tuple[float | None, float | None] | None
+    limit: Stated | None
     within: bool | None
     due: str | None
 
@@ -97,7 +99,7 @@ def dates_of(found: Sequence[Calibration], seconds: Array | None) -> Array:
 
 
 def find_changes(
-    found: Sequence[Calibration], seconds: Array | None, limits: "LimitsSource | None"
+    found: Sequence[Calibration], seconds: Array | None, limits: LimitsSource | None
 ) -> tuple[Change, ...]:
     """Return the changes of every parameter, eqs. (1) to (3).
 
@@ -175,9 +177,7 @@ def _rates(years: Array, values: Array, U: Array, c: Calibration) -> Array:
     return np.asarray([slope, factor * np.sqrt(np.maximum(excess, 1.0) / square)])
 
 
-def _bounds(
-    limit: "float | tuple[float | None, float | None] | None", first: float, last: float
-) -> tuple[float, float, float]:
+def _bounds(limit: Stated | None, first: float, last: float) -> tuple[float, float, float]:
     """Return the lower and upper bound of what is limited, and where it is now."""
     if isinstance(limit, tuple):
         low, high = limit
@@ -201,12 +201,7 @@ def _due(value: float, rate: Rate | None, low: float, high: float, at: float) ->
     return (day + timedelta(days=365.25 * years)).isoformat()
 
 
-LimitsSource = StrPath | dict[str, Any]
-
-
-def _stated_limits(
-    limits: LimitsSource | None, c: Calibration
-) -> dict[str, float | tuple[float | None, float | None]]:
+def _stated_limits(limits: LimitsSource | None, c: Calibration) -> dict[str, Stated]:
     """Return the limit of each parameter that has one."""
     if limits is None:
         return {}
@@ -226,9 +221,9 @@ def _pair(limit: Limit) -> tuple[float | None, float | None]:
     return low, high
 
 
-def _of_changes(text: str, c: Calibration) -> dict[str, float | tuple[float | None, float | None]]:
+def _of_changes(text: str, c: Calibration) -> dict[str, Stated]:
     """Return limits on |change|, by name or kind, of a text as 'bias=1mg,scale=500ppm'."""
-    found: dict[str, float | tuple[float | None, float | None]] = {}
+    found: dict[str, Stated] = {}
     kinds = [name.partition("_")[0] for name in c.names]
     for part in text.split(","):
         name, _, stated = (piece.strip() for piece in part.partition("="))
@@ -251,14 +246,8 @@ def _in_unit(value: float, unit: str, name: str, c: Calibration) -> float:
     if unit in ("", own):
         return value
     output = c.model.keys[i][0]
-    scale = next(
-        (
-            abs(float(v))
-            for n, v in zip(c.names, c.parameters, strict=True)
-            if n == f"scale_{output}"
-        ),
-        1.0,
-    )
+    scales: dict[str, float] = dict(zip(c.names, np.abs(c.parameters).tolist(), strict=True))
+    scale = scales.get(f"scale_{output}", 1.0)
     factor = _OF_G.get(unit) if name.startswith("bias_") else None
     factor = _RELATIVE.get(unit) if factor is None else factor
     if factor is None and name.startswith("bias_") and in_tesla(unit) and in_tesla(own):

@@ -195,9 +195,8 @@ def _judge_run(
         return no_agreement("the noise of the readings is not known")
     rows = _rows(r, columns, place, e, run)
     noise = find_noise(np.hstack([rows.X, rows.Z]), e, order)
-    laws = [*(noise.plausible[:_LAWS] if noise else ()), Law(0.0, 0.0, np.zeros(0))]
-    if noise is not None and noise.plausible:
-        laws = laws[:-1]
+    plausible = () if noise is None else noise.plausible[:_LAWS]
+    laws = plausible or (Law(0.0, 0.0, np.zeros(0)),)
     found = [_judge_by(r, rows, Whitening(order, law)) for law in laws]
     tested = [one for one in found if one is not None]
     if not tested:

@@ -597,14 +597,9 @@ def _together(found: dict[str, Tumble], axes: tuple[str, ...]) -> Tumbles:
     table = table_errors(*(one.calibration for one in found.values()))
     beside: dict[str, dict[str, TumbleCoefficient]] = {}
     if table.beside is not None:
-        beside = {
-            name: coefficients_beside(one.calibration, axis, table.beside)
-            for (name, one), axis in zip(found.items(), axes, strict=True)
-        }
-        found = {
-            name: _beside_all(one, axis, beside[name], table.beside)
-            for (name, one), axis in zip(found.items(), axes, strict=True)
-        }
+        for (name, one), axis in zip(tuple(found.items()), axes, strict=True):
+            beside[name] = coefficients_beside(one.calibration, axis, table.beside)
+            found[name] = _beside_all(one, axis, beside[name], table.beside)
     value, u = np.full((len(axes), 3), np.nan), np.full((len(axes), 3), np.nan)
     for row, (one, axis) in enumerate(zip(found.values(), axes, strict=True)):
         i, p, o = (COMPONENTS.index(role) for role in roles(axis).values())

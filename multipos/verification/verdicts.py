@@ -160,20 +160,23 @@ class Check(Result, Drawn):
         counted = self.counted
         if segment is not None:
             counted = counted & self.segments[segment][:, None]
+
+        def seen(values: Array) -> Array:
+            part = values[:, columns][counted[:, columns]]
+            finite = part[np.isfinite(part)]
+            return finite if len(finite) else np.array([np.nan])
+
         found: dict[str, Any] = {}
         for when, errors in (("before", self.before), ("after", self.after)):
-            part = errors[:, columns][counted[:, columns]]
-            part = part[np.isfinite(part)]
+            part = seen(errors)
             found[when] = {
-                "maximum": float(np.abs(part).max()) if len(part) else np.nan,
-                "rms": float(np.sqrt(np.mean(part**2))) if len(part) else np.nan,
+                "maximum": float(np.abs(part).max()),
+                "rms": float(np.sqrt(np.mean(part**2))),
                 "linearity_percent": float(self.linearity_percent[when][columns].max()),
             }
         widest = np.where(counted, self.U, -np.inf)[:, columns]
         found["after"]["largest_U"] = float(widest.max())
-        ratio = self.En[:, columns][counted[:, columns]]
-        ratio = ratio[np.isfinite(ratio)]
-        found["after"]["largest_En"] = float(ratio.max()) if len(ratio) else np.nan
+        found["after"]["largest_En"] = float(seen(self.En).max())
         found["verdict"] = worst(np.where(counted, self.verdicts, "")[:, columns])
         return found
 

@@ -160,7 +160,7 @@ def test_a_file_of_another_temperature_is_foreign(tmp_path):
 def test_a_drift_is_the_same_about_any_temperature():
     drift = Drift(SLOPES, 0.0, -5.0, 55.0)
     t = np.linspace(-20.0, 70.0, 10)
-    gained, about = drift.about(21.0)
+    gained, about = drift.offset(21.0), drift.about(21.0)
     np.testing.assert_allclose(gained + about.offset(t), drift.offset(t), atol=1e-12)
     held = np.clip(t, -5.0, 55.0)[:, None]
     np.testing.assert_allclose(drift.offset(t), held ** np.arange(1, 4) @ SLOPES, atol=1e-12)
