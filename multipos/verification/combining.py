@@ -36,6 +36,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -156,23 +157,17 @@ def _joined(sessions: Sequence[Readings]) -> Readings:
     first = sessions[0]
     shared = [n for n in first.environment if all(n in r.environment for r in sessions)]
     sources = dict.fromkeys(r.source for r in sessions if r.source is not None)
+    names = ("up", "rotation", "u", "dof", "samples", "sd", "orientation_sd", "force")
+    arrays: dict[str, Any] = {name: _stacked(sessions, name) for name in (*names, "reference_u")}
     return Readings(
         values=np.concatenate([r.values for r in sessions]),
         outputs=first.outputs,
         positions=tuple(label for r in sessions for label in r.labels),
-        up=_stacked(sessions, "up"),
-        rotation=_stacked(sessions, "rotation"),
-        u=_stacked(sessions, "u"),
-        dof=_stacked(sessions, "dof"),
-        samples=_stacked(sessions, "samples"),
-        sd=_stacked(sessions, "sd"),
-        orientation_sd=_stacked(sessions, "orientation_sd"),
         group=_groups(sessions),
         environment={n: np.concatenate([r.environment[n] for r in sessions]) for n in shared},
         unit=first.unit,
         source=", ".join(sources) or None,
-        force=_stacked(sessions, "force"),
-        reference_u=_stacked(sessions, "reference_u"),
+        **arrays,
     )
 
 

@@ -410,7 +410,10 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         rows = [[row[name][axis] for axis in axes] for row in c["positions"]]
         return np.array(rows, dtype=np.float64).reshape(len(rows), len(axes))
 
-    after, U, counted = column("after"), column("U"), column("counted").astype(bool)
+    arrays: dict[str, Any] = {
+        name: column(name) for name in ("reference", "before", "after", "u", "U")
+    }
+    counted = column("counted").astype(bool)
     linearity = {
         when: np.array(
             [c["by_axis"][axis][when]["linearity_percent"] for axis in axes], dtype=np.float64
@@ -422,13 +425,9 @@ def _from_dict(c: Mapping[str, Any]) -> Check:
         unit=c["unit"],
         axes=axes,
         positions=tuple(row["position"] for row in c["positions"]),
-        reference=column("reference"),
-        before=column("before"),
-        after=after,
-        u=column("u"),
-        U=U,
+        **arrays,
         limit=c["limit"],
-        verdicts=judge_errors(after, U, c["limit"], counted),
+        verdicts=judge_errors(arrays["after"], arrays["U"], c["limit"], counted),
         counted=counted,
         linearity_percent=linearity,
         bias=c["nominal"]["bias"],
