@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     check_targets(arguments)
     source = open_source(arguments.source)
-    path = _readings_path(arguments)
+    path = None if arguments.output in (None, STDOUT) else Path(arguments.output)
     if path is not None and source.path is not None:
         refuse_inputs([path, *_beside(arguments)], [str(source.path)])
     source.untimed = source.untimed and arguments.rate is None
@@ -106,10 +106,6 @@ def _begin(
     session = Session(plan, kept.as_before(reading), notify)
     session.decide(kept.decided)
     return session
-
-
-def _readings_path(arguments: argparse.Namespace) -> Path | None:
-    return None if arguments.output in (None, STDOUT) else Path(arguments.output)
 
 
 def _exports(

@@ -92,7 +92,8 @@ def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metre
     kind, f = ("float", "f") if single else ("double", "")
     env = ", env" if calibration.model.environment else ""
     unit = STANDARD_GRAVITY if in_metres else 1.0
-    lines = ["{", f"    {kind} f[{len(axes)}];", f"    {name}_compensate(raw{env}, f);"]
+    lines = [tilt_signature(calibration, name, single), "{", f"    {kind} f[{len(axes)}];"]
+    lines.append(f"    {name}_compensate(raw{env}, f);")
     degrees = literal(180.0 / np.pi, single)
     sign = "" if calibration.sign > 0.0 else "-"
     if len(axes) == len(COMPONENTS):
@@ -100,24 +101,19 @@ def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metre
             i, j = (other for other in range(3) if other != k)
             across = f"sqrt{f}(f[{i}] * f[{i}] + f[{j}] * f[{j}])"
             lines.append(f"    tilt_deg[{k}] = {degrees} * atan2{f}({sign}f[{k}], {across});")
-        return _closed(calibration, name, single, lines)
-    size = magnitude_of(calibration) * unit
+        return "\n".join([*lines, "}"]) + "\n"
     if len(axes) == 2:
         lines += _third(calibration, name, single, unit)
-    one, rooms = literal(1.0, single), beyond_vertical(calibration) / magnitude_of(calibration)
-    for k, room in enumerate(rooms.tolist()):
+    one, size = literal(1.0, single), magnitude_of(calibration)
+    for k, room in enumerate((beyond_vertical(calibration) / size).tolist()):
         limit = literal(1.0 + room, single)
         clipped = f"fmax{f}(-{one}, fmin{f}({one}, s{k}))"
         lines += [
-            f"    const {kind} s{k} = {sign}f[{k}] / {literal(size, single)};",
+            f"    const {kind} s{k} = {sign}f[{k}] / {literal(size * unit, single)};",
             f"    const int seen{k} = s{k} <= {limit} && -s{k} <= {limit};",
             f"    tilt_deg[{k}] = seen{k} ? {degrees} * asin{f}({clipped}) : NAN;",
         ]
-    return _closed(calibration, name, single, lines)
-
-
-def _closed(calibration: Calibration, name: str, single: bool, lines: list[str]) -> str:
-    return "\n".join([tilt_signature(calibration, name, single), *lines, "}"]) + "\n"
+    return "\n".join([*lines, "}"]) + "\n"
 
 
 def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:

@@ -358,9 +358,11 @@ def _markdown_section(section: Section) -> list[str]:
 def _plain_section(section: Section) -> list[str]:
     parts = [_underlined(section.title, "-")]
     parts += [textwrap.fill(visible(readable(paragraph)), 96) for paragraph in section.paragraphs]
-    return parts + [
-        f"{visible(readable(grid.caption))}\n{_aligned_documents(grid)}" for grid in section.tables
-    ]
+    for grid in section.tables:
+        rows = aligned_rows(grid, " ", " ")
+        shown = numbers.table(list(map(readable, grid.header)), rows, left=grid.left)
+        parts.append(f"{visible(readable(grid.caption))}\n{shown}")
+    return parts
 
 
 def _front(content: Content) -> list[tuple[str, list[str]]]:
@@ -395,11 +397,6 @@ def _without_controls(value: Any) -> Any:
 
 def _underlined(title: str, mark: str) -> str:
     return f"{title}\n{mark * numbers.columns_of(title)}"
-
-
-def _aligned_documents(grid: PageTable) -> str:
-    rows = aligned_rows(grid, " ", " ")
-    return numbers.table(list(map(readable, grid.header)), rows, left=grid.left)
 
 
 def _inline(figure: Figure, prefix: str) -> str:

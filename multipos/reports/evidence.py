@@ -126,11 +126,9 @@ def _kind_of_error(c: Calibration, tr: Translator) -> str:
 
 def _linearity(c: Calibration, tr: Translator) -> tuple[PageTable, ...]:
     """Return the largest distance from a straight line and from the model, in percent."""
+    cells = partial(numbers.plain_number, digits=2)
     lines = [
-        (
-            output,
-            *(numbers.plain_number(found[f"{w}_model_percent"], 2) for w in ("without", "with")),
-        )
+        (output, *(cells(found[f"{w}_model_percent"]) for w in ("without", "with")))
         for output, found in c.linearity.items()
     ]
     caption = tr("Linearity: largest distance from a line and from the model, % of −1 g to +1 g")
@@ -355,9 +353,10 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
         )
     tables = [PageTable(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
     paragraphs: list[str] = []
-    tests = _tests_of_terms(c, tr)
+    tests = [_tests_of_terms(c, tr)]
     if c.estimator.exact:
-        tests += [*_single_terms(c, tr), _influence(c, tr), *_waves(c, tr)]
+        tests += [_single_terms(c, tr), _influence(c, tr), _waves(c, tr)]
+    tests = [table for table in tests if table.rows]
     if tests:
         tables += tests
         paragraphs.append(
@@ -380,15 +379,13 @@ def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None)
     return Section(tr("Checks"), tuple(paragraphs), tables=tuple(tables))
 
 
-def _tests_of_terms(c: Calibration, tr: Translator) -> list[PageTable]:
+def _tests_of_terms(c: Calibration, tr: Translator) -> PageTable:
     """Return the tests of terms that the model has, and of those that it could have."""
     tests = [(test, tr("in the model")) for test in judge_included(c)]
     tests += [(test, tr("not in the model")) for test in c.diagnostics.model_tests]
     rows = [(test.term, status, str(test), numbers.chance(test.p)) for test, status in tests]
     header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
-    return (
-        [PageTable(tr("Tests of terms over all outputs"), header, tuple(rows), 2)] if rows else []
-    )
+    return PageTable(tr("Tests of terms over all outputs"), header, tuple(rows), 2)
 
 
 def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
@@ -439,7 +436,7 @@ def _simulated_cells(
     )
 
 
-def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
+def _single_terms(c: Calibration, tr: Translator) -> PageTable:
     rows = [
         (
             t.output,
@@ -453,10 +450,8 @@ def _single_terms(c: Calibration, tr: Translator) -> list[PageTable]:
         for t in judge_terms(c)
     ]
     header = tuple(map(tr, ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")))
-    if not rows:
-        return []
     # On paper the tests over all outputs speak for them.
-    return [PageTable(tr("Tests of single terms"), header, tuple(rows), 3, on_paper=False)]
+    return PageTable(tr("Tests of single terms"), header, tuple(rows), 3, on_paper=False)
 
 
 def _influence(c: Calibration, tr: Translator) -> PageTable:
@@ -493,7 +488,7 @@ def _two_decimals(size: float) -> str:
     return f"{size:.2f}" if np.isfinite(size) else numbers.number(size)
 
 
-def _waves(c: Calibration, tr: Translator) -> list[PageTable]:
+def _waves(c: Calibration, tr: Translator) -> PageTable:
     found = fourier_residuals(c)
     sizes = [w["amplitude"] for entry in found for w in entry["harmonics"]]
     factor, unit = numbers.readable_unit(max(sizes, default=0.0), c.model.unit)
@@ -508,18 +503,14 @@ def _waves(c: Calibration, tr: Translator) -> list[PageTable]:
         )
         for entry in found
     ]
-    if not rows:
-        return []
-    orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, rows)) - 1)]
-    return [
-        PageTable(
-            tr("Residuals along each roll: amplitude (p)") + f" [{unit}]",
-            (tr("Roll about"), tr("Output"), *orders),
-            tuple(rows),
-            2,
-            on_paper=False,  # it follows from the residuals, and a figure shows it
-        )
-    ]
+    orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, rows), default=0) - 1)]
+    return PageTable(
+        tr("Residuals along each roll: amplitude (p)") + f" [{unit}]",
+        (tr("Roll about"), tr("Output"), *orders),
+        tuple(rows),
+        2,
+        on_paper=False,  # it follows from the residuals, and a figure shows it
+    )
 
 
 def _float(value: object) -> float | None:

@@ -203,7 +203,8 @@ def result_section(c: Calibration, budget: Evaluation, tr: Translator, *, forces
     """
     rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
     header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
-    caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=_percent(c))
+    percent = f"{100.0 * c.confidence:g}"
+    caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=percent)
     return Section(
         tr("Result"),
         (_validity(c, tr),),
@@ -243,10 +244,6 @@ def _validity(c: Calibration, tr: Translator) -> str:
             high=f"{column.max():.4g}{' °C' if name == TEMPERATURE else ''}",
         )
     return said + tr(".")
-
-
-def _percent(c: Calibration) -> str:
-    return f"{100.0 * c.confidence:g}"
 
 
 def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:

@@ -324,17 +324,14 @@ def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
     said = f"the run disagrees with the calibration beyond chance{chance}"
     if not moved:
         return said
-    steps = [f"{m.name} by {_with_unit(m)}{_over(m)}" for m in moved]
+    steps = [_step_in_words(m) for m in moved]
     cause = f"{said}; probable cause: a change of "
     return short_text(lambda count: cause + ", ".join(steps[:count]), len(steps))
 
 
-def _over(moved: _Moved) -> str:
-    return f" ({plain_number(moved.over, 2)} U)" if moved.over > 0.0 else ""
-
-
-def _with_unit(moved: _Moved) -> str:
-    return f"{moved.by:+.3g} {moved.unit}".removesuffix(" 1")
+def _step_in_words(moved: _Moved) -> str:
+    step = f"{moved.name} by {moved.by:+.3g} {moved.unit}".removesuffix(" 1")
+    return f"{step} ({plain_number(moved.over, 2)} U)" if moved.over > 0.0 else step
 
 
 def agreement_in_words(found: Agreement) -> str:

@@ -302,7 +302,6 @@ def check_regressions(
         errors = sum(int(one.counted.sum()) for one in found)
         pairs = zip(regressions.values(), found, strict=True)
         family = np.hstack([one.U * _family_factor(r, errors) for r, one in pairs])
-
     by_row = ("reference", "before", "after", "u", "U", "verdicts", "counted")
     stacked: dict[str, Any] = {
         name: np.hstack([getattr(one, name) for one in found]) for name in by_row
