@@ -86,7 +86,6 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
         The steps would not converge, or an operation has no counterpart in C.
     """
     model = calibration.model
-    assert isinstance(model, ExpressionModel)
     sensed = list(model.sensed_axes)
     slope = slope_in_the_middle(calibration)[:, sensed]
     kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
@@ -134,7 +133,6 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
     import casadi
 
     model = calibration.model
-    assert isinstance(model, ExpressionModel)
     (third,) = model.unseen_axes
     force = casadi.SX.sym("f", 3)
     env = casadi.SX.sym("e", len(model.environment))
@@ -192,7 +190,6 @@ def _write_step(
     import casadi
 
     model = calibration.model
-    assert isinstance(model, ExpressionModel)
     sensed = list(model.sensed_axes)
     force, raw = casadi.SX.sym("f", len(sensed)), casadi.SX.sym("raw", len(model.outputs))
     env = casadi.SX.sym("e", len(model.environment))

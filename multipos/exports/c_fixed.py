@@ -130,7 +130,8 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
     R, largest = _raw_per_unit(c), float(np.linalg.norm(c.reference, axis=1).max())
     per = _per_unit(c)
     scaled, offset = P * (per / R), -(P @ bias) * per
-    shift = _shift(np.abs(scaled).sum(axis=1).max(), _SUM, np.abs(offset).max(), _CONSTANT)
+    shift = _shift(np.abs(scaled).sum(axis=1).max(), _SUM)
+    shift = min(shift, _shift(np.abs(offset).max(), _CONSTANT))
     held = int(np.ceil(_HELD * largest * per))
     if shift < 1 or held > _LARGEST:
         raise MultiposError(
@@ -141,7 +142,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
     D = np.zeros((len(sensed), len(second)))
     if second:
         D = P @ np.column_stack(list(second.values())) * (2.0**t / per)
-    r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM, 0.0, _CONSTANT) if second else 0
+    r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM) if second else 0
     quadratic = _whole(D, r)
     used = np.asarray(quadratic.any(axis=0))
     steps = counted_steps(c, theta[:, columns], _TOLERANCE / per) if used.any() else 0
@@ -198,12 +199,9 @@ def _raw_per_unit(c: Calibration) -> int:
     return int(10 ** max(0, int(np.floor(np.log10(_LARGEST / 2.0 / largest)))))
 
 
-def _shift(size: float, bound: int, other: float, other_bound: int) -> int:
-    """Return the largest s with size 2^s ≤ bound and other 2^s ≤ its bound."""
-    s = int(np.floor(np.log2(bound / size))) if size > 0.0 else 62
-    if other > 0.0:
-        s = min(s, int(np.floor(np.log2(other_bound / other))))
-    return min(s, 62)
+def _shift(size: float, bound: int) -> int:
+    """Return the largest s with size 2^s ≤ bound, at most 62."""
+    return min(62, int(np.floor(np.log2(bound / size)))) if size > 0.0 else 62
 
 
 def _whole(values: Array, shift: int) -> Whole:

@@ -147,15 +147,13 @@ def check_text(found: Check) -> str:
     """Return the check as plain text."""
     sheets = check_sheets(found)
     text = "\n".join(numbers.titled(s.title, str(s)) for s in sheets)
-    said = []
-    if found.limit is not None:
-        count = {name: int((found.verdicts == name).sum()) for name in VERDICTS}
-        counted = ", ".join(f"{count[name]} {name}" for name in VERDICTS)
-        said.append(
-            f"{found.verdict} against {numbers.in_unit(found.limit, found.unit)} with U "
-            f"({100 * found.confidence:g} %) as guard band: {counted}"
-        )
-    return text + ("\n" + "\n".join(said) + "\n" if said else "")
+    if found.limit is None:
+        return text
+    counted = ", ".join(f"{int((found.verdicts == name).sum())} {name}" for name in VERDICTS)
+    return (
+        f"{text}\n{found.verdict} against {numbers.in_unit(found.limit, found.unit)} with U "
+        f"({100 * found.confidence:g} %) as guard band: {counted}\n"
+    )
 
 
 def run_conclusions(found: Check) -> list[str]:

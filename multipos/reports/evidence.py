@@ -392,6 +392,8 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
     units = numbers.common_units(
         zip(c.model.units, np.abs(found.symmetric).max(axis=1).tolist(), strict=True)
     )
+    arrays = (found.u, found.symmetric, found.shortest, found.tolerance, found.valid)
+    columns = [array.tolist() for array in arrays]
     rows = [
         (
             name,
@@ -399,14 +401,7 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
             tr("yes") if valid else tr("no"),
         )
         for name, unit, u, symmetric, shortest, tolerance, valid in zip(
-            found.names,
-            c.model.units,
-            found.u.tolist(),
-            found.symmetric.tolist(),
-            found.shortest.tolist(),
-            found.tolerance.tolist(),
-            found.valid.tolist(),
-            strict=True,
+            found.names, c.model.units, *columns, strict=True
         )
     ]
     header = (

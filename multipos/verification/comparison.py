@@ -55,16 +55,16 @@ class Drift(NamedTuple):
 
     Attributes
     ----------
-    slope, u, p : (p,) arrays
+    drift, drift_u, drift_p : (p,) arrays
     per : str
         'time', in seconds, or 'run'.
     times : str
         'absolute', 'ordered' or, per run, 'as given'.
     """
 
-    slope: Array
-    u: Array
-    p: Array
+    drift: Array
+    drift_u: Array
+    drift_p: Array
     per: str
     times: str
 
@@ -322,14 +322,10 @@ def _compare(
         mean=values.mean(axis=0),
         sd=sd,
         range=np.ptp(values, axis=0),
-        drift=drift.slope,
-        drift_u=drift.u,
-        drift_p=drift.p,
         bias_stability=_of_biases(found[0], sd),
-        per=drift.per,
-        times=drift.times,
         combined=combined,
         changes=() if same else find_changes(found, since_1970(found), limits),
+        **drift._asdict(),
         **vars(judged) | {"findings": in_order(findings)},
     )
 

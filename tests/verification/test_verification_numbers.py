@@ -609,13 +609,13 @@ def test_drift_of_repeats_is_the_slope_of_a_line(monkeypatch):
     monkeypatch.setattr(comparison, "_clock", lambda found: (at, comparison.GIVEN))
     found = comparison.find_drift([], values)
     lines = [linregress(at, column) for column in values.T]
-    assert_allclose(found.slope, [line.slope for line in lines])
-    assert_allclose(found.u, [line.stderr for line in lines])
-    assert_allclose(found.p, [line.pvalue for line in lines], rtol=1e-6)
+    assert_allclose(found.drift, [line.slope for line in lines])
+    assert_allclose(found.drift_u, [line.stderr for line in lines])
+    assert_allclose(found.drift_p, [line.pvalue for line in lines], rtol=1e-6)
     assert found.per == "run"
     at = at[:2]
     found = comparison.find_drift([], values[:2])
-    assert_allclose(found.slope, (values[1] - values[0]) / 1.5)
-    assert np.isnan([found.u, found.p]).all()
+    assert_allclose(found.drift, (values[1] - values[0]) / 1.5)
+    assert np.isnan([found.drift_u, found.drift_p]).all()
     at = np.array([2.0, 3.5, 9.0])
-    assert np.isfinite(comparison.find_drift([], values[:3]).p).all()
+    assert np.isfinite(comparison.find_drift([], values[:3]).drift_p).all()
