@@ -308,8 +308,12 @@ def _constant(fixed: FixedPoint, k: int) -> str:
 
 def _shifted(target: str, parts: list[str], shift: int) -> list[str]:
     """Return a sum that is shifted to the right, wrapped between its parts."""
-    text = f"{target} = ({' + '.join(parts)}) >> {shift};"
-    return wrap(text, 90, initial_indent="    ", subsequent_indent=" " * 8, break_long_words=False)
+    return _wrapped(f"{target} = ({' + '.join(parts)}) >> {shift};", 4)
+
+
+def _wrapped(text: str, indent: int) -> list[str]:
+    first, rest = " " * indent, " " * (indent + 4)
+    return wrap(text, 90, initial_indent=first, subsequent_indent=rest, break_long_words=False)
 
 
 def _steps(fixed: FixedPoint, K: int) -> list[str]:
@@ -328,9 +332,7 @@ def _steps(fixed: FixedPoint, K: int) -> list[str]:
         row = fixed.quadratic[k].tolist()
         parts = [f"{_times(v, f'p{q}')}" for q, v in enumerate(row) if v] + [f"INT64_C({half})"]
         text = f"f[{k}] = first[{k}] - (({' + '.join(parts)}) >> {fixed.quadratic_shift});"
-        lines += wrap(
-            text, 90, initial_indent=" " * 8, subsequent_indent=" " * 12, break_long_words=False
-        )
+        lines += _wrapped(text, 8)
     return [*lines, "    }"]
 
 

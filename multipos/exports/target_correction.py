@@ -287,6 +287,12 @@ class Replay(Result):
     findings: Findings = ()
 
     @property
+    def _by_output(self) -> list[tuple[str, float, float]]:
+        """Each output with its largest difference and what rounding allows."""
+        sizes = self.difference.tolist(), self.allowed.tolist()
+        return list(zip(self.outputs, *sizes, strict=True))
+
+    @property
     def sentence(self) -> str:
         """Whether the file holds, and the largest difference."""
         largest = float(self.difference.max())
@@ -302,9 +308,7 @@ class Replay(Result):
                 "data": self.data,
                 "outputs": [
                     {"output": name, "difference": difference, "allowed": allowed}
-                    for name, difference, allowed in zip(
-                        self.outputs, self.difference.tolist(), self.allowed.tolist(), strict=True
-                    )
+                    for name, difference, allowed in self._by_output
                 ],
                 "difference": self.difference.max(),
                 "foreign": self.foreign,
@@ -315,12 +319,7 @@ class Replay(Result):
     def __str__(self) -> str:
         what = "made up over all that was fitted: every segment, edge, and a gap in time"
         header = ["output", "largest difference", "allowed"]
-        rows = [
-            [name, number(difference, 2), number(allowed, 2)]
-            for name, difference, allowed in zip(
-                self.outputs, self.difference.tolist(), self.allowed.tolist(), strict=True
-            )
-        ]
+        rows = [[name, *(number(size, 2) for size in sizes)] for name, *sizes in self._by_output]
         lines = [
             f"What the C function ({self.target}) makes of {self.rows} rows, and multipos apply:",
             f"rows {what if self.data is None else 'of ' + self.data}; {self.outside} beyond",
