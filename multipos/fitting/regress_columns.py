@@ -57,8 +57,7 @@ from multipos.regression.junctions import (
 from multipos.regression.piecewise import (
     METHODS,
     Plan,
-    fit_continuous,
-    fit_segment,
+    fit_segments,
     read_candidates,
 )
 from multipos.regression.regression import Balance, Regression, Regressions, format_span
@@ -372,7 +371,7 @@ def _fit_joined(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) 
         _require_rows(branch, number, _segment_name(number, variable, span, branch))
     where = "the continuous model" if branch.name is None else f"the {branch.name} branch"
     rows = data.take(branch.rows)
-    return fit_continuous(plan, rows, variable, cut.edges, spans, branch.name, where)
+    return fit_segments(plan, rows, variable, cut.edges, spans, branch.name, where)
 
 
 def _fit_apart(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) -> list[Segment]:
@@ -387,7 +386,7 @@ def _fit_apart(plan: Plan, data: observations.Data, cut: Cut, branch: _Branch) -
         mine = branch.rows[branch.place == number]
         some = data if len(mine) == len(data) else data.take(mine)
         alone = where == "the table"
-        segments.append(fit_segment(plan, some, variable, span, branch.name, where, alone=alone))
+        segments += fit_segments(plan, some, variable, (), (span,), branch.name, where, alone=alone)
     return segments
 
 

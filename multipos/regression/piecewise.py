@@ -265,72 +265,7 @@ def _regions(
     return tuple(None if one is None else replace(one[0], limit=limit) for one in found)
 
 
-def fit_segment(
-    plan: Plan,
-    data: Data,
-    variable: str,
-    span: tuple[float, float],
-    branch: str | None,
-    where: str,
-    *,
-    alone: bool,
-) -> Segment:
-    """Fit one segment on its own.
-
-    Parameters
-    ----------
-    plan : Plan
-    data : Data
-        The segment's rows.
-    variable : str
-        What the span is of.
-    span : (low, high)
-    branch : str or None
-    where : str
-        The segment in words, for messages.
-    alone : bool
-        Whether it is all there is, so that terms are held to nothing but what the rows tell.
-
-    Raises
-    ------
-    MultiposError
-        Fewer rows than terms, or terms that these rows cannot tell apart.
-    """
-    original, read = evaluate_terms(plan.terms, data.columns, len(data)), data
-    design, data = within_runs(original, data, where)
-    names = [str(term) for term in plan.terms]
-    sizes = Contributions(read.columns, _span(plan, data))
-
-    def cancel(columns: Sequence[int], b: Array) -> bool:
-        return sizes.cancel([plan.terms[j] for j in columns], b)
-
-    assert data.variances is not None  # which `fit_cut` has seen to
-    demand = _Demand(data.variances, cancel, None if alone else by_degree(plan.terms))
-    fit = _fit(plan, design, data, names, stands_on(plan.terms), where, demand)
-    terms = tuple(plan.terms[j] for j in fit.selection.columns)
-    y, e = data.response, fit.residuals
-    mean = float(y.mean()) if CONSTANT in terms else 0.0
-    k = len(terms) - (CONSTANT in terms)
-    explained = float(((y - e - mean) ** 2).sum())
-    rss = float(e @ e)
-    F = np.nan
-    if k and fit.dof > 0:
-        F = (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf
-    values = np.zeros(0) if fit.found is None else fit.found.coefficients
-    robust = _robust(plan, fit, data)
-    rows, estimate = np.arange(len(data)), (terms, values, fit.covariance)
-    segment = _segment(plan, fit, data, rows, estimate, (F, k), (span, branch), robust)
-    short = fit.selection.short
-    kept = original[:, list(fit.selection.columns)]
-    (region,) = _regions(plan, read, kept, short, variable, [(terms, None, rows, span)])
-    segment = replace(segment, left_out=_left_out(plan, fit.selection, terms), region=region)
-    if read.run is None:
-        return segment
-    size = len(data) if robust is None else robust.n_effective
-    return add_between(segment, find_between(kept, read, terms, values, variable, size))
-
-
-def fit_continuous(
+def fit_segments(
     plan: Plan,
     data: Data,
     variable: str,
@@ -338,34 +273,41 @@ def fit_continuous(
     spans: Sequence[tuple[float, float]],
     branch: str | None,
     where: str,
+    *,
+    alone: bool = False,
 ) -> list[Segment]:
-    """Fit all segments of a branch at once, continuous across the edges.
+    """Fit segments at once, continuous across the edges between them; of one there are none.
 
     Parameters
     ----------
-    plan, data, branch, where
-        As in `fit_segment`, for all rows of the branch.
+    plan : Plan
+    data : Data
+        The rows of all segments.
     variable : str
-        The segment variable.
+        What edges and spans are of.
     edges : sequence of float
     spans : sequence of (low, high)
+    branch : str or None
+    where : str
+        The segments in words, for messages.
+    alone : bool
+        Whether a segment is all there is, so that terms are held to nothing but what the rows tell.
+
+    Raises
+    ------
+    MultiposError
+        Fewer rows than terms, or terms that these rows cannot tell apart.
     """
     place = segment_of(data.columns[variable], edges)
     parts = [np.flatnonzero(place == s) for s in range(len(spans))]
     base = evaluate_terms(plan.terms, data.columns, len(data))
     assert data.variances is not None  # which `fit_cut` has seen to
-    supported = [set(varying(base[rows], data.variances, by_degree(plan.terms))) for rows in parts]
-    position = {term: j for j, term in enumerate(plan.terms)}
-    extra = [
-        h
-        for h in hinges(plan.terms, variable, edges, both=plan.method == "stepwise")
-        if {position[h.term]} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
-    ]
+    extra = _changing(plan, [base[rows] for rows in parts], data.variances, variable, edges)
     original = np.column_stack((base, *(h.evaluate(data.columns) for h in extra)))
     read = data
     design, data = within_runs(original, data, where)
     names = [*map(str, plan.terms), *map(str, extra)]
-    requires = [*stands_on(plan.terms), *(frozenset({position[h.term]}) for h in extra)]
+    requires = [*stands_on(plan.terms), *(frozenset({plan.terms.index(h.term)}) for h in extra)]
     every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
     sizes = [
         Contributions(read.take(rows).columns, _span(plan, data)) for rows in parts if len(rows)
@@ -377,24 +319,26 @@ def fit_continuous(
 
     variances = np.concatenate([data.variances, original[:, len(plan.terms) :].var(axis=0)])
     order = [*by_degree(plan.terms), *range(len(plan.terms), len(every))]
-    fit = _fit(plan, design, data, names, requires, where, _Demand(variances, cancel, order))
+    demand = _Demand(variances, cancel, None if alone else order)
+    fit = _fit(plan, design, data, names, requires, where, demand)
     chosen = [every[j] for j in fit.selection.columns]
     b = np.zeros(0) if fit.found is None else fit.found.coefficients
     robust = _robust(plan, fit, data)
     short = [j for j in fit.selection.short if j < len(plan.terms)]
     locally = [_local(chosen, edges[:s]) for s in range(len(spans))]
     left = original[:, list(fit.selection.columns)]
-    rows_of = [(*locally[s], parts[s], span) for s, span in enumerate(spans)]
+    rows_of = [
+        (terms, L if edges else None, rows, span)
+        for (terms, L), rows, span in zip(locally, parts, spans, strict=True)
+    ]
     regions = _regions(plan, read, left, short, variable, rows_of)
     segments = []
     for s, span in enumerate(spans):
         terms, L = locally[s]
-        values, covariance = L @ b, L @ fit.covariance @ L.T
-        slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
-        F, k = wald(values[slopes], covariance[np.ix_(slopes, slopes)])
+        estimate = terms, L @ b, L @ fit.covariance @ L.T
+        test = _tested(fit, data.response, estimate, joined=bool(edges))
         turned = None if robust is None else robust.turned(L)
-        estimate = terms, values, covariance
-        segment = _segment(plan, fit, data, parts[s], estimate, (F, k), (span, branch), turned)
+        segment = _segment(plan, fit, data, parts[s], estimate, test, (span, branch), turned)
         left_out = _left_out(plan, fit.selection, terms)
         segments.append(replace(segment, left_out=left_out, region=regions[s]))
     if read.run is None:
@@ -403,6 +347,35 @@ def fit_continuous(
     linear = [column if isinstance(column, Term) else None for column in chosen]
     between = find_between(left, read, linear, b, variable, size)
     return [add_between(segment, between) for segment in segments]
+
+
+def _changing(
+    plan: Plan, parts: Sequence[Array], variances: Array, variable: str, edges: Sequence[float]
+) -> list[Hinge]:
+    """Return the columns that let terms change at edges on both sides of which they vary."""
+    order = by_degree(plan.terms)
+    supported = [set(varying(base, variances, order)) for base in parts] if edges else []
+    return [
+        h
+        for h in hinges(plan.terms, variable, edges, both=plan.method == "stepwise")
+        if {plan.terms.index(h.term)} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
+    ]
+
+
+def _tested(
+    fit: _Fit, y: Array, estimate: tuple[tuple[Term, ...], Array, Array], *, joined: bool
+) -> tuple[float, int]:
+    """Return F and k of a segment's slopes: Wald's where it is joined, else that of all rows."""
+    terms, values, covariance = estimate
+    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
+    if joined:
+        return wald(values[slopes], covariance[np.ix_(slopes, slopes)])
+    mean, k = float(y.mean()) if CONSTANT in terms else 0.0, len(slopes)
+    explained = float(((y - fit.residuals - mean) ** 2).sum())
+    rss = float(fit.residuals @ fit.residuals)
+    if not k or fit.dof <= 0:
+        return np.nan, k
+    return (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf, k
 
 
 def _local(
