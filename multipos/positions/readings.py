@@ -146,7 +146,6 @@ class Readings(Result, Tabular):
             _set(self, "source", visible(self.source))
         self._check_text()
         self._check_signs()
-        self._check_dof()
         self._check_sizes()
         if self.u is not None and self.covariance is not None:
             raise MultiposError("`u` and `covariance` both state the reading noise; give one.")
@@ -258,25 +257,11 @@ class Readings(Result, Tabular):
             ("reference_u", "0 or more"),
         ):
             array = getattr(self, name)
-            if array is None:
-                continue
-            bad = array <= 0.0 if lowest == "above 0" else array < 0.0
-            if bad.any():
-                row = int(np.argwhere(bad)[0][0])
-                raise MultiposError(
-                    f"`{name}` of row {row + 1} is {array[bad][0]:g}; it must be {lowest}."
-                )
-
-    def _check_dof(self) -> None:
-        if self.dof is None:
-            return
-        bad = (self.dof < FEWEST) | ((self.dof > LARGEST) & np.isfinite(self.dof))
-        if bad.any():
-            row = int(np.argwhere(bad)[0][0])
-            raise MultiposError(
-                f"`dof` of row {row + 1} is {self.dof[bad][0]:g}; it must be from {FEWEST:g} to "
-                f"{LARGEST:g}."
-            )
+            if array is not None:
+                _refuse(name, array, array <= 0.0 if lowest == "above 0" else array < 0.0, lowest)
+        if self.dof is not None:
+            bad = (self.dof < FEWEST) | ((self.dof > LARGEST) & np.isfinite(self.dof))
+            _refuse("dof", self.dof, bad, f"from {FEWEST:g} to {LARGEST:g}")
 
     def _normalise_up(self) -> None:
         if self.force is not None:
@@ -397,6 +382,13 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
             f"{low:g} to {high:g} ({int(outside.sum())} of {outside.size} readings are); measure "
             "these positions again or leave them out."
         )
+
+
+def _refuse(name: str, array: Array, bad: Mask, needed: str) -> None:
+    """Refuse values that are bad; the first is named."""
+    if bad.any():
+        row = int(np.argwhere(bad)[0][0])
+        raise MultiposError(f"`{name}` of row {row + 1} is {array[bad][0]:g}; it must be {needed}.")
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:

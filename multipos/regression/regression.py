@@ -437,8 +437,7 @@ def all_of(regression: Regression | Regressions) -> tuple[Regression, ...]:
 
 def regression_sentence(found: Regression | Regressions) -> str:
     """Return how much of the response is described, and by what."""
-    several = [found] if isinstance(found, Regression) else list(found.values())
-    return " ".join(_described(r) for r in several)
+    return " ".join(_described(r) for r in all_of(found))
 
 
 def _described(r: Regression) -> str:

@@ -310,16 +310,6 @@ class ExpressionModel(Model):
             "held, parameter by parameter."
         )
 
-    def index(self, output: str, term: "str | Term") -> int:
-        """Return the place of a parameter by output and name."""
-        known = [(name, str(own)) for name, own in self.keys]
-        if (output, str(term)) not in known:
-            raise KeyError(
-                f"no parameter ({output!r}, {str(term)!r}); the model has "
-                + ", ".join(f"({o!r}, {t!r})" for o, t in known)
-            )
-        return known.index((output, str(term)))
-
 
 def at_bounds(model: Model, parameters: Array) -> Findings:
     """Name the parameters of a model of one's own that ended at a bound."""

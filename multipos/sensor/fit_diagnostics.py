@@ -385,14 +385,11 @@ def find_outliers(
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
     r2 = studentised_squares(error.T, leverage.T, nu[:, None]).T
-    beyond = []
-    for column, largest in enumerate(np.fmax.reduce(r2, axis=0, initial=0.0).tolist()):
-        if not _is_outlier(largest, float(nu[column]), residuals.size):
-            continue
-        for row in np.argsort(-r2[:, column], kind="stable").tolist():
-            if not _is_outlier(float(r2[row, column]), float(nu[column]), residuals.size):
-                break  # and none that is smaller is beyond chance
-            beyond.append((column, row))
+    beyond = [
+        (column, row)
+        for row, column in np.argwhere(r2 > _SUSPECT).tolist()
+        if _is_outlier(float(r2[row, column]), float(nu[column]), residuals.size)
+    ]
     if not beyond:
         return ()
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()

@@ -72,7 +72,6 @@ from multipos.estimation.excess_variance import ExcessVariance, estimate_excess
 from multipos.estimation.gains import gravity_effect
 from multipos.estimation.stated_uncertainty import combined_dof
 from multipos.numerics.arrays import COMPONENTS, Array, Places
-from multipos.numerics.terms import kind_terms
 from multipos.positions.readings import diagonal
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
@@ -80,6 +79,7 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.budgets import Quantity, zero_moves
+from multipos.uncertainty.validity import term_moves
 
 _DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
 
@@ -131,7 +131,7 @@ def reading_moves(calibration: Calibration, quantity: Quantity) -> Array:
     if quantity.name in ("level", "index"):
         return _turned(c, turn_axes(c, quantity))
     if quantity.name == "cross":
-        return _cross_moves(c)
+        return term_moves(c, {"other": 1.0}, c.reference)
     if quantity.name == "stability":
         return zero_moves(c, quantity.settings)
     if quantity.name == "temperature":
@@ -146,19 +146,6 @@ def is_bounded(c: Calibration, quantity: Quantity) -> bool:
     """Tell whether a level enters by eq. (2b), as the positions have no headings."""
     rotation = c.readings.rotation
     return quantity.name == "level" and (rotation is None or not np.isfinite(rotation).all())
-
-
-def _cross_moves(c: Calibration) -> Array:
-    """Return dy/dκ (n, M, q) of each cross term, relative to the scale factor, left out."""
-    components = {axis: c.reference[:, i] for i, axis in enumerate(COMPONENTS)}
-    moves = [np.zeros(c.readings.values.shape)]
-    for output, axis in enumerate(c.model.axes):
-        for term in kind_terms("other", axis, c.model.inputs):
-            if term not in c.model.terms[output]:
-                moves.append(np.zeros(c.readings.values.shape))
-                scale = c.sensitivity[output, COMPONENTS.index(axis)]
-                moves[-1][:, output] = scale * term.evaluate(components)
-    return np.stack(moves, axis=2)
 
 
 def turn_axes(calibration: Calibration, quantity: Quantity) -> Array:

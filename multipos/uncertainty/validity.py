@@ -100,21 +100,21 @@ def unseen_moves(calibration: Calibration, force: Array, environment: Environmen
     if not any(sizes.values()):
         return np.zeros((len(force), len(c.outputs), 0))
     by_parameter = parameter_jacobian(c.model, c.parameters, force, environment)
-    absorbed = estimator_gain(c) @ _moves(c, sizes, c.reference).reshape(c.readings.values.size, -1)
-    return np.asarray(_moves(c, sizes, force) - by_parameter @ absorbed)
+    there = term_moves(c, sizes, c.reference).reshape(c.readings.values.size, -1)
+    return np.asarray(term_moves(c, sizes, force) - by_parameter @ (estimator_gain(c) @ there))
 
 
-def _moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
-    """Return what each term, at its standard uncertainty, does to readings, (n, M, terms)."""
+def term_moves(c: Calibration, sizes: Mapping[str, float], force: Array) -> Array:
+    """Return what terms that the model lacks do to readings, at their size, (n, M, terms)."""
     components = {axis: force[:, i] for i, axis in enumerate(COMPONENTS)}
-    moves = []
+    moves = [np.zeros((len(force), len(c.outputs)))]
     for kind, u in sizes.items():
         for output, axis in enumerate(c.model.axes):
             scale = c.sensitivity[output, COMPONENTS.index(axis)]
             for term in kind_terms(kind, axis, c.model.inputs):
-                moved = np.zeros((len(force), len(c.outputs)))
-                moved[:, output] = u * scale * term.evaluate(components)
-                moves.append(moved)
+                if term not in c.model.terms[output]:
+                    moves.append(np.zeros((len(force), len(c.outputs))))
+                    moves[-1][:, output] = u * scale * term.evaluate(components)
     return np.stack(moves, axis=2)
 
 
