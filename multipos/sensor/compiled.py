@@ -36,7 +36,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -283,18 +283,8 @@ class RowFunction:
 Program = tuple[Instruction, ...]
 
 
-class Values(NamedTuple):
-    """The outputs (n, M), and of each output dy/dp (n, p_i)."""
-
-    outputs: Array
-    slopes: tuple[Array, ...]
-
-
-@lru_cache(maxsize=64)
-def compile_model(
-    programs: tuple[Program, ...], places: tuple[tuple[int, ...], ...], columns: int, count: int
-) -> "Compiled":
-    """Return the compiled function of a model.
+class Compiled:
+    """Eq. (1) for any number of rows.
 
     Parameters
     ----------
@@ -304,12 +294,14 @@ def compile_model(
         Where these stand among all parameters.
     columns, count : int
         How many columns and parameters there are.
+
+    Attributes
+    ----------
+    symbols : tuple of SX
+        The force, columns and parameters.
+    outputs : list of SX
+        The expressions of the outputs.
     """
-    return Compiled(programs, places, columns, count)
-
-
-class Compiled:
-    """Eq. (1) for any number of rows; see `compile_model`."""
 
     def __init__(
         self,
@@ -318,14 +310,25 @@ class Compiled:
         columns: int,
         count: int,
     ) -> None:
+        import casadi
+
         ends = [*accumulate(map(len, places), initial=0)]
         self._slopes = [slice(*pair) for pair in pairwise(ends)]
         self._places = places
-        self._symbols = _symbols(columns, count)
-        self._outputs = _expressions(programs, places, self._symbols)
+        sizes = {"f": 3, "e": columns, "p": count}
+        force, surroundings, unknown = (casadi.SX.sym(*each) for each in sizes.items())
+        self.symbols: tuple[Any, Any, Any] = (force, surroundings, unknown)
+        self.outputs: list[Any] = [
+            casadi.SX(read_instructions(program, (force, surroundings, unknown[list(own)])))
+            for program, own in zip(programs, places, strict=True)
+        ]
 
-    def evaluate(self, force: Array, columns: Array, parameters: Array) -> Values:
-        """Return the values at n rows, positions running fastest in memory.
+    def evaluate(
+        self, force: Array, columns: Array, parameters: Array
+    ) -> tuple[Array, tuple[Array, ...]]:
+        """Return the outputs (n, M) at n rows, and of each output dy/dp (n, p_i).
+
+        Positions run fastest in memory.
 
         Parameters
         ----------
@@ -335,8 +338,8 @@ class Compiled:
             Of all rows, or of each.
         """
         found = self._values(force, columns, parameters)
-        slopes = found[len(self._outputs) :]
-        return Values(found[: len(self._outputs)].T, tuple(slopes[own].T for own in self._slopes))
+        slopes = found[len(self.outputs) :]
+        return found[: len(self.outputs)].T, tuple(slopes[own].T for own in self._slopes)
 
     def predict(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return the outputs (n, M) alone, of the same arguments."""
@@ -345,58 +348,58 @@ class Compiled:
     def by_force(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return dy/df (n, M, 3), of the same arguments."""
         found = self._by_force(force, columns, parameters)
-        return found.reshape(len(self._outputs), 3, len(force)).transpose(2, 0, 1)
+        return found.reshape(len(self.outputs), 3, len(force)).transpose(2, 0, 1)
 
     def bends(self, force: Array, columns: Array, parameters: Array) -> Array:
         """Return the second derivatives d²y/dp² (n, M, p, p), of the same arguments."""
         p = len(parameters)
         found = self._bends(force, columns, parameters)
-        return found.T.reshape(len(force), len(self._outputs), p, p)
+        return found.T.reshape(len(force), len(self.outputs), p, p)
 
     @cached_property
     def _values(self) -> RowFunction:
         import casadi
 
-        _, _, unknown = self._symbols
+        _, _, unknown = self.symbols
         slopes = [
             casadi.jacobian(y, unknown)[:, list(own)].T
-            for y, own in zip(self._outputs, self._places, strict=True)
+            for y, own in zip(self.outputs, self._places, strict=True)
         ]
-        return self._over_rows([*self._outputs, *slopes])
+        return self._over_rows([*self.outputs, *slopes])
 
     @cached_property
     def _predicted(self) -> RowFunction:
-        return self._over_rows(self._outputs)
+        return self._over_rows(self.outputs)
 
     @cached_property
     def _by_force(self) -> RowFunction:
         import casadi
 
-        force, _, _ = self._symbols
-        return self._over_rows([casadi.jacobian(y, force).T for y in self._outputs])
+        force, _, _ = self.symbols
+        return self._over_rows([casadi.jacobian(y, force).T for y in self.outputs])
 
     @cached_property
     def _bends(self) -> RowFunction:
         import casadi
 
-        _, _, unknown = self._symbols
-        return self._over_rows([casadi.vec(casadi.hessian(y, unknown)[0]) for y in self._outputs])
+        _, _, unknown = self.symbols
+        return self._over_rows([casadi.vec(casadi.hessian(y, unknown)[0]) for y in self.outputs])
 
     def _over_rows(self, parts: list[Any]) -> RowFunction:
         """Return expressions, one below the other, as a function of rows."""
         import casadi
 
         column = casadi.densify(casadi.vertcat(*parts))
-        return RowFunction(casadi.Function("rows", list(self._symbols), [column], {"cse": True}))
+        return RowFunction(casadi.Function("rows", list(self.symbols), [column], {"cse": True}))
 
     @cached_property
     def curved(self) -> Mask:
         """Which pairs of parameters d²y/dp² can be other than zero for, (p, p)."""
         import casadi
 
-        _, _, unknown = self._symbols
-        weights = casadi.SX.sym("w", len(self._outputs))
-        total = casadi.dot(weights, casadi.vertcat(*self._outputs))
+        _, _, unknown = self.symbols
+        weights = casadi.SX.sym("w", len(self.outputs))
+        total = casadi.dot(weights, casadi.vertcat(*self.outputs))
         pattern = np.array(casadi.DM(casadi.hessian(total, unknown)[0].sparsity(), 1.0))
         return np.asarray(pattern != 0.0)
 
@@ -410,32 +413,5 @@ class Compiled:
                 chosen.append(place)
         return np.isin(np.arange(len(curved)), chosen)
 
-    @property
-    def outputs(self) -> list[Any]:
-        """The expressions of the outputs (SX), of `symbols`."""
-        return self._outputs
 
-    @property
-    def symbols(self) -> tuple[Any, Any, Any]:
-        """The force, columns and parameters of `outputs`."""
-        return self._symbols
-
-
-def _symbols(columns: int, count: int) -> tuple[Any, Any, Any]:
-    import casadi
-
-    return casadi.SX.sym("f", 3), casadi.SX.sym("e", columns), casadi.SX.sym("p", count)
-
-
-def _expressions(
-    programs: tuple[Program, ...],
-    places: tuple[tuple[int, ...], ...],
-    symbols: tuple[Any, Any, Any],
-) -> list[Any]:
-    import casadi
-
-    force, surroundings, unknown = symbols
-    return [
-        casadi.SX(read_instructions(program, (force, surroundings, unknown[list(own)])))
-        for program, own in zip(programs, places, strict=True)
-    ]
+compile_model = lru_cache(maxsize=64)(Compiled)  # the same function for models of one content

@@ -38,7 +38,7 @@ from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.units import unit_per
 
 if TYPE_CHECKING:
-    from multipos.sensor.compiled import Compiled, Instruction, Values
+    from multipos.sensor.compiled import Compiled, Instruction
 
 Expression = Callable[..., Any]
 
@@ -160,10 +160,6 @@ class ExpressionModel(Model):
         places = tuple(tuple(own.tolist()) for own in self.places)
         return compile_model(self.functions, places, len(self.columns_used), len(self.keys))
 
-    def values(self, parameters: Array, force: Array, environment: Environment) -> "Values":
-        """Return outputs and slopes at force (n, 3) [g]."""
-        return self.compiled.evaluate(force, self._columns(force, environment), parameters)
-
     def _columns(self, force: Array, environment: Environment) -> Array:
         columns = np.empty((len(force), len(self.columns_used)))
         if not self.columns_used:
@@ -178,11 +174,10 @@ class ExpressionModel(Model):
     ) -> tuple[Array, tuple[Block, ...]]:
         """Return the outputs (n, M), and per output its parameters with dy/dp (n, p_i)."""
         outer, slope = self.outward(parameters)[:2] if self.inner else (parameters, None)
-        found = self.values(outer, force, environment)
-        slopes = found.slopes
+        outputs, slopes = self.compiled.evaluate(force, self._columns(force, environment), outer)
         if slope is not None:
             slopes = tuple(s * slope[own] for s, own in zip(slopes, self.places, strict=True))
-        return found.outputs, tuple(zip(self.places, slopes, strict=True))
+        return outputs, tuple(zip(self.places, slopes, strict=True))
 
     def force_jacobian(self, parameters: Array, force: Array, environment: Environment) -> Array:
         """Return dy/df (n, M, 3)."""
@@ -309,6 +304,16 @@ class ExpressionModel(Model):
             f"a user-defined model has no gauge '{gauge}'; what a rotation leaves free of it is "
             "held, parameter by parameter."
         )
+
+    def index(self, output: str, term: "str | Term") -> int:
+        """Return the place of a parameter by output and name."""
+        known = [(name, str(own)) for name, own in self.keys]
+        if (output, str(term)) not in known:
+            raise KeyError(
+                f"no parameter ({output!r}, {str(term)!r}); the model has "
+                + ", ".join(f"({o!r}, {t!r})" for o, t in known)
+            )
+        return known.index((output, str(term)))
 
 
 def at_bounds(model: Model, parameters: Array) -> Findings:
