@@ -132,8 +132,8 @@ def _within(name: str, text: str, largest: float) -> float:
     return angle
 
 
-def _two_axis(tilt: Array, roll: Array) -> Array:
-    a, b = (grid.ravel() for grid in np.meshgrid(tilt, roll, indexing="ij"))
+def _two_axis(tilt: Array, turn: Array) -> Array:
+    a, b = (grid.ravel() for grid in np.meshgrid(tilt, turn, indexing="ij"))
     return np.column_stack([sin_deg(a) * cos_deg(b), sin_deg(a) * sin_deg(b), cos_deg(a)])
 
 
@@ -163,7 +163,6 @@ _ANGLES = (
     *attitudes.FORMS["quaternion"],
 )
 _TWO_AXIS_BENCH_SETTINGS = re.compile(r"two-axis-.*")
-_ROLL_BENCH_SETTINGS = re.compile(r"roll-\d.*-([xyz]+)")
 _FINE = re.compile(r"near-faces-.*|tilt-.*|sphere|fibonacci-.*")
 _SAME_BENCH_SETTINGS = 1e-6  # [rad], to which a position of a bench is found again
 
@@ -206,34 +205,26 @@ def _of_name(name: str) -> list[tuple[Array, dict[str, Any]]]:
     up = read_bench(name)
     if _TWO_AXIS_BENCH_SETTINGS.fullmatch(name):
         tilt = np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0)))
-        roll = np.degrees(np.arctan2(up[:, 1], up[:, 0])) % 360.0
-        roll[np.hypot(up[:, 0], up[:, 1]) < _SAME_BENCH_SETTINGS] = 0.0
-        angles = zip(tilt.tolist(), roll.tolist(), strict=True)
+        turn = np.degrees(np.arctan2(up[:, 1], up[:, 0])) % 360.0
+        turn[np.hypot(up[:, 0], up[:, 1]) < _SAME_BENCH_SETTINGS] = 0.0
+        angles = zip(tilt.tolist(), turn.tolist(), strict=True)
         return [
             (vector, {"tilt_deg": round(a, 6), "roll_deg": round(b, 6) % 360.0})
             for vector, (a, b) in zip(up, angles, strict=True)
         ]
-    match = _ROLL_BENCH_SETTINGS.fullmatch(name)
-    if match:
-        return _of_rolls(name, match[1])
+    if match := _ROLL.fullmatch(name):
+        steps = _turn(name, match[1])
+        return [
+            (vector, {"roll_axis": axis, "angle_deg": round(angle, 6) % 360.0})
+            for axis in match[2]
+            for vector, angle in zip(roll(axis, steps).up, steps.tolist(), strict=True)
+        ]
     name = AS_SCHEMES.get(name, name)
     scheme = read_scheme(name)
     return [
         (vector, {"scheme": name, "number": label})
         for vector, label in zip(scheme.up, scheme.names, strict=True)
     ]
-
-
-def _of_rolls(name: str, axes: str) -> list[tuple[Array, dict[str, Any]]]:
-    found = []
-    for axis in axes:
-        i = "xyz".index(axis)
-        first, second = (1, 2) if i == 0 else (0, 2) if i == 1 else (0, 1)  # as in roll-x-N …
-        for vector in read_bench(f"{name.rpartition('-')[0]}-{axis}"):
-            angle = np.degrees(np.arctan2(vector[second], vector[first])) % 360.0
-            setting = {"roll_axis": axis, "angle_deg": round(float(angle), 6) % 360.0}
-            found.append((vector, setting))
-    return found
 
 
 def _set_by(columns: Iterable[str]) -> tuple[str, ...]:

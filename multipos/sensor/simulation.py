@@ -199,7 +199,7 @@ def _session(
     force = size * scheme.up
     if scheme.force is not None:
         force = np.where(np.isfinite(scheme.force), scheme.force, force)
-    return sign * _turned(force, -np.radians(orientation_sd) * tilt), _surroundings(
+    return sign * turned(force, -np.radians(orientation_sd) * tilt), _surroundings(
         calibration, len(scheme), temperature
     )
 
@@ -218,11 +218,11 @@ def _surroundings(
     return columns
 
 
-def _turned(vectors: Array, rotation: Array) -> Array:
-    """Return vectors (n, 3) turned by rotation vectors (n, 3) [rad] (Rodrigues)."""
-    angle = np.linalg.norm(rotation, axis=1)[:, None]
+def turned(vectors: Array, rotation: Array) -> Array:
+    """Return vectors (…, 3) turned by rotation vectors (…, 3) [rad] (Rodrigues)."""
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
     axis = rotation / np.where(angle > 0.0, angle, 1.0)
-    along = axis * (axis * vectors).sum(axis=1)[:, None]
+    along = axis * (axis * vectors).sum(axis=-1, keepdims=True)
     across = np.cross(axis, vectors)
     return np.asarray(along + (vectors - along) * np.cos(angle) + across * np.sin(angle))
 
@@ -247,7 +247,7 @@ def _turn(before: Array, after: Array, count: int, rng: np.random.Generator) -> 
     angle = math.atan2(float(np.linalg.norm(np.cross(before, after))), float(before @ after))
     t = (np.arange(count) + 1.0) / (count + 1.0)
     swing = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)  # of least jerk
-    path = _turned(np.repeat(before[None], count, axis=0), np.outer(swing * angle, axis / size))
+    path = turned(np.repeat(before[None], count, axis=0), np.outer(swing * angle, axis / size))
     strength = np.sqrt(square) * _TREMBLE * np.sin(np.pi * t)
     return np.asarray(path + strength[:, None] * rng.normal(size=path.shape))
 

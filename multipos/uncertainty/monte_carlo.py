@@ -47,6 +47,7 @@ from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents
+from multipos.sensor.simulation import turned
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget, find_quantities
 from multipos.uncertainty.sensitivities import is_bounded, reading_moves, turn_axes
@@ -118,17 +119,17 @@ class Draws:
 
     def _without_noise(self, trials: int) -> Array:
         """Readings of the model at the forces that may have acted."""
-        turned = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
+        tilts = [q for q in self.quantities if q.name in ("level", "orientation", "index")]
         scaled = [q for q in self.quantities if q.name == "gravity"]
-        if turned or scaled or self.spread.any() or self.level:
-            return self._acted(trials, turned, scaled)
+        if tilts or scaled or self.spread.any() or self.level:
+            return self._acted(trials, tilts, scaled)
         return np.broadcast_to(self.model_readings, (trials, self.n, self.m))
 
-    def _acted(self, trials: int, turned: list[Quantity], scaled: list[Quantity]) -> Array:
+    def _acted(self, trials: int, tilts: list[Quantity], scaled: list[Quantity]) -> Array:
         """Readings of the model at the forces that really act, turned and scaled in full."""
         c = self.c
         vectors = np.zeros((trials, self.n, 3))  # rotation vectors of up, in case axes
-        for quantity in turned:
+        for quantity in tilts:
             if quantity.name == "orientation" or is_bounded(c, quantity):
                 size = math.sqrt(self.n) if quantity.name == "level" else 1.0
                 vectors += size * np.radians(self._law(quantity, (trials, self.n, 3)))
@@ -138,7 +139,7 @@ class Draws:
                 "tq,nqi->tni", np.radians(self._law(quantity, (trials, axes.shape[1]))), axes
             )
         vectors += self._allowed(trials)
-        force = _rotate(np.broadcast_to(c.reference, vectors.shape), vectors)
+        force = turned(c.reference, vectors)
         for quantity in scaled:
             assert c.gravity is not None
             at_rest = ~c.readings.forced[:, None]
@@ -223,15 +224,6 @@ def _noise_root(c: Calibration, covariance: Any) -> Array:
     factor = [float(median(stated_dof[part] / plain[part])) for part in c.model.slices]
     scale = np.tile(factor, n)
     return np.asarray(root * (scale[:, None] if root.ndim == 2 else scale))
-
-
-def _rotate(force: Array, vectors: Array) -> Array:
-    """Turn vectors (…, 3) by rotation vectors (…, 3), Rodrigues, with small angles exact."""
-    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    sinc = np.sinc(angle / math.pi)
-    half = 0.5 * np.sinc(angle / (2.0 * math.pi)) ** 2
-    cross = np.cross(vectors, force)
-    return np.asarray(force + sinc * cross + half * np.cross(vectors, cross))
 
 
 Solve = Callable[[Array], Array]  # readings (trials, n, M) -> parameters (trials, p)

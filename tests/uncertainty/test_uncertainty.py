@@ -16,9 +16,10 @@ from multipos.errors import MultiposError, UsageError
 from multipos.estimation.gains import estimator_gain, gravity_effect
 from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.simulation import turned
 from multipos.uncertainty import validity
 from multipos.uncertainty.budgets import read_budget
-from multipos.uncertainty.monte_carlo import _BLOCK, _rotate, _until_stable
+from multipos.uncertainty.monte_carlo import _BLOCK, _until_stable
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
 from multipos.uncertainty.validity import evaluate_sphere, unseen_covariance
@@ -618,8 +619,8 @@ def test_unseen_terms_are_read_by_their_kind():
 def test_vectors_are_turned_as_by_scipy(size):
     vectors = size * mp.read_scheme("fibonacci-12").up
     force = mp.read_scheme("icosahedron-12").up.copy()
-    turned = Rotation.from_rotvec(vectors).apply(force)
-    np.testing.assert_allclose(_rotate(force, vectors), turned, atol=1e-14)
+    by_scipy = Rotation.from_rotvec(vectors).apply(force)
+    np.testing.assert_allclose(turned(force, vectors), by_scipy, atol=1e-14)
 
 
 def test_trials_go_on_until_averages_are_stable():
