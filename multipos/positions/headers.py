@@ -208,8 +208,6 @@ _WRITTEN = {
 UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
 MAGNETIC_UNITS = ("T", "mT", "uT", "nT", "G", "mG")
 ACCELERATION_UNITS = ("m/s^2", "g", "mg", "ug")
-# A capital tells gauss from g and tesla from time.
-_AS_WRITTEN = {unit: unit for unit in MAGNETIC_UNITS}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 _COMPONENT = re.compile(
     r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
@@ -242,7 +240,8 @@ _LINEAR = re.compile(r"linear acceleration", re.IGNORECASE)  # of phyphox; ROS w
 def unit_of(written: str) -> str | None:
     """Return the unit that a text is, None where it is none that is known."""
     plain = written.replace(" ", "")
-    return _AS_WRITTEN.get(plain) or UNITS.get(plain.casefold())
+    # A capital tells gauss from g and tesla from time.
+    return plain if plain in MAGNETIC_UNITS else UNITS.get(plain.casefold())
 
 
 def split_unit(name: str) -> tuple[str, str | None]:

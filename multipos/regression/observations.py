@@ -98,7 +98,7 @@ def filter_time(window: float) -> float:
     return window / 4.0
 
 
-def causal_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = None) -> Array:
+def causal_rate(time: Array, values: Array, *, window: float) -> Array:
     """Return the rate of change of a column from the rows up to each, eq. (2).
 
     Parameters
@@ -106,8 +106,8 @@ def causal_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = No
     time : (n,) array
         Increasing; the first row begins the run.
     values : (n,) array
-    window : float, optional
-        Width w in the unit of `time`; `default_window` if not given.
+    window : float
+        Width w in the unit of `time`.
 
     Returns
     -------
@@ -115,18 +115,14 @@ def causal_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = No
 
     Raises
     ------
-    MultiposError
-        Time does not increase.
     UsageError
         The window is not above 0.
     """
-    t = np.asarray(time, dtype=np.float64)
-    v = np.asarray(values, dtype=np.float64)
-    _require_rising(t, np.arange(len(t)), "")
-    T = filter_time(_width(t, window))
+    _require_window(window)
+    T = filter_time(window)
     behind = rate = 0.0  # behind is v − s
-    rates = [0.0] * len(t)
-    steps = zip(np.diff(t).tolist(), np.diff(v).tolist(), strict=True)
+    rates = [0.0] * len(time)
+    steps = zip(np.diff(time).tolist(), np.diff(values).tolist(), strict=True)
     for row, (dt, moved) in enumerate(steps, start=1):
         inverse = 1.0 / (T + dt)
         ahead = behind + moved
@@ -148,15 +144,12 @@ def _require_rising(t: Array, rows: Places, where: str) -> None:
         )
 
 
-def _width(t: Array, window: float | None) -> float:
-    """Return the window that is asked for, or the default one."""
-    width = default_window(t) if window is None else window
-    if not width > 0.0:
-        raise UsageError(f"--rate-window must be above 0, got {width:g}.")
-    return width
+def _require_window(window: float) -> None:
+    if not window > 0.0:
+        raise UsageError(f"--rate-window must be above 0, got {window:g}.")
 
 
-def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = None) -> Array:
+def smoothed_rate(time: Array, values: Array, *, window: float) -> Array:
     """Return the rate of change of a column by a smoothed derivative, eq. (1).
 
     Parameters
@@ -164,8 +157,8 @@ def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = 
     time : (n,) array
         Increasing.
     values : (n,) array
-    window : float, optional
-        Width w in the unit of `time`; `default_window` if not given.
+    window : float
+        Width w in the unit of `time`.
 
     Returns
     -------
@@ -174,34 +167,31 @@ def smoothed_rate(time: ArrayLike, values: ArrayLike, *, window: float | None = 
     Raises
     ------
     MultiposError
-        Time does not increase, or by nothing to speak of, or a window holds one row only.
+        Time increases by nothing to speak of, or a window holds one row only.
     UsageError
         The window is not above 0.
     """
-    t = np.asarray(time, dtype=np.float64)
-    v = np.asarray(values, dtype=np.float64)
-    _require_rising(t, np.arange(len(t)), "")
-    if len(t) < 2:
+    if len(time) < 2:
         raise MultiposError(
             "the time column does not increase at row 1: one row alone has no rate; give more "
             "rows, or a column with the rate."
         )
-    if (shortest := float(np.diff(t).min())) < SMALLEST:
+    if (shortest := float(np.diff(time).min())) < SMALLEST:
         raise MultiposError(
             f"the time column steps by {shortest:g}, too little to be squared, so there is no "
             "rate; give the time in another unit."
         )
-    width = _width(t, window)
-    first = np.searchsorted(t, t - width / 2.0, side="left")
-    end = np.searchsorted(t, t + width / 2.0, side="right")
+    _require_window(window)
+    first = np.searchsorted(time, time - window / 2.0, side="left")
+    end = np.searchsorted(time, time + window / 2.0, side="right")
     lonely = end - first < 2
     if lonely.any():
         row = int(np.argmax(lonely)) + 1
         raise MultiposError(
-            f"no other row lies within the rate window of {width:g} about row {row}; "
+            f"no other row lies within the rate window of {window:g} about row {row}; "
             "give a longer --rate-window."
         )
-    return _slopes(t, v, first, end)
+    return _slopes(time, values, first, end)
 
 
 def _slopes(t: Array, v: Array, first: Places, end: Places) -> Array:

@@ -70,6 +70,7 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.gravity import FIELD_KINDS, Field
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
+from multipos.sensor.own_models import expression_dict, load_expression, load_parsed
 
 SCHEMA = "multipos/calibration/1"
 # Null is infinite, 0 none; less than a millionth of one is neither.
@@ -303,7 +304,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         else {"closed_form_max_difference": c.cross_check},
         "intrinsic": c.intrinsic,
         "installation_deg": c.installation_deg,
-        **_expression_dict(c.model),
+        **(expression_dict(c.model) if isinstance(c.model, ExpressionModel) else {}),
         **({} if c.model.drift_per is None else {"drift_per": c.model.drift_per}),
         **_ADDED.write(c),
         **({} if c.orientations is None else _ORIENTATIONS.write(c.orientations)),
@@ -415,22 +416,10 @@ def _model(content: Mapping[str, Any]) -> Model:
     return replace(_model_in_gravity(content), field=_field(content))
 
 
-def _expression_dict(model: Model) -> dict[str, Any]:
-    if not isinstance(model, ExpressionModel):
-        return {}
-    from multipos.sensor.own_models import expression_dict
-
-    return expression_dict(model)
-
-
 def _model_in_gravity(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
-        from multipos.sensor.own_models import load_parsed
-
         return load_parsed(content)
     if "expression" in content:
-        from multipos.sensor.own_models import load_expression
-
         model: Model = load_expression(content)
     else:
         model = build_model(

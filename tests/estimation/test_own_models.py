@@ -18,7 +18,7 @@ from multipos.estimation.gains import estimator_gain
 from multipos.estimation.starts import _is_better
 from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
-from multipos.regression.observations import smoothed_rate
+from multipos.regression.observations import default_window, smoothed_rate
 
 UP = read_scheme("all-26").up
 SATURATING = "each = b + s*own/(1 + k*own^2)"
@@ -463,7 +463,7 @@ def test_a_rate_of_temperature_is_a_column_like_any_other():
     """As `regress` has it, which forms the rate by itself."""
     time = np.linspace(0.0, 500.0, len(UP))
     temperature = 20.0 + 15.0 * np.sin(time / 120.0)
-    rate = smoothed_rate(time, temperature)
+    rate = smoothed_rate(time, temperature, window=default_window(time))
     noise = 1e-5 * np.random.default_rng(6).standard_normal(len(UP))
     volts = 0.02 + UP[:, 0] + 0.03 * rate + noise
     data = mp.Readings(volts, up=UP, outputs=("ax",), environment={"temperature_rate": rate})

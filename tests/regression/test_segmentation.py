@@ -11,7 +11,12 @@ from multipos.errors import MultiposError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.selection import compress
 from multipos.numerics.terms import evaluate_terms, parse_terms
-from multipos.regression.observations import causal_rate, default_window, smoothed_rate
+from multipos.regression.observations import (
+    causal_rate,
+    default_window,
+    form_rate,
+    smoothed_rate,
+)
 from multipos.regression.segmentation import (
     Joined,
     find_edges,
@@ -179,7 +184,7 @@ def test_rate_is_the_least_squares_slope_of_each_window():
 def test_rate_by_hand():
     """Rows within 1.5 of t = 2 are 1, 2, 3.5, with means 13/6 and 4: Σ tv = 21/6, Σ t² = 19/6."""
     # eq. (1) of regression.observations
-    rate = smoothed_rate([0.0, 1.0, 2.0, 3.5], [9.0, 2.0, 5.0, 5.0], window=3.0)
+    rate = smoothed_rate(np.array([0.0, 1.0, 2.0, 3.5]), np.array([9.0, 2.0, 5.0, 5.0]), window=3.0)
     assert rate[2] == pytest.approx(21 / 19, rel=1e-12)
     assert rate[3] == pytest.approx(0.0, abs=1e-12)  # 2 and 3.5
 
@@ -194,12 +199,13 @@ def test_rate_noise_is_as_stated():
 
 
 def test_rate_refuses_what_has_none():
+    time = np.array([0.0, 1.0, 1.0])
     with pytest.raises(MultiposError, match="does not increase at row 3"):
-        smoothed_rate([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], window=5.0)
+        form_rate(time, time, window=5.0, causal=False, run=None)
     with pytest.raises(MultiposError, match=r"window of 1 about row 1; give a longer"):
-        smoothed_rate([0.0, 10.0, 20.0], [1.0, 2.0, 3.0], window=1.0)
+        smoothed_rate(np.array([0.0, 10.0, 20.0]), np.array([1.0, 2.0, 3.0]), window=1.0)
     with pytest.raises(MultiposError, match="about row 3;"):
-        smoothed_rate([0.0, 0.4, 10.0], [1.0, 2.0, 3.0], window=1.0)
+        smoothed_rate(np.array([0.0, 0.4, 10.0]), np.array([1.0, 2.0, 3.0]), window=1.0)
 
 
 def test_a_response_that_is_nothing_has_no_edges():
@@ -219,7 +225,7 @@ def test_one_kind_of_value_has_no_edge_and_two_have_one(values, edges):
 def test_causal_rate_by_hand():
     """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
     # eq. (2) of regression.observations
-    rate = causal_rate([0.0, 1.0, 2.0], [0.0, 2.0, 2.0], window=4.0)
+    rate = causal_rate(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 2.0]), window=4.0)
     # second: ahead 1 + 0, followed .5, rate .5 + (.5 − .5)/2
     assert rate.tolist() == [0.0, 0.5, 0.5]
 
