@@ -56,7 +56,7 @@ from multipos.files.tables import Source
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.factoring import name_combinations, separability
-from multipos.numerics.terms import ModelText, Term
+from multipos.numerics.terms import ModelText, Term, sees_only
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame, frozen
@@ -88,7 +88,7 @@ def find_aliases(setting: Setting, up: Array) -> list[dict[str, Any]]:
         Z = rows[block].reshape(-1, rows[block].shape[2])
         names = model.names[setting.blocks[block]]
         for term in higher.terms[i]:
-            if term in own or not _sensed(term, model):
+            if term in own or not sees_only(term, model.inputs):
                 continue
             column = _column_of(setting, up, i, term)
             a = factors[block] @ column
@@ -118,10 +118,6 @@ def _share_left(column: Array, explained: Array) -> float:
     size = float(np.linalg.norm(column))
     share = float(np.linalg.norm(column - explained)) / size if size > ZERO_NORM else 0.0
     return share if share >= UNSEEN else 0.0
-
-
-def _sensed(term: Term, model: Model) -> bool:
-    return bool(term.factors) and all(f.variable in model.inputs for f in term.factors)
 
 
 def say_hidden(alias: Mapping[str, Any]) -> str:

@@ -53,6 +53,11 @@ class Attitudes(NamedTuple):
     rotation: Array
 
 
+def open_attitudes(n: int) -> Attitudes:
+    """Return attitudes of which nothing is known yet."""
+    return Attitudes(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+
+
 _LEVEL_DEG = 3.0  # nothing a hand can tell
 _SMALL_SHARE = 0.35  # of the lean, below which an axis is not named
 _EMPTY = ("", "nan")  # of a cell, in a file and in a data frame
@@ -102,7 +107,7 @@ def read_attitudes(table: Table, unknown: Mask | None = None) -> Attitudes | Non
     given = rows_with_orientation(table)
     assert given is not None
     skipped = unknown & ~given
-    result = Attitudes(np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan))
+    result = open_attitudes(table.rows)
     if not skipped.all():
         found = _READERS[form](table.select(np.flatnonzero(~skipped).tolist()))
         result.up[~skipped], result.rotation[~skipped] = found
@@ -226,19 +231,18 @@ def parse_axis_up(text: str) -> Array | None:
 
 
 def _read_direction(table: Table) -> Attitudes:
-    up = np.full((table.rows, 3), np.nan)
-    rotation = np.full((table.rows, 3, 3), np.nan)
+    found = open_attitudes(table.rows)
     for row, text in enumerate(table.text("direction")):
         axis = parse_axis_up(text)
         if axis is not None:
-            up[row] = axis
+            found.up[row] = axis
             continue
         try:
-            rotation[row] = parse_direction(text)
+            found.rotation[row] = parse_direction(text)
         except MultiposError as error:
             raise MultiposError(f"{table.where(row, 'direction')}: {error}") from None
-        up[row] = rotation[row, :, 2]
-    return Attitudes(up, rotation)
+        found.up[row] = found.rotation[row, :, 2]
+    return found
 
 
 def _read_up(table: Table) -> Attitudes:

@@ -276,8 +276,6 @@ def _references(readings: Readings, unknown: Mask, rolls: OpenRolls | None, size
 
 def _directions(readings: Readings, unknown: Mask, rolls: OpenRolls | None) -> Array:
     """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
-    if unknown.all():
-        return np.tile(_ANY, (len(readings), 1))
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
     if rolls is not None:
         up = np.where(rolls.rows[:, None], across(rolls.vectors), up) + 0.0

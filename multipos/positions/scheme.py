@@ -395,10 +395,9 @@ def join(name: str, parts: list[Scheme]) -> Scheme:
     up = np.concatenate([part.up for part in parts])
     rotation = np.concatenate([part.rotation for part in parts])
     force = _joined_forces(parts)
-    if not labelled:
-        return Scheme(name, up, rotation, None, force)
-    _refuse_twice(name, tuple(labels))
-    return Scheme(name, up, rotation, tuple(labels), force)
+    known = tuple(labels) if labelled else None
+    _refuse_twice(name, known)
+    return Scheme(name, up, rotation, known, force)
 
 
 def _joined_forces(parts: list[Scheme]) -> Array | None:
@@ -462,9 +461,7 @@ def _from_table(source: Source) -> Scheme:
     labels = table.text("position") if "position" in table else None
     _refuse_twice(table.source, labels)
     if listed is None:
-        listed = attitudes.Attitudes(
-            np.full((table.rows, 3), np.nan), np.full((table.rows, 3, 3), np.nan)
-        )
+        listed = attitudes.open_attitudes(table.rows)
     up = listed.up if force is None else headers.along_forces(force, listed.up)
     return Scheme(visible(table.source), up, listed.rotation, labels, force)
 

@@ -378,7 +378,7 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
 
 def _from_dict(content: Mapping[str, Any]) -> Calibration:
     outputs = tuple(content["outputs"])
-    model = _model(content)
+    model = replace(_model(content), field=_field(content))
     parameters = content["parameters"]
     keys = [(entry["output"], entry["term"]) for entry in parameters]
     if keys != [(output, str(term)) for output, term in model.keys]:
@@ -413,10 +413,6 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
 
 
 def _model(content: Mapping[str, Any]) -> Model:
-    return replace(_model_in_gravity(content), field=_field(content))
-
-
-def _model_in_gravity(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
         return load_parsed(content)
     if "expression" in content:

@@ -95,9 +95,7 @@ def p_values(
     array or None
         None where the other readings do not determine the fit.
     """
-    each_once = {id(design): design for design in designs}
-    Q = {key: np.linalg.qr(design)[0] for key, design in each_once.items()}
-    bases = [Q[id(design)] for design in designs]
+    bases = [np.linalg.qr(design)[0] for design in designs]
     (found,) = p_values_of_units(errors[None], leverage, bases, questioned[None])
     return None if np.isnan(found[questioned]).any() else found[questioned]
 
@@ -382,8 +380,7 @@ def find_outliers(
         return ()
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
     if error.shape[1] > 1 and judged:
-        each_once = {own.tobytes(): design[:, own] for own in columns}
-        weighed = [each_once[own.tobytes()] for own in columns]
+        weighed = [design[:, own] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)

@@ -300,6 +300,7 @@ SHARED = "common"  # the output of what all outputs share, and how such a name b
 EACH = "each"
 _NAME = re.compile(r"[^\W\d]\w*")
 _TAKEN = (*COMPONENTS, "own", *CONSTANTS, *FUNCTIONS)
+_SAID = ("start", "sd", "unit", "low", "high")  # of a parameter
 _TELLING = 4  # characters of a name that can be a misspelt column
 _KEPT = 64  # lines
 _FAR = 1e9  # of a start: a bound beyond which bounds nothing, and takes its digits
@@ -506,10 +507,9 @@ def _quantity(path: str, name: str, said: Any) -> StatedParameter:
 
 
 def _check_entry(where: str, key: str, value: Any) -> None:
-    keys = ("start", "sd", "unit", "low", "high")
-    if key not in keys:
+    if key not in _SAID:
         raise MultiposError(
-            f"{where}: unknown '{key}'{near(key, keys)} It takes {', '.join(keys)}."
+            f"{where}: unknown '{key}'{near(key, _SAID)} It takes {', '.join(_SAID)}."
         )
     if key == "unit":
         if not isinstance(value, str):
@@ -556,15 +556,11 @@ def _checked(parsed: ParsedModel) -> ParsedModel:
 
 def parsed_dict(parsed: ParsedModel) -> dict[str, Any]:
     """Return a parsed model as what JSON can carry."""
-    quantities = {}
-    for q in parsed.quantities:
-        said = {"start": q.start, "sd": q.sd, "unit": q.unit}
-        said |= {"low": q.low, "high": q.high}
-        quantities[q.name] = {
-            key: value
-            for key, value in said.items()
-            if value is not None and not (isinstance(value, float) and math.isinf(value))
-        }
+    unsaid = (None, -math.inf, math.inf)
+    quantities = {
+        q.name: {key: getattr(q, key) for key in _SAID if getattr(q, key) not in unsaid}
+        for q in parsed.quantities
+    }
     return {"parameters": quantities, "outputs": dict(parsed.lines)}
 
 

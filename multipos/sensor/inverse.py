@@ -27,7 +27,7 @@ with one bias [reading] and one scale factor [reading/g] for every output; outpu
 averaged. It is what a calibration is compared with.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -152,13 +152,10 @@ def _turns_back(model: Model, parameters: Array, environment: Environment, reach
         for name in model.environment
     }
     jacobian = model.force_jacobian(parameters, grid, middle)[:, :, sensed]
-    nominal = np.linalg.pinv(model.force_jacobian(parameters, grid[:1] * 0.0, _first(middle))[0])
+    first = {name: column[:1] for name, column in middle.items()}
+    nominal = np.linalg.pinv(model.force_jacobian(parameters, grid[:1] * 0.0, first)[0])
     determinant = np.linalg.det(nominal[sensed] @ jacobian)
     return not bool((determinant > 0.0).all())
-
-
-def _first(columns: Mapping[str, Array]) -> dict[str, Array]:
-    return {name: column[:1] for name, column in columns.items()}
 
 
 def invert_at_rest(

@@ -337,7 +337,7 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     if q < 1 or nu < 1 or not within > 0.0:
         return None
     variance = max((explained - q * within) / float(np.sum((basis.T @ Z) ** 2)), 0.0)
-    places, inverse = _places(c, output), np.linalg.pinv(X)
+    places, inverse = np.flatnonzero(c.model.output_of == output), np.linalg.pinv(X)
     moves = np.zeros((len(c.parameters), Z.shape[1]))
     moves[places] = inverse @ Z
     s_0 = float(e @ e) / (len(Z) - X.shape[1])
@@ -347,11 +347,6 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     means = np.array([e[soak == s].mean() for s in np.unique(soak)])
     found = _hysteresis(c, soak, means, sd)
     return _Soaks(sd, float(q), moves, within / s_0, covariance, found)
-
-
-def _places(c: Calibration, output: int) -> Places:
-    """Return where the parameters of an output stand."""
-    return np.flatnonzero(np.asarray(c.model.output_of) == output)
 
 
 def _hysteresis(c: Calibration, soak: Places, means: Array, sd: float) -> Mapping[str, Any] | None:

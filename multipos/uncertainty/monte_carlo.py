@@ -78,11 +78,6 @@ class Draws:
                 "as with --reading-sd, or add positions."
             )
 
-    @property
-    def dof_of_parameters(self) -> Array:
-        """Degrees of freedom (p,) of the noise that is drawn, of the output of each parameter."""
-        return self.c.model.per_parameter(self.dof, self.dof.sum())
-
     def _take_from_likelihood(self) -> None:
         """Take noise and sds of positions from the likelihood of the fit."""
         c, problem = self.c, restate(self.c)
@@ -349,7 +344,8 @@ def simulate_budget(
     solve = estimator or _own_estimator(c)
     draw = Draws(c, generator)
     delta = numerical_tolerance(c.u, digits)
-    exists = np.where(draw.dof_of_parameters > 2.0, 1.0, math.nan)
+    dof = c.model.per_parameter(draw.dof, draw.dof.sum())
+    exists = np.where(dof > 2.0, 1.0, math.nan)
     one_by_one = estimator is None and not _is_product(c)
     size = _FEW if one_by_one and trials is not None else _BLOCK
     blocks = _blocks(solve, draw, trials or _MOST, size, progress)
