@@ -29,11 +29,9 @@ from multipos.positions.headers import in_celsius, under_names
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.regression import prediction
-from multipos.regression.observations import Rows, form_rate, number_labels, require_columns
+from multipos.regression.observations import Rows, form_rate, number_labels
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
-
-_NEEDED = ", which this regression needs"
 
 
 class Corrected(AppliedColumns):
@@ -259,14 +257,23 @@ def read_predictors(regression: Regression, table: Table, run: Rows | None) -> d
     for name in regression.needed:
         window = None if name in table else regression.rates.get(name)
         if window is None or regression.time is None:
-            require_columns(table, [name], _NEEDED)
+            _require_columns(table, [name])
             columns[name] = table.number(name, largest=largest_value(terms, name))
         else:
             source = name.removesuffix("_rate")
-            require_columns(table, [source, regression.time], _NEEDED)
+            _require_columns(table, [source, regression.time])
             at, values = (table.number(n, largest=LARGEST) for n in (regression.time, source))
             columns[name] = form_rate(at, values, window=window, causal=regression.causal, run=run)
     return columns
+
+
+def _require_columns(table: Table, names: Sequence[str]) -> None:
+    for name in names:
+        if name not in table:
+            raise MultiposError(
+                f"{table.source}: no column '{name}', which this regression needs; "
+                f"the columns are {', '.join(table.columns)}."
+            )
 
 
 def range_column(

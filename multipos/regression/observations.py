@@ -373,7 +373,7 @@ def read_observations(
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
-    require_columns(table, [*needed, *_named(cluster), *_named(run)])
+    _require_columns(table, [*needed, *_named(cluster), *_named(run)])
     if formed and time is None:
         raise MultiposError(
             f"{table.source}: no column '{next(iter(formed))}', and no time column of numbers "
@@ -422,13 +422,11 @@ def _rates_to_form(table: Table, wanted: Sequence[str]) -> dict[str, str]:
     return {name: source for name, source in sources.items() if source in table}
 
 
-def require_columns(table: Table, names: Sequence[str], why: str = "") -> None:
-    """Refuse a table that lacks a column."""
+def _require_columns(table: Table, names: Sequence[str]) -> None:
     missing = [name for name in names if name not in table]
     if missing:
         raise MultiposError(
-            f"{table.source}: no column '{missing[0]}'{why}; the columns are "
-            f"{', '.join(table.columns)}."
+            f"{table.source}: no column '{missing[0]}'; the columns are {', '.join(table.columns)}."
         )
 
 
