@@ -134,8 +134,9 @@ def _of_magnetic_field(
             alone = all(headers.component(name).magnetic for name in names)
         if not (shown or alone) or headers.unit_as_known(unit or "") in headers.ACCELERATION_UNITS:
             return table, names
-    if field == "magnetic" and names is None and len(headers.triads_of(named, _parts(named))) == 1:
-        names = headers.triads_of(named, _parts(named))[0]
+    whole = headers.triads_of(named, {name: headers.component(name) for name in named})
+    if field == "magnetic" and names is None and len(whole) == 1:
+        names = whole[0]
     kept = table.columns if names is None else {n for n in table.columns if n not in names}
     wrong = [n for n in attitudes.COLUMNS if n in kept and n not in attitudes.UP]
     if wrong:
@@ -154,10 +155,6 @@ def _of_magnetic_field(
     renamed = dict(zip(forms[0], attitudes.UP, strict=True))
     columns = _without(table, names, () if len(forms) == 1 else forms[1])
     return replace(table, columns={renamed.get(n, n): c for n, c in columns.items()}), names
-
-
-def _parts(names: Sequence[str]) -> dict[str, headers.NameParts]:
-    return {name: headers.component(name) for name in names}
 
 
 def _without(table: Table, outputs: tuple[str, ...] | None, names: Sequence[str]) -> dict[str, Any]:

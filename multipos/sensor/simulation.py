@@ -207,10 +207,7 @@ def _session(
 def _surroundings(
     calibration: Calibration, count: int, temperature: Sequence[float] | None
 ) -> dict[str, Array]:
-    columns = {
-        name: np.full(count, float(np.mean(calibration.readings.environment[name])))
-        for name in calibration.model.environment
-    }
+    columns = {name: np.full(count, mean) for name, mean in calibration.mean_environment.items()}
     if temperature is not None:
         if len(temperature) != 2 or not (np.abs(temperature) <= LARGEST).all():
             raise UsageError("--temperature takes the first and the last temperature, as 20,40.")

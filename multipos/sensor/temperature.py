@@ -141,7 +141,7 @@ def over_temperature(
     if temperature is None:
         temperature = np.linspace(seen[column].min(), seen[column].max(), _POINTS)
     T = np.array(temperature, dtype=np.float64, ndmin=1)
-    fixed = {name: float(np.mean(seen[name])) for name in model.environment} | dict(others or {})
+    fixed = calibration.mean_environment | dict(others or {})
     weights = np.array([model.linear_map({**fixed, column: float(t)}) for t in T])  # (n, M, 4, p)
     curves = []
     for i, (output, axis) in enumerate(zip(model.outputs, model.axes, strict=True)):
