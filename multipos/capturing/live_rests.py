@@ -15,11 +15,10 @@ row without numbers is counted and left out. Rows are in memory while few, in a 
 many, and let go of when no rest can begin before them any more.
 """
 
-import tempfile
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import field
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,13 +27,20 @@ from multipos.finding import Finding
 from multipos.logs import rests
 from multipos.logs.clock import Clock, read_clock, sample_rate, time_columns
 from multipos.logs.log_columns import choose_outputs
-from multipos.logs.samples import Kept, Timing, good_rows, rises_or_wraps, small_pieces, usual_size
+from multipos.logs.samples import (
+    Kept,
+    Store,
+    Timing,
+    good_rows,
+    rises_or_wraps,
+    small_pieces,
+    usual_size,
+)
 from multipos.logs.still import Still, average_rests
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.results import frozen
 
-_IN_MEMORY = 1 << 20  # numbers
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
@@ -96,7 +102,7 @@ class LiveRows(Kept):
         self._order = [self._place(name) for name in names]
         self._usual = usual_size(self._arranged(head))
         self._last = -np.inf
-        self._store = _Store(len(names))
+        self._store = Store()
         self._spikes = rests.Spikes(len(self.outputs))
 
     def _read_clock(self, column: str, time: Array, timing: Timing) -> None:
@@ -153,13 +159,6 @@ class LiveRows(Kept):
         self.whole += data.shape[1]
         return data[: len(self.outputs)]
 
-    def read(self, stretches: list[rests.Rest]) -> list[Array]:
-        """Return the outputs (M, n) of stretches of rows that are kept."""
-        pieces = list(self.pieces())
-        first = pieces[0][0] if pieces else 0
-        whole = np.concatenate([piece[: len(self.outputs)] for _, piece in pieces], axis=1)
-        return [whole[:, start - first : end - first] for start, end in stretches]
-
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece that is kept."""
         return self._store.pieces()
@@ -180,63 +179,6 @@ class LiveRows(Kept):
     def close(self) -> None:
         """Let go of everything that is kept."""
         self._store.close()
-
-
-class _Store:
-    """Columns (k, n) in pieces, the older ones in a temporary file."""
-
-    def __init__(self, width: int) -> None:
-        self._width = width
-        self._first = 0  # row of the first piece
-        self._new: list[Array] = []
-        self._size = 0  # numbers in the new pieces
-        self._filed: list[int] = []  # rows of the pieces in the file
-        self._file: IO[bytes] | None = None
-
-    def add(self, piece: Array) -> None:
-        if piece.shape[1]:
-            self._new.append(piece)
-            self._size += piece.size
-        if self._size > _IN_MEMORY:
-            if self._file is None:
-                self._file = tempfile.TemporaryFile()  # noqa: SIM115
-            self._file.seek(0, 2)
-            together = np.concatenate(self._new, axis=1)
-            self._file.write(np.ascontiguousarray(together).data)
-            self._filed.append(together.shape[1])
-            self._new, self._size = [], 0
-        elif len(self._new) > 256:
-            self._new = [np.concatenate(self._new, axis=1)]
-
-    def pieces(self) -> Iterator[tuple[int, Array]]:
-        if len(self._new) > 1:  # one long piece is gone through much faster than many short ones
-            self._new = [np.concatenate(self._new, axis=1)]
-        first = self._first
-        if self._file is not None:
-            self._file.seek(0)
-            for rows in self._filed:
-                numbers = np.frombuffer(self._file.read(8 * self._width * rows))
-                yield first, numbers.reshape(self._width, rows)
-                first += rows
-        for piece in self._new:
-            yield first, piece
-            first += piece.shape[1]
-
-    def forget(self, row: int) -> None:
-        filed = sum(self._filed)
-        if self._file is not None and self._first + filed <= row:
-            self._file.truncate(0)
-            self._filed = []
-            self._first += filed
-        while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
-            piece = self._new.pop(0)
-            self._first += piece.shape[1]
-            self._size -= piece.size
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-        self._new = []
 
 
 _ENOUGH = 3  # rests that show what stillness is

@@ -94,7 +94,8 @@ def share_of(progress: Progress | None, done: int, count: int) -> Progress | Non
     return None if progress is None else lambda part: progress((done + part) / count)
 
 
-_IN_MEMORY = 1 << 22  # bytes
+_IN_MEMORY = 1 << 19  # numbers
+_SMALL = 1 << 12  # numbers: smaller pieces, which cost more than what they hold, are joined
 _LATEST = 1e25  # of the other columns: no clock counts so far, in picoseconds neither
 _FAR = 1e6  # times the median of a column: no sensor reads so much, a damaged number does
 
@@ -142,6 +143,72 @@ class Kept(Protocol):
         if self.rate is None:
             return None
         return rest.start / self.rate, (rest.end - 1) / self.rate
+
+    def read(self, stretches: list[Rest]) -> list[Array]:
+        """Return the outputs (M, n) of stretches of rows."""
+        parts: list[list[Array]] = [[] for _ in stretches]
+        for first, piece in self.pieces():
+            for part, (start, end) in zip(parts, stretches, strict=True):
+                if start < first + piece.shape[1] and end > first:
+                    part.append(piece[: len(self.outputs), max(start - first, 0) : end - first])
+        return [np.concatenate(part, axis=1) for part in parts]
+
+
+class Store:
+    """Columns (k, n) in pieces, the older ones in a temporary file when they are many."""
+
+    def __init__(self) -> None:
+        self._first = 0  # row of the first piece
+        self._new: list[Array] = []
+        self._filed: list[tuple[int, ...]] = []  # shapes of the pieces in the file
+        self._file: IO[bytes] | None = None
+
+    def add(self, piece: Array) -> None:
+        """Keep the rows that follow."""
+        if not piece.shape[1]:
+            return
+        if self._new and self._new[-1].size + piece.size <= _SMALL:
+            piece = np.concatenate([self._new.pop(), piece], axis=1)
+        self._new.append(piece)
+        if sum(each.size for each in self._new) > _IN_MEMORY:
+            if self._file is None:
+                import tempfile  # slow to import, and seldom needed
+
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `close`
+            self._file.seek(0, 2)
+            for each in self._new:
+                self._file.write(np.ascontiguousarray(each).data)
+                self._filed.append(each.shape)
+            self._new = []
+
+    def pieces(self) -> Iterator[tuple[int, Array]]:
+        """Yield the first row and the numbers of each piece, in order."""
+        first = self._first
+        if self._file is not None:
+            self._file.seek(0)
+            for width, rows in self._filed:
+                numbers = np.frombuffer(self._file.read(8 * width * rows))
+                yield first, numbers.reshape(width, rows)
+                first += rows
+        for piece in self._new:
+            yield first, piece
+            first += piece.shape[1]
+
+    def forget(self, row: int) -> None:
+        """Let go of the rows before one, as far as that is easy."""
+        filed = sum(rows for _, rows in self._filed)
+        if self._file is not None and self._first + filed <= row:
+            self._file.truncate(0)
+            self._filed = []
+            self._first += filed
+        while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
+            self._first += self._new.pop(0).shape[1]
+
+    def close(self) -> None:
+        """Let go of everything that is kept."""
+        if self._file is not None:
+            self._file.close()
+        self._new = []
 
 
 class Samples(Kept):
@@ -204,16 +271,13 @@ class Samples(Kept):
         self._dropped: list[int] = []
         self._last = -np.inf
         self.spikes: Spikes = Spikes(len(outputs))
-        self._few: list[Array] = []  # pieces, while they are few
-        self._sizes: list[int] = []  # of those in the file
-        self._file: IO[bytes] | None = None
+        self._store = Store()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._store.close()
 
     def survey(self, min_duration: float | None, progress: Progress | None = None) -> Survey:
         """Read the log; return what it is like."""
@@ -247,7 +311,7 @@ class Samples(Kept):
 
     def _look_at(self, data: Array, survey: Survey, windows: Windows) -> None:
         """Keep numbers (columns, rows), and add the outputs to the survey."""
-        self._keep(data)
+        self._store.add(data)
         for small in small_pieces(data[: len(self.outputs)]):
             survey.add(small, *windows.feed(small))
 
@@ -259,18 +323,7 @@ class Samples(Kept):
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers (columns, rows) of each piece, in order."""
-        first = 0
-        for numbers in self._in_file() if self._file is not None else self._few:
-            yield first, numbers
-            first += numbers.shape[1]
-
-    def _in_file(self) -> Iterator[Array]:
-        assert self._file is not None
-        width = len(self.outputs) + len(self.others) + (self.clock is not None)
-        self._file.seek(0)
-        for rows in self._sizes:
-            numbers = np.frombuffer(self._file.read(8 * width * rows))
-            yield numbers.reshape(width, rows)
+        return self._store.pieces()
 
     def raw_outputs(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the outputs (M, rows) of each piece as the log has them."""
@@ -280,28 +333,6 @@ class Samples(Kept):
                 if first <= row < first + outputs.shape[1]:
                     outputs[j, row - first] = value
             yield first, outputs
-
-    def read(self, stretches: list[Rest]) -> list[Array]:
-        """Return the outputs (M, n) of stretches of rows."""
-        parts: list[list[Array]] = [[] for _ in stretches]
-        for first, piece in self.pieces():
-            for part, (start, end) in zip(parts, stretches, strict=True):
-                if start < first + piece.shape[1] and end > first:
-                    part.append(piece[: len(self.outputs), max(start - first, 0) : end - first])
-        return [np.concatenate(part, axis=1) for part in parts]
-
-    def _keep(self, data: Array) -> None:
-        """Keep a piece: in memory while they are few, all of them in a file when many."""
-        self._few.append(data)
-        if self._file is None and sum(each.nbytes for each in self._few) > _IN_MEMORY:
-            import tempfile  # slow to import, and seldom needed
-
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115  # closed on leaving
-        if self._file is not None:
-            for each in self._few:
-                self._file.write(each.tobytes())
-                self._sizes.append(each.shape[1])
-            self._few = []
 
     @property
     def dropped(self) -> int:
@@ -519,9 +550,7 @@ def _read(log: Log, column: str, value: str, wanted: Wanted) -> Iterator[Piece]:
         else:
             matches = np.array([cell == value for cell in table.text(column)])
         rows = np.flatnonzero(matches).tolist()
-        kept = {name: _some(cells, rows) for name, cells in table.columns.items()}
-        lines = None if table.lines is None else [int(table.lines[row]) for row in rows]
-        chosen = replace(table, columns=kept, rows=len(rows), lines=lines, first=first)
+        chosen = replace(table.select(rows), first=first)
         first += len(rows)
         given = piece.lines
         yield Piece(chosen, None if given is None else partial(_lines, given, rows), piece.done)
@@ -532,10 +561,6 @@ def _number(value: str) -> float:
         return float(value)
     except ValueError:
         return np.nan
-
-
-def _some(cells: Sequence[object] | Array, rows: list[int]) -> Sequence[object] | Array:
-    return cells[rows] if isinstance(cells, np.ndarray) else [cells[row] for row in rows]
 
 
 def _lines(given: Callable[[], list[str]], rows: list[int]) -> list[str]:

@@ -16,7 +16,7 @@ from amounts import rest_slow
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.capturing import live_rests, poses
+from multipos.capturing import poses
 from multipos.capturing.evaluation import (
     NOTHING,
     SessionPlan,
@@ -25,7 +25,7 @@ from multipos.capturing.evaluation import (
     read_targets,
     spread_targets,
 )
-from multipos.capturing.live_rests import LiveRests, LiveRows, _Store
+from multipos.capturing.live_rests import LiveRests, LiveRows
 from multipos.capturing.poses import (
     Frame,
     _centre,
@@ -51,9 +51,10 @@ from multipos.capturing.screen import (
 from multipos.capturing.session import Session, state_of
 from multipos.capturing.streams import _whole_lines, open_source, read_ahead
 from multipos.cli import main
+from multipos.logs import samples
 from multipos.logs.opening import open_log
 from multipos.logs.rests import BLOCKS, Rest
-from multipos.logs.samples import Timing, rises, rows_in_log
+from multipos.logs.samples import Store, Timing, rises, rows_in_log
 from multipos.positions.attitudes import pose_words
 
 RATE = 100.0
@@ -741,8 +742,8 @@ def test_the_next_position_as_it_is_laid_out_or_by_short_ways(monkeypatch):
 
 
 def test_rows_that_are_kept_in_a_file_and_let_go(monkeypatch):
-    monkeypatch.setattr(live_rests, "_IN_MEMORY", 10)
-    store, table = _Store(2), np.arange(22.0).reshape(2, 11)
+    monkeypatch.setattr(samples, "_IN_MEMORY", 10)
+    store, table = Store(), np.arange(22.0).reshape(2, 11)
     for first, last in ((0, 4), (4, 8), (8, 11)):
         store.add(np.ascontiguousarray(table[:, first:last]))
 
