@@ -117,7 +117,7 @@ class Kept:
 
 def files_kept(source: RowSource, readings: Path) -> tuple[Path, ...]:
     """Return the session file, its lock and, of a source that is no log, where its rows go."""
-    endings = ("_session.json", "_session.lock", *(() if source.is_log else ("_log.csv",)))
+    endings = ("_session.json", "_session.lock", *(("_log.csv",) if source.path is None else ()))
     return tuple(readings.with_name(f"{readings.stem}{ending}") for ending in endings)
 
 

@@ -34,6 +34,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +42,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.csv_columns import unix_lines
 from multipos.files.spelling import Names, split_names
 from multipos.files.whole import reading
 from multipos.logs.clock import time_columns
@@ -262,10 +264,8 @@ class RowSource:
     Attributes
     ----------
     name : str
-    is_log : bool
-        Whether the rows are in a file already.
     path : path or None
-        That file.
+        The log that has the rows already.
     rate : float [Hz]
         By which a replay is paced; set when it is known.
     untimed : bool
@@ -275,16 +275,21 @@ class RowSource:
     """
 
     name: str
-    is_log: bool
     path: Path | None
     arrivals: Callable[[Names | None], Iterator[Arrival]] = field(repr=False)
     rate: float = ASSUMED_RATE
     untimed: bool = False
 
 
-def bytes_source(name: str, chunks: Callable[[], Chunks]) -> RowSource:
+def bytes_source(
+    name: str, chunks: Callable[[], Chunks], path: Path | None = None, *, untimed: bool = False
+) -> RowSource:
     """Return a source of lines, given what opens it."""
-    source = RowSource(name, False, None, lambda columns: _rows_of(source, chunks(), columns))
+
+    def arrivals(columns: Names | None) -> Iterator[Arrival]:
+        return _rows_of(source, chunks(), columns)
+
+    source = RowSource(name, path, arrivals, untimed=untimed)
     return source
 
 
@@ -380,7 +385,7 @@ def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
     end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
     whole, left = block[:end], block[end:]
     left = left[:_LONGEST_LINE]  # of a longer line the middle goes, and it is a bad row
-    text = whole.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = unix_lines(whole).decode("utf-8", "replace")
     return text.removeprefix("\ufeff"), left
 
 
@@ -411,9 +416,7 @@ def open_source(text: str) -> RowSource:
     if not text:
         raise UsageError("SOURCE is empty; see 'multipos capture --help'.")
     path = Path(text)
-    source = bytes_source(text, lambda: _growing(path))
-    source.is_log, source.path = True, path
-    return source
+    return bytes_source(text, lambda: _growing(path), path)
 
 
 def _stdin() -> Chunks:
@@ -442,9 +445,8 @@ def _udp_source(rest: str) -> RowSource:
     address, _, port = rest.rpartition(":")
     if not port.isdigit() or not 0 < int(port) < 1 << 16:
         raise UsageError(f"'udp:{rest}' names no port; give udp:PORT, or udp:ADDRESS:PORT.")
-    source = bytes_source(f"udp:{rest}", lambda: _udp(address or "127.0.0.1", int(port)))
-    source.untimed = True
-    return source
+    chunks = partial(_udp, address or "127.0.0.1", int(port))
+    return bytes_source(f"udp:{rest}", chunks, untimed=True)
 
 
 def _udp(address: str, port: int) -> Chunks:
@@ -472,10 +474,7 @@ def _datagrams(receiver: socket.socket) -> Iterator[bytes]:
 
 
 def _serial_source(rest: str) -> RowSource:
-    device, baud = split_port(rest)
-    source = bytes_source(f"serial:{rest}", lambda: read_port(device, baud))
-    source.untimed = True
-    return source
+    return bytes_source(f"serial:{rest}", partial(read_port, *split_port(rest)), untimed=True)
 
 
 def _replay_source(rest: str) -> RowSource:
@@ -488,7 +487,7 @@ def _replay_source(rest: str) -> RowSource:
             f"'replay:{rest}': give replay:LOG, or replay:LOG:SPEED with SPEED 0 (as fast as it "
             "goes) or more."
         )
-    source = RowSource(path, True, Path(path), lambda columns: _replay(source, columns, speed))
+    source = RowSource(path, Path(path), lambda columns: _replay(source, columns, speed))
     return source
 
 

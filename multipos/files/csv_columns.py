@@ -354,11 +354,13 @@ class _Pieces:
         return Plain(self._header, columns, _joined(self._numbers), self._mark)
 
 
+def unix_lines(raw: bytes) -> bytes:
+    """Return whole lines that end as in Unix."""
+    return raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in raw else raw
+
+
 def _text(raw: bytes) -> str:
-    """Return whole lines as text in which lines end as in Unix."""
-    if b"\r" in raw:
-        raw = raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return raw.decode("utf-8")
+    return unix_lines(raw).decode("utf-8")
 
 
 def _rows_of(raw: Raw, piece: _Piece) -> list[str]:

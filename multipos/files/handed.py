@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.csv_columns import FileBytes
 from multipos.files.pipes import GZIP, Unpacked
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json_value
@@ -284,11 +285,8 @@ def content_of(source: object) -> str | None:
     with reading(source, "file"):  # a name may be too long to ask for
         if not Path(source).is_file():
             return None
-    import hashlib  # slow to import, and of several files only
-
     held = unpack(source) if is_packed(first_bytes(source, len(XZ))) else source
-    with reading(held, "file"), Path(held).open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    return FileBytes(held, "file").sha256()
 
 
 def find_copies(contents: Sequence[str | None], named: Sequence[str]) -> dict[int, str]:

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.csv_columns import unix_lines
 from multipos.files.spelling import of_cell
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding, Findings
@@ -331,7 +332,7 @@ class _Text:
 
 def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
     """Return a log of text, whose first bytes are given."""
-    lines = _decode(path, _one_line_end(head)).split("\n")
+    lines = _decode(path, unix_lines(head)).split("\n")
     if len(head) >= HEAD and len(lines) > 1:
         lines = lines[:-1]  # its last line may be cut
     layout = find_layout(str(path), lines)
@@ -480,15 +481,11 @@ def _blocks(text: _Text) -> Iterator[_Block]:
             end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1
             block, rest = block[:end], block[end:]
             if block:
-                content = _one_line_end(block)
+                content = unix_lines(block)
                 yield _Block(content, line, min(stream.tell() / size, 1.0))
                 line += content.count(b"\n")
         if rest:
-            yield _Block(_one_line_end(rest), line, 1.0)
-
-
-def _one_line_end(block: bytes) -> bytes:
-    return block.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in block else block
+            yield _Block(unix_lines(rest), line, 1.0)
 
 
 def _part(text: _Text, block: _Block) -> Part:
