@@ -176,10 +176,6 @@ class LiveRows(Kept):
         )
         return rests.Rest(rest.start + before, rest.end + within)
 
-    def close(self) -> None:
-        """Let go of everything that is kept."""
-        self._store.close()
-
 
 _ENOUGH = 3  # rests that show what stillness is
 _FIRST_PIECE, _PIECE = 512, 64  # samples that the survey is handed at once

@@ -47,7 +47,7 @@ from multipos.logs.rests import (
     is_long,
     long_enough,
 )
-from multipos.logs.samples import Samples, Timing, _turns, good_rows, rows_in_log
+from multipos.logs.samples import Samples, Store, Timing, _turns, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines, read_plain
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
@@ -594,17 +594,18 @@ def test_the_head_of_a_log_of_many_columns_has_its_first_lines(tmp_path):
     assert head.endswith(b"y\n1\n")
 
 
-def test_pieces_that_were_kept_in_a_file_come_back(tmp_path):
-    rng = np.random.default_rng(1)
-    pieces = [rng.normal(size=(4, 5)), rng.normal(size=(4, 3))]
-    with (tmp_path / "kept").open("w+b") as stream:
-        for piece in pieces:
-            stream.write(piece.tobytes())
-        state = SimpleNamespace(
-            _file=stream, _sizes=[5, 3], outputs=("a", "b"), others=("t",), clock=1
-        )
-        found = list(Samples._in_file(state))
-    assert all((a == b).all() for a, b in zip(found, pieces, strict=True))
+def test_pieces_that_were_kept_in_a_file_come_back(monkeypatch):
+    """As they were given; those that are small are joined with the one before."""
+    monkeypatch.setattr("multipos.logs.samples._SMALL", 12)
+    monkeypatch.setattr("multipos.logs.samples._IN_MEMORY", 30)
+    table = np.random.default_rng(1).normal(size=(4, 13))
+    store = Store()
+    for first, last in ((0, 5), (5, 5), (5, 8), (8, 10), (10, 11), (11, 13)):
+        store.add(table[:, first:last])
+    found = list(store.pieces())
+    store.close()
+    assert [first for first, _ in found] == [0, 5, 8, 11]
+    assert (np.concatenate([piece for _, piece in found], axis=1) == table).all()
 
 
 def test_a_head_may_end_inside_a_letter():
