@@ -173,6 +173,21 @@ def test_an_ellipsoid_is_linear_in_its_form():
     assert found.off[0] == pytest.approx(0.05, rel=0.01)
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_an_ellipsoid_of_which_a_part_was_seen_has_its_own_centre(axis):
+    """About which a row, of those of two thirds of it, is 5 % too long."""
+    # eq. (2) of estimation.outliers
+    up = directions(90)
+    up = up[up[:, axis] > -0.4]
+    values = up.copy()
+    values[7] *= 1.05
+    values += 1e-5 * np.random.default_rng(1).standard_normal(values.shape)
+    given = mp.Readings(values, outputs=("ax", "ay", "az"), unit="g")
+    found = find_outlying_rows(mp.fit(given, unknown_orientation=True).model, given, None)
+    assert found.rows.tolist() == [7]
+    assert found.off[0] == pytest.approx(0.05, rel=0.01)
+
+
 @pytest.mark.parametrize(("steps", "named"), [(4.5, False), (6.5, True)])
 def test_rows_off_an_ellipsoid_by_few_steps_are_not_named(steps, named):
     """Three steps of .001 over the rms of a reading, 1/√3 of its largest: 5.2 steps."""

@@ -42,8 +42,11 @@ def test_values_beyond_are_counted():
     # of normal values 0.27 % are beyond three sd: 5.4 of 2000, four Poisson sd are 9
     assert judge_control(values)["beyond"] < 5.4 + 9.3
     values[500:520] += 10.0
-    assert judge_control(values)["beyond"] >= 20
-    assert judge_control(values)["ewma_beyond"] >= 20
+    for sign in (1.0, -1.0):
+        found = judge_control(sign * values)
+        assert 20 <= found["beyond"] < 20 + 5.4 + 9.3
+        # from 10 the EWMA falls by .7 a value to its limit, 1.26: five more; and as many by chance
+        assert 20 <= found["ewma_beyond"] < 25 + 5.4 + 9.3
 
 
 def test_every_station_has_its_chart():

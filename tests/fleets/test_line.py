@@ -11,6 +11,7 @@ from scipy import stats
 import multipos as mp
 from multipos.fleets.line import (
     _concentrated,
+    _covariance,
     _squared,
     _tail,
     discoveries,
@@ -165,6 +166,8 @@ def test_how_far_a_unit_is_by_hand():
     found = _squared(theta, _concentrated(theta))
     by_hand = np.einsum("np,pq,nq->n", theta, np.linalg.inv(covariance), theta)
     assert_allclose(found, by_hand, rtol=0.15)
+    near = by_hand + theta[:, 0] < 2.0  # whose mean is not zero
+    assert_allclose(_covariance(theta, near), np.cov(theta[near].T), rtol=1e-9)
     tail = stats.f.sf(5.0 * 38 / (2 * 39), 2, 38)
     assert_allclose(_tail(np.array([5.0]), 40, 2), tail, rtol=1e-12)
     # of normal units with the covariance of the sample, as often as it says: binomial at 1e-3

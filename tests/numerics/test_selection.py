@@ -45,6 +45,7 @@ def test_hald_path_with_every_f(enter, remove):
     found = select_stepwise(HALD, NAMES, Thresholds(enter, remove), forced=[0])
     assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
     assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
+    assert [s.step for s in found.path] == [1, 2, 3, 4]
     assert found.columns == (0, 1, 2)
     assert [s.dof for s in found.path] == [11, 10, 9, 9]
     assert found.runner_up.term == "x4"
@@ -57,6 +58,15 @@ def test_the_length_of_a_column_changes_no_f(size):
     found = select_stepwise(long, NAMES, Thresholds(0.06, 0.10), forced=[0])
     assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
     assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
+
+
+def test_the_zero_of_a_column_changes_no_f():
+    """Beside a constant; and a column that varies by 1e-5 of itself is not collinear with it."""
+    moved = compress(hald.DESIGN + [0.0, 0.0, 0.0, 0.0, 1e6], hald.RESPONSE)
+    found = select_stepwise(moved, NAMES, Thresholds(0.06, 0.10), forced=[0])
+    assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
+    assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
+    assert found.collinear == ()
 
 
 def test_hald_default_thresholds_stop_at_x1_x4():

@@ -151,11 +151,13 @@ def test_a_change_of_an_edge_is_the_difference_quotient():
 def test_joined_segments_have_as_many_values_as_their_highest_power_needs():
     """Soaks at 11 temperatures: a quadratic that one soak, or two, determines is none."""
     t = np.repeat(np.linspace(-40.0, 60.0, 11), 12)
-    y = 0.01 * t + 0.05 * np.maximum(t - 27.0, 0.0)
-    y += 1e-3 * np.random.default_rng(9).normal(size=len(t))
-    X, joined = joined_of("1 + t + t^2", t)
-    edges = find_edges(t, X, y, minimum=6, joined=joined)
-    assert min(len(np.unique(t[segment_of(t, edges) == i])) for i in range(len(edges) + 1)) >= 3
+    noise = 1e-3 * np.random.default_rng(9).normal(size=len(t))
+    for kink in (50.0, 27.0):  # of the first only two soaks are beyond
+        y = 0.01 * t + 0.05 * np.maximum(t - kink, 0.0) + noise
+        X, joined = joined_of("1 + t + t^2", t)
+        edges = find_edges(t, X, y, minimum=6, joined=joined)
+        of = segment_of(t, edges)
+        assert min(len(np.unique(t[of == i])) for i in range(len(edges) + 1)) >= 3
     X, joined = joined_of("1 + t", t)  # between soaks an edge is where the lines meet
     assert_allclose(find_edges(t, X, y, minimum=6, joined=joined), (27.0,), atol=0.05)
 

@@ -123,6 +123,23 @@ def test_a_row_that_was_set_aside_is_no_zero_shift():
         assert shift.u < 1.3 * without.u
 
 
+def test_rows_that_were_set_aside_are_as_if_they_had_not_been_measured():
+    up = np.column_stack([np.cos(T), np.sin(T), 0 * T])
+    values = up[:, :1] + 1e-5 * np.random.default_rng(3).standard_normal((24, 1))
+    values[5] += 1e-2
+    cal = mp.fit(mp.Readings(values, outputs=("E",), up=up), inputs="x,y", robust="huber")
+    kept = cal.robust_weight.ravel() > 0.0
+    assert not kept[5]
+    rest = mp.fit(mp.Readings(values[kept], outputs=("E",), up=up[kept]), inputs="x,y")
+    found, without = mp.table_errors(cal), mp.table_errors(rest)
+    assert found.dof == without.dof
+    for error, same in zip(found.errors, without.errors, strict=True):
+        if same.value_deg is not None:
+            # but for what robust slopes differ by, 1e-5
+            assert_allclose(error.u_deg, same.u_deg, rtol=1e-3)
+            assert_allclose(error.value_deg, same.value_deg, atol=1e-3 * same.u_deg)
+
+
 def test_positions_that_are_uncertain_are_no_zero_shift():
     up = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
     up /= np.linalg.norm(up, axis=1)[:, None]
