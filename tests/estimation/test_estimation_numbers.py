@@ -433,6 +433,25 @@ def test_stated_orientations_that_may_be_right_have_a_weight():
     assert found.weights[0, 0] == pytest.approx(first + step, rel=0.02)
 
 
+@pytest.mark.parametrize("slope", [0.0, 1e-20])
+def test_orientations_that_readings_hardly_show_may_be_far_off(slope):
+    """Normal in ln(τ² + 1) and, where they show at all, in ln F."""
+
+    def evaluate(factors, tau2, whole):
+        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
+        log = density_of(2.0, 0.3, x) + density_of(42.0, 1.0 if slope else 1e9, y)
+        nothing = np.zeros((len(log), log[0].size, 1))
+        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
+
+    found = posteriors.integrate_grid(
+        evaluate, 9.0, np.ones(1), np.array([50.0]), np.array([slope]), least=None, stated=False
+    )
+    nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
+    assert weights @ np.log(nodes + 1.0) == pytest.approx(2.0, abs=0.02)
+    if slope:
+        assert found.weights[0] @ np.log(found.factors[0]) == pytest.approx(42.0, abs=0.1)
+
+
 # --- rows that are correlated
 
 

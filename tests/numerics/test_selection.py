@@ -62,7 +62,7 @@ def test_the_length_of_a_column_changes_no_f(size):
 
 def test_the_zero_of_a_column_changes_no_f():
     """Beside a constant; and a column that varies by 1e-5 of itself is not collinear with it."""
-    moved = compress(hald.DESIGN + [0.0, 0.0, 0.0, 0.0, 1e6], hald.RESPONSE)
+    moved = compress(hald.DESIGN + 1e6 * np.eye(5)[4], hald.RESPONSE)
     found = select_stepwise(moved, NAMES, Thresholds(0.06, 0.10), forced=[0])
     assert [(s.action, s.term) for s in found.path] == [p[:2] for p in hald.PATH]
     assert_allclose([s.F for s in found.path], [p[2] for p in hald.PATH], rtol=0, atol=HALF_UNIT)
