@@ -94,6 +94,7 @@ WHOLE = "1+x+y+z+own^2+own*|own|+own^3+x*y+x*z+y*z"  # lacks no kind of term
         ("fibonacci-24", {"warm": 3e-4}, {"robust": "huber"}, "missing-term"),
         ("fibonacci-24", {"warm": 5e-3, "off_deg": 0.1}, {"orientation_sd": 0.1}, "missing-term"),
         ("fibonacci-24", LOUD, {"orientation_sd": 0.02}, "unequal-noise"),
+        ("fibonacci-24", LOUD | {"repeats": 9}, {"orientation_sd": 0.02}, ""),  # too many to tell
         ("fibonacci-24", LOUD, {"orientation_sd": "auto"}, "unequal-noise"),
         ("fibonacci-24", LOUD | {"u": 1e-4}, {"orientation_sd": 0.02}, ""),
         ("fibonacci-24", {"warm": 2e-3}, {"unknown_orientation": True}, IGNORED),

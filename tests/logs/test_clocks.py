@@ -8,6 +8,7 @@ from log_bench import columns_of
 
 import multipos as mp
 from multipos.logs.clock import _turns_slowly, read_clock, usual_step
+from multipos.logs.opening import open_log, read_log
 from multipos.logs.samples import rises
 
 OUTPUTS = ("ax", "ay", "az")
@@ -129,6 +130,14 @@ def test_text_in_other_encodings(header, encoding, utf16, log, tmp_path):
     outputs = [name.split(" ")[0] for name in header.split(",")[1:]]
     found = mp.average(path, outputs=outputs, rate=RATE)
     np.testing.assert_allclose(found.readings.values, mp.average(log).readings.values, rtol=1e-9)
+
+
+@pytest.mark.parametrize("before", range(3))
+def test_a_letter_at_the_end_of_what_is_looked_at_first_stays_whole(before, tmp_path):
+    """Of three bytes each, on from any of them at byte 65,536."""
+    rows = [["0", "0", "0", "1", "x" * before]] * 4 + [["0", "0", "0", "1", "角" * 22_000]]
+    path = written(tmp_path / "log.csv", "time,ax,ay,az,Gerät", rows)
+    assert read_log(open_log(path))["Gerät"] == [row[-1] for row in rows]
 
 
 # --- what a rest is
