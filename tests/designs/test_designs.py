@@ -567,6 +567,10 @@ def test_benches_reach_what_they_say():
     assert len(read_bench("dodecahedron")) == 12
     near = read_bench("near-faces-10")
     assert np.abs(near).max(axis=1).min() == pytest.approx(math.cos(math.radians(10)))
+    wide = read_bench("near-faces-32")  # in rings no more than 5 degrees apart
+    rings = np.unique(np.round(np.degrees(np.arccos(np.clip(wide[wide[:, 2] > 0.8, 2], 0, 1))), 3))
+    assert (rings[0], rings[-1]) == (0.0, 32.0)
+    assert np.diff(rings).max() <= 5.0
     assert read_bench("tilt-30")[:, 2].min() == pytest.approx(math.cos(math.radians(30)))
     assert read_bench("tilt-30-x")[:, 0].min() == pytest.approx(math.cos(math.radians(30)))
 

@@ -107,6 +107,8 @@ def test_soaks_and_hysteresis_by_hand():
     bias = mp.over_temperature(c, [20.0])[0]
     assert bias.hysteresis["value"] == pytest.approx(-2e-3, abs=2e-6)
     assert bias.hysteresis["unit"] == "g"
+    # two levels: Student's factor of one degree of freedom
+    assert bias.hysteresis["U"] == pytest.approx(12.706205 * bias.hysteresis["u"], rel=1e-6)
     # 4 mg² of soaks in squares of rows: Δ = 6 · 4e-6 on three, tr = 6 · 3
     assert bias.soak_sd == pytest.approx(np.sqrt(4e-6 / 3), rel=1e-2)
 

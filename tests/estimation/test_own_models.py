@@ -251,14 +251,14 @@ def test_bounds_hold_and_are_said(tmp_path):
 
 
 def test_what_bounds_are_searched_as_by_hand(tmp_path):
-    """k in 0 … .04 as .02 (1 + sin t), s from .5 on as .5 − 1 + √(t² + 1)."""
+    """k in −.01 … .03 as .01 + .02 sin t, s from .5 on as .5 − 1 + √(t² + 1)."""
     # eq. (2) of sensor.expressions
-    stated = "k = {start = 0.01, low = 0, high = 0.04}\ns = {start = 1, low = 0.5}"
+    stated = "k = {start = 0.01, low = -0.01, high = 0.03}\ns = {start = 1, low = 0.5}"
     model = mp.fit(readings(), model=written(tmp_path, stated, SATURATING_FILE)).model
     names = [name.partition("_")[0] for name in model.names]
     t = np.array([{"k": np.pi / 6, "s": np.sqrt(3.0), "b": 7.0}[name] for name in names])
     outer, slope, second = model.outward(t)
-    k, s = (0.03, 0.02 * np.sqrt(0.75), -0.01), (1.5, np.sqrt(0.75), 0.125)
+    k, s = (0.02, 0.02 * np.sqrt(0.75), -0.01), (1.5, np.sqrt(0.75), 0.125)
     wanted = {"k": k, "s": s, "b": (7.0, 1.0, 0.0)}
     found = np.column_stack([outer, slope, second])
     assert_allclose(found, [wanted[name] for name in names], rtol=1e-12)

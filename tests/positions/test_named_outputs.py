@@ -134,6 +134,11 @@ def test_an_output_is_never_dropped(cell):
         mp.fit(given)
 
 
+def test_a_text_with_the_ending_of_another_name_is_no_output():
+    cal = mp.fit(columns("ax", "ay", "az", note_x=["n/a"] * 26))
+    assert cal.outputs == ("ax", "ay", "az")
+
+
 def test_names_are_matched_in_any_case():
     given = {
         name.upper(): column

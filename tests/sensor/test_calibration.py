@@ -119,6 +119,8 @@ def test_rms_and_linearity_are_what_they_say():
     force = np.linalg.solve(matrix, (cal.readings.values - bias).T).T
     assert_allclose(cal.compensate(cal.readings.values), force, atol=1e-14)
     assert cal.rms == pytest.approx(np.sqrt(np.mean(np.sum((force - cal.reference) ** 2, axis=1))))
+    share = np.abs(cal.residuals) / cal.residual_sd
+    assert_allclose(cal.relative_residuals, share.max(axis=1), rtol=1e-12)
     assert cal.linearity == linearity(cal.model, cal.reference, cal.readings.values, cal.residuals)
 
 
@@ -146,6 +148,8 @@ def test_by_name_and_by_array():
     with pytest.raises(KeyError, match="no parameter"):
         cal["ay", "x^2"]
     assert "quad_ay" in str(cal)
+    (row,) = (line for line in str(cal).splitlines() if line.startswith("quad_ay"))
+    assert row.split()[1] == "K_ay3"
 
 
 def test_a_calibration_never_changes():

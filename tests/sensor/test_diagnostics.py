@@ -134,6 +134,16 @@ def test_limit_of_an_outlying_position_by_hand(dof, limit):
         assert all(t == f"position 7 does not fit: {size:.1f} times the noise" for t in found)
 
 
+def test_limit_of_an_outlying_position_beside_which_the_noise_was_found_robustly():
+    """Of F on 2 and ν the tail is (1 + q/ν)^(−ν/2): 0.1 % on 12 at q = 12 (1e-3^(−1/6) − 1)."""
+    for factor, named in ((0.995, 0), (1.005, 1)):
+        q = np.full(10, 0.2)
+        q[7] = factor * 12.0 * (10.0**0.5 - 1.0)
+        labels = list("0123456789")
+        found = find_outlying_positions(q, np.full(10, 2.0), 12.0, labels, robust=True)
+        assert len(found) == named
+
+
 def test_clean_data_have_an_outlier_as_rarely_as_said():
     rng = np.random.default_rng(7)
     design = rng.standard_normal((12, 4))

@@ -121,6 +121,16 @@ def test_residual_harmonics_by_hand():
     assert found[2].p == pytest.approx(10**-1.5, rel=1e-9)
     assert found[3].p == pytest.approx((10 / 9) ** -1.5, rel=1e-9)
     assert found[4].p == pytest.approx(1.0, rel=1e-9)
+    small = residual_series([roll], 1e-7 * residual, design, 1e-12)  # still beyond rounding
+    assert [h.p for h in small[2:]] == pytest.approx([h.p for h in found[2:]], rel=1e-9)
+
+
+@pytest.mark.parametrize(("last", "spans"), [(180.0, True), (179.9, False)])
+def test_half_a_turn_spans_one(last, spans):
+    angle = np.radians([0.0, 60.0, 120.0, last])
+    up = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    (roll,) = find_rolls(mp.Readings(np.zeros(4), up=up))
+    assert roll.spans_a_turn is spans
 
 
 @pytest.mark.parametrize(("p", "named"), [(0.0033, 1), (0.0034, 0)])
