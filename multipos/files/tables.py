@@ -55,9 +55,10 @@ class Table:
     def select(self, rows: Sequence[int]) -> "Table":
         """Return the table with some of its rows; messages still name the lines of the file."""
         columns: dict[str, Column] = {}
+        places = np.asarray(rows, dtype=np.intp)
         for name, column in self.columns.items():
             if isinstance(column, np.ndarray) and column.dtype.kind in "fiub":
-                columns[name] = column[np.asarray(rows, dtype=np.intp)]
+                columns[name] = column[places]
             else:
                 columns[name] = [column[row] for row in rows]
         lines = None if self.lines is None else [int(self.lines[row]) for row in rows]

@@ -385,17 +385,17 @@ class Piece:
             )
 
     def times(self) -> Array:
-        """Return the mean of the column `time` of every unit, NaN where there is none."""
+        """Return the mean of the column `time` of every unit, NaN where it holds no numbers."""
         starts, counts = self._grouped.starts[:-1], self._grouped.counts
         return np.asarray(np.add.reduceat(self._time, starts) / counts)
 
     @cached_property
     def _time(self) -> Array:
-        """The column `time` of every row, NaN where there is none."""
+        """The column `time` of every row, NaN where it holds no numbers."""
         try:
             time = self._grouped.arranged(self._rows.numbers("time"))
             return np.where(np.abs(time) <= LARGEST, time, np.nan)
-        except (KeyError, MultiposError):
+        except MultiposError:
             return np.full(self._grouped.starts[-1], np.nan)
 
 
@@ -540,7 +540,8 @@ def _solve(
             piece = Piece(cut.rows, cut.grouped, stations[mine], cut.first, known)
             for solved in piece.solve(executor, folder, report):
                 found.take(solved)
-            times[mine] = piece.times()
+            if "time" in cut.rows.columns:
+                times[mine] = piece.times()
             del cut, piece  # before the next one is read
     return Units(
         unit=unit,
@@ -580,7 +581,6 @@ def _quiet() -> Iterator[None]:
 
 def _in_order_of_coming(codes: Codes) -> Places:
     """Return codes (B,) as 0, 1, … in the order in which they first come."""
-    _, first, inverse = np.unique(codes, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), dtype=np.intp)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[inverse])
+    coming = codes.tolist()
+    rank = {code: place for place, code in enumerate(dict.fromkeys(coming))}
+    return np.array([rank[code] for code in coming], dtype=np.intp)

@@ -93,16 +93,16 @@ def group_rows(rows: Rows) -> Grouped:
     unit, station = rows.unit.codes, rows.station.codes
     changes = unit[1:] != unit[:-1]
     changes |= station[1:] != station[:-1]
-    heads = np.append(0, np.flatnonzero(changes) + 1)
-    order = None
+    starts = np.concatenate(([0], np.flatnonzero(changes) + 1, [len(unit)]))
+    heads, order = starts[:-1], None
     if len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
         appeared = _appeared(_keys(unit, rows.station, slice(None)))
         order = np.argsort(appeared, kind="stable")
-        heads = np.append(0, np.cumsum(np.bincount(appeared))[:-1])
-    firsts = heads if order is None else order[heads]
+        starts = np.concatenate(([0], np.cumsum(np.bincount(appeared))))
+    firsts = starts[:-1] if order is None else order[starts[:-1]]
     return Grouped(
         order,
-        np.append(heads, len(unit)),
+        starts,
         Labels(rows.unit.codes[firsts], rows.unit.names),
         Labels(rows.station.codes[firsts], rows.station.names),
     )

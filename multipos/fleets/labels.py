@@ -47,9 +47,10 @@ def labels_of(table: Table, name: str, *, checked: bool = True) -> Labels:
         return column
     if isinstance(column, np.ndarray) and len(column):
         # a label that stays for many rows is looked at once
-        heads = np.flatnonzero(np.concatenate(([True], column[1:] != column[:-1])))
-        short = _coded(table, name, column[heads].tolist(), checked)
-        return Labels(np.repeat(short.codes, np.diff(heads, append=len(column))), short.names)
+        changes = np.flatnonzero(column[1:] != column[:-1]) + 1
+        bounds = np.concatenate(([0], changes, [len(column)]))
+        short = _coded(table, name, column[bounds[:-1]].tolist(), checked)
+        return Labels(np.repeat(short.codes, bounds[1:] - bounds[:-1]), short.names)
     cells = column if isinstance(column, Sequence) else column.tolist()
     return _coded(table, name, cells, checked)
 

@@ -546,8 +546,7 @@ def fit_one(table: Table, options: Mapping[str, Any]) -> Calibration | str:
 def gather(units: Places, fitted: list[Calibration | str]) -> Solved:
     """Return what fits of single units found, failures with their reasons."""
     names = next((each.names for each in fitted if isinstance(each, Calibration)), ())
-    shape = (len(fitted), len(names))
-    parameters, u, dof = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
+    parameters, u, dof = np.full((3, len(fitted), len(names)), np.nan)
     rms = np.full(len(fitted), np.nan)
     findings, reasons = [""] * len(fitted), [""] * len(fitted)
     wrong = [""] * len(fitted)

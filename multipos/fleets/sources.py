@@ -9,11 +9,12 @@ Raw logs are averaged first, each one unit: `average_logs`.
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from glob import glob, has_magic
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -96,8 +97,7 @@ class Rows:
 
     def of_tables(self, tables: Sequence[Table]) -> "Rows":
         """Return some of the rows, in loaded tables of their own, without whose they are."""
-        starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
-        return Rows(tuple(tables), tuple(starts), _NOBODY, _NOBODY, self.counted)
+        return Rows(tuple(tables), _starts(tables), _NOBODY, _NOBODY, self.counted)
 
     def without_labels(self) -> "Rows":
         """Return the rows without whose they are, which takes memory and is known by units."""
@@ -110,7 +110,8 @@ class Rows:
 
     def select(self, rows: Sequence[int]) -> Table:
         """Return some rows as a table; messages still name file and line where it is one file."""
-        places, row = np.searchsorted(self.starts, rows, side="right") - 1, np.asarray(rows)
+        row = np.asarray(rows)
+        places = np.searchsorted(self.starts[1:], row, side="right")
         parts = [
             self.tables[place].select((row[places == place] - self.starts[place]).tolist())
             for place in dict.fromkeys(places.tolist())
@@ -253,10 +254,15 @@ def read_rows(
     station = Labels(np.broadcast_to(np.int32(0), len(unit)), ("",))
     if station_column is not None:
         station = joined_labels([labels_of(table, station_column) for table in tables])
-    starts = np.cumsum([0, *(table.rows for table in tables)]).tolist()
     left = tuple(_without(table, {key, station_column}) for table in tables)
     counted = _are_counted(tables, key)
-    return Rows(left, tuple(starts), unit, station, counted, unit_column, failed, findings)
+    starts = _starts(left)
+    return Rows(left, starts, unit, station, counted, unit_column, failed, findings)
+
+
+def _starts(tables: Iterable[Table]) -> tuple[int, ...]:
+    """Return the first row of each of tables one after another, and the number of all rows."""
+    return tuple(accumulate((table.rows for table in tables), initial=0))
 
 
 def _tried(
@@ -277,10 +283,10 @@ def _is_path(source: Source) -> TypeGuard[StrPath]:
 
 def _file_units(files: Sequence[Source]) -> list[str]:
     """Return the units that files name: without ending, with their folder where names repeat."""
-    paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
-    stems = [_unpacked(path).stem for path in paths]
+    stems = [_unpacked(Path(str(file))).stem if _is_path(file) else "" for file in files]
     if len(set(stems)) == len(stems):
         return stems
+    paths = [Path(str(file)) if _is_path(file) else Path() for file in files]
     folders = [f"{p.absolute().parent.name}/{n}" for p, n in zip(paths, stems, strict=True)]
     for longer in (folders, [*map(str, paths)]):
         often = Counter(stems)
@@ -334,7 +340,7 @@ def _labelled(
         if alone:
             raise
         return error
-    return replace(table, columns={**table.columns, **labels})
+    return replace(table, columns={**table.columns, **labels}) if labels else table
 
 
 def _units_in(table: Table | None, unit_column: str | None, name: str) -> tuple[str, ...]:

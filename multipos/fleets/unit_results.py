@@ -104,9 +104,9 @@ class Units:
             "unit": self.unit_column,
             "station": np.array(self.station, dtype=np.str_),
         }
-        columns |= {name: self.parameters[:, i] for i, name in enumerate(self.names)}
-        columns |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.names)}
-        columns |= {f"dof_{name}": self.dof[:, i] for i, name in enumerate(self.names)}
+        for kind, numbers in (("", self.parameters), ("u_", self.u), ("dof_", self.dof)):
+            names = [kind + name for name in self.names]
+            columns.update(zip(names, numbers.T, strict=True))
         columns["rms"] = self.rms
         return Columns(columns | {"findings": self.findings, "reason": self.reasons})
 
@@ -128,16 +128,17 @@ class UnitsFound:
         """Take up what a task found."""
         if solved.names and not self.names:
             self.names = solved.names
-            shape = (len(self.rms), len(solved.names))
-            self.parameters, self.u, self.dof = (np.full(shape, np.nan) for _ in range(3))
+            shape = (3, len(self.rms), len(solved.names))
+            self.parameters, self.u, self.dof = np.full(shape, np.nan)
         same = solved.names == self.names
         other = "" if same else "its columns give other parameters than those of the other units."
         self.reasons[solved.units] = [reason or other for reason in solved.reasons]
-        good = self.reasons[solved.units] == ""
+        good = np.flatnonzero(self.reasons[solved.units] == "")
         units = solved.units[good]
-        self.findings[units] = np.array(solved.findings, dtype=np.object_)[good]
-        self.why_unfit[units] = np.array(solved.unfit, dtype=np.object_)[good]
+        self.findings[units] = [solved.findings[place] for place in good.tolist()]
+        self.why_unfit[units] = [solved.unfit[place] for place in good.tolist()]
         if len(units):
-            for name in ("parameters", "u", "dof", "rms"):
-                getattr(self, name)[units] = getattr(solved, name)[good]
+            self.parameters[units] = solved.parameters[good]
+            self.u[units], self.dof[units] = solved.u[good], solved.dof[good]
+            self.rms[units] = solved.rms[good]
         self.fixtures += solved.fixtures
