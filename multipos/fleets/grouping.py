@@ -112,7 +112,7 @@ def _keys(unit: Codes, station: Labels, rows: Places | slice) -> NDArray[np.inte
     """Return a number of unit and station that no other pair has."""
     most = (int(unit.max()) + 1) * len(station.names)
     # rows of a large fleet by the hundred million: four bytes each where these do
-    kind = np.int32 if most <= np.iinfo(np.int32).max else np.int64
+    kind = np.int32 if most < 1 << 31 else np.int64
     keys: NDArray[np.integer[Any]] = unit.astype(kind)
     keys *= len(station.names)
     keys += station.codes[rows]

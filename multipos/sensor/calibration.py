@@ -342,7 +342,7 @@ class Calibration(Result, Drawn):
             size = np.linalg.norm(self.reference, axis=1)
             return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
         left = force - self.reference[:, list(self.model.sensed_axes)]
-        return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+        return math.sqrt(float(np.vdot(left, left)) / len(left))
 
     @cached_property
     def sensitivity(self) -> Array:

@@ -274,8 +274,8 @@ def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | N
         )
     inverse = np.linalg.pinv(matrix) if len(matrix) > len(sensed) else np.linalg.inv(matrix)
     known = linear[:, 0]
-    if unseen is not None:
-        others = list(model.unseen_axes)
+    others = list(model.unseen_axes)
+    if unseen is not None and others:
         known = known + unseen[:, others] @ linear[:, [1 + axis for axis in others]].T
     force: Array = (raw - known) @ inverse.T
     return force
