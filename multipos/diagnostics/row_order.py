@@ -311,6 +311,30 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     return Shown(codes, score, p, step, wholly)
 
 
+def search_by_noise(plan: Plan, like: Calibration, residuals: Array, slopes: Array) -> Shown | None:
+    """Return what causes explain in B units, each by a plan of what its own outputs scatter.
+
+    None where that is the plan already. The directions of outputs are those of the unit `like`, of
+    which the plan is; the other parameters are those of `search_units`.
+    """
+    nu = np.array([len(Q) - Q.shape[1] for Q in plan.bases], dtype=np.float64)
+    sd = np.sqrt(np.einsum("mbn,mbn->bm", residuals, residuals) / nu)
+    kinds, kind = np.unique(_weights(_response(slopes), sd), axis=0, return_inverse=True)
+    if (kinds == _Setting(like).balance).all():
+        return None
+    parts = []
+    for place, weight in enumerate(kinds):
+        mine = np.flatnonzero(kind == place)
+        own = _plan_of(_Setting(like, weight))
+        assert own is not None  # as the positions leave degrees of freedom
+        parts.append(search_units(own, residuals[:, mine], slopes[mine]))
+    back = np.argsort(np.argsort(kind, kind="stable"))
+    score, p, step = (
+        np.concatenate([part[place] for part in parts], axis=1)[:, back] for place in (1, 2, 3)
+    )
+    return Shown(parts[0].codes, score, p, step, parts[0].wholly)
+
+
 def _along_force(plan: Plan, e: Array) -> Array:
     """Return what e (n, M, B) has along the columns (3, n, B), or (1, n, B), of `_Family.base`."""
     if plan.across is not None:
@@ -463,20 +487,35 @@ def _roots(gram: Array, size: Array) -> tuple[Array, Array]:
     return rows, kept.sum(axis=1).astype(np.float64)
 
 
+_NOTHING_SEEN = float(np.finfo(np.float64).tiny) ** 0.5  # no linear response, exact readings
+
+
+def _response(slopes: Array) -> Array:
+    """Return the sizes (…, M) of slopes (…, M, 3), no less than rounding leaves of the largest."""
+    largest = np.abs(slopes).max(axis=(-1, -2), keepdims=True)[..., 0]
+    lowest = np.maximum(_ROUNDING * largest, _NOTHING_SEEN)
+    return np.asarray(np.maximum(np.sqrt(np.einsum("...mi,...mi->...m", slopes, slopes)), lowest))
+
+
+def _weights(response: Array, sd: Array) -> Array:
+    """Return powers of two (…, M) near the response of outputs over their noise, in its mean."""
+    size = response / np.maximum(sd, _NOTHING_SEEN)
+    mean = size.sum(axis=-1, keepdims=True) / size.shape[-1]
+    return np.asarray(np.exp2(np.rint(np.log2(size / mean))))
+
+
 class _Setting:
     """What a plan depends on, equal where these are."""
 
-    def __init__(self, c: Calibration) -> None:
+    def __init__(self, c: Calibration, weight: Array | None = None) -> None:
+        """Take the positions of a unit, and weights (M,) of outputs, its own if not given."""
         self.calibration = c
         noise, S = c.noise, c.sensitivity
         level = noise is None or not np.ptp(noise.reshape(len(c.readings), -1), axis=0).any()
-        least = np.finfo(float).tiny ** 0.5  # of no linear response, and of exact readings
-        lowest = max(_ROUNDING * float(np.abs(S).max()), least)
-        own = np.maximum(np.sqrt(np.einsum("mi,mi->m", S, S)), lowest)
-        size = own / np.maximum(c.residual_sd, least)
-        weight = np.exp2(np.rint(np.log2(size * (len(own) / size.sum()))))
+        own = _response(S)
+        self.balance = _weights(own, c.residual_sd) if weight is None else weight
         # cross terms of a few percent and sd by chance give the same plan
-        self.slopes = np.rint(S / (_GRID * own)[:, None]) * (_GRID * weight)[:, None] + 0.0
+        self.slopes = np.rint(S / (_GRID * own)[:, None]) * (_GRID * self.balance)[:, None] + 0.0
         self.weight = None
         if noise is not None and not level:
             self.weight = 1.0 / np.sqrt(noise).reshape(c.residuals.shape)

@@ -436,7 +436,12 @@ def solve_task(task: Task) -> Solved:
     named: dict[str, NDArray[np.bool_]] = {}
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
         tested = unit_findings.find_in_units(
-            task.pattern.tests, shared, task.values, found, task.temperature
+            task.pattern.tests,
+            shared,
+            task.values,
+            found,
+            task.temperature,
+            {"u": task.stated, "dof": task.stated_dof},
         )
         named, looked_at = tested.found, looked_at | tested.singly
     if task.pattern.robust is not None and isinstance(shared, SharedDesign):

@@ -17,7 +17,7 @@ the terms span the same beside the design, whatever the weights.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from multipos.diagnostics import projections
 from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
 from multipos.diagnostics.residuals import outlier_of_rows
-from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_units
+from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_by_noise, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
 from multipos.diagnostics.variances import (
     Residuals,
@@ -44,7 +44,9 @@ from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.identifiability import condition
 from multipos.estimation.known import SharedDesign
 from multipos.estimation.robustness import ASIDE
+from multipos.estimation.stated_uncertainty import shrink_variances
 from multipos.estimation.user_models import SharedExpression, cofactors
+from multipos.finding import Finding
 from multipos.fleets.grouping import ONE_TEMPERATURE
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
@@ -61,6 +63,7 @@ _LEAST = 1e-300  # of a probability
 _ROUNDING = 1e-15  # of a sum of squares
 _COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
 _CLOSE = 1.0  # of S, within which causes are as good
+_CONCENTRATED = 1.2, 1.55  # times the kurtosis of noise, where residuals show something, or not
 _FEW = 6.0  # degrees of freedom of an output
 _MOST = 1000  # positions of which the nearest two are looked for
 
@@ -86,6 +89,8 @@ class UnitTests:
         Readings state a noise.
     order : Plan or None
         Of causes of time and table.
+    like : Calibration
+        The unit that was fitted.
     """
 
     projection: projections.Projection | None
@@ -96,6 +101,7 @@ class UnitTests:
     nearest: float
     stated: bool
     order: Plan | None
+    like: Calibration
 
 
 class UnitFindings(NamedTuple):
@@ -112,7 +118,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
     """
     if c.estimator is not Estimator.LINEAR or c.robust_weight is not None:
         return None
-    stated = c.noise is not None
+    like, stated = c, c.noise is not None
     if stated and not projections.is_level(c):
         c = replace(c, readings=replace(c.readings, u=None), variance_components=None)
     temperature = c.readings.environment.get(TEMPERATURE)
@@ -135,6 +141,7 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
         nearest=_COMPARABLE * _nearest(c.reference),
         stated=stated,
         order=plan_of(c),
+        like=like,
     )
 
 
@@ -164,6 +171,7 @@ def find_in_units(
     values: tuple[Array, ...],
     found: Estimates,
     temperature: Sequence[Array] = (),
+    stated: Mapping[str, Sequence[Array]] | None = None,
 ) -> UnitFindings:
     """Return what the residuals of B units show.
 
@@ -177,6 +185,8 @@ def find_in_units(
     temperature : one array (B, n), or none
         Of each unit, where the model has no term of it. Units whose residuals follow it are fitted
         singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term to name.
+    stated : mapping of 'u' and 'dof' to M arrays (B, n), optional
+        Of readings, where each states its own.
     """
     of, sensitivity = _weigh(tests, shared, found), found.sensitivity
     residuals = of.residuals
@@ -199,7 +209,7 @@ def find_in_units(
     if tests.order is not None:
         slopes = np.zeros((*sensitivity.shape[:2], len(COMPONENTS)))
         slopes[:, :, list(shared.model.sensed_axes)] = sensitivity
-        shown = search_units(tests.order, *_in_order(of, slopes))
+        shown = _causes(tests, tests.order, of, slopes)
         scored = scored | np.isfinite(shown.score.max(axis=0))
     misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
     if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
@@ -224,7 +234,59 @@ def find_in_units(
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
     codes["placement"] = codes["placement"] & ~codes["outlier"]
+    indicated = lacking_fit | misplaced | scored
+    if found.chi2 is not None:
+        indicated |= found.chi2 > chi2_quantile(known.REJECTED, float(shared.dof.sum()))
+    may_hide = _are_concentrated(of.error, indicated) & ~outlying & ~singly
+    for unit in np.flatnonzero(may_hide).tolist():
+        singly[unit] = outlying_rows_of(tests.like, values, unit, stated or {}) is not None
     return UnitFindings(codes, singly)
+
+
+def _are_concentrated(error: Array, indicated: Mask) -> Mask:
+    """Return in which units (B,) so few rows have the squares that outliers may hide one another.
+
+    The mean over rows of q², q the share of a row in the squares of M outputs, is 1 + 2/M times
+    that of equal rows, of normal noise; it is looked at closer where residuals show something.
+    """
+    m, count, n = error.shape
+    share = np.zeros((count, n))
+    for e in error:
+        square = e**2
+        share += square / np.maximum(square.sum(axis=1, keepdims=True), _LEAST)
+    kurtosis = np.einsum("bn,bn->b", share, share) * n / m**2
+    usual = 1.0 + 2.0 / m
+    return np.asarray(kurtosis > np.where(indicated, _CONCENTRATED[0], _CONCENTRATED[1]) * usual)
+
+
+def outlying_rows_of(
+    like: Calibration,
+    values: Sequence[Array],
+    unit: int,
+    stated: Mapping[str, Sequence[Array]],
+) -> Finding | None:
+    """Return what `fit` finds of the rows of a unit that are off the fit of the others."""
+    y, u, dof = (
+        np.column_stack([each[unit] for each in columns]) if columns else None
+        for columns in (values, stated.get("u"), stated.get("dof"))
+    )
+    assert y is not None
+    readings = shrink_variances(replace(like.readings, values=y, u=u, dof=dof))
+    return outlier_of_rows(replace(like, readings=readings))
+
+
+def _causes(tests: UnitTests, order: Plan, of: "_Weighed", sensed: Array) -> Shown:
+    """Return what causes of time and table explain, each where its unit's own plan shows it too."""
+    e, slopes = _in_order(of, sensed)
+    shown = search_units(order, e, slopes)
+    scored = np.flatnonzero(np.isfinite(shown.score.max(axis=0)))
+    if not len(scored) or of.leverage is not None:  # those are fitted singly
+        return shown
+    own = search_by_noise(order, tests.like, e[:, scored], slopes[scored])
+    if own is not None:
+        for whole, part in zip(shown[1:4], own[1:4], strict=True):
+            whole[:, scored] = part
+    return shown
 
 
 def _compete(shown: Shown, codes: dict[str, Mask], rivals: Array) -> Mask:

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 import multipos as mp
+from multipos.diagnostics import row_order
 from multipos.diagnostics.examination import _score
 from multipos.diagnostics.model_error import columns_of
 from multipos.diagnostics.projections import lacking
@@ -119,6 +120,57 @@ def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
     assert found.get("findings", np.array([""] * FEW)).tolist() == said
     # chance makes an outlier of a position that is off in one of a hundred, which explains the rest
     assert not code or sum(set(code.split(";")) <= set(each.split(";")) for each in said) >= FEW - 1
+
+
+def codes_of_both(values, u=None, **options):
+    """Codes of `fit` and of `fit_many`, unit by unit, of values (B, n, 3) and their u, if any."""
+    count, n = values.shape[:2]
+    tables = [dict(zip(("ax", "ay", "az"), each.T, strict=True)) for each in values]
+    for table, each in zip(tables, u if u is not None else (), strict=u is not None):
+        table |= dict(zip(("u_ax", "u_ay", "u_az"), each.T, strict=True))
+    whole = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+    whole["unit"] = np.repeat(np.arange(count), n)
+    singly = [mp.fit(table, scheme="fibonacci-24", **options).findings for table in tables]
+    said = [";".join(dict.fromkeys(d.code for d in serious(each))) for each in singly]
+    found = mp.fit_many(whole, unit_column="unit", scheme="fibonacci-24", **options)
+    return said, found["findings"].tolist()
+
+
+@pytest.mark.parametrize("options", [{}, {"reading_sd": 3e-4}, {"stated": True}])
+def test_outliers_that_hide_one_another_are_found_as_by_fit(options):
+    """Three positions off by .1°, which studentised residuals take for noise beside one by 5 mg."""
+    rng = np.random.default_rng(3)
+    up = mp.read_scheme("fibonacci-24").up
+    stood = np.broadcast_to(up, (40, 24, 3)).copy()
+    for unit in range(40):
+        off = rng.choice(24, 3, replace=False)
+        stood[unit, off] += np.cross(np.radians(0.1) * rng.standard_normal((3, 3)), up[off])
+    values = stood + 3e-5 * rng.standard_normal(stood.shape)
+    values[np.arange(40), rng.integers(0, 24, 40), rng.integers(0, 3, 40)] += 5e-3
+    u = rng.uniform(2e-5, 4e-5, values.shape) if options.pop("stated", False) else None
+    singly, together = codes_of_both(values, u, **options)
+    assert together == singly
+    assert sum("outlier" in each for each in singly) > 30
+
+
+def test_causes_of_time_are_of_the_noise_of_each_unit():
+    """A slip has S of `fit` in a unit whose outputs are unequally noisy, beside one of equal."""
+    rng = np.random.default_rng(8)
+    up = mp.read_scheme("fibonacci-24").up
+    like = mp.fit(mp.Readings(up + 1e-4 * rng.standard_normal((24, 3)), up=up))
+    noise = 1e-4 * np.array([1.0, 8.0, 0.5])
+    slipped = up + np.where(np.arange(24)[:, None] < 9, 0.0, np.cross([2e-4, -3e-4, 1e-3], up))
+    unit = mp.fit(mp.Readings(slipped + noise * rng.standard_normal((24, 3)), up=up))
+    plan, (_, e, slopes) = row_order.plan_of(like), row_order.residuals_in_order(unit)
+    known = next(each for each in row_order.search(unit) if each.code == "slipped")
+    given = e.T[:, None].repeat(2, axis=1), slopes[None].repeat(2, axis=0)
+    own, other = row_order.search_by_noise(plan, like, *given), row_order.search_units(plan, *given)
+    place = own.codes.index("slipped")
+    assert own.score[place] == pytest.approx([known.score] * 2, rel=1e-9)
+    assert own.p[place] == pytest.approx([known.p] * 2, rel=1e-9)
+    assert other.p[place] != pytest.approx([known.p] * 2, rel=1e-3)
+    of_like = row_order.residuals_in_order(like)
+    assert row_order.search_by_noise(plan, like, of_like[1].T[:, None], of_like[2][None]) is None
 
 
 def test_a_position_sticks_out_by_what_fitted_equations_leave():
