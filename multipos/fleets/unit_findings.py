@@ -234,13 +234,18 @@ def find_in_units(
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
     codes["placement"] = codes["placement"] & ~codes["outlier"]
-    indicated = lacking_fit | misplaced | scored
-    if found.chi2 is not None:
-        indicated |= found.chi2 > chi2_quantile(known.REJECTED, float(shared.dof.sum()))
+    indicated = lacking_fit | misplaced | scored | _are_rejected(shared, found)
     may_hide = _are_concentrated(of.error, indicated) & ~outlying & ~singly
     for unit in np.flatnonzero(may_hide).tolist():
         singly[unit] = outlying_rows_of(tests.like, values, unit, stated or {}) is not None
     return UnitFindings(codes, singly)
+
+
+def _are_rejected(shared: SharedDesign, found: Estimates) -> Mask:
+    """Return in which units (B,) chi-squared rejects the stated noise."""
+    if found.chi2 is None:
+        return np.zeros(len(found.parameters), dtype=np.bool_)
+    return np.asarray(found.chi2 > chi2_quantile(known.REJECTED, float(shared.dof.sum())))
 
 
 def _are_concentrated(error: Array, indicated: Mask) -> Mask:
