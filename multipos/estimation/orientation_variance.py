@@ -270,7 +270,7 @@ def find_both(
         The stated sds of orientations are the least that they can be: F ≥ 1, and F = 1 has a
         probability of its own.
     """
-    before = np.zeros((2, len(valid)))
+    before = np.full((2, len(valid)), np.nan)  # no noise before the first round
 
     def estimate(here: Units, places: Places) -> Estimated:
         size, linear = here.size, here.linear()
