@@ -14,10 +14,12 @@ from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.noise import linear_model
 from multipos.estimation.orientation_variance import (
     Block,
+    Linear,
     _axes,
     _axes_of_errors,
     _Evaluator,
     _prior_of_both,
+    find_both,
 )
 from multipos.estimation.posteriors import (
     _COVERAGE,
@@ -283,3 +285,47 @@ def test_the_prior_of_two_variances_that_do_the_same_is_next_to_nothing():
     found = _prior_of_both(*np.array([[1.0, 5.0], [1.0, 1.0], [1.0, 2.0]]))
     assert -np.inf < found[0] < -300.0
     assert found[1] == pytest.approx(np.log(3.0))
+
+
+class Counted:
+    """A solution that no noise moves, and how often it was searched for."""
+
+    size = np.ones(1)
+
+    def __init__(self, model, rounds):
+        self.model, self.rounds = model, rounds
+
+    def of(self, units):
+        return self
+
+    def put(self, units, other):
+        pass
+
+    def linear(self):
+        return self.model
+
+    def searched(self, excess, factor):
+        self.rounds.append((float(excess[0]), float(factor[0])))
+        return self, np.ones(1, dtype=np.bool_)
+
+
+def test_noise_is_found_again_before_it_counts_as_converged():
+    """Variance and factor of one are the logarithms zero, which once stood for no round at all."""
+    rng = np.random.default_rng(4)
+    n, p = 60, 4
+    design = rng.standard_normal((1, n, 3, p))
+    spread = 10.0 * np.broadcast_to(np.eye(3)[:, :2], (1, n, 3, 2))
+    moved = np.einsum("bnmi,bni->bnm", spread, rng.standard_normal((1, n, 2)))
+    error = 0.7 * rng.standard_normal((1, n, 3)) + moved
+    prior = np.zeros((p, p)), np.zeros(p), 0.0
+
+    def rounds_of(spread):
+        rounds = []
+        linear = Linear((Block(error, design, spread, np.ones((1, n, 3))),), *prior)
+        find_both(Counted(linear, rounds), np.ones(1, dtype=np.bool_), p, 3.0 * n - p)
+        return rounds
+
+    factor = rounds_of(spread)[0][1]
+    rounds = rounds_of(spread * np.sqrt(factor))  # whose factor is one
+    assert_allclose(np.log([1.0 + rounds[0][0], rounds[0][1]]), 0.0, atol=0.02)
+    assert len(rounds) == 2
