@@ -283,7 +283,7 @@ def check_outside(outside: str) -> None:
 def check_columns(
     calibration: Calibration,
     source: str,
-    columns: tuple[str, ...],
+    columns: Mapping[str, tables.Column] | tuple[str, ...],
     tilt: bool,
     uncertainty: ReadingUncertainty | None,
     units: Mapping[str, str],
@@ -324,6 +324,14 @@ def _place_outside(calibration: Calibration, table: tables.Table, row: int) -> s
     _, clamped = _environment_outside(calibration, table, columns)
     apart = (name for name in columns if columns[name][row] != clamped[name][row])
     return table.where(row, next(apart, calibration.outputs[0]))
+
+
+def refusal(where: str, beyond: int, rows: int) -> MultiposError:
+    """Return the error of rows beyond what was calibrated, the first of which is named."""
+    return MultiposError(
+        f"{where}: the reading is outside what was calibrated ({beyond} of {rows} rows are); "
+        "use --outside flag to see them."
+    )
 
 
 def _environment_outside(
@@ -404,16 +412,14 @@ class AppliedLog:
 
     def columns(self) -> dict[str, tables.Column]:
         """Return all columns at once; what is added to them is computed piece by piece."""
-        added = self.added()
-        return {**read_log(self.log), **added}
-
-    def added(self) -> dict[str, Array]:
-        """Return what is added to the columns, computed piece by piece."""
         found: dict[str, list[Array]] = {}
         for _, added in self._applied(()):
             for name, column in added.items():
                 found.setdefault(name, []).append(column)
-        return {name: np.concatenate(parts) for name, parts in found.items()}
+        return {
+            **read_log(self.log),
+            **{name: np.concatenate(all_) for name, all_ in found.items()},
+        }
 
     def _applied(
         self, carried: Sequence[str], texts: Sequence[str] = ()
@@ -441,10 +447,7 @@ class AppliedLog:
             if self.progress is not None:
                 self.progress(piece.done)
         if first is not None and self.outside == "refuse":
-            raise MultiposError(
-                f"{first}: the reading is outside what was calibrated ({self.beyond} of "
-                f"{self.rows} rows are); use --outside flag to see them."
-            )
+            raise refusal(first, self.beyond, self.rows)
 
     @property
     def _needed(self) -> tuple[str, ...]:
@@ -498,7 +501,8 @@ def apply_log(
     """
     check_outside(outside)
     check_beside(calibration, beside, tilt)
-    log = called_as(log, _asked_names(calibration, beside))
+    asked = wanted_columns(calibration)
+    log = called_as(log, asked if beside is None else (*asked, *wanted_columns(beside)))
     wanted = asked_uncertainty(
         calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
     )
@@ -506,10 +510,8 @@ def apply_log(
     return AppliedLog(calibration, log, tilt, wanted, outside, progress, beside=beside)
 
 
-def _asked_names(calibration: Calibration, beside: Calibration | None) -> tuple[str, ...]:
-    """Return the columns that calibrations are applied to, and those of the noise of rows."""
-    if beside is not None:
-        return (*_asked_names(calibration, None), *_asked_names(beside, None))
+def wanted_columns(calibration: Calibration) -> tuple[str, ...]:
+    """Return the columns that a calibration is applied to: what it needs, and the noise of rows."""
     stated = (f"u_{output}" for output in calibration.outputs)
     return (*calibration.outputs, *calibration.model.environment, *stated)
 
@@ -622,40 +624,44 @@ def apply(
             f"needs a Calibration, got {type(calibration).__name__}; for a regression call "
             "`multipos.correct`, and `multipos.load` reads a calibration from its file."
         )
+    check_outside(outside)
+    check_beside(calibration, beside, tilt)
     data = handed.take_in(data, "data", calibration.outputs)
-    given = tables.read_table(data, what="data") if isinstance(data, Mapping) else None
-    log = open_log(data) if given is None else _of_table(given, _asked_names(calibration, beside))
-    whole = apply_log(
-        calibration,
-        log,
-        tilt=tilt,
-        uncertainty=uncertainty,
-        reading_sd=reading_sd,
-        parameters_only=parameters_only,
-        outside=outside,
-        beside=beside,
-    )
-    added = whole.added()
-    # the caller's own columns stay
-    kept = read_log(whole.log) if given is None else {n: copy(c) for n, c in given.columns.items()}
-    return Applied({**kept, **added}, whole.noise, in_order((*log.left_out, *whole.findings)))
-
-
-def _of_table(given: tables.Table, names: Sequence[str]) -> Log:
-    """Return a table in memory as a log of one piece, its columns called as names are given."""
+    if not isinstance(data, Mapping):  # a log of any kind that the command reads
+        whole = apply_log(
+            calibration,
+            open_log(data),
+            tilt=tilt,
+            uncertainty=uncertainty,
+            reading_sd=reading_sd,
+            parameters_only=parameters_only,
+            outside=outside,
+            beside=beside,
+        )
+        columns = whole.columns()
+        return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
+    given = tables.read_table(data, what="data")
     table, units = plain_names(given)
-    table, _ = under_names(table, names)
-    columns = tuple(table.columns)
-    return Log(
-        table.source,
-        columns,
-        columns,
-        table.delimiter,
-        text=False,
-        pieces=lambda _: iter((Piece(table, None, 1.0),)),
-        header=columns,
-        units=units,
+    asked = wanted_columns(calibration)
+    table, _ = under_names(table, asked if beside is None else (*asked, *wanted_columns(beside)))
+    wanted = asked_uncertainty(
+        calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
     )
+    check_columns(calibration, table.source, table.columns, tilt, wanted, units, beside)
+    added = add_columns(
+        calibration, table, tilt=tilt, uncertainty=wanted, outside=outside, beside=beside
+    )
+    if outside == "refuse" and added["outside"].any():
+        where = _place_outside(calibration, table, int(np.argmax(added["outside"])))
+        raise refusal(where, int(added["outside"].sum()), table.rows)
+    kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
+    said: Findings = ()
+    if wanted is not None:
+        said = (*wanted.held, *wanted.find_samples(table, table.columns))
+    said = (*said, *find_turn(calibration, beside))
+    findings = found_applying(calibration, said, int(added["outside"].sum()), table.rows)
+    noise = None if wanted is None else wanted.noise.text
+    return Applied({**kept, **added}, noise, findings)
 
 
 def found_applying(c: Calibration, of_noise: Findings, beyond: int, rows: int) -> Findings:
