@@ -267,6 +267,18 @@ class ModelTest(Result):
         pairs = zip(self.ratios, self.dofs, strict=True)
         return sum((q + nu) * math.log1p(q * f / nu) - 2.0 * q for f, (q, nu) in pairs)
 
+    def is_below(self, level: float) -> bool:
+        """Tell whether p is below a level; most often without working it out."""
+        count = len(self.ratios)
+        # X beyond its quantile needs one P at most as large as if all were equal.
+        enough = level
+        if count > 1:
+            enough = math.exp(-0.5 * quantiles.chi2_quantile(1.0 - level, 2.0 * count) / count)
+        pairs = zip(self.ratios, self.dofs, strict=True)
+        return (
+            any(f > quantiles.f_quantile(1.0 - enough, *dof) for f, dof in pairs) and self.p < level
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the test as what JSON can carry."""
         said = {"term": self.term, "statistic": self.statistic, "dof": self.dof, "p": self.p}
@@ -526,7 +538,11 @@ def find_outlying_positions(
         How many outputs are judged alike, one by one.
     """
     found = []
-    for row in np.flatnonzero(q > 4.0 * degrees).tolist():
+    suspects = np.flatnonzero(q > 4.0 * degrees)
+    # Of many, from the largest on: where all are judged alike, no other is beyond the first within.
+    suspects = suspects[np.argsort(-q[suspects], kind="stable")]
+    alike = bool((degrees == degrees[:1]).all())
+    for row in suspects.tolist():
         m, value = float(degrees[row]), float(q[row])
         if np.isinf(dof):
             p = quantiles.chi2_tail(value, m)
@@ -539,9 +555,11 @@ def find_outlying_positions(
         else:
             continue
         if p < OUTLIER_LEVEL / (len(q) * parts):
-            size = f"{np.sqrt(value / m):.1f} times the noise"
-            found.append(f"position {labels[row]} does not fit: {size}")
-    return tuple(found)
+            said = f"position {labels[row]} does not fit: {np.sqrt(value / m):.1f} times the noise"
+            found.append((row, said))
+        elif alike:
+            break
+    return tuple(said for _, said in sorted(found))
 
 
 def linearity(

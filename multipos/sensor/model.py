@@ -462,6 +462,14 @@ class Model(Result):
         others. Terms such as ``temperature*y`` go with ``y``: a rotation may change with
         temperature.
         """
+        return self._gauged[gauge] if gauge in GAUGES else self._fixed_by(gauge)
+
+    @cached_property
+    def _gauged(self) -> dict[str, "Model"]:
+        """The model under each gauge, kept as what they derive is."""
+        return {gauge: self._fixed_by(gauge) for gauge in GAUGES}
+
+    def _fixed_by(self, gauge: Gauge | RollGauge) -> "Model":
         fixed = {axis: self.axes[i + 1 :] for i, axis in enumerate(self.axes)}
         if gauge in ROLL_GAUGES:
             free = [axis for axis in self.axes if axis != gauge.removeprefix("roll-")]
