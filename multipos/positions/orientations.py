@@ -127,8 +127,7 @@ def gather_open_rolls(readings: Readings, group: Sequence[str], unknown: Mask) -
         return None
     first: dict[str, int] = {}
     cone = np.full(len(axis), -1)
-    grouped = (label for one, label in zip(axis, group, strict=True) if label and one >= 0)
-    number = {label: i for i, label in enumerate(dict.fromkeys(grouped))}
+    number = {label: i for i, label in enumerate(dict.fromkeys(_grouped(axis, group)))}
     for row, label in enumerate(group):
         if not label:
             continue
@@ -140,6 +139,11 @@ def gather_open_rolls(readings: Readings, group: Sequence[str], unknown: Mask) -
             )
         cone[row] = number.get(label, -1)
     return OpenRolls(axis, cone)
+
+
+def _grouped(axis: Places, group: Sequence[str]) -> list[str]:
+    """Return the groups of rolls of open angle, in their order."""
+    return [label for one, label in zip(axis, group, strict=True) if label and one >= 0]
 
 
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
@@ -259,6 +263,8 @@ def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> Places:
         pairs = zip(labels, rolls.rows.tolist(), strict=True)
         labels = ["" if rolled else label for label, rolled in pairs]
     number = {label: i for i, label in enumerate(dict.fromkeys(filter(None, labels)))}
+    if not number:
+        return np.full(len(labels), -1)
     return np.array([number.get(label, -1) for label in labels])
 
 
@@ -276,6 +282,8 @@ def _references(readings: Readings, unknown: Mask, rolls: OpenRolls | None, size
 
 def _directions(readings: Readings, unknown: Mask, rolls: OpenRolls | None) -> Array:
     """Return up vectors (n, 3), any where a direction is unknown, any of its circle for a roll."""
+    if unknown.all():
+        return np.tile(_ANY, (len(readings), 1))
     up = np.full((len(readings), 3), np.nan) if readings.up is None else readings.up
     if rolls is not None:
         up = np.where(rolls.rows[:, None], across(rolls.vectors), up) + 0.0

@@ -95,7 +95,9 @@ def p_values(
     array or None
         None where the other readings do not determine the fit.
     """
-    bases = [np.linalg.qr(design)[0] for design in designs]
+    each_once = {id(design): design for design in designs}
+    Q = {key: np.linalg.qr(design)[0] for key, design in each_once.items()}
+    bases = [Q[id(design)] for design in designs]
     (found,) = p_values_of_units(errors[None], leverage, bases, questioned[None])
     return None if np.isnan(found[questioned]).any() else found[questioned]
 
@@ -383,16 +385,20 @@ def find_outliers(
     nu = np.asarray(dof, dtype=np.float64)
     error = residuals if sd is None else residuals / sd
     r2 = studentised_squares(error.T, leverage.T, nu[:, None]).T
-    beyond = [
-        (column, row)
-        for row, column in np.argwhere(r2 > _SUSPECT).tolist()
-        if _is_outlier(float(r2[row, column]), float(nu[column]), residuals.size)
-    ]
+    beyond = []
+    for column, largest in enumerate(np.fmax.reduce(r2, axis=0, initial=0.0).tolist()):
+        if not _is_outlier(largest, float(nu[column]), residuals.size):
+            continue
+        for row in np.argsort(-r2[:, column], kind="stable").tolist():
+            if not _is_outlier(float(r2[row, column]), float(nu[column]), residuals.size):
+                break  # and none that is smaller is beyond chance
+            beyond.append((column, row))
     if not beyond:
         return ()
     judged = nu.min() >= ROWS_NAMED and error.any(axis=0).all()
     if error.shape[1] > 1 and judged:
-        weighed = [design[:, own] for own in columns]
+        each_once = {own.tobytes(): design[:, own] for own in columns}
+        weighed = [each_once[own.tobytes()] for own in columns]
         if sd is not None:
             weighed = [each / sd[:, [m]] for m, each in enumerate(weighed)]
         beyond = _beyond_unlike_rows(error, leverage, weighed, beyond)

@@ -143,6 +143,8 @@ class ForcesSeen(NamedTuple):
     def holds(self, force: Array, axes: Sequence[int]) -> Mask:
         """Tell which forces (n, K) along K axes are inside; NaN is not."""
         size = np.sqrt(np.einsum("ni,ni->n", force, force))
+        if self.sphere == self.largest:
+            return np.asarray(size <= self.limit(self.largest))
         low, high = self.box(axes)
         within = (force >= low) & (force <= high)
         seen = (size <= self.limit(self.largest)) & within.all(axis=1)
