@@ -32,6 +32,7 @@ import numpy as np
 
 from multipos.diagnostics import columns, gross_errors, model_error, row_order, scales, score_tests
 from multipos.diagnostics.residuals import (
+    MOST,
     effective_number,
     lack_of_fit,
     orientation_error,
@@ -43,7 +44,7 @@ from multipos.diagnostics.residuals import (
     unequal_noise,
 )
 from multipos.diagnostics.variances import Residuals, explain_unequal
-from multipos.estimation.gains import estimator_gain
+from multipos.estimation.gains import AtSolution, estimator_gain, information_at_solution
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.numerics.arrays import Array, Mask, median
@@ -479,7 +480,10 @@ def in_words(text: str) -> str:
 
 
 def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
-    tested = score_tests.judge_model(calibration)
+    at_solution: AtSolution = partial(information_at_solution, calibration)
+    if calibration.residuals.size <= MOST:  # of many rows it is asked for once
+        at_solution = cache(at_solution)
+    tested = score_tests.judge_model(calibration, at_solution=at_solution)
     of_model = changed(calibration.diagnostics, model_tests=tested.tests, hidden=tested.hidden)
     calibration = changed(calibration, diagnostics=of_model)
     found = _answers(OF_COLUMNS, calibration)
@@ -491,7 +495,9 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
         beyond = outlier(calibration, sought=sought)
         outlying = () if beyond is None else beyond.rows
         across = partial(orientation_error, residuals=residuals, outlying=outlying)
-        questions = [across if ask is orientation_error else ask for ask in OF_RESIDUALS]
+        equal = partial(unequal_noise, at_solution=at_solution)
+        given = {orientation_error: across, unequal_noise: equal}
+        questions = [given.get(ask, ask) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):
             residuals.cache_clear()  # of many rows they are large

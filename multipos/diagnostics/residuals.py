@@ -20,6 +20,7 @@ score of ln v_i and its information are
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from multipos.diagnostics.variances import (
     prefers_orientations,
     prefers_unequal,
 )
-from multipos.estimation.gains import information_at_solution
+from multipos.estimation.gains import AtSolution, information_at_solution
 from multipos.estimation.known import REJECTED
 from multipos.estimation.likelihood import respond, weigh
 from multipos.estimation.outliers import Outlying, find_outlying_rows
@@ -342,11 +343,11 @@ def _of_rows(c: Calibration, kept: Mask, reference: Array) -> Residuals | None:
     return Residuals(error[None], basis, c.model.columns, slopes[None], force, stated[None])
 
 
-def unequal_noise(c: Calibration) -> Finding | None:
+def unequal_noise(c: Calibration, at_solution: AtSolution | None = None) -> Finding | None:
     """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
     if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
         return None
-    p, sizes = judge_equality(c)
+    p, sizes = judge_equality(c, at_solution)
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None
     noisiest, quietest = int(np.argmax(sizes)), int(np.argmin(sizes))
@@ -432,7 +433,7 @@ def _orientation_error(equal: Explained, moved: Explained) -> float | None:
     return math.degrees(math.sqrt(moved.variances[0, 1]))
 
 
-def judge_equality(c: Calibration) -> tuple[float, Array]:
+def judge_equality(c: Calibration, at_solution: AtSolution | None = None) -> tuple[float, Array]:
     """Test by eq. (1) whether outputs have the noise that an uncertain or unknown fit takes.
 
     Returns
@@ -444,7 +445,7 @@ def judge_equality(c: Calibration) -> tuple[float, Array]:
     n, m = c.residuals.shape
     if n * m > MOST:
         return 1.0, np.full(m, np.nan)
-    problem, optimum = information_at_solution(c)
+    problem, optimum = (at_solution or partial(information_at_solution, c))()
     if float(problem.degrees.sum()) - problem.unknowns < FEW:
         return 1.0, np.full(m, np.nan)
     push = weigh(problem.precision, optimum.point.residuals)

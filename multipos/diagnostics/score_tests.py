@@ -26,11 +26,12 @@ C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 129
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from multipos.diagnostics import projections, row_order
-from multipos.estimation.gains import information_at_solution
+from multipos.estimation.gains import AtSolution, information_at_solution
 from multipos.estimation.likelihood import respond
 from multipos.estimation.problem import Problem
 from multipos.numerics.arrays import Array, Mask, Places
@@ -58,7 +59,9 @@ class Tested:
     hidden: tuple[str, ...]
 
 
-def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
+def judge_model(
+    c: Calibration, added: tuple[str, ...] = (), at_solution: AtSolution | None = None
+) -> Tested:
     """Test every kind of term that the model lacks, by eq. (1).
 
     Parameters
@@ -66,6 +69,8 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
     c : Calibration
     added : tuple of str
         Kinds that are taken as if the model had them.
+    at_solution : function, optional
+        Returns what `information_at_solution` does.
     """
     kinds = projections.lacking(c)
     alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
@@ -77,7 +82,7 @@ def judge_model(c: Calibration, added: tuple[str, ...] = ()) -> Tested:
         return Tested((), ())
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            tested = (_at_known if alone else _as_one)(c, kinds, added)
+            tested = _at_known(c, kinds, added) if alone else _as_one(c, kinds, added, at_solution)
     except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
         return Tested((), ())
     if not c.effective_rows or _beats_slow_noise(c, tested.tests):
@@ -261,11 +266,16 @@ class _Sums:
     least_variance: float = 0.0
 
 
-def _as_one(c: Calibration, kinds: tuple[projections.Kind, ...], added: tuple[str, ...]) -> Tested:
+def _as_one(
+    c: Calibration,
+    kinds: tuple[projections.Kind, ...],
+    added: tuple[str, ...],
+    at_solution: AtSolution | None = None,
+) -> Tested:
     """Test all outputs as one, about the solution."""
     plain = c.estimator.exact and c.robust_weight is None
     plain = plain and (c.noise is None or c.noise.ndim == 1)
-    sums = (_sums_at_known if plain else _sums_of_likelihood)(c, kinds)
+    sums = _sums_at_known(c, kinds) if plain else _sums_of_likelihood(c, kinds, at_solution)
     gram, score, kind_of = sums.gram, sums.score, sums.kind_of
     whole, left = sums.whole, sums.left
     names = [kind.name for kind in kinds]
@@ -318,9 +328,11 @@ def _sums_at_known(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums
     )
 
 
-def _sums_of_likelihood(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums:
+def _sums_of_likelihood(
+    c: Calibration, kinds: tuple[projections.Kind, ...], at_solution: AtSolution | None = None
+) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
-    problem, optimum = information_at_solution(c)
+    problem, optimum = (at_solution or partial(information_at_solution, c))()
     Z, output_of, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
     beside = optimum.with_slopes(Z, output_of)
     across = respond(optimum.information, beside.cross)

@@ -33,6 +33,7 @@ Where nothing is known of any position of a triad (`UnknownSearch.fits`), W_k is
 is one row A_k'm_k then, and the sums are products of these rows. A test compares the two ways.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -93,6 +94,10 @@ class FisherInformation(Protocol):
 
         `unstated` (n, M) is the fraction of the variance of a reading that is not stated.
         """
+
+
+# `information_at_solution` of a calibration, where several ask for it
+AtSolution = Callable[[], tuple[Problem, FisherInformation]]
 
 
 def information_at(problem: Problem, state: State, point: Point | None = None) -> FisherInformation:

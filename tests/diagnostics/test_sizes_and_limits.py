@@ -506,7 +506,7 @@ def test_a_stated_noise_is_rejected_by_chi_square(share, said, monkeypatch):
 
 @pytest.mark.parametrize(("p", "said"), [(0.009, True), (0.011, False)])
 def test_the_noisiest_output_is_named_beside_the_quietest(p, said, monkeypatch):
-    monkeypatch.setattr(residuals, "judge_equality", lambda c: (p, np.array([3.0, 0.5, 4.0])))
+    monkeypatch.setattr(residuals, "judge_equality", lambda c, _: (p, np.array([3.0, 0.5, 4.0])))
     monkeypatch.setattr(residuals, "significant", lambda tests: ())
     c = SimpleNamespace(
         estimator=SimpleNamespace(exact=False), robust_weight=None, outputs=("a", "b", "c"),
