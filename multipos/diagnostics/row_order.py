@@ -678,25 +678,24 @@ def _law_of_slow(
 def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
     """Return the traces of PΩ, (PΩ)² and (PΩ)³, P = 1 − QQ'."""
     n, rho = len(Q), _correlation(len(Q))
+    if across is not None:
+        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+        left = rho**gap * (across @ across.T)
+        left -= Q @ (Q.T @ left)
+        left -= (left @ Q) @ Q.T
+        return float(left.trace()), float(np.sum(left * left)), float(np.sum((left @ left) * left))
 
     def correlated(X: Array) -> Array:
         """Return ΩX."""
-        w = X if across is None else (across[:, :, None] * X[:, None]).reshape(n, -1)
-        z = recur(w, rho)
-        z += recur(w[::-1], rho)[::-1]
-        z -= w
-        if across is None:
-            return z
-        return np.asarray(np.einsum("nc,ncp->np", across, z.reshape(*across.shape, -1)))
+        z = recur(X, rho)
+        z += recur(X[::-1], rho)[::-1]
+        z -= X
+        return z
 
-    if across is None:  # of triples of rows 6 d (n − d) lie d apart
-        d = np.arange(1.0, min(n, math.log(_NOTHING) / math.log(rho)))
-        square = rho ** (2.0 * d) * (n - d)
-        powers = n, n + 2.0 * square.sum(), n + 6.0 * (square @ d)
-    else:
-        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-        W = rho**gap * (across @ across.T)
-        powers = W.trace(), np.sum(W * W), np.sum((W @ W) * W)
+    # of triples of rows 6 d (n − d) lie d apart
+    d = np.arange(1.0, min(n, math.log(_NOTHING) / math.log(rho)))
+    square = rho ** (2.0 * d) * (n - d)
+    powers = n, n + 2.0 * square.sum(), n + 6.0 * (square @ d)
     once = correlated(Q)
     a, b, c = Q.T @ once, once.T @ once, once.T @ correlated(once)
     return (
