@@ -165,8 +165,8 @@ def _part(outputs: Rows, columns: Array, roots: Array, steps: Rows) -> _Part:
     matrix, n = None, len(columns)
     if n <= _SHORT:
         after = np.arange(n) >= steps[:, None]
-        each = np.tensordot(roots, columns, (2, 2)).transpose(0, 1, 3, 2)
-        matrix = (each * after[:, None, None]).reshape(roots.shape[0] * roots.shape[1], -1)
+        each = roots[:, None] @ columns.transpose(1, 2, 0) * after[:, None, None]
+        matrix = each.swapaxes(1, 2).reshape(roots.shape[0] * roots.shape[1], -1)
     return _Part(outputs, columns, roots, steps, matrix)
 
 
@@ -363,7 +363,8 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
     left = np.prod(1.0 - explained, axis=1)
     left *= np.exp(test.limits * each / (nu * m))[:, None]
     place = np.argmin(left, axis=0)
-    there = np.broadcast_to(explained[place, :, np.arange(count)].T, (m, count))
+    there = explained[place, :, np.arange(count)].T
+    there = there if each == m else np.repeat(there, m, axis=0)
     return place, -nu * np.log1p(-there).sum(axis=0), there
 
 
@@ -477,12 +478,12 @@ def _roots(gram: Array, size: Array) -> tuple[Array, Array]:
 
     Directions of which a fit leaves no more than rounding of their size Z'Z (K, q) count as zero.
     """
-    scale = np.where(size > 0.0, np.sqrt(np.maximum(size, 0.0)), 1.0)
+    scale = np.sqrt(np.where(size > 0.0, size, 1.0))
     unit = gram / (scale[:, :, None] * scale[:, None, :])
-    unit = np.where(np.isfinite(unit), unit, 0.0)  # of readings beyond all numbers
+    unit[~np.isfinite(unit)] = 0.0  # of readings beyond all numbers
     values, vectors = np.linalg.eigh(unit)
     kept = values > _IDENTIFIABLE
-    root = np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    root = kept / np.sqrt(np.where(kept, values, 1.0))
     rows = (vectors * root[:, None, :]).transpose(0, 2, 1) / scale[:, None, :]
     return rows, kept.sum(axis=1).astype(np.float64)
 
@@ -606,14 +607,14 @@ def _whitened(
         for output in outputs[:1].tolist() if apart else outputs.tolist():
             Z = family.base if apart else _moved_alone(family.base, slopes[output])
             Z = Z * weight[:, [output]] if len(weight) > 1 else Z
-            square = _from_each(Z, Z, family.steps)
-            lost = _from_each(Q, Z, family.steps)
+            both = _from_each(np.concatenate([Q, Z], axis=1), Z, family.steps)
+            lost, square = both[:, : Q.shape[1]], both[:, Q.shape[1] :]
             grams.append(square - lost.transpose(0, 2, 1) @ lost)
             sizes.append(np.einsum("kqq->kq", square))
             parts += [(outputs, Z[:, None])] if apart else []
     if not apart:
         parts = [(np.arange(len(slopes)), family.base)]
-        grams, sizes = [np.sum(grams, axis=0)], [np.sum(sizes, axis=0)]
+        grams, sizes = [reduce(np.add, grams)], [reduce(np.add, sizes)]
     found = [_roots(gram, size) for gram, size in zip(grams, sizes, strict=True)]
     ranks = np.max([rank for _, rank in found], axis=0)
     pairs = zip(parts, found, strict=True)
