@@ -340,14 +340,16 @@ def hides(gram: Array, error: Array, whole: Array, size: float) -> bool:
     size : float
         l.
     """
-    if not (np.mean(error**2, axis=0) > _IMITATED**2 * np.mean(whole**2, axis=0)).any():
+    mean = error.T @ error / len(error)
+    squares = mean.diagonal()
+    if not (squares > _IMITATED**2 * np.einsum("jq,jq->q", whole, whole) / len(whole)).any():
         return False
     if not size > 0.0:  # no term is of force
         return False
-    scale = float(np.trace(gram)) + size**-1.0 * float(np.mean(error**2))
-    mean = error.T @ error / len(error)
-    ratio = np.linalg.eigvals(np.linalg.solve(gram + _NOTHING * scale * np.eye(len(gram)), mean))
-    return bool(ratio.real.max() > _HIDDEN**2 * size)
+    scale = float(gram.trace()) + float(squares.sum()) / (len(gram) * size)
+    ratio = np.linalg.solve(gram + _NOTHING * scale * np.eye(len(gram)), mean)
+    limit = _HIDDEN**2 * size  # passed by the largest eigenvalue, and so by their sum
+    return bool(ratio.trace() > limit and np.linalg.eigvals(ratio).real.max() > limit)
 
 
 def seen_rows(V: Array, scale: Array) -> Array:
