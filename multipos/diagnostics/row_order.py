@@ -36,7 +36,6 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import cached_property, lru_cache, partial, reduce
 from typing import NamedTuple
 
@@ -616,7 +615,7 @@ def _whitened(
         parts = [(np.arange(len(slopes)), family.base)]
         grams, sizes = [reduce(np.add, grams)], [reduce(np.add, sizes)]
     found = [_roots(gram, size) for gram, size in zip(grams, sizes, strict=True)]
-    ranks = np.max([rank for _, rank in found], axis=0)
+    ranks = reduce(np.maximum, [rank for _, rank in found])
     pairs = zip(parts, found, strict=True)
     return tuple(_part(*part, root, family.steps) for part, (root, _) in pairs), ranks
 
@@ -859,7 +858,7 @@ def _on_normals(c: Calibration, X: Array, across: Array) -> list[_Family]:
         else:
             moved = _moved(family.base, c.sensitivity)
             base = np.einsum("nmq,nm->nq", moved, weight)[:, None]
-        families.append(replace(family, base=base))
+        families.append(_Family(family.code, base, family.steps, family.wholly))
     return families
 
 
