@@ -359,9 +359,9 @@ def _best_steps(test: _Test, e: Array, along: Array, nu: float) -> tuple[Rows, A
             explained[:, own] = square.reshape(-1, len(own), count)
     np.minimum(explained, 1.0 - _ROUNDING, out=explained)
     # the largest Λ less its limit, by its exponential: one logarithm a unit
-    left = np.prod(1.0 - explained, axis=1)
+    left = (1.0 - explained).prod(axis=1)
     left *= np.exp(test.limits * each / (nu * m))[:, None]
-    place = np.argmin(left, axis=0)
+    place = left.argmin(axis=0)
     there = explained[place, :, np.arange(count)].T
     there = there if each == m else np.repeat(there, m, axis=0)
     return place, -nu * np.log1p(-there).sum(axis=0), there
