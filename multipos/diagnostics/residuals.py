@@ -20,7 +20,6 @@ score of ln v_i and its information are
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -445,7 +444,7 @@ def judge_equality(c: Calibration, at_solution: AtSolution | None = None) -> tup
     n, m = c.residuals.shape
     if n * m > MOST:
         return 1.0, np.full(m, np.nan)
-    problem, optimum = (at_solution or partial(information_at_solution, c))()
+    problem, optimum = at_solution() if at_solution else information_at_solution(c)
     if float(problem.degrees.sum()) - problem.unknowns < FEW:
         return 1.0, np.full(m, np.nan)
     push = weigh(problem.precision, optimum.point.residuals)

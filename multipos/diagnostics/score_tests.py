@@ -26,7 +26,6 @@ C. R. Rao 1948, Proc. Cambridge Phil. Soc. 44, 50 (the score test); IEEE Std 129
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -43,6 +42,8 @@ from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import inverses
+
+_Kinds = tuple[projections.Kind, ...]
 
 LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
@@ -163,9 +164,7 @@ def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
     return tuple(sorted((t for t in tests if t.is_below(level)), key=lambda t: (t.p, -t.gain)))
 
 
-def _at_known(
-    c: Calibration, kinds: tuple[projections.Kind, ...], added: tuple[str, ...]
-) -> Tested:
+def _at_known(c: Calibration, kinds: _Kinds, added: tuple[str, ...]) -> Tested:
     """Test at known orientations, with a projection that is kept from one fit to the next."""
     found = projections.project(projections.Setting(c, kinds, added))
     if not len(found.starts):
@@ -267,10 +266,7 @@ class _Sums:
 
 
 def _as_one(
-    c: Calibration,
-    kinds: tuple[projections.Kind, ...],
-    added: tuple[str, ...],
-    at_solution: AtSolution | None = None,
+    c: Calibration, kinds: _Kinds, added: tuple[str, ...], at_solution: AtSolution | None = None
 ) -> Tested:
     """Test all outputs as one, about the solution."""
     plain = c.estimator.exact and c.robust_weight is None
@@ -298,7 +294,7 @@ def _as_one(
     return Tested(_ratios(names, (), *alone), hidden)
 
 
-def _sums_at_known(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums:
+def _sums_at_known(c: Calibration, kinds: _Kinds) -> _Sums:
     """Return the sums where positions are exact: of each output by itself, (A, Z, e)'(A, Z, e)."""
     shape, p = c.residuals.shape, len(c.parameters)
     variances = np.square(c.residual_sd) if c.noise is None else c.noise.reshape(shape)
@@ -329,10 +325,10 @@ def _sums_at_known(c: Calibration, kinds: tuple[projections.Kind, ...]) -> _Sums
 
 
 def _sums_of_likelihood(
-    c: Calibration, kinds: tuple[projections.Kind, ...], at_solution: AtSolution | None = None
+    c: Calibration, kinds: _Kinds, at_solution: AtSolution | None = None
 ) -> _Sums:
     """Return the sums with the marginal weights of the likelihood."""
-    problem, optimum = (at_solution or partial(information_at_solution, c))()
+    problem, optimum = at_solution() if at_solution else information_at_solution(c)
     Z, output_of, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
     beside = optimum.with_slopes(Z, output_of)
     across = respond(optimum.information, beside.cross)
