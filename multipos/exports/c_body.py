@@ -422,15 +422,15 @@ class _Writer:
         return " * ".join(factors)
 
     def _sum(self, parts: list[tuple[float, str]]) -> str:
-        pieces = []
-        for value, product in parts:
-            size = abs(float(value))
-            piece = self._number(size)
-            if product:
-                piece = product if size == 1.0 else f"{piece} * {product}"
-            if value:
-                pieces.append((value, piece))
+        pieces = [
+            (value, self._piece(abs(float(value)), product)) for value, product in parts if value
+        ]
         return signed_sum(pieces) or self._number(0.0)
+
+    def _piece(self, size: float, product: str) -> str:
+        if product and size == 1.0:
+            return product
+        return f"{self._number(size)} * {product}" if product else self._number(size)
 
     def _number(self, value: float) -> str:
         return literal(value, self._single)

@@ -35,7 +35,7 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
 from multipos.regression.observations import filter_time, number_labels
 from multipos.regression.prediction import clear_of_limits, predict_clamped
-from multipos.regression.regression import Regression
+from multipos.regression.regression import Regression, require_same_data
 from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration
 
@@ -459,7 +459,8 @@ def replay(
     source, drive = None, generated_rows(c, _REPLAYED)
     if data is not None:
         given = read_table(data, what="data")
-        _require_same_data(c, given.source, given.sha256)
+        for each in c.regressions:
+            require_same_data(each, given.source, given.sha256)
         source, drive = given.source, fitted_rows(c, given)
     drive = drive.rounded() if single else drive
     out, beyond, certain = expected_rows(c, drive, single=single)
@@ -490,15 +491,6 @@ def _corrected(text: str, regressions: Sequence[Regression]) -> tuple[str, ...] 
             return None
         found.append(line[1])
     return tuple(found)
-
-
-def _require_same_data(c: Correction, source: str, sha256: str | None) -> None:
-    for r in c.regressions:
-        if r.sha256 is not None and r.sha256 != sha256:
-            raise MultiposError(
-                f"{source}: not the data that the regression of '{r.response}' was fitted to "
-                f"({r.source}), by its checksum; give it where it is one file, or leave out --data."
-            )
 
 
 def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -> Findings:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, p_in_words, table, uncertain
 from multipos.files.spelling import StrPath
 from multipos.files.trees import to_json
@@ -369,6 +370,15 @@ def _path_text(s: Segment) -> list[str]:
         ]
         lines += ["", table(["subset", "R²", "adjusted R²", "AICc", "BIC"], best)]
     return lines
+
+
+def require_same_data(r: Regression, source: str, sha256: str | None) -> None:
+    """Refuse a file that is not the one that a regression was fitted to, by its checksum."""
+    if r.sha256 is not None and r.sha256 != sha256:
+        raise MultiposError(
+            f"{source}: not the data that the regression of '{r.response}' was fitted to "
+            f"({r.source}), by its checksum; give it where it is one file, or leave out --data."
+        )
 
 
 @frozen

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.files.numbers import chance, number, uncertain
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.spelling import StrPath
@@ -29,6 +28,7 @@ from multipos.regression.regression import (
     all_of,
     format_span,
     regression_sentence,
+    require_same_data,
 )
 from multipos.regression.segment import Segment
 from multipos.reports.certificate import Content, lab_fields, read_lab
@@ -138,11 +138,7 @@ def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) ->
         found = read_table(there, what="data")
         return found if found.sha256 == r.sha256 else None
     found = read_table(data, what="data")
-    if r.sha256 is not None and found.sha256 != r.sha256:
-        raise MultiposError(
-            f"{found.source}: not the data that the regression of '{r.response}' was fitted to "
-            f"({r.source}), by its checksum; give it where it is one file, or leave out --data."
-        )
+    require_same_data(r, found.source, found.sha256)
     return found
 
 
