@@ -296,10 +296,10 @@ _AS_THEY_ARE = (str, float, int, type(None), Frozen, Result)  # most of what is 
 
 def freeze(value: Any) -> Any:
     """Return a value of a result as it is kept: its arrays read-only, its mappings frozen."""
-    if isinstance(value, _AS_THEY_ARE):
-        return value
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
+    elif isinstance(value, _AS_THEY_ARE):
+        return value
     elif isinstance(value, tuple):
         kept = [freeze(part) for part in value]
         if any(map(is_not, kept, value)):

@@ -15,6 +15,7 @@ The first unit whose columns can be read says which columns are outputs, for all
 """
 
 import warnings
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
@@ -96,15 +97,14 @@ def _bounds(starts: Places, size: int) -> list[int]:
     bounds, count = [0], len(starts) - 1
     while bounds[-1] < count:
         end = starts[bounds[-1]] + size
-        last = int(np.searchsorted(starts, end, side="right")) - 1
+        last = bisect_right(starts, end) - 1
         bounds.append(min(max(last, bounds[-1] + 1), count))
     return bounds
 
 
 def _stretches(rows: Rows, grouped: Grouped) -> Iterator[Cut]:
-    bounds = _bounds(grouped.starts, max(_PIECE, rows.largest))
-    for first, last in pairwise(bounds):
-        start, stop = grouped.starts[[first, last]].tolist()
+    for first, last in pairwise(_bounds(grouped.starts, max(_PIECE, rows.largest))):
+        start, stop = int(grouped.starts[first]), int(grouped.starts[last])
         yield Cut(rows.piece(start, stop), grouped.piece(first, last), first)
 
 
@@ -269,7 +269,7 @@ class Piece:
         return Conditions(self._rows, self._grouped, self._known.outputs, self._known.used)
 
     def solve(
-        self, executor: Executor, folder: Path | None, report: Callable[[int], object]
+        self, executor: Executor | None, folder: Path | None, report: Callable[[int], object]
     ) -> Iterator[Solved]:
         """Yield what is found of the units, of those that batches leave over last."""
         left: list[Places] = []
@@ -374,11 +374,10 @@ class Piece:
 
     def _alone(self, units: Places) -> Iterator[Task]:
         """Yield tasks of units that are fitted one by one, without those that are already."""
-        fitted = np.array([unit in self._fitted for unit in units.tolist()], dtype=np.bool_)
-        self._taken.update(units[fitted].tolist())
-        units = units[~fitted]
-        for start in range(0, len(units), _ALONE):
-            mine = units[start : start + _ALONE]
+        self._taken.update(self._fitted.keys() & units.tolist())
+        left = [unit for unit in units.tolist() if unit not in self._fitted]
+        for start in range(0, len(left), _ALONE):
+            mine = np.array(left[start : start + _ALONE], dtype=np.intp)
             tables = {unit + self._first: self._table(unit) for unit in mine.tolist()}
             yield Task(
                 mine + self._first, self._stations[mine], None, (), tables, self._known.options
@@ -452,16 +451,8 @@ def fit_many(
     >>> bool(np.abs(found["bias_ax"] - bias[:, 0, 0]).max() < 5e-4)
     True
     """
-    opened = open_engine("threads") if executor is None else nullcontext(executor)
-    with opened as running:
-        found = fit_units(
-            tables,
-            unit_column,
-            station_column,
-            options,
-            running,
-            report=progress or (lambda done: None),
-        )
+    report = progress or (lambda done: None)
+    found = fit_units(tables, unit_column, station_column, options, executor, report=report)
     return found.columns()
 
 
@@ -470,7 +461,7 @@ def fit_units(
     unit_column: str | None,
     station_column: str | None,
     options: Mapping[str, Any],
-    executor: Executor,
+    executor: Executor | None,
     *,
     folder: Path | None = None,
     report: Callable[[int], object] = lambda done: None,
@@ -493,13 +484,16 @@ def fit_units(
     rows = read_rows(tables, unit_column, station_column, raw=how)
     grouped = group_rows(rows)
     rows = rows.without_labels()
-    with _quiet():
-        units = _solve(rows, grouped, given, executor, folder, report)
+    threads = executor is None and len(grouped) >= _FEWEST
+    opened = open_engine("threads") if threads else nullcontext(executor)
+    # what single fits warn of is a column of the result
+    with opened as running, warnings.catch_warnings(action="ignore", category=CalibrationWarning):
+        units = _solve(rows, grouped, given, running, folder, report)
         trials = find_trials(rows, grouped) if study else None
         if trials is None:
             return units
         rows = replace(rows, failed=())
-        each = _solve(rows, trials.grouped, given, executor, folder, lambda done: None)
+        each = _solve(rows, trials.grouped, given, running, folder, lambda done: None)
     usable = ~each.failed & ~each.unfit & (each.names == units.names)
     study_found = gather_study(trials, each.parameters, usable)
     return replace(units, study=study_found)
@@ -522,15 +516,16 @@ def _solve(
     rows: Rows,
     grouped: Grouped,
     options: dict[str, Any],
-    executor: Executor,
+    executor: Executor | None,
     folder: Path | None,
     report: Callable[[int], object],
 ) -> Units:
     """Return the numbers of units, piece by piece, and behind them files that cannot be read."""
     known, more = Known(options), len(rows.failed)
     found, times = UnitsFound(len(grouped) + more), np.full(len(grouped) + more, np.nan)
-    unit = grouped.unit
+    unit, first = grouped.unit, grouped.firsts
     if more:
+        first = np.append(first, rows.count + np.arange(more))
         names, found.reasons[len(grouped) :] = zip(*rows.failed, strict=True)
         unit = joined_labels([unit, Labels(np.arange(more, dtype=np.int32), names)])
     stations = _in_order_of_coming(grouped.station.codes)
@@ -548,7 +543,7 @@ def _solve(
         station=(*grouped.station, *[""] * more),
         model=known.model,
         **vars(found),
-        first=np.append(grouped.firsts, rows.count + np.arange(more)),
+        first=first,
         time=times,
         confidence=float(options.get("confidence", 0.95)),
         gravity_u=known.gravity_u,
@@ -569,14 +564,6 @@ def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:
     if given.get("budget") is not None:
         given["budget"] = read_budget(given["budget"])
     return given
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Leave out the warnings of single fits: what they say is a column of the result."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CalibrationWarning)
-        yield
 
 
 def _in_order_of_coming(codes: Codes) -> Places:

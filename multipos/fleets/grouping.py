@@ -93,9 +93,10 @@ def group_rows(rows: Rows) -> Grouped:
     unit, station = rows.unit.codes, rows.station.codes
     changes = unit[1:] != unit[:-1]
     changes |= station[1:] != station[:-1]
-    starts = np.concatenate(([0], np.flatnonzero(changes) + 1, [len(unit)]))
+    starts = np.concatenate(([0], changes.nonzero()[0] + 1, [len(unit)]))
     heads, order = starts[:-1], None
-    if len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
+    in_order = (unit[heads] == np.arange(len(heads))).all()  # of coming, as names are numbered
+    if not in_order and len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
         appeared = _appeared(_keys(unit, rows.station, slice(None)))
         order = np.argsort(appeared, kind="stable")
         starts = np.concatenate(([0], np.cumsum(np.bincount(appeared))))

@@ -47,10 +47,10 @@ def labels_of(table: Table, name: str, *, checked: bool = True) -> Labels:
         return column
     if isinstance(column, np.ndarray) and len(column):
         # a label that stays for many rows is looked at once
-        changes = np.flatnonzero(column[1:] != column[:-1]) + 1
+        changes = (column[1:] != column[:-1]).nonzero()[0] + 1
         bounds = np.concatenate(([0], changes, [len(column)]))
         short = _coded(table, name, column[bounds[:-1]].tolist(), checked)
-        return Labels(np.repeat(short.codes, bounds[1:] - bounds[:-1]), short.names)
+        return Labels(short.codes.repeat(bounds[1:] - bounds[:-1]), short.names)
     cells = column if isinstance(column, Sequence) else column.tolist()
     return _coded(table, name, cells, checked)
 

@@ -110,6 +110,8 @@ class Rows:
 
     def select(self, rows: Sequence[int]) -> Table:
         """Return some rows as a table; messages still name file and line where it is one file."""
+        if len(self.tables) == 1:
+            return self.tables[0].select(rows)
         row = np.asarray(rows)
         places = np.searchsorted(self.starts[1:], row, side="right")
         parts = [
@@ -251,7 +253,7 @@ def read_rows(
         _require_columns(table, tables[0], key, station_column)
     unit = joined_labels([labels_of(table, key) for table in tables])
     _require_units(tables, unit, key)
-    station = Labels(np.broadcast_to(np.int32(0), len(unit)), ("",))
+    station = Labels(np.zeros(len(unit), dtype=np.int32), ("",))
     if station_column is not None:
         station = joined_labels([labels_of(table, station_column) for table in tables])
     left = tuple(_without(table, {key, station_column}) for table in tables)
@@ -373,10 +375,8 @@ def _require_columns(table: Table, first: Table, unit: str, station: str | None)
 
 
 def _are_counted(tables: Sequence[Table], name: str) -> bool:
-    columns = [table.columns[name] for table in tables]
-    arrays = [column for column in columns if isinstance(column, np.ndarray)]
-    whole = all(a.dtype.kind in "iu" and np.can_cast(a.dtype, np.int64) for a in arrays)
-    return whole and len(arrays) == len(columns)
+    kinds = [getattr(table.columns[name], "dtype", np.dtype(object)) for table in tables]
+    return all(kind.kind in "iu" and np.can_cast(kind, np.int64) for kind in kinds)
 
 
 def _require_units(tables: Sequence[Table], unit: Labels, column: str) -> None:
@@ -401,16 +401,16 @@ def _without(table: Table, names: set[str | None]) -> Table:
 
 @frozen(eq=True)
 class Averaging:
-    """How raw logs are averaged: options of `average`, and what runs them."""
+    """How raw logs are averaged: options of `average`, and what runs them if not this thread."""
 
     options: Mapping[str, Any]
-    executor: Executor
+    executor: Executor | None
 
 
 def average_logs(files: Sequence[Source], how: Averaging) -> list[Table | MultiposError | None]:
     """Return the means of raw logs as tables; where there are none, why not."""
     called = partial(_averaged, options=dict(how.options))
-    return list(how.executor.map(called, files))
+    return list((how.executor.map if how.executor else map)(called, files))
 
 
 def _averaged(source: Source, options: Mapping[str, Any]) -> Table | MultiposError:

@@ -95,8 +95,7 @@ class Units:
     @cached_property
     def unit_column(self) -> NDArray[Any]:
         """The units as the tables name them, texts or whole numbers (B,)."""
-        texts = np.array(list(self.unit), dtype=np.str_)
-        return texts.astype(np.int64) if self.counted else texts
+        return np.array(list(self.unit), dtype=np.int64 if self.counted else np.str_)
 
     def columns(self) -> Columns:
         """Return the table of calibrations, one row a unit."""
@@ -107,8 +106,8 @@ class Units:
         for kind, numbers in (("", self.parameters), ("u_", self.u), ("dof_", self.dof)):
             names = [kind + name for name in self.names]
             columns.update(zip(names, numbers.T, strict=True))
-        columns["rms"] = self.rms
-        return Columns(columns | {"findings": self.findings, "reason": self.reasons})
+        columns |= {"rms": self.rms, "findings": self.findings, "reason": self.reasons}
+        return Columns(columns)
 
 
 class UnitsFound:
@@ -119,9 +118,8 @@ class UnitsFound:
         self.names: tuple[str, ...] = ()
         self.parameters = self.u = self.dof = np.empty((count, 0))
         self.rms = np.full(count, np.nan)
-        self.findings: Texts = np.full(count, "", dtype=np.object_)
-        self.reasons: Texts = np.full(count, "", dtype=np.object_)
-        self.why_unfit: Texts = np.full(count, "", dtype=np.object_)
+        texts: tuple[Texts, ...] = tuple(np.full((3, count), "", dtype=np.object_))
+        self.findings, self.reasons, self.why_unfit = texts
         self.fixtures: tuple[FixtureSums, ...] = ()
 
     def take(self, solved: Solved) -> None:
@@ -132,8 +130,9 @@ class UnitsFound:
             self.parameters, self.u, self.dof = np.full(shape, np.nan)
         same = solved.names == self.names
         other = "" if same else "its columns give other parameters than those of the other units."
-        self.reasons[solved.units] = [reason or other for reason in solved.reasons]
-        good = np.flatnonzero(self.reasons[solved.units] == "")
+        reasons = [reason or other for reason in solved.reasons]
+        self.reasons[solved.units] = reasons
+        good = np.flatnonzero([not reason for reason in reasons])
         units = solved.units[good]
         self.findings[units] = [solved.findings[place] for place in good.tolist()]
         self.why_unfit[units] = [solved.unfit[place] for place in good.tolist()]

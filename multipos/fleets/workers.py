@@ -86,7 +86,7 @@ def _dask_client(scheduler: str | None) -> Any:
 
 def solve_all(
     tasks: Iterable[Task],
-    executor: Executor,
+    executor: Executor | None,
     *,
     folder: Path | None = None,
     report: Callable[[int], object] = lambda done: None,
@@ -96,7 +96,8 @@ def solve_all(
     Parameters
     ----------
     tasks : iterable of Task
-    executor : concurrent.futures.Executor
+    executor : concurrent.futures.Executor or None
+        None: this thread.
     folder : path, optional
         Where finished tasks are kept, and found again.
     report : callable
@@ -109,7 +110,11 @@ def solve_all(
         for task in tasks:
             path = None if folder is None else folder / f"{_name(task)}.npz"
             kept = None if path is None else _load(path)
-            waiting.append((path, executor.submit(solve_task, task) if kept is None else kept))
+            if kept is None:
+                begun = executor.submit(solve_task, task) if executor else solve_task(task)
+                waiting.append((path, begun))
+            else:
+                waiting.append((None, kept))
             while len(waiting) >= most:
                 solved = _finish(*waiting.popleft())
                 done += len(solved.units)
@@ -127,9 +132,7 @@ def solve_all(
 
 
 def _finish(path: Path | None, each: "Solved | Future[Solved]") -> Solved:
-    if isinstance(each, Solved):
-        return each
-    solved = each.result()
+    solved = each.result() if isinstance(each, Future) else each
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, _packed(solved))
