@@ -172,7 +172,7 @@ def _gather(
     ]
     order = np.empty(len(mine), dtype=np.intp)
     order[np.concatenate([places for _, places in by_table])] = np.arange(len(mine))
-    return rows.of_tables(tables), replace(units, order=order)
+    return Rows(tuple(tables)), replace(units, order=order)
 
 
 def _arranged(table: Table, rows: Places, copied: Part | None, piece: int) -> Table:
@@ -280,9 +280,10 @@ class Piece:
         for solved in solve_all(self._tasks(), executor, folder=folder, report=report_all):
             yield solved
             left.append(solved.units[[reason == LEFT for reason in solved.reasons]])
-        rest = np.concatenate(left) - self._first if left else np.zeros(0, dtype=np.intp)
-        yield from solve_all(self._alone(rest), executor, folder=folder)
-        alone = np.sort(np.array([*self._taken], dtype=np.intp))
+        if left:
+            rest = np.concatenate(left) - self._first
+            yield from solve_all(self._alone(rest), executor, folder=folder)
+        alone = np.array(sorted(self._taken), dtype=np.intp)
         if len(alone):
             yield gather(alone + self._first, [self._fitted[unit] for unit in alone.tolist()])
 
@@ -481,9 +482,9 @@ def fit_units(
     """
     given = _read_options(with_rests(options) if raw else options)
     how = Averaging(averaging_options(options), executor) if raw else None
-    rows = read_rows(tables, unit_column, station_column, raw=how)
-    grouped = group_rows(rows)
-    rows = rows.without_labels()
+    rows, owners = read_rows(tables, unit_column, station_column, raw=how)
+    grouped = group_rows(owners)
+    del owners  # which take memory, and are known by units
     threads = executor is None and len(grouped) >= _FEWEST
     opened = open_engine("threads") if threads else nullcontext(executor)
     # what single fits warn of is a column of the result

@@ -88,9 +88,9 @@ def fit_unit(
         given = fit_many.with_rests(given)
         with ThreadPoolExecutor() as executor:
             raw = Averaging(fit_many.averaging_options(given), executor)
-            rows = read_rows(tables, None, None, unit, raw=raw)
+            rows, owners = read_rows(tables, None, None, unit, raw=raw)
     else:
-        rows = read_rows(tables, how["unit_column"], how["station_column"], unit)
+        rows, owners = read_rows(tables, how["unit_column"], how["station_column"], unit)
     known = {each["sha256"] for each in found["input"]}
     for table in rows.tables:
         if table.sha256 not in known:
@@ -98,10 +98,10 @@ def fit_unit(
                 f"{table.source} is not the table that this fleet was fitted from, or has changed "
                 "since; give that with --data, or run multipos fleet again."
             )
-    units = grouping.group_rows(rows)
+    units = grouping.group_rows(owners)
     here = {units.station[i]: i for i, name in enumerate(units.unit) if name == unit}
     if not here:
-        raise MultiposError(f"no unit '{unit}'{near(unit, rows.unit.names)} Look at units.csv.")
+        raise MultiposError(f"no unit '{unit}'{near(unit, owners.unit.names)} Look at units.csv.")
     place = here[_station_of(unit, list(here), station)]
     return fit(rows.select(units.rows(place).tolist()), **given)
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.fleets.labels import Codes, Labels
-from multipos.fleets.sources import Rows
+from multipos.fleets.sources import Owners, Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
 from multipos.positions import attitudes
 from multipos.positions.headers import FORCE, TEMPERATURE
@@ -88,24 +88,24 @@ class Grouped:
         return column if self.order is None else column[self.order]
 
 
-def group_rows(rows: Rows) -> Grouped:
-    """Return the units of the rows of tables."""
-    unit, station = rows.unit.codes, rows.station.codes
+def group_rows(owners: Owners) -> Grouped:
+    """Return the units of rows."""
+    unit, station = owners.unit.codes, owners.station.codes
     changes = unit[1:] != unit[:-1]
     changes |= station[1:] != station[:-1]
     starts = np.concatenate(([0], changes.nonzero()[0] + 1, [len(unit)]))
     heads, order = starts[:-1], None
     in_order = (unit[heads] == np.arange(len(heads))).all()  # of coming, as names are numbered
-    if not in_order and len(np.unique(_keys(unit[heads], rows.station, heads))) < len(heads):
-        appeared = _appeared(_keys(unit, rows.station, slice(None)))
+    if not in_order and len(np.unique(_keys(unit[heads], owners.station, heads))) < len(heads):
+        appeared = _appeared(_keys(unit, owners.station, slice(None)))
         order = np.argsort(appeared, kind="stable")
         starts = np.concatenate(([0], np.cumsum(np.bincount(appeared))))
     firsts = starts[:-1] if order is None else order[starts[:-1]]
     return Grouped(
         order,
         starts,
-        Labels(rows.unit.codes[firsts], rows.unit.names),
-        Labels(rows.station.codes[firsts], rows.station.names),
+        Labels(owners.unit.codes[firsts], owners.unit.names),
+        Labels(owners.station.codes[firsts], owners.station.names),
     )
 
 

@@ -9,14 +9,14 @@ Raw logs are averaged first, each one unit: `average_logs`.
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from glob import glob, has_magic
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -44,6 +44,13 @@ _LOGS = (
 _UNIT = "unit"  # the column of units where none is named
 
 
+class Owners(NamedTuple):
+    """The unit and the station of every row; a single station '' where no column names them."""
+
+    unit: Labels
+    station: Labels
+
+
 @frozen(eq=True)
 class Rows:
     """All rows of a fleet, in one or several tables that have the same columns.
@@ -52,10 +59,6 @@ class Rows:
     ----------
     tables : tuple of Table
         Without the columns of unit and station.
-    starts : tuple of int
-        First row of each table, and the number of all.
-    unit, station : Labels
-        Of every row; a single station '' where no column names them.
     counted : bool
         Units are whole numbers in the tables, and not texts that look like some.
     unit_column : str or None
@@ -66,13 +69,15 @@ class Rows:
     """
 
     tables: tuple[Table, ...]
-    starts: tuple[int, ...]
-    unit: Labels
-    station: Labels
-    counted: bool
+    counted: bool = False
     unit_column: str | None = None
     failed: tuple[tuple[str, str], ...] = ()
     findings: Findings = ()
+
+    @cached_property
+    def starts(self) -> tuple[int, ...]:
+        """First row of each table, and the number of all."""
+        return tuple(accumulate((table.rows for table in self.tables), initial=0))
 
     @property
     def count(self) -> int:
@@ -87,21 +92,13 @@ class Rows:
         )
 
     def piece(self, start: int, stop: int) -> "Rows":
-        """Return the rows from start to stop, read, without whose they are."""
+        """Return the rows from start to stop, read."""
         parts = []
         for table, first in zip(self.tables, self.starts[:-1], strict=True):
             low, high = max(start - first, 0), min(stop - first, table.rows)
             if low < high:
                 parts.append(_loaded(table, low, high))
-        return self.of_tables(parts)
-
-    def of_tables(self, tables: Sequence[Table]) -> "Rows":
-        """Return some of the rows, in loaded tables of their own, without whose they are."""
-        return Rows(tuple(tables), _starts(tables), _NOBODY, _NOBODY, self.counted)
-
-    def without_labels(self) -> "Rows":
-        """Return the rows without whose they are, which takes memory and is known by units."""
-        return replace(self, unit=_NOBODY, station=_NOBODY)
+        return Rows(tuple(parts))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -157,9 +154,6 @@ def _are_numbers(table: Table, name: str) -> bool:
     return isinstance(column, np.ndarray) and column.dtype.kind in "fiub"
 
 
-_NOBODY = Labels(np.zeros(0, dtype=np.int32), ())
-
-
 def _joined(tables: Sequence[Table], name: str) -> tuple[Table, ...]:
     """Return the same column of short tables as one table; none where they are other ones."""
     cells = joined_cells([table.columns[name] for table in tables]) if len(tables) > 1 else None
@@ -183,8 +177,8 @@ def read_rows(
     station_column: str | None = None,
     only: str | None = None,
     raw: "Averaging | None" = None,
-) -> Rows:
-    """Return the rows of tables.
+) -> tuple[Rows, Owners]:
+    """Return the rows of tables, and whose each is.
 
     Parameters
     ----------
@@ -257,14 +251,8 @@ def read_rows(
     if station_column is not None:
         station = joined_labels([labels_of(table, station_column) for table in tables])
     left = tuple(_without(table, {key, station_column}) for table in tables)
-    counted = _are_counted(tables, key)
-    starts = _starts(left)
-    return Rows(left, starts, unit, station, counted, unit_column, failed, findings)
-
-
-def _starts(tables: Iterable[Table]) -> tuple[int, ...]:
-    """Return the first row of each of tables one after another, and the number of all rows."""
-    return tuple(accumulate((table.rows for table in tables), initial=0))
+    rows = Rows(left, _are_counted(tables, key), unit_column, failed, findings)
+    return rows, Owners(unit, station)
 
 
 def _tried(

@@ -203,8 +203,8 @@ def test_copies_of_rows_are_gone_afterwards(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     lots = write(tmp_path / "lots", by_position(ragged()), kind)
     in_pieces(monkeypatch, 100)
-    rows = read_rows([lots], "unit", "station")
-    grouped = group_rows(rows)
+    rows, owners = read_rows([lots], "unit", "station")
+    grouped = group_rows(owners)
     with cutting.cut_rows(rows, grouped) as cuts:
         assert len([next(cuts), *cuts]) == 6
         (room,) = temporary.iterdir()
@@ -278,8 +278,8 @@ def test_rows_that_cannot_be_copied_are_told_with_a_way_out(tmp_path, monkeypatc
 def test_a_file_that_changes_while_it_is_read_is_refused(tmp_path, monkeypatch):
     lots = write(tmp_path / "lots", line(12, scheme="faces-corners-14"), "csv")
     in_pieces(monkeypatch, 100)
-    rows = read_rows([lots], "unit", "station")
-    with cutting.cut_rows(rows, group_rows(rows)) as cuts:
+    rows, owners = read_rows([lots], "unit", "station")
+    with cutting.cut_rows(rows, group_rows(owners)) as cuts:
         cut = next(cuts)
         with (lots / "0.csv").open("a") as stream:
             stream.write("\n")
