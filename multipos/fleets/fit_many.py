@@ -223,11 +223,13 @@ class Known:
         Relative.
     notes : tuple of Finding
         Which columns are no outputs.
+    fixtures : bool
+        Whether sums over units of one fixture are asked.
     """
 
-    def __init__(self, options: dict[str, Any]) -> None:
+    def __init__(self, options: dict[str, Any], *, fixtures: bool) -> None:
         """Begin with the options as they were given."""
-        self.options = options
+        self.options, self.fixtures = options, fixtures
         self.outputs: tuple[str, ...] | None = None
         self.model: Model | None = None
         self.gravity_u = 0.0
@@ -337,7 +339,10 @@ class Piece:
         for unit in units[:_TRIED].tolist():
             fitted = self._fit(unit)
             if isinstance(fitted, Calibration):
-                pattern = find_pattern(fitted, self._table(unit), self._known.options)
+                known = self._known
+                pattern = find_pattern(
+                    fitted, self._table(unit), known.options, fixtures=known.fixtures
+                )
                 if pattern is not None:
                     return pattern
         return None
@@ -478,7 +483,8 @@ def fit_units(
     folder : path, optional
         Where finished tasks are kept, and found again.
     study : bool
-        Whether repeats of units at several stations are fitted one by one as well.
+        Whether what only all units tell is asked, too: sums over the units of one fixture, and
+        repeats of units at several stations, which are fitted one by one.
     """
     given = _read_options(with_rests(options) if raw else options)
     how = Averaging(averaging_options(options), executor) if raw else None
@@ -489,7 +495,7 @@ def fit_units(
     opened = open_engine("threads") if threads else nullcontext(executor)
     # what single fits warn of is a column of the result
     with opened as running, warnings.catch_warnings(action="ignore", category=CalibrationWarning):
-        units = _solve(rows, grouped, given, running, folder, report)
+        units = _solve(rows, grouped, given, running, folder, report, fixtures=study)
         trials = find_trials(rows, grouped) if study else None
         if trials is None:
             return units
@@ -520,9 +526,11 @@ def _solve(
     executor: Executor | None,
     folder: Path | None,
     report: Callable[[int], object],
+    *,
+    fixtures: bool = False,
 ) -> Units:
     """Return the numbers of units, piece by piece, and behind them files that cannot be read."""
-    known, more = Known(options), len(rows.failed)
+    known, more = Known(options, fixtures=fixtures), len(rows.failed)
     found, times = UnitsFound(len(grouped) + more), np.full(len(grouped) + more, np.nan)
     unit, first = grouped.unit, grouped.firsts
     if more:

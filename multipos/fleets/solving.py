@@ -251,7 +251,7 @@ class Task:
 
 
 def find_pattern(
-    calibration: Calibration, table: Table, options: Mapping[str, Any]
+    calibration: Calibration, table: Table, options: Mapping[str, Any], *, fixtures: bool = True
 ) -> Pattern | None:
     """Return what units share with one that was fitted; None where there is no batch for them.
 
@@ -262,6 +262,8 @@ def find_pattern(
         What it was fitted from.
     options : mapping
         Of `fit`.
+    fixtures : bool
+        Whether what a fixture adds is asked.
     """
     c = calibration
     plain = (
@@ -293,8 +295,8 @@ def find_pattern(
     fixture, tests = None, None
     if isinstance(shared, SharedDesign):
         tests = unit_findings.unit_tests(c, shared)
-    if isinstance(shared, SharedDesign) and c.readings.up is not None and c.robust_weight is None:
-        fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
+        if fixtures and c.readings.up is not None and c.robust_weight is None:
+            fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
     codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
     kinds: tuple[Kind, ...] = ()
     if own or robust is not None:

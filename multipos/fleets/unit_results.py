@@ -134,8 +134,8 @@ class UnitsFound:
         self.reasons[solved.units] = reasons
         good = np.flatnonzero([not reason for reason in reasons])
         units = solved.units[good]
-        self.findings[units] = [solved.findings[place] for place in good.tolist()]
-        self.why_unfit[units] = [solved.unfit[place] for place in good.tolist()]
+        texts = np.array([solved.findings, solved.unfit], dtype=np.object_)
+        self.findings[units], self.why_unfit[units] = texts[:, good]
         if len(units):
             self.parameters[units] = solved.parameters[good]
             self.u[units], self.dof[units] = solved.u[good], solved.dof[good]
