@@ -132,9 +132,10 @@ def _listed_start(problem: Problem) -> State | None:
     theta = np.zeros(len(model.keys))
     _, blocks = model.respond(theta, reference, environment)
     for output, (places, design) in enumerate(blocks):
-        names = [model.names[i] for i in places]
-        fitted = solve(design, values[:, output], least_norm=ZERO_NORM, names=names)
-        theta[places] = fitted.coefficients
+        if not output or not np.array_equal(design, blocks[output - 1][1]):
+            names = [model.names[i] for i in places]
+            coefficients = solve(design, values, least_norm=ZERO_NORM, names=names).coefficients
+        theta[places] = coefficients[:, output]
     return _listed_state(problem, theta)
 
 
