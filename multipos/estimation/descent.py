@@ -26,32 +26,32 @@ from multipos.estimation.problem import Normal, Optimum, Point, Problem, State
 from multipos.estimation.uncertain_orientations import UncertainSearch
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import Array, Places
-from multipos.numerics.levenberg_marquardt import ROBUST, Ended, Rules, descend
+from multipos.numerics.levenberg_marquardt import ROBUST, STRICT, Ended, Rules, descend
 from multipos.numerics.losses import loss, loss_weight
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Block
 
 
-def maximise(problem: Problem, state: State) -> Optimum:
+def maximise(problem: Problem, state: State, decrement: float = STRICT) -> Optimum:
     """Maximise the likelihood from a state; parameters with bounds by what has none."""
     model = problem.model
     if isinstance(model, ExpressionModel) and model.bounded:
         inner = replace(problem, model=replace(model, inner=True))
-        found = _maximise(inner, replace(state, theta=model.inward(state.theta)))
+        found = _maximise(inner, replace(state, theta=model.inward(state.theta)), decrement)
         back = replace(found.state, theta=model.outward(found.state.theta)[0])
         return replace(found, state=back, point=evaluate(problem, back))
-    return _maximise(problem, state)
+    return _maximise(problem, state, decrement)
 
 
-def resume(problem: Problem, optimum: Optimum) -> Optimum:
+def resume(problem: Problem, optimum: Optimum, decrement: float = STRICT) -> Optimum:
     """Search on from an optimum, after the noise of the problem was changed."""
-    found = maximise(problem, optimum.state)
+    found = maximise(problem, optimum.state, decrement)
     return replace(found, iterations=optimum.iterations + found.iterations)
 
 
-def _maximise(problem: Problem, state: State) -> Optimum:
+def _maximise(problem: Problem, state: State, decrement: float) -> Optimum:
     largest = np.array([_largest(problem)])
-    rules = Rules() if problem.robust is None else ROBUST
+    rules = Rules(decrement=decrement) if problem.robust is None else ROBUST
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a trial may run away
         if UnknownSearch.fits(problem):
             unknown = UnknownSearch.of_problem(problem)
@@ -59,9 +59,8 @@ def _maximise(problem: Problem, state: State) -> Optimum:
             return _optimum(*unknown.end(place, state), ended)
         if UncertainSearch.fits(problem):
             uncertain = UncertainSearch.of_problem(problem)
-            at, ended = descend(
-                uncertain, uncertain.begin(state), uncertain.rules, largest, problem.held
-            )
+            own = uncertain.rules._replace(decrement=decrement)
+            at, ended = descend(uncertain, uncertain.begin(state), own, largest, problem.held)
             if ended.converged[0]:
                 return _optimum(*uncertain.end(at, state), ended)
         one = _Exact(problem) if _Exact.fits(problem) else _General(problem)

@@ -245,12 +245,12 @@ class _Unit:
         point = self.optimum.point
         return np.array([point.objective]), np.array([np.sum(point.residuals**2)])
 
-    def searched(self, excess: Array, factor: Array | None) -> "tuple[_Unit, Mask]":
+    def searched(self, excess: Array, factor: Array | None, end: float) -> "tuple[_Unit, Mask]":
         problem = replace(self.first, precision=_precision(self.first, float(excess[0])))
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
             problem = replace(problem, orientation_sd=sd)
-        optimum = descent.resume(problem, self.optimum)
+        optimum = descent.resume(problem, self.optimum, end)
         return _Unit(self.first, problem, optimum), np.ones(1, dtype=np.bool_)
 
 

@@ -44,12 +44,14 @@ from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
-from multipos.estimation.posteriors import Both, Found, Posterior, integrate, integrate_grid
+from multipos.estimation.posteriors import Found, Posterior, integrate, integrate_grid
 from multipos.numerics.arrays import Array, Mask, Places
+from multipos.numerics.levenberg_marquardt import STRICT
 
 ROUNDS = 8  # of noise and estimates
 CONVERGED = 1e-4  # relative change of the noise far below its uncertainty
 CONVERGED_BOTH = 0.02  # change of a logarithm, where both are known to a tenth of one at best
+_NEAR = 1e-8  # of F, from which noise is found again: a step of 1e-4 standard uncertainties
 _NOTHING = 1e-4  # of the stated noise, as a variance
 _AT_ONCE = 60_000  # weights of all units, so that what they need stays in the cache
 _FACTORS = 30_000  # of products that are made at once, so that they stay in cache
@@ -166,8 +168,11 @@ class Units(Protocol):
     def squares(self) -> tuple[Array, Array]:
         """Return F under the present noise, and the sum of squared residuals, (B,) each."""
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
-        """Return the units under τ² and F (B,), searched on from here, and which have ended."""
+    def searched(self, excess: Array, factor: Array | None, end: float, /) -> tuple[Self, Mask]:
+        """Return the units under τ² and F (B,), searched on from here, and which have ended.
+
+        A search ends when its next step takes no more than the part `end` off its objective.
+        """
 
 
 class Estimated(NamedTuple):
@@ -175,8 +180,9 @@ class Estimated(NamedTuple):
 
     posterior: Posterior
     excess: Array  # τ², (B,)
-    both: Both | None
     converged: Mask
+    factor: Array | None = None  # F and the ends of its central 68 %, (3, B)
+    end: float = STRICT  # of the search under it
 
 
 UnitsT = TypeVar("UnitsT", bound=Units)
@@ -211,10 +217,10 @@ class Components:
         posterior = estimated.posterior.of(which)
         self.U[units], self.tails[units] = posterior.centred, posterior.tails
         self.dof[units] = posterior.shape
-        self.excess[units], self.u[units] = estimated.excess[which], posterior.summary[1]
-        if estimated.both is not None:
-            self.factor[units] = estimated.both.factor[which]
-            self.low[units], self.high[units] = (each[which] for each in estimated.both.span)
+        self.excess[units] = estimated.excess[which]
+        self.u[units] = estimated.posterior.summary[1][which]
+        if estimated.factor is not None:
+            self.factor[units], self.low[units], self.high[units] = estimated.factor[:, which]
 
 
 def find_excess(
@@ -236,7 +242,7 @@ def find_excess(
     """
     before = np.zeros(len(valid))
 
-    def estimate(here: Units, places: Places) -> Estimated:
+    def estimate(here: Units, places: Places, turn: int) -> Estimated:
         size, last = here.size, before[places]
         objective, squares = here.squares()
         evaluator = _Evaluator(here.linear(), size)
@@ -246,7 +252,7 @@ def find_excess(
         excess = posterior.summary[0]
         before[places] = excess
         converged = np.abs(excess - last) <= CONVERGED * (size + last)
-        return Estimated(posterior, excess, None, converged)
+        return Estimated(posterior, excess, converged)
 
     return _alternate(units, Components(valid, parameters), estimate)
 
@@ -271,8 +277,9 @@ def find_both(
         probability of its own.
     """
     before = np.full((2, len(valid)), np.nan)  # no noise before the first round
+    ends = np.empty((2, 2, len(valid)))
 
-    def estimate(here: Units, places: Places) -> Estimated:
+    def estimate(here: Units, places: Places, turn: int) -> Estimated:
         size, linear = here.size, here.linear()
         spreads = linear.spreads
         errors = [block.error for block in linear.blocks]
@@ -285,18 +292,22 @@ def find_both(
             spreads,
             least=None if least else _NOTHING * size * count / spreads,
             stated=stated,
+            near=ends[:, :, places] if turn else None,
         )
+        ends[:, :, places] = both.ends
         excess = both.posterior.summary[0]
-        now = np.log([size + excess, both.factor])
+        now = np.log([size + excess, both.quantiles[0]])
         converged = np.abs(now - before[:, places]).max(axis=0) <= CONVERGED_BOTH
         before[:, places] = now
-        return Estimated(both.posterior, excess, both, converged)
+        # the first round is never the last
+        end = STRICT if turn else _NEAR
+        return Estimated(both.posterior, excess, converged, both.quantiles, end)
 
     return _alternate(units, Components(valid, parameters), estimate)
 
 
 def _alternate(
-    units: UnitsT, found: Components, estimate: Callable[[UnitsT, Places], Estimated]
+    units: UnitsT, found: Components, estimate: Callable[[UnitsT, Places, int], Estimated]
 ) -> Components:
     """Alternate noise and estimates; a unit that has converged is left out of what follows."""
     going = np.flatnonzero(found.valid)
@@ -304,15 +315,14 @@ def _alternate(
         if not len(going):
             break
         here = units.of(going)
-        estimated = estimate(here, going)
-        following, ended = here.searched(
-            estimated.excess, None if estimated.both is None else estimated.both.factor
-        )
+        estimated = estimate(here, going, turn)
+        factor = None if estimated.factor is None else estimated.factor[0]
+        following, ended = here.searched(estimated.excess, factor, estimated.end)
         units.put(going, following)
         found.valid[going] &= ended
         on = ~estimated.converged & ended & (turn < ROUNDS - 1)
-        if not on.all():
-            found.put(going[~on], estimated, ~on)
+        if (done := ended & ~on).any():
+            found.put(going[done], estimated, done)
         going = going[on]
     return found
 
@@ -544,18 +554,20 @@ class _Evaluator:
         return _Terms(*_joined(tau2.shape, parts))
 
     def _along_curve(self, rotated: _Rotated, tau2: Array, F: Array, *, whole: bool) -> _Terms:
-        """Return the terms at τ² and F (B, G) by eq. (5); the first call has the widest range."""
+        """Return the terms at τ² and F (B, G) by eq. (5); the first call has the widest range.
+
+        All calls are `whole`, or none is.
+        """
         variance = rotated.fixed[:, :1] + tau2
-        curve = self._curve = self._curve or self._curve_through(variance, F)
-        values = curve.values if whole else curve.values[:, :, [0, 1, -1]]
-        nodes, signs = _chebyshev(values.shape[1])
+        curve = self._curve = self._curve or self._curve_through(variance, F, whole=whole)
+        nodes, signs = _chebyshev(curve.values.shape[1])
         size = variance + curve.widest * F
         x = (2.0 * np.log(variance / size) - curve.low - curve.high) / (curve.high - curve.low)
-        found = np.empty((*x.shape, values.shape[2] - 1))
+        found = np.empty((*x.shape, curve.values.shape[2] - 1))
         for units, places in _pieces(x.shape, len(nodes)):
             gaps = x[units, places, None] - nodes
             gaps += _TINY_GAP  # of a node itself
-            sums = np.divide(signs, gaps, out=gaps) @ values[units]
+            sums = np.divide(signs, gaps, out=gaps) @ curve.values[units]
             np.divide(sums[..., :-1], sums[..., -1:], out=found[units, places])
         left = rotated.number.sum() - self._linear.blocks[0].design.shape[3]
         log = found[..., 0] - (0.5 * left + 2.0) * np.log(size)  # 2: of the prior
@@ -563,7 +575,7 @@ class _Evaluator:
         variances = size[..., None] * np.exp(variances)
         return _Terms(log, np.exp(found[..., 1]) / size, moves, variances)
 
-    def _curve_through(self, variance: Array, F: Array) -> _Curve:
+    def _curve_through(self, variance: Array, F: Array, *, whole: bool) -> _Curve:
         """Return the curve between the least and the largest z of a + τ² and F (B, G)."""
         rotated = self._rotated
         widest = rotated.moving.max(axis=1, keepdims=True)
@@ -575,7 +587,7 @@ class _Evaluator:
         count = 2 + 2 * int(_NEPERS / np.arcsinh(2.0 * np.pi / span.max()) / 2.0)
         x = (low + high + span * _chebyshev(count)[0]) / 2.0
         rotated = rotated._replace(fixed=np.zeros_like(rotated.fixed))
-        terms = self._at_pairs(rotated, np.exp(x), -np.expm1(x) / widest, whole=True)
+        terms = self._at_pairs(rotated, np.exp(x), -np.expm1(x) / widest, whole=whole)
         log, square, moves, variances = terms
         of_both = np.stack([log, np.log(square)], axis=2)
         ones = np.ones((*x.shape, 1))

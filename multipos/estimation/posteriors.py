@@ -14,8 +14,10 @@ With orientation errors the variances are Σ + τ² + F s² J J' with stated Σ,
 numbers: τ² and the factor F on the squares of the orientation sds
 (`multipos.estimation.orientation_variance`). The posterior density of ln(τ² + size) and ln F is
 integrated over a grid of both in the same way; the probability of τ² = 0 stands in its first row,
-and that of F = 1, where the stated sds are a lower bound, in its first column. All of it is done
-for B units at once, which share nothing but the number of nodes; a single fit is a batch of one.
+and that of F = 1, where the stated sds are a lower bound, in its first column. A first round, about
+solutions under no noise yet, asks for τ² and F alone; the next take the range that it found. All of
+it is done for B units at once, which share nothing but the number of nodes; a single fit is a batch
+of one.
 """
 
 import math
@@ -44,7 +46,9 @@ _UNFELT = 1e-60  # of the squares, at which any orientation error is one
 _SAME = 1e-9  # relative difference of mixtures that are one
 _NEAR = 1e-4  # a step of Halley's method that leaves its cube
 _ROOT, _AREA = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
-_POINT = 1e-12  # of the spread, below which a normal law is one value
+_FAINT = np.finfo(float).tiny  # a density next to none
+_LEVEL = 1e-6  # change of a logarithm that is none
+_POINT = 1e-12  # of the spread, or of a probability, below which there is none
 _AT_ONCE = 10_000  # normal laws of all units, so that what a step needs stays in the cache
 
 
@@ -77,7 +81,7 @@ class Posterior:
     variances: Array
     size: Array
 
-    @property
+    @cached_property
     def summary(self) -> tuple[Array, Array, Array]:
         """τ² whose V is the posterior mean of 1/V, u of τ, and the dof of V, (B,) each."""
         precision = 1.0 / (self.size[:, None] + self.nodes)
@@ -287,7 +291,10 @@ def standard_uncertainty(expanded: Array, dof: Array) -> Array:
     return np.asarray(expanded / coverage_factors(_COVERAGE, dof))
 
 
-_COARSE, _FINE = 16, 24  # nodes a side
+_COARSE, _FINE = 12, 18  # nodes a side
+_BEYOND = 18.0  # of -2 ln, to which a grid of both reaches: 4.2 standard deviations
+_SHARES = np.array([[0.5], [0.16], [0.84]])
+_WIDENED = 0.1  # of a range found before, to either side, as it may have moved
 
 
 @frozen
@@ -299,29 +306,39 @@ class Both:
     posterior : Posterior
         Of τ² and the parameters, over the nodes of both.
     factors : (B, C) array
-        The values of F, from small to large.
-    weights : (B, C) array
-        Their probability.
+        The values of F, from small to large, equally far apart in ln F.
+    density : (B, C) array
+        Probability between two nodes of ln F, were it everywhere that at the node.
+    at_least : (B,) array
+        Probability of the least F by itself.
+    ends : (2, 2, B) array
+        Where ln(τ² + size) and ln F begin and end to be probable.
     """
 
     posterior: Posterior
     factors: Array
-    weights: Array
+    density: Array
+    at_least: Array
+    ends: Array
 
-    @property
-    def factor(self) -> Array:
-        """The posterior median of F (B,)."""
-        return self._quantile(0.5)
+    @cached_property
+    def quantiles(self) -> Array:
+        """The posterior median of F and the ends of its central 68 %, (3, B).
 
-    @property
-    def span(self) -> tuple[Array, Array]:
-        """The central 68 % of F, (B,) each."""
-        return self._quantile(0.16), self._quantile(0.84)
-
-    def _quantile(self, share: float) -> Array:
-        total = np.cumsum(self.weights, axis=1)
-        place = np.minimum((total < share).sum(axis=1), total.shape[1] - 1)
-        return np.asarray(self.factors[np.arange(len(place)), place])
+        The logarithm of its density in ln F is straight between nodes.
+        """
+        density = np.maximum(self.density, _FAINT)
+        rise = np.diff(np.log(density), axis=1)
+        rise = np.where(np.abs(rise) < _LEVEL, _LEVEL, rise)
+        part = density[:, :-1] * np.expm1(rise) / rise
+        part *= (1.0 - self.at_least[:, None]) / part.sum(axis=1, keepdims=True)
+        below = self.at_least[:, None] + np.cumsum(part, axis=1)
+        at = (below < _SHARES[..., None]).sum(axis=2).clip(max=part.shape[1] - 1)
+        rows = np.arange(len(part))
+        missing = (below[rows, at] - _SHARES) / part[rows, at]
+        rise, low, high = rise[rows, at], self.factors[rows, at], self.factors[rows, at + 1]
+        fraction = np.log1p(np.clip(1.0 - missing, 0.0, 1.0 - _POINT) * np.expm1(rise)) / rise
+        return np.asarray(low * (high / low) ** fraction)
 
 
 class Evaluate(Protocol):
@@ -340,8 +357,9 @@ def integrate_grid(
     *,
     least: Array | None,
     stated: bool,
+    near: Array | None = None,
 ) -> Both:
-    """Return the posterior of excess variance, orientation errors and parameters.
+    """Return the posterior of excess variance and orientation errors, and of parameters if `near`.
 
     Parameters
     ----------
@@ -359,38 +377,49 @@ def integrate_grid(
         right, as the noise is.
     stated : bool
         The stated noise may be all there is.
+    near : (2, 2, B) array or None
+        `Both.ends` about the solutions before these.
     """
-    count, whole = len(size), squares + size
+    count, most = len(size), squares + size
     tail = 28.0 / dof + 0.5
-    x_ends = np.log(size), np.log(whole) + tail
     bottom = np.zeros(count) if least is None else np.log(least)
-    felt = np.maximum(slopes, _UNFELT * whole)
-    y_ends = bottom, np.maximum(np.log(whole / felt), bottom) + tail
-    for side in (*[_COARSE] * _NARROWED, _FINE):
-        x, y = np.linspace(*x_ends, side, axis=1), np.linspace(*y_ends, side, axis=1)
+    felt = np.maximum(slopes, _UNFELT * most)
+    x_ends = np.log(size), np.log(most) + tail
+    y_ends = bottom, np.maximum(np.log(most / felt), bottom) + tail
+    widest = np.array([x_ends, y_ends])
+    ends = widest
+    if near is not None:
+        wider = _WIDENED * np.diff(near, axis=1) * [[-1.0], [1.0]]
+        around = np.clip(near + wider, widest[:, :1], widest[:, 1:])
+        ends = np.where(np.diff(around, axis=1) > _LEVEL, around, widest)
+    for side in (_COARSE, _COARSE, _FINE) if near is None else (_FINE,):
+        x, y = (np.linspace(low, high, side, axis=1) for low, high in ends)
         tau2 = np.concatenate(
             [np.zeros((count, 1)), np.maximum(np.exp(x) - size[:, None], 0.0)], axis=1
         )
-        found = evaluate(np.exp(y), tau2, whole=side == _FINE)
+        found = evaluate(np.exp(y), tau2, whole=near is not None)
         log = found.log.reshape(count, side + 1, side)
-        x_ends = _probable(x, log[:, 1:].max(axis=2))
         counted = log if stated else log[:, 1:]
-        y_ends = _probable(y, counted.max(axis=1))
+        ends = np.array([_probable(x, log[:, 1:].max(axis=2)), _probable(y, counted.max(axis=1))])
     dx, dy = (each[:, 1] - each[:, 0] for each in (x, y))
     above = np.minimum(log - counted.max(axis=(1, 2), keepdims=True), 0.0)
     weights = np.exp(above) * dx[:, None, None]
     weights[:, [1, -1]] /= 2.0
     weights[:, 0] *= stated * stated_weight(dof) / dx[:, None]
+    density = weights.sum(axis=1)
     weights[:, :, [0, -1]] /= 2.0
+    at_least = np.zeros(count)
     if least is None:
-        at_stated = stated_weight(dof) / dy[:, None] * weights[:, :, 0] * 2.0
-        weights[:, :, 0] += np.where(y[:, :1] == 0.0, at_stated, 0.0)
-    weights /= weights.sum(axis=(1, 2), keepdims=True)
+        at_stated = np.where(y[:, 0] == 0.0, stated_weight(dof) / dy, 0.0)
+        weights[:, :, 0] *= 1.0 + 2.0 * at_stated[:, None]
+        at_least = at_stated * density[:, 0]
+    total = weights.sum(axis=(1, 2))
+    weights /= total[:, None, None]
     nodes = np.repeat(tau2, side, axis=1)
     posterior = Posterior(nodes, weights.reshape(count, -1), found.moves, found.variances, size)
-    return Both(posterior, np.exp(y), weights.sum(axis=1))
+    return Both(posterior, np.exp(y), density / total[:, None], at_least / total, ends)
 
 
 def _probable(x: Array, log: Array) -> tuple[Array, Array]:
     """Return the ranges (B,) of nodes where something is probable, and one more to either side."""
-    return _ends(x, log > log.max(axis=1, keepdims=True) - NEGLIGIBLE / 2.0)
+    return _ends(x, log > log.max(axis=1, keepdims=True) - _BEYOND / 2.0)

@@ -302,11 +302,12 @@ class _Units(SearchedUnits):
         found: Linear = self.stated.linear(self.found)
         return found
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
+    def searched(self, excess: Array, factor: Array | None, end: float) -> tuple[Self, Mask]:
         sd = self.stated.orientation_sd
         if factor is not None:
             sd = sd * np.sqrt(factor)[:, None]
-        return self.under(variance=self.stated.variance + excess[:, None], orientation_sd=sd)
+        variance = self.stated.variance + excess[:, None]
+        return self.under(end, variance=variance, orientation_sd=sd)
 
 
 _AT_ONCE = 3000  # readings of an output, so that what they need stays small

@@ -60,7 +60,7 @@ from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.factoring import cofactors_of
-from multipos.numerics.levenberg_marquardt import Rules, descend
+from multipos.numerics.levenberg_marquardt import STRICT, Rules, descend
 from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
@@ -317,10 +317,10 @@ class UnknownSearch:
         return phi.T.reshape(-1, count, n)
 
 
-def search(start: Any, place: Place) -> tuple[Place, Mask]:
+def search(start: Any, place: Place, decrement: float = STRICT) -> tuple[Place, Mask]:
     """Return where the searches of units end, unknown or uncertain, and of which they do."""
     largest = np.sqrt((start.values**2 / start.variance).max(axis=(0, 2)))
-    found, ended = descend(start, place, start.rules, largest)
+    found, ended = descend(start, place, start.rules._replace(decrement=decrement), largest)
     return found, ended.converged
 
 
@@ -350,10 +350,10 @@ class SearchedUnits:
         residuals = self.found.residuals
         return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
 
-    def under(self, **noise: Array) -> tuple[Self, Mask]:
+    def under(self, end: float, **noise: Array) -> tuple[Self, Mask]:
         """Return the units under another noise, searched on from here, and which have ended."""
         following = replace(self.stated, **noise)
-        place, ended = search(following, following.under_noise(self.found))
+        place, ended = search(following, following.under_noise(self.found), end)
         return type(self)(self.stated, following, place), ended
 
 
@@ -362,8 +362,8 @@ class _Units(SearchedUnits):
         found: Linear = self.search.linear(self.found, self.stated.variance)
         return found
 
-    def searched(self, excess: Array, factor: Array | None) -> tuple[Self, Mask]:
-        return self.under(variance=self.stated.variance + excess[:, None])
+    def searched(self, excess: Array, factor: Array | None, end: float) -> tuple[Self, Mask]:
+        return self.under(end, variance=self.stated.variance + excess[:, None])
 
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache

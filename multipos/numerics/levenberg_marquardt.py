@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from multipos.numerics.arrays import Array, Mask, Places
 
+STRICT = 1e-16  # of F, by the next step, below which a search has converged
 _XTOL = 1e-13  # relative step that is only rounding
 _STUCK = 1e12  # damping beyond which nothing moves
 _TRIES = 2000  # steps at most, taken or refused: of 700 beside 1 two of three are refused
@@ -93,7 +94,7 @@ class Rules(NamedTuple):
     """
 
     iterations: int = 200
-    decrement: float = 1e-16
+    decrement: float = STRICT
     weighted: bool = False
     damping: float = 1e-4
 

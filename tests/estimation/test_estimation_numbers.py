@@ -207,9 +207,7 @@ def test_mixtures_of_normal_laws_and_the_interval_that_holds_a_share():
 
 
 def test_ranges_where_something_is_probable():
-    from multipos.estimation.posteriors import NEGLIGIBLE
-
-    low = -NEGLIGIBLE / 2.0
+    low = -posteriors._BEYOND / 2.0
     x = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 2)
     log = np.array(
         [
@@ -397,15 +395,16 @@ def test_a_posterior_over_a_grid_has_the_moments_of_its_density(stated, dof):
         nothing = np.zeros((len(log), log[0].size, 1))
         return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
 
+    given = evaluate, dof, np.ones(1), np.array([50.0]), np.array([30.0])
+    first = posteriors.integrate_grid(*given, least=np.array([0.01]), stated=stated)
     found = posteriors.integrate_grid(
-        evaluate, dof, np.ones(1), np.array([50.0]), np.array([30.0]),
-        least=np.array([0.01]), stated=stated,
-    )  # fmt: skip
-    y, w = np.log(found.factors[0]), found.weights[0]
-    assert w @ y == pytest.approx(-1.0, abs=0.01)
-    assert math.sqrt(w @ (y + 1.0) ** 2) == pytest.approx(0.2, rel=0.03)
+        *given, least=np.array([0.01]), stated=stated, near=first.ends
+    )
+    ends = 0.2 * norm.ppf([0.5, 0.16, 0.84]) - 1.0
+    assert_allclose(np.log(first.quantiles[:, 0]), ends, rtol=0, atol=2e-3)
+    assert_allclose(np.log(found.quantiles[:, 0]), ends, rtol=0, atol=6e-4)
     nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
-    own = np.arange(len(nodes)) >= len(y)
+    own = np.arange(len(nodes)) >= found.factors.shape[1]
     at = math.exp(-2.0) * 1.4 * max(6.0 / dof, 1.0) ** 2 if stated else 0.0
     share = at / (at + 0.3 * math.sqrt(2.0 * math.pi))
     assert weights[~own].sum() == pytest.approx(share, rel=0.02, abs=1e-12)
@@ -428,9 +427,11 @@ def test_stated_orientations_that_may_be_right_have_a_weight():
     )
     rest = 0.5 * 0.5 * math.sqrt(2.0 * math.pi)
     assert found.factors[0, 0] == 1.0
-    first = 1.4 / (1.4 + rest)
-    step = np.log(found.factors[0, 1]) / 2.0 / (1.4 + rest)  # its part of the density
-    assert found.weights[0, 0] == pytest.approx(first + step, rel=0.02)
+    assert found.at_least[0] == pytest.approx(1.4 / (1.4 + rest), rel=0.02)
+    median, low, high = found.quantiles[:, 0]
+    assert (median, low) == (1.0, 1.0)
+    share = 0.5 + 0.5 * (0.84 - 1.4 / (1.4 + rest)) * (1.4 + rest) / rest
+    assert np.log(high) == pytest.approx(0.5 * norm.ppf(share), rel=0.02)
 
 
 @pytest.mark.parametrize("slope", [0.0, 1e-20])
@@ -449,7 +450,7 @@ def test_orientations_that_readings_hardly_show_may_be_far_off(slope):
     nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
     assert weights @ np.log(nodes + 1.0) == pytest.approx(2.0, abs=0.02)
     if slope:
-        assert found.weights[0] @ np.log(found.factors[0]) == pytest.approx(42.0, abs=0.1)
+        assert np.log(found.quantiles[0, 0]) == pytest.approx(42.0, abs=0.1)
 
 
 # --- rows that are correlated

@@ -304,7 +304,7 @@ class Counted:
     def linear(self):
         return self.model
 
-    def searched(self, excess, factor):
+    def searched(self, excess, factor, end):
         self.rounds.append((float(excess[0]), float(factor[0])))
         return self, np.ones(1, dtype=np.bool_)
 
