@@ -13,11 +13,11 @@ gives U about an estimate.
 With orientation errors the variances are Σ + τ² + F s² J J' with stated Σ, s and J, and two unknown
 numbers: τ² and the factor F on the squares of the orientation sds
 (`multipos.estimation.orientation_variance`). The posterior density of ln(τ² + size) and ln F is
-integrated over a grid of both in the same way; the probability of τ² = 0 stands in its first row,
-and that of F = 1, where the stated sds are a lower bound, in its first column. A first round, about
-solutions under no noise yet, asks for τ² and F alone; the next take the range that it found. All of
-it is done for B units at once, which share nothing but the number of nodes; a single fit is a batch
-of one.
+integrated over a grid of both in the same way. The probability of τ² = 0, where noise is stated,
+stands in its first row, and that of F = 1, where the stated sds are a lower bound, in its first
+column. A first round, about solutions under no noise yet, asks for τ² and F alone; the next take
+the range that it found. All of it is done for B units at once, which share nothing but the number
+of nodes; a single fit is a batch of one.
 """
 
 import math
@@ -394,18 +394,15 @@ def integrate_grid(
         ends = np.where(np.diff(around, axis=1) > _LEVEL, around, widest)
     for side in (_COARSE, _COARSE, _FINE) if near is None else (_FINE,):
         x, y = (np.linspace(low, high, side, axis=1) for low, high in ends)
-        tau2 = np.concatenate(
-            [np.zeros((count, 1)), np.maximum(np.exp(x) - size[:, None], 0.0)], axis=1
-        )
+        tau2 = np.concatenate([np.zeros((count, int(stated))), _nodes(x, size)], axis=1)
         found = evaluate(np.exp(y), tau2, whole=near is not None)
-        log = found.log.reshape(count, side + 1, side)
-        counted = log if stated else log[:, 1:]
-        ends = np.array([_probable(x, log[:, 1:].max(axis=2)), _probable(y, counted.max(axis=1))])
+        log = found.log.reshape(count, -1, side)
+        ends = np.array([_probable(x, log[:, -side:].max(axis=2)), _probable(y, log.max(axis=1))])
     dx, dy = (each[:, 1] - each[:, 0] for each in (x, y))
-    above = np.minimum(log - counted.max(axis=(1, 2), keepdims=True), 0.0)
-    weights = np.exp(above) * dx[:, None, None]
-    weights[:, [1, -1]] /= 2.0
-    weights[:, 0] *= stated * stated_weight(dof) / dx[:, None]
+    weights = np.exp(log - log.max(axis=(1, 2), keepdims=True)) * dx[:, None, None]
+    weights[:, [-side, -1]] /= 2.0
+    if stated:
+        weights[:, 0] *= stated_weight(dof) / dx[:, None]
     density = weights.sum(axis=1)
     weights[:, :, [0, -1]] /= 2.0
     at_least = np.zeros(count)

@@ -391,7 +391,7 @@ def test_a_posterior_over_a_grid_has_the_moments_of_its_density(stated, dof):
     def evaluate(factors, tau2, whole):
         x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
         log = density_of(2.0, 0.3, x) + density_of(-1.0, 0.2, y)
-        log[:, 0] = -2.0 + density_of(-1.0, 0.2, y[:, 0])
+        log[:, :stated] = -2.0 + density_of(-1.0, 0.2, y)
         nothing = np.zeros((len(log), log[0].size, 1))
         return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
 
@@ -404,7 +404,7 @@ def test_a_posterior_over_a_grid_has_the_moments_of_its_density(stated, dof):
     assert_allclose(np.log(first.quantiles[:, 0]), ends, rtol=0, atol=2e-3)
     assert_allclose(np.log(found.quantiles[:, 0]), ends, rtol=0, atol=6e-4)
     nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
-    own = np.arange(len(nodes)) >= found.factors.shape[1]
+    own = np.arange(len(nodes)) >= stated * found.factors.shape[1]
     at = math.exp(-2.0) * 1.4 * max(6.0 / dof, 1.0) ** 2 if stated else 0.0
     share = at / (at + 0.3 * math.sqrt(2.0 * math.pi))
     assert weights[~own].sum() == pytest.approx(share, rel=0.02, abs=1e-12)
