@@ -364,6 +364,11 @@ def _least_noise(problem: Problem, optimum: Optimum, linear: Linear, separated: 
 
 def _separates(linear: Linear) -> Mask:
     """Return whether readings separate noise from orientation errors; where few do, U fails."""
+    blocks = linear.blocks
+    # the errors of a position touch two combinations of its readings at most
+    untouched = sum(each.error[0].size - 2 * each.error.shape[1] for each in blocks)
+    if untouched - blocks[0].design.shape[3] >= SEPARATING:
+        return np.ones(1, dtype=np.bool_)
     return contrasts(linear) >= SEPARATING
 
 
