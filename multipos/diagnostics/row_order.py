@@ -35,12 +35,14 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache, partial, reduce
 from typing import NamedTuple
 
 import numpy as np
 
+from multipos.estimation.batches import Solution
 from multipos.numerics.arrays import Array, Mask, Places, median, recur
 from multipos.numerics.factoring import Covariance, factor
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_log_tails, f_quantile, f_tail
@@ -57,6 +59,8 @@ _FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
 _GRID = 0.05  # of directions, to which plans are kept
 _KEPT = 16
+_LIMITS = 1024
+_AT_ONCE = 6000  # rows of units, so that what they need stays in the cache
 _SELDOM = 2.0  # standard deviations that the hundredth part of a law lies beyond
 _MANY = 100_000  # positions, whose plan is too large to keep
 _TURN = 12  # positions of a roll on a table
@@ -74,6 +78,7 @@ _CHANGES = ("slipped", "replaced")
 _OF_ATTITUDE = ("slipped", "level", "table")  # where a turn of the case is free, nothing
 
 Rows = Places
+_ALONE: Rows = np.zeros(1, dtype=np.intp)  # the one output that misfits are
 
 
 @frozen(eq=True)
@@ -202,7 +207,7 @@ class Plan:
     freedom: float
     tests: tuple[_Test, ...]
     codes: int
-    slow: tuple[float, float, float] | None
+    slow: tuple[Array, Array, Array] | None
 
 
 class Shown(NamedTuple):
@@ -310,28 +315,24 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     return Shown(codes, score, p, step, wholly)
 
 
-def search_by_noise(plan: Plan, like: Calibration, residuals: Array, slopes: Array) -> Shown | None:
-    """Return what causes explain in B units, each by a plan of what its own outputs scatter.
+def search_by_noise(
+    plan: Plan, like: Calibration, residuals: Array, slopes: Array
+) -> Iterator[tuple[Places, Shown]]:
+    """Yield units whose outputs scatter otherwise than the plan has it, with what causes explain.
 
-    None where that is the plan already. The directions of outputs are those of the unit `like`, of
-    which the plan is; the other parameters are those of `search_units`.
+    Those that scatter alike have a plan of their own. The directions of outputs are those of the
+    unit `like`, of which the plan is; the other parameters are those of `search_units`.
     """
     nu = np.array([len(Q) - Q.shape[1] for Q in plan.bases], dtype=np.float64)
     sd = np.sqrt(np.einsum("mbn,mbn->bm", residuals, residuals) / nu)
     kinds, kind = np.unique(_weights(_response(slopes), sd), axis=0, return_inverse=True)
-    if (kinds == _Setting(like).balance).all():
-        return None
-    parts = []
+    planned = _Setting(like).balance
     for place, weight in enumerate(kinds):
-        mine = np.flatnonzero(kind == place)
-        own = _plan_of(_Setting(like, weight))
-        assert own is not None  # as the positions leave degrees of freedom
-        parts.append(search_units(own, residuals[:, mine], slopes[mine]))
-    back = np.argsort(np.argsort(kind, kind="stable"))
-    score, p, step = (
-        np.concatenate([part[place] for part in parts], axis=1)[:, back] for place in (1, 2, 3)
-    )
-    return Shown(parts[0].codes, score, p, step, parts[0].wholly)
+        if (weight != planned).any():
+            mine = np.flatnonzero(kind == place)
+            own = _plan_of(_Setting(like, weight))
+            assert own is not None  # as the positions leave degrees of freedom
+            yield mine, search_units(own, residuals[:, mine], slopes[mine])
 
 
 def _along_force(plan: Plan, e: Array) -> Array:
@@ -574,7 +575,7 @@ def _planned(
     groups: tuple[tuple[Rows, Array], ...],
     weight: Array,
     slopes: Array,
-    slow: tuple[float, float, float] | None,
+    slow: tuple[Array, Array, Array] | None,
     across: Array | None = None,
 ) -> Plan | None:
     """Return the plan of families, with what whitens readings (n, M), or None of no residuals."""
@@ -582,10 +583,9 @@ def _planned(
     nu = float(n - max(Q.shape[1] for _, Q in groups))
     if nu < _FREE:
         return None
-    codes = len({family.code for family in families}) + 1
+    codes, numbers = _numbers(families)
     tests, weight = [], weight[order] if len(weight) > 1 else weight
-    for family in families:
-        tried = sum(len(other.steps) for other in families if other.code == family.code)
+    for family, tried in zip(families, numbers, strict=True):
         parts, ranks = _whitened(family, groups, weight, slopes)
         columns = ranks * (m if family.apart else 1)
         limits = np.array([_limit(q, nu * m, tried * codes) for q in columns.tolist()])
@@ -594,6 +594,14 @@ def _planned(
     bases = tuple(by_output[i] for i in range(m))
     found = bases, weight, slopes, nu, nu * m, tuple(tests), codes, slow
     return Plan(order, groups, across, *found)
+
+
+def _numbers(families: Sequence[_Family]) -> tuple[int, list[int]]:
+    """Return the number of causes, slow noise with them, and how many steps each family's has."""
+    steps = Counter[str]()
+    for family in families:
+        steps[family.code] += len(family.steps)
+    return len(steps) + 1, [steps[family.code] for family in families]
 
 
 def _whitened(
@@ -620,6 +628,7 @@ def _whitened(
     return tuple(_part(*part, root, family.steps) for part, (root, _) in pairs), ranks
 
 
+@lru_cache(_LIMITS)
 def _limit(q: float, freedom: float, tried: int) -> float:
     """Return Λ that chance alone seldom passes; a first sight, which p decides upon."""
     left = freedom - q
@@ -642,11 +651,11 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
     w = e if plan.across is None else plan.across[:, :, None] * e
     before = recur(w.reshape(n, -1), _correlation(n)).reshape(w.shape)
     T = 2.0 * np.einsum("ncb,ncb->b", w, before) - np.einsum("ncb,ncb->b", w, w)
-    mean, sd, skewness = plan.slow
+    mean, sd, skewness = map(float, plan.slow)
     k = 8.0 / skewness**2
     if k >= 1.0 and not (mean + _SELDOM * sd < T).any():
         return  # of so skew a law its hundredth lies further out than a normal one's
-    limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
+    limit = _slow_limit((mean, sd, skewness), plan.codes)
     units = np.flatnonzero((limit < T) & whole)
     if not len(units):
         return
@@ -656,34 +665,40 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
         p[unit] = min(chance * plan.codes, LEVEL)
 
 
+def _slow_limit(law: Sequence[float], codes: int) -> float:
+    """Return T that chance alone seldom passes, by its mean, sd and skewness."""
+    mean, sd, skewness = law
+    k = 8.0 / skewness**2
+    return mean + sd * (chi2_quantile(1.0 - LEVEL / codes, k) - k) / math.sqrt(2.0 * k)
+
+
 def _law_of_slow(
     groups: tuple[tuple[Rows, Array], ...], across: Array | None
-) -> tuple[float, float, float] | None:
+) -> tuple[Array, Array, Array] | None:
     """Return the mean, the standard deviation and the skewness of T of eq. (2)."""
-    mean = variance = third = 0.0
+    mean = variance = third = np.zeros(())
     for outputs, Q in groups:
-        nu, k = float(len(Q) - Q.shape[1]), len(outputs)
+        nu, k = float(Q.shape[-2] - Q.shape[-1]), len(outputs)
         once, twice, thrice = _traces(Q, across)
         center = once / nu
         second = twice - center * once
-        mean += k * center
-        variance += k * 2.0 * second / (nu * (nu + 2.0))
+        mean = mean + k * center
+        variance = variance + k * 2.0 * second / (nu * (nu + 2.0))
         rest = thrice - 3.0 * center * twice + 2.0 * nu * center**3
-        third += k * 8.0 * rest / (nu * (nu + 2.0) * (nu + 4.0))
-    if not variance > _ROUNDING:
+        third = third + k * 8.0 * rest / (nu * (nu + 2.0) * (nu + 4.0))
+    if not (variance > _ROUNDING).any():
         return None
-    return mean, math.sqrt(variance), max(third / variance**1.5, 0.01)
+    return mean, np.sqrt(variance), np.maximum(third / variance**1.5, 0.01)
 
 
-def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
-    """Return the traces of PΩ, (PΩ)² and (PΩ)³, P = 1 − QQ'."""
-    n, rho = len(Q), _correlation(len(Q))
+def _traces(Q: Array, across: Array | None) -> tuple[Array, Array, Array]:
+    """Return the traces of PΩ, (PΩ)² and (PΩ)³, P = 1 − QQ', of Q (…, n, p)."""
+    n, rho = Q.shape[-2], _correlation(Q.shape[-2])
     if across is not None:
-        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-        left = rho**gap * (across @ across.T)
-        left -= Q @ (Q.T @ left)
-        left -= (left @ Q) @ Q.T
-        return float(left.trace()), float(np.sum(left * left)), float(np.sum((left @ left) * left))
+        left = _correlations(rho, across)
+        left -= Q @ (Q.swapaxes(-1, -2) @ left)
+        left -= (left @ Q) @ Q.swapaxes(-1, -2)
+        return _trace(left), _inner(left, left), _inner(left @ left, left)
 
     def correlated(X: Array) -> Array:
         """Return ΩX."""
@@ -699,10 +714,24 @@ def _traces(Q: Array, across: Array | None) -> tuple[float, float, float]:
     once = correlated(Q)
     a, b, c = Q.T @ once, once.T @ once, once.T @ correlated(once)
     return (
-        float(powers[0] - a.trace()),
-        float(powers[1] - 2.0 * b.trace() + np.sum(a * a)),
-        float(powers[2] - 3.0 * c.trace() + 3.0 * np.sum(a * b) - np.sum((a @ a) * a)),
+        powers[0] - _trace(a),
+        powers[1] - 2.0 * _trace(b) + _inner(a, a),
+        powers[2] - 3.0 * _trace(c) + 3.0 * _inner(a, b) - _inner(a @ a, a),
     )
+
+
+def _correlations(rho: float, across: Array) -> Array:
+    """Return Ω (…, n, n) of misfits in the directions (…, n, C) of rows that follow one another."""
+    rows = np.arange(across.shape[-2])
+    return np.asarray(rho ** np.abs(rows[:, None] - rows) * (across @ across.swapaxes(-1, -2)))
+
+
+def _trace(A: Array) -> Array:
+    return np.asarray(np.einsum("...ii->...", A))
+
+
+def _inner(A: Array, B: Array) -> Array:
+    return np.asarray(np.einsum("...ij,...ij->...", A, B))
 
 
 def slow_score(c: Calibration) -> float:
@@ -738,8 +767,7 @@ def _slow_gains(plan: Plan, e: Array) -> Array:
 def _whitening(n: int, rho: float, across: Array | None) -> tuple[Callable[[Array], Array], float]:
     """Return what whitens rows (n, q) of a correlation, and half of its ln det."""
     if across is not None:
-        gap = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-        L = np.linalg.cholesky(rho**gap * (across @ across.T))
+        L = np.linalg.cholesky(_correlations(rho, across))
         return partial(np.linalg.solve, L), float(np.log(np.diag(L)).sum())
     root = math.sqrt(1.0 - rho**2)
 
@@ -766,12 +794,15 @@ def _families(c: Calibration, p: int) -> list[_Family]:
     if len(wholly):
         phi = c.model.basis(c.reference, c.readings.environment)[order]
         families.append(_Family("replaced", phi, wholly, wholly=True))
-    held = np.concatenate([f[:1], f[:-1]])
-    held -= f
-    families.append(_Family("settling", held[:, :, None], start))
+    families.append(_Family("settling", _held(f)[:, :, None], start))
     for code, base in _stated(c):
         families.append(_Family(code, base[order], start))
     return families
+
+
+def _held(f: Array) -> Array:
+    """Return by how much the force before each row of f (…, n, 3) differs from its own."""
+    return np.asarray(np.concatenate([f[..., :1, :], f[..., :-1, :]], axis=-2) - f)
 
 
 def _stated(c: Calibration) -> Iterable[tuple[str, Array]]:
@@ -805,20 +836,38 @@ def _some(first: int, end: int) -> Rows:
     return np.linspace(first, end - 1, _MOST).astype(np.intp)
 
 
-def _along_normals(c: Calibration) -> tuple[Array, Array, Array]:
-    """Return design (n, p), misfit (n,) and whitening vectors (n, M) of unknown orientations."""
-    f = c.reference
-    H = c.model.force_jacobian(c.parameters, f, c.readings.environment)
-    normal = np.linalg.solve(H.transpose(0, 2, 1), f[:, :, None])[:, :, 0]
-    across = normal * c.sd_of_readings
-    size = np.sqrt(np.einsum("nm,nm->n", across, across))[:, None]
-    jacobian = parameter_jacobian(c.model, c.parameters, f, c.readings.environment)
-    weight = normal / size
-    return (
-        np.einsum("nm,nmp->np", weight, jacobian),
-        np.einsum("nm,nm->n", weight, c.residuals),
-        across / size,
-    )
+class _Along(NamedTuple):
+    """What lies along the normals of unknown orientations, rows in the order of time."""
+
+    design: Array  # (…, n, p)
+    misfit: Array  # (…, n)
+    weight: Array  # of the outputs, (…, n, M)
+    across: Array  # of their noise, of length one, (…, n, M)
+    force: Array  # (…, n, 3)
+    slopes: Array  # (…, M, 3)
+
+    @classmethod
+    def of_one(cls, c: Calibration, order: Rows) -> "_Along":
+        """Return those of a calibration."""
+        f, sd = c.reference[order], c.sd_of_readings[order]
+        environment = {name: each[order] for name, each in c.readings.environment.items()}
+        H = c.model.force_jacobian(c.parameters, f, environment)
+        normal = np.linalg.solve(H.transpose(0, 2, 1), f[:, :, None])[:, :, 0]
+        weight = normal / np.linalg.norm(normal * sd, axis=1, keepdims=True)
+        design = weight[:, None] @ parameter_jacobian(c.model, c.parameters, f, environment)
+        misfit = np.einsum("nm,nm->n", weight, c.residuals[order])
+        return cls(design[:, 0], misfit, weight, weight * sd, f, c.sensitivity)
+
+    @classmethod
+    def of_units(cls, of: Solution, slopes: Array, order: Rows) -> "_Along":
+        """Return those of solutions."""
+        assert of.normal is not None
+        assert of.rows is not None
+        given = of.normal, of.push * of.variance, np.sqrt(of.variance), of.force
+        weight, left, sd, force = (np.moveaxis(each[:, :, order], 0, 2) for each in given)
+        misfit = np.einsum("bnm,bnm->bn", weight, left)
+        design = of.rows[:, :, order].swapaxes(1, 2)
+        return cls(design, misfit, weight, weight * sd, force, slopes)
 
 
 def residuals_in_order(c: Calibration) -> tuple[Plan | None, Array, Array]:
@@ -831,35 +880,113 @@ def residuals_in_order(c: Calibration) -> tuple[Plan | None, Array, Array]:
         sd = c.sd_of_readings
         slopes = c.sensitivity if setting.weight is not None else c.sensitivity / sd[0][:, None]
         return _plan_of(setting), c.residuals / sd, slopes
-    X, e, across = _along_normals(c)
-    n, p = X.shape
+    order = time_order(c)
+    along = _Along.of_one(c, order)
+    n, p = along.design.shape
+    e, slopes = np.zeros((n, 1)), along.slopes[:1]
     if n - p < 1:
-        return None, e[:, None], c.sensitivity
-    Q, order = np.linalg.qr(X)[0], time_order(c)
-    groups = ((np.zeros(1, dtype=np.intp), Q[order]),)
-    families = _on_normals(c, X[order], across[order])
-    across = across[order]
-    slow = None if n > _MOST else _law_of_slow(groups, across)
-    plan = _planned(order, families, groups, np.ones((1, 1)), c.sensitivity[:1], slow, across)
-    return plan, (e - Q @ (Q.T @ e))[:, None], c.sensitivity[:1]
+        return None, e, slopes
+    Q = np.linalg.qr(along.design)[0]
+    e[order, 0] = along.misfit - Q @ (Q.T @ along.misfit)
+    groups = ((_ALONE, Q),)
+    families = [
+        _Family(family.code, _on_normals(family, along)[:, None], family.steps, family.wholly)
+        for family in _families(c, p)
+        if family.code not in _OF_ATTITUDE
+    ]
+    slow = None if n > _MOST else _law_of_slow(groups, along.across)
+    given = families, groups, np.ones((1, 1)), slopes, slow, along.across
+    return _planned(order, *given), e, slopes
 
 
-def _on_normals(c: Calibration, X: Array, across: Array) -> list[_Family]:
-    """Return what causes do to misfits along the force, (n, 1, q), by the design X (n, p) there."""
-    weight = across / c.sd_of_readings[time_order(c)]
-    families = []
-    for family in _families(c, X.shape[1]):
-        if family.code in _OF_ATTITUDE:
+def _on_normals(family: _Family, along: _Along) -> Array:
+    """Return what a cause does to misfits along the force, (…, n, q)."""
+    if family.wholly:  # but for a turn
+        return along.design
+    if family.apart:
+        columns = family.base[:, :, None] * along.weight[..., None, :]
+        return np.asarray(columns.reshape(*along.weight.shape[:-1], -1))
+    moved = _held(along.force) @ along.slopes.swapaxes(-1, -2)  # settling alone
+    return np.asarray(np.sum(moved * along.weight, axis=-1, keepdims=True))
+
+
+def search_solutions(c: Calibration, of: Solution, slopes: Array) -> tuple[Places, list[str]]:
+    """Return which of B units at unknown orientations have a cause, and the best of each.
+
+    Positions are those of each unit, so that no plan serves two. Another unit that differs in its
+    slopes alone is left to `search`: where its bias is another one, too, that is found here.
+
+    Parameters
+    ----------
+    c : Calibration
+        A unit whose rows are ordered as theirs.
+    of : Solution
+    slopes : (B, M, 3) array
+    """
+    along = _Along.of_units(of, slopes, time_order(c))
+    count, n, p = along.design.shape
+    if n - p < _FREE:
+        return np.zeros(0, dtype=np.intp), []
+    families = [family for family in _families(c, p) if family.code not in _OF_ATTITUDE]
+    step = max(1, _AT_ONCE // n)
+    parts = [slice(first, first + step) for first in range(0, count, step)]
+    score = np.concatenate(
+        [_score_along(families, _Along(*(each[units] for each in along))) for units in parts],
+        axis=1,
+    )
+    codes = [*(family.code for family in families), SLOW]
+    units = np.flatnonzero(score.max(axis=0) > -np.inf)
+    return units, [codes[place] for place in score[:, units].argmax(axis=0).tolist()]
+
+
+def _score_along(families: list[_Family], along: _Along) -> Array:
+    """Return S (C + 1, B) of causes, slow noise last, −inf of what chance may do as well."""
+    count, n, p = along.design.shape
+    nu = float(n - p)
+    Q, e = np.linalg.qr(along.design)[0], along.misfit[:, :, None]
+    e = e - Q @ (Q.swapaxes(1, 2) @ e)
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    score = np.full((len(families) + 1, count), -np.inf)
+    codes, numbers = _numbers(families)
+    for row, family, tried in zip(score, families, numbers, strict=False):
+        if family.wholly:
             continue
-        if family.wholly:  # but for a turn
-            base = X[:, None]
-        elif family.apart:
-            base = (family.base[:, :, None] * weight[:, None]).reshape(len(X), 1, -1)
-        else:
-            moved = _moved(family.base, c.sensitivity)
-            base = np.einsum("nmq,nm->nq", moved, weight)[:, None]
-        families.append(_Family(family.code, base, family.steps, family.wholly))
-    return families
+        explained, ranks = _explained_from(family.steps, _on_normals(family, along), Q, e)
+        gain = -nu * np.log1p(-np.minimum(explained, 1.0 - _ROUNDING))
+        for q in np.unique(ranks).tolist():
+            gain[(ranks == q) & ~(gain > _limit(q, nu, tried * codes))] = -np.inf
+        row[:] = np.max(gain - ranks * math.log(nu), axis=1) - 2.0 * math.log(tried)
+    law = _law_of_slow(((_ALONE, Q),), along.across) if n <= _MOST else None
+    if law is None:
+        return score
+    T = _inner(e, _correlations(_correlation(n), along.across) @ e)
+    for unit in np.flatnonzero(law[0] + _SELDOM * law[1] < T).tolist():
+        if _slow_limit([float(each[unit]) for each in law], codes) < T[unit]:
+            of_one = np.ones((1, 1)), along.slopes[unit], None, along.across[unit]
+            plan = _planned(np.arange(n), [], ((_ALONE, Q[unit]),), *of_one)
+            assert plan is not None  # as its positions leave degrees of freedom
+            score[-1, unit] = _slow_gains(plan, e[unit, :, :, None])[0] - math.log(nu)
+    return score
+
+
+def _explained_from(steps: Rows, Z: Array, Q: Array, e: Array) -> tuple[Array, Array]:
+    """Return Δ and q (B, K) of columns Z (B, n, q) from each of K rows on, of unit e (B, n, 1)."""
+    (count, _, q), both = Z.shape, np.concatenate([Z, e, Q], axis=2)
+    after, columns = np.empty((count, len(steps), q, both.shape[2])), Z.swapaxes(1, 2).copy()
+    for k, step in enumerate(steps.tolist()):
+        np.matmul(columns[:, :, step:], both[:, step:], out=after[:, k])
+    gram, seen, across = after[..., :q], after[..., q], after[..., q + 1 :]
+    size = np.einsum("bkqq->bkq", gram)
+    scale = np.sqrt(np.where(size > 0.0, size, 1.0))
+    left = gram - across @ across.swapaxes(2, 3)
+    unit = left / (scale[..., :, None] * scale[..., None, :]) + _ROUNDING * np.eye(q)
+    inverse, along = np.linalg.inv(unit), seen / scale
+    explained = np.einsum("bkq,bkqr,bkr->bk", along, inverse, along)
+    ranks = np.full(explained.shape, float(q))
+    faint = ~(_trace(inverse) < 1.0 / _IDENTIFIABLE)  # no eigenvalue is less than 1/tr
+    roots, ranks[faint] = _roots(left[faint], size[faint])
+    explained[faint] = np.sum(np.einsum("uqr,ur->uq", roots, seen[faint]) ** 2, axis=1)
+    return explained, ranks
 
 
 def estimate(c: Calibration, cause: Cause) -> Array:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.diagnostics import projections
+from multipos.diagnostics import projections, row_order
 from multipos.diagnostics.residuals import FEW, MOST, score_equality
 from multipos.diagnostics.score_tests import CLEAR, LEVEL, ratios_of
 from multipos.estimation.batches import Estimates, Solution
@@ -41,13 +41,13 @@ def find_about_solutions(
     kinds: Sequence[projections.Kind],
     found: Estimates,
     environment: Mapping[str, Array],
-    *,
-    unknown: bool,
+    like: Calibration | None = None,
 ) -> UnitFindings:
     """Return of which units (B,) at uncertain or unknown orientations terms are missing.
 
-    And of which outputs are unequally noisy. Those near a limit are fitted singly, as are those in
-    which a term that the positions hardly show is significant, or a position sticks out.
+    And of which outputs are unequally noisy, or causes of time explain what is left. Those near a
+    limit are fitted singly, as are those in which a term that the positions hardly show is
+    significant, a position sticks out, or a term competes with a cause.
 
     Parameters
     ----------
@@ -55,12 +55,14 @@ def find_about_solutions(
     found : Estimates
     environment : mapping of str to (n,) or (B, n) array
         Of what units do not share, powers above the first are not asked for.
-    unknown : bool
-        A position is one equation, and has no prior that a degree of freedom may not undercut.
+    like : Calibration, optional
+        The unit that was fitted, at unknown orientations: a position is one equation there, and
+        has no prior that a degree of freedom may not undercut; causes of time are asked.
     """
-    count, first = len(found.sound), 0
+    count, first, unknown = len(found.sound), 0, like is not None
     of_force = [kind.name in projections.OF_FORCE for kind in kinds]
     missing, unequal, singly = np.zeros((3, count), dtype=np.bool_)
+    causes: dict[str, Mask] = {}
     for solution in found.solutions:
         some = np.flatnonzero(found.sound[first : first + len(solution.objective)])
         units = first + some
@@ -92,7 +94,12 @@ def find_about_solutions(
             statistic, limit = score_equality(*given)[0], chi2_quantile(1.0 - LEVEL, m - 1.0)
             unequal[units] = (statistic > limit) & ~missing[units]
             singly[units] |= ~(np.abs(statistic - limit) >= DOUBTED * limit)
-    return UnitFindings({"missing-term": missing, "unequal-noise": unequal}, singly)
+        if like is not None and row_order.asked(like):
+            some, codes = row_order.search_solutions(like, of, found.sensitivity[units])
+            singly[units[some]] |= missing[units[some]]
+            for unit, code in zip(units[some].tolist(), codes, strict=True):
+                causes.setdefault(code, np.zeros(count, dtype=np.bool_))[unit] = True
+    return UnitFindings({"missing-term": missing, "unequal-noise": unequal, **causes}, singly)
 
 
 def _stick_out(of: Solution) -> Mask:

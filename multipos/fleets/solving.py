@@ -22,7 +22,7 @@ output that has one end of its range twice, or in common with another (saturated
 positions that stick out are left to the fit of one unit by the batch itself.
 
 What is a caution alone is found by `multipos.fleets.unit_findings`; at uncertain and unknown
-orientations outliers and causes of time are asked only of units that are fitted one by one.
+orientations outliers are asked only of units that are fitted one by one.
 """
 
 import warnings
@@ -32,7 +32,6 @@ from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.projections import Kind
@@ -53,7 +52,8 @@ from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import Options
 from multipos.fleets import solution_findings, unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.numerics.arrays import COMPONENTS, Array, Places, coarse_steps, median
+from multipos.fleets.unit_findings import UnitFindings
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, coarse_steps, median
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.headers import TEMPERATURE
 from multipos.positions.orientations import orient, place
@@ -79,7 +79,7 @@ def find_suspects(
     found: Estimates,
     *,
     uncertain_orientation: bool = False,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Tell which units (B,) are to be looked at in full.
 
     Parameters
@@ -106,7 +106,7 @@ def find_suspects(
     return suspect
 
 
-def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
+def _leans(model: Model, matrix: Array, length: Array) -> Mask:
     """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
     sensed = model.sensed_axes
     leans = np.zeros(len(matrix), dtype=np.bool_)
@@ -116,7 +116,7 @@ def _leans(model: Model, matrix: Array, length: Array) -> NDArray[np.bool_]:
     return leans
 
 
-def _ends_repeat(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+def _ends_repeat(values: tuple[Array, ...]) -> Mask:
     """Tell which units have an end of the range of an output twice, or in two outputs."""
     repeat = np.zeros(len(values[0]), dtype=np.bool_)
     for ends in (np.max, np.min):
@@ -127,7 +127,7 @@ def _ends_repeat(values: tuple[Array, ...]) -> NDArray[np.bool_]:
     return np.asarray(repeat)
 
 
-def _repeats(values: tuple[Array, ...]) -> NDArray[np.bool_]:
+def _repeats(values: tuple[Array, ...]) -> Mask:
     """Tell which units have two rows that are alike."""
     number = np.zeros_like(values[0])
     for i, column in enumerate(values):
@@ -191,8 +191,8 @@ class Pattern:
         Of the residuals at known orientations.
     kinds : tuple of Kind
         Terms that all but plain fits at known orientations may lack.
-    robust : Calibration or None
-        The unit that was fitted, of robust fits.
+    like : Calibration or None
+        The unit that was fitted, of robust fits and of unknown orientations.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
     """
@@ -204,13 +204,13 @@ class Pattern:
     asked: bool
     tests: unit_findings.UnitTests | None = None
     kinds: tuple[Kind, ...] = ()
-    robust: Calibration | None = None
+    like: Calibration | None = None
     timed: bool = False
 
     @property
     def quick(self) -> bool:
         """Whether units take some microseconds: known orientations, of which no noise is stated."""
-        known = isinstance(self.shared, SharedDesign) and self.robust is None
+        known = isinstance(self.shared, SharedDesign) and self.like is None
         return known and self.tests is not None and not self.tests.stated
 
 
@@ -297,13 +297,14 @@ def find_pattern(
         tests = unit_findings.unit_tests(c, shared)
         if fixtures and c.readings.up is not None and c.robust_weight is None:
             fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
-    codes, robust = _in_order(_codes(c) - _OF_UNITS), None if c.robust_weight is None else c
+    named = c.robust_weight is not None or isinstance(shared, SharedSphere)
+    codes, like = _in_order(_codes(c) - _OF_UNITS), c if named else None
     kinds: tuple[Kind, ...] = ()
-    if own or robust is not None:
+    if own or c.robust_weight is not None:
         kinds = unit_findings.lacking_in_batch(c)
     elif not isinstance(shared, SharedDesign):
         kinds = solution_findings.lacking_in_units(c)
-    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, robust, timed)
+    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, like, timed)
 
 
 def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
@@ -365,8 +366,8 @@ _POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noi
 # What units are found of without being looked at in full, in the order of `fit`.
 _CODES = (
     *("gravity", "turned", _POOR, "temperature-kelvin", "missing-term", "outlier"),
-    *("lack-of-fit", _REJECTED, "placement", "time-correlated", "drift", "slipped", "replaced"),
-    *("settling", "hysteresis", "vibration", "level", "table", "unequal-noise", _OVERSTATED),
+    *("lack-of-fit", _REJECTED, "placement", "unequal-noise", "time-correlated", "drift"),
+    *("slipped", "replaced", "settling", "hysteresis", "vibration", "level", "table", _OVERSTATED),
     *("set-aside", "orientation-ignored"),
 )
 _OF_UNITS = frozenset((*_CODES[4:-1], _POOR))
@@ -386,7 +387,7 @@ def _findings(
     found: Estimates,
     u: Array,
     dof: Array,
-    named: dict[str, NDArray[np.bool_]],
+    named: dict[str, Mask],
 ) -> list[str]:
     """Return what every unit is found of; u and dof are those with gravity's part."""
     shared, count = pattern.shared, len(task.units)
@@ -395,13 +396,9 @@ def _findings(
         k = coverage_factors(float(task.options.get("confidence", 0.95)), dof)
         poor = are_poorly_known if unknown else are_open
         named[_POOR] = poor(shared.model, found.parameters, k * u)
-    if found.chi2 is not None:
-        equations = task.values[0].size // count * (1 if unknown else len(task.values))
-        freedom = float(equations - len(shared.model.keys))
-        named[_REJECTED] = found.chi2 > chi2_quantile(REJECTED, freedom)
+    if _REJECTED in named:
         for code in ("outlier", "missing-term"):  # which explain it
             named[_REJECTED] &= ~named.get(code, np.False_)
-        named[_OVERSTATED] = found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)
     codes = [code for code, each in named.items() if each.any()]
     number = np.zeros(count, dtype=np.intp)
     for bit, code in enumerate(codes):
@@ -413,6 +410,17 @@ def _findings(
         for mask in np.unique(number).tolist()
     }
     return [words[mask] for mask in number.tolist()]
+
+
+def _chi2_findings(shared: Shared, task: Task, found: Estimates) -> dict[str, Mask]:
+    """Return of which units (B,) chi-squared rejects the stated noise, if any, to either side."""
+    if found.chi2 is None:
+        return {}
+    outputs, n = len(task.values), task.values[0].shape[1]
+    equations = n if isinstance(shared, SharedSphere) else n * outputs
+    freedom = float(equations - len(shared.model.keys))
+    rejected = found.chi2 > chi2_quantile(REJECTED, freedom)
+    return {_REJECTED: rejected, _OVERSTATED: found.chi2 < chi2_quantile(1.0 - REJECTED, freedom)}
 
 
 def solve_task(task: Task) -> Solved:
@@ -435,7 +443,8 @@ def solve_task(task: Task) -> Solved:
     )
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
-    named: dict[str, NDArray[np.bool_]] = {}
+    named = _chi2_findings(shared, task, found)
+    tested = UnitFindings({}, looked_at)
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
         tested = unit_findings.find_in_units(
             task.pattern.tests,
@@ -444,25 +453,21 @@ def solve_task(task: Task) -> Solved:
             found,
             task.temperature,
             {"u": task.stated, "dof": task.stated_dof},
+            named.get(_REJECTED, False),
         )
-        named, looked_at = tested.found, looked_at | tested.singly
-    if task.pattern.robust is not None and isinstance(shared, SharedDesign):
-        tested = unit_findings.find_aside(task.pattern.robust, shared, task.values, found)
-        named, looked_at = tested.found, looked_at | tested.singly
+    if task.pattern.like is not None and isinstance(shared, SharedDesign):
+        tested = unit_findings.find_aside(task.pattern.like, shared, task.values, found)
         looked_at |= unit_findings.may_lack_terms(
             task.pattern.kinds, shared, found, task.temperature
         )
     if isinstance(shared, SharedSphere | uncertain_orientations.SharedOrientations):
         columns = {**shared.environment, **dict(zip([TEMPERATURE], task.temperature, strict=False))}
-        unknown = isinstance(shared, SharedSphere)
         tested = solution_findings.find_about_solutions(
-            task.pattern.kinds, found, columns, unknown=unknown
+            task.pattern.kinds, found, columns, task.pattern.like
         )
-        named, looked_at = tested.found, looked_at | tested.singly
     if isinstance(shared, user_models.SharedExpression):
         tested = unit_findings.find_in_expressions(task.pattern.kinds, shared, found)
-        named, looked_at = tested.found, looked_at | tested.singly
-    reasons = [LEFT if left else "" for left in looked_at.tolist()]
+    reasons = [LEFT if left else "" for left in (looked_at | tested.singly).tolist()]
     return Solved(
         task.units,
         shared.model.names,
@@ -470,16 +475,14 @@ def solve_task(task: Task) -> Solved:
         u,
         dof,
         found.rms,
-        _findings(task, task.pattern, found, u, dof, named),
+        _findings(task, task.pattern, found, u, dof, named | tested.found),
         reasons,
         [""] * count,
         fixtures,
     )
 
 
-def _spread(
-    shared: SharedDesign, time: Array, found: Estimates
-) -> tuple[Estimates, NDArray[np.bool_]]:
+def _spread(shared: SharedDesign, time: Array, found: Estimates) -> tuple[Estimates, Mask]:
     """Return estimates with what slow noise makes of u, and which units (B,) it is right of."""
     order = np.argsort(time, axis=1, kind="stable")
     rising = (np.diff(np.take_along_axis(time, order, axis=1), axis=1) > 0.0).all(axis=1)

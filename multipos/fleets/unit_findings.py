@@ -172,6 +172,7 @@ def find_in_units(
     found: Estimates,
     temperature: Sequence[Array] = (),
     stated: Mapping[str, Sequence[Array]] | None = None,
+    rejected: Mask | bool = False,
 ) -> UnitFindings:
     """Return what the residuals of B units show.
 
@@ -187,6 +188,8 @@ def find_in_units(
         singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term to name.
     stated : mapping of 'u' and 'dof' to M arrays (B, n), optional
         Of readings, where each states its own.
+    rejected : (B,) array of bool, optional
+        Of which units chi-squared rejects the stated noise.
     """
     of, sensitivity = _weigh(tests, shared, found), found.sensitivity
     residuals = of.residuals
@@ -234,18 +237,11 @@ def find_in_units(
         rivals = np.stack([of_terms, of_row, of_fit, of_positions])
         singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
     codes["placement"] = codes["placement"] & ~codes["outlier"]
-    indicated = lacking_fit | misplaced | scored | _are_rejected(shared, found)
+    indicated = lacking_fit | misplaced | scored | rejected
     may_hide = _are_concentrated(of.error, indicated) & ~outlying & ~singly
     for unit in np.flatnonzero(may_hide).tolist():
-        singly[unit] = outlying_rows_of(tests.like, values, unit, stated or {}) is not None
+        singly[unit] = _outlying_rows_of(tests.like, values, unit, stated or {}) is not None
     return UnitFindings(codes, singly)
-
-
-def _are_rejected(shared: SharedDesign, found: Estimates) -> Mask:
-    """Return in which units (B,) chi-squared rejects the stated noise."""
-    if found.chi2 is None:
-        return np.zeros(len(found.parameters), dtype=np.bool_)
-    return np.asarray(found.chi2 > chi2_quantile(known.REJECTED, float(shared.dof.sum())))
 
 
 def _are_concentrated(error: Array, indicated: Mask) -> Mask:
@@ -264,7 +260,7 @@ def _are_concentrated(error: Array, indicated: Mask) -> Mask:
     return np.asarray(kurtosis > np.where(indicated, _CONCENTRATED[0], _CONCENTRATED[1]) * usual)
 
 
-def outlying_rows_of(
+def _outlying_rows_of(
     like: Calibration,
     values: Sequence[Array],
     unit: int,
@@ -287,10 +283,9 @@ def _causes(tests: UnitTests, order: Plan, of: "_Weighed", sensed: Array) -> Sho
     scored = np.flatnonzero(np.isfinite(shown.score.max(axis=0)))
     if not len(scored) or of.leverage is not None:  # those are fitted singly
         return shown
-    own = search_by_noise(order, tests.like, e[:, scored], slopes[scored])
-    if own is not None:
+    for units, own in search_by_noise(order, tests.like, e[:, scored], slopes[scored]):
         for whole, part in zip(shown[1:4], own[1:4], strict=True):
-            whole[:, scored] = part
+            whole[:, scored[units]] = part
     return shown
 
 

@@ -12,7 +12,7 @@ import multipos as mp
 from multipos.diagnostics.row_order import (
     _MOST,
     LEVEL,
-    _along_normals,
+    _Along,
     _correlation,
     _law_of_slow,
     _some,
@@ -104,7 +104,7 @@ def test_settling_of_one_output_is_named():
 def test_misfits_along_the_force_have_the_variance_of_their_outputs():
     """e_i = n·r / √(n's²n), n = K⁻ᵀf of an unknown orientation; axes of .1, .2 and .4 mg."""
     c = world("", 4, unknown_orientation=True, reading_sd=[1e-4, 2e-4, 4e-4])
-    X, e, across = _along_normals(c)
+    X, e, _, across, *_ = _Along.of_one(c, np.arange(24))
     inverse = np.linalg.inv(c.sensitivity)
     for row in (0, 7, 23):
         normal, sd = inverse.T @ c.reference[row], c.sd_of_readings[row]

@@ -18,6 +18,7 @@ from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import Conditions, find_trials, group_rows
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import (
+    _chi2_findings,
     _ends_repeat,
     _findings,
     _with_gravity,
@@ -569,7 +570,7 @@ def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, share
             np.testing.assert_allclose(design, np.column_stack([np.ones(20), force]))
     else:
         assert found.findings == "orientation-ignored"
-    assert (found.tests is not None, found.robust is not None) == (known and not robust, robust)
+    assert (found.tests is None, found.like is None) == (not known or robust, known and not robust)
     assert (found.fixture is not None) == (known and not robust)
     assert (found.timed, found.quick) == (timed, known and not robust)
     assert (found.gravity is not None) == ("gravity" in options)
@@ -642,6 +643,7 @@ def test_what_a_unit_is_said_to_be_found_of():
     )
     dof, u = np.full((4, 12), 9.0), np.full((4, 12), 1e-6)
     named = {"outlier": np.arange(4) == 3, "lack-of-fit": np.arange(4) == 1}
+    named |= _chi2_findings(shared, task, of)
     assert _findings(task, pattern, of, u, dof, named) == [
         "turned;denied-noise", "turned;lack-of-fit", "turned;overstated-noise", "turned;outlier",
     ]  # fmt: skip

@@ -164,13 +164,28 @@ def test_causes_of_time_are_of_the_noise_of_each_unit():
     plan, (_, e, slopes) = row_order.plan_of(like), row_order.residuals_in_order(unit)
     known = next(each for each in row_order.search(unit) if each.code == "slipped")
     given = e.T[:, None].repeat(2, axis=1), slopes[None].repeat(2, axis=0)
-    own, other = row_order.search_by_noise(plan, like, *given), row_order.search_units(plan, *given)
+    ((units, own),) = row_order.search_by_noise(plan, like, *given)
+    other = row_order.search_units(plan, *given)
     place = own.codes.index("slipped")
+    assert units.tolist() == [0, 1]
     assert own.score[place] == pytest.approx([known.score] * 2, rel=1e-9)
     assert own.p[place] == pytest.approx([known.p] * 2, rel=1e-9)
     assert other.p[place] != pytest.approx([known.p] * 2, rel=1e-3)
     of_like = row_order.residuals_in_order(like)
-    assert row_order.search_by_noise(plan, like, of_like[1].T[:, None], of_like[2][None]) is None
+    assert not [*row_order.search_by_noise(plan, like, of_like[1].T[:, None], of_like[2][None])]
+
+
+def test_causes_of_time_at_unknown_orientations_are_those_of_fit():
+    rng = np.random.default_rng(0)
+    up = mp.read_scheme("fibonacci-24").up
+    off = 1e-4 * np.cumsum(rng.standard_normal((40, 24, 3)), axis=1)
+    after = np.arange(24) > rng.integers(4, 20, (20, 1))
+    off[20:] = 1e-3 * after[:, :, None] * rng.standard_normal((20, 1, 3))
+    values = up + off + 1e-4 * rng.standard_normal(off.shape)
+    singly, together = codes_of_both(values, unknown_orientation=True)
+    assert together == singly
+    assert {"replaced", "time-correlated"} <= set(";".join(singly).split(";"))
+    assert sum("replaced" in each for each in singly[20:]) > 5
 
 
 def test_a_position_sticks_out_by_what_fitted_equations_leave():
