@@ -405,19 +405,19 @@ def test_both_standard_deviations_are_estimated_and_how_well():
 
 
 def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
-    readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.02)
+    readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.05)
     cal = mp.fit(readings, orientation_sd="auto", reading_sd=2e-5)
     found = cal.variance_components
     assert found.reading_sd is None
     assert found.rest_to_rest["ax"].value < 2e-5
     placed = found.orientation_sd_deg
     assert placed.determined
-    assert placed.value == pytest.approx(0.02, rel=0.5)
+    assert placed.value == pytest.approx(0.05, rel=0.5)
     assert list(cal.to_dict()["variance_components"]) == ["rest_to_rest", "orientation_sd_deg"]
     (said,) = (w for w in texts(cal) if w.startswith("estimated"))
     assert f"orientation errors of {placed.value:.2g} degrees" in said
     low, high = map(float, re.search(r"\(68 %: ([\d.]+) to ([\d.]+)\)", said).groups())
-    assert placed.u == pytest.approx((high - low) / 2.0, abs=5e-4)  # ends are said to two digits
+    assert placed.u == pytest.approx((high - low) / 2.0, rel=0.1)  # ends are said to two digits
     twelve = mp.fit(
         readings_of(SENSOR, UP[::2], rng(), sd=2e-5, off_deg=0.02),
         orientation_sd="auto",
