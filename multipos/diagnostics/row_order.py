@@ -655,7 +655,7 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
     k = 8.0 / skewness**2
     if k >= 1.0 and not (mean + _SELDOM * sd < T).any():
         return  # of so skew a law its hundredth lies further out than a normal one's
-    limit = _slow_limit((mean, sd, skewness), plan.codes)
+    limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
     units = np.flatnonzero((limit < T) & whole)
     if not len(units):
         return
@@ -663,13 +663,6 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
     for unit in units.tolist():
         chance = chi2_tail(k + math.sqrt(2.0 * k) * (float(T[unit]) - mean) / sd, k)
         p[unit] = min(chance * plan.codes, LEVEL)
-
-
-def _slow_limit(law: Sequence[float], codes: int) -> float:
-    """Return T that chance alone seldom passes, by its mean, sd and skewness."""
-    mean, sd, skewness = law
-    k = 8.0 / skewness**2
-    return mean + sd * (chi2_quantile(1.0 - LEVEL / codes, k) - k) / math.sqrt(2.0 * k)
 
 
 def _law_of_slow(
@@ -961,11 +954,11 @@ def _score_along(families: list[_Family], along: _Along) -> Array:
         return score
     T = _inner(e, _correlations(_correlation(n), along.across) @ e)
     for unit in np.flatnonzero(law[0] + _SELDOM * law[1] < T).tolist():
-        if _slow_limit([float(each[unit]) for each in law], codes) < T[unit]:
-            of_one = np.ones((1, 1)), along.slopes[unit], None, along.across[unit]
-            plan = _planned(np.arange(n), [], ((_ALONE, Q[unit]),), *of_one)
-            assert plan is not None  # as its positions leave degrees of freedom
-            score[-1, unit] = _slow_gains(plan, e[unit, :, :, None])[0] - math.log(nu)
+        mine, slow = ((_ALONE, Q[unit]),), (law[0][unit], law[1][unit], law[2][unit])
+        given = np.arange(n), mine, along.across[unit], (Q[unit],), np.ones((1, 1))
+        plan = Plan(*given, along.slopes[unit], nu, nu, (), codes, slow)
+        of_unit = score[-1, unit : unit + 1]
+        _judge_slow(plan, e[unit, :, :, None], np.ones(1, dtype=np.bool_), of_unit, np.ones(1))
     return score
 
 
