@@ -34,6 +34,7 @@ if "numpy" not in sys.modules and not any(name in os.environ for name in _THREAD
 from multipos.commands.answers import deliver, settle  # noqa: E402
 from multipos.commands.options import say, take_full_scale  # noqa: E402
 from multipos.commands.parsers import COMMANDS, Parser, command, command_parser  # noqa: E402
+from multipos.commands.withdrawn import instead_of_command, refuse_options  # noqa: E402
 from multipos.errors import CalibrationWarning, MultiposError, UsageError  # noqa: E402
 from multipos.files.spelling import near, one_line  # noqa: E402
 
@@ -91,13 +92,18 @@ def _run(argv: list[str]) -> int:
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
         if argv and not argv[0].startswith("-"):
+            instead = instead_of_command(argv[0])
+            if instead is not None:
+                raise UsageError(instead)
             way = near(argv[0], COMMANDS).removesuffix(".")
             raise UsageError(f"there is no command '{argv[0]}'{way}; see 'multipos --help'.")
         if _parse(parser, argv or ["--help"]) is None:
             return 0
         parser.error("the command must come first")
     name, *rest = argv
-    arguments = _parse(command_parser(name), rest)
+    parser = command_parser(name)
+    refuse_options(name, rest, parser._option_string_actions)
+    arguments = _parse(parser, rest)
     if arguments is None:
         return 0
     take_full_scale(arguments)

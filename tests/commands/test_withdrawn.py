@@ -1,0 +1,35 @@
+"""A command or option that was withdrawn answers in one line with what to use instead."""
+
+import pytest
+from cli_bench import run
+
+from multipos.commands import withdrawn
+from multipos.commands.parsers import COMMANDS, command_parser
+
+GONE = [
+    (name, option)
+    for name, options in withdrawn.OPTIONS.items()
+    for option in options
+    if option not in command_parser(name)._option_string_actions
+]
+
+
+@pytest.mark.parametrize("name", sorted(withdrawn.COMMANDS.keys() - COMMANDS.keys()))
+def test_a_withdrawn_command_names_what_to_use_instead(name, capsys):
+    line = f"multipos: error: '{name}' was withdrawn: {withdrawn.COMMANDS[name]}.\n"
+    assert run(capsys, name) == (2, "", line)
+    assert run(capsys, name, "cal.json", "--help") == (2, "", line)
+
+
+@pytest.mark.parametrize(("name", "option"), GONE)
+@pytest.mark.parametrize("value", ["", "=2"])
+def test_a_withdrawn_option_names_what_to_use_instead(name, option, value, capsys):
+    instead = withdrawn.OPTIONS[name][option]
+    line = f"multipos: error: '{name} {option}' was withdrawn: {instead}.\n"
+    assert run(capsys, name, f"{option}{value}") == (2, "", line)
+
+
+def test_options_of_other_commands_stay(capsys):
+    status, _, err = run(capsys, "fit", "none.csv", "--robust", "huber")
+    assert status == 1
+    assert "withdrawn" not in err
