@@ -17,7 +17,6 @@ from multipos.exports.targets import export
 from multipos.files.whole import write_text
 from multipos.logs.averaging import average
 from multipos.logs.opening import open_log
-from multipos.logs.rests import detect_static
 
 ROWS = 1_000_000
 OUTPUTS = ("ax", "ay", "az")
@@ -32,7 +31,6 @@ def run() -> list[Ratio]:
         ratios = [
             average_csv(path),
             average_and_fit(Path(folder)),
-            detection(log),
             apply_csv(cal, path, Path(folder)),
             apply_memory(cal, log),
         ]
@@ -88,17 +86,6 @@ def average_and_fit(folder: Path) -> Ratio:
         inner=1,
     )
     return Ratio("average and fit, 51,000 rows", "numpy.loadtxt", pairs, 3)
-
-
-def detection(log: dict[str, np.ndarray]) -> Ratio:
-    samples = np.column_stack([log[name] for name in OUTPUTS])
-    pairs = paired_ratio(
-        lambda: detect_static(samples, rate=1000.0),
-        lambda: np.cumsum(samples, axis=0),
-        repeats=9,
-        inner=2,
-    )
-    return Ratio("detection, 1e6 x 3 samples", "numpy.cumsum", pairs, 5)
 
 
 def apply_csv(cal: mp.Calibration, path: Path, folder: Path) -> Ratio:

@@ -1,6 +1,4 @@
-"""Budgets, Monte Carlo and reports, against the work that nothing can avoid and two programs."""
-
-import math
+"""Budgets, Monte Carlo and reports, against the work that nothing can avoid and another program."""
 
 import numpy as np
 
@@ -10,7 +8,6 @@ from multipos.estimation.gains import estimator_gain
 from multipos.numerics.least_squares import solve
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
-from multipos.sensor.derived import propagate
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
 
@@ -69,11 +66,9 @@ def report() -> Ratio:
 
 
 def outside() -> list[Ratio]:
-    """GTC and uncertainties, where they are installed."""
+    """GTC, where it is installed."""
     try:
-        import uncertainties
         from GTC import type_a
-        from uncertainties import umath
     except ImportError:
         return []
     x, y = THERMOMETER - 20.0, CORRECTION
@@ -81,20 +76,4 @@ def outside() -> list[Ratio]:
     line = paired_ratio(
         lambda: solve(design, y), lambda: type_a.line_fit(list(x), list(y)), inner=50
     )
-    values, C = np.array([5.0, 0.02, 1.04]), np.diag([1e-5, 1e-10, 1e-6])
-
-    def ours(v: np.ndarray) -> np.ndarray:
-        Z = v[:, 0] / v[:, 1]
-        return np.column_stack([Z * np.cos(v[:, 2]), Z * np.sin(v[:, 2]), Z])
-
-    def theirs() -> object:
-        volts, amperes, phase = uncertainties.correlated_values(values, C)
-        Z = volts / amperes
-        return uncertainties.covariance_matrix([Z * umath.cos(phase), Z * umath.sin(phase), Z])
-
-    assert math.isclose(propagate(ours, values, C)[1][0, 0], theirs()[0][0], rel_tol=1e-6)
-    both = paired_ratio(lambda: propagate(ours, values, C), theirs, inner=50)
-    return [
-        Ratio("straight line with covariance", "GTC", line, 5),
-        Ratio("propagation of H.2", "uncertainties", both, 1),
-    ]
+    return [Ratio("straight line with covariance", "GTC", line, 5)]

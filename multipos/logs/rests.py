@@ -44,10 +44,9 @@ References
 import os
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.handed import take_in
@@ -55,7 +54,7 @@ from multipos.files.pipes import rereadable
 from multipos.files.tables import Source, Table, read_table
 from multipos.files.trees import read_json_value
 from multipos.files.whole import read_bytes
-from multipos.numerics.arrays import LARGEST_SAMPLE, Array, Mask, Places, median, require_rate
+from multipos.numerics.arrays import Array, Mask, Places, median, require_rate
 from multipos.results import frozen
 
 BLOCKS = 8  # of a window
@@ -82,7 +81,6 @@ _NOISE = 1.0  # steps of resolution: with more no window is constant by chance
 
 # Spikes.
 _CHUNK = 16  # samples
-_FED = 1 << 17  # samples at a time, of a log in memory
 _AT_ONCE = 1 << 10  # chunks, of a size that stays in the processor's cache
 _LONGEST_SPIKE = 2  # samples: longer is motion
 _LIKELY = 3.5  # times the mean deviation of a chunk: without spikes hardly a sample is so far
@@ -661,84 +659,6 @@ def long_enough(rests: Sequence[Rest], grid: Grid) -> tuple[list[Rest], list[Res
 def is_long(rest: Rest, shortest: int, grid: Grid) -> bool:
     """Tell whether a rest is one: its ends are not known to two blocks."""
     return rest.end - rest.start > shortest - 2 * grid.block
-
-
-def detect_static(
-    samples: ArrayLike,
-    *,
-    rate: float | None = None,
-    min_duration: float | None = None,
-    threshold: float | None = None,
-) -> tuple[list[Rest], float]:
-    """Return the rests in samples, and the threshold that found them.
-
-    Parameters
-    ----------
-    samples : (n, M) array
-        One row a sample, one column an output.
-    rate : float, optional [Hz]
-    min_duration : float, optional [s]
-        Shortest rest; two seconds, or 192 samples where the rate is not given.
-    threshold : float, optional
-        Standard deviation of a window above which it moves, in the unit of the samples; learnt
-        from the samples where it is not given.
-
-    Returns
-    -------
-    rests : list of Rest
-    threshold : float
-
-    Raises
-    ------
-    MultiposError
-        There is nothing like a rest, or a sample is not finite or beyond what sensors give.
-    """
-    values = np.asarray(samples, dtype=np.float64)
-    grid = choose_grid(rate, min_duration)
-    columns, survey, seen = _survey(values, grid)
-    limits = survey.limits() if threshold is None else Limits(threshold)
-    finder = Finder(grid, limits)
-    finder.add(seen)
-
-    def read(stretches: list[Rest]) -> list[Array]:
-        return [columns[:, each.start : each.end] for each in stretches]
-
-    found = find_edges(finder.runs(), columns.shape[1], grid, limits, read)
-    return long_enough(found, grid)[0], limits.size
-
-
-def _survey(values: Array, grid: Grid) -> tuple[Array, Survey, Array]:
-    """Return samples (M, n) without spikes, what they are like, and s, v (2, k) of their windows.
-
-    Pieces go through all of it while they are in the processor's cache.
-    """
-    n, outputs = values.shape
-    columns, spikes, scan = np.empty((outputs, n)), Spikes(outputs), Windows(grid.block)
-    survey, seen, clean, done = Survey(outputs, grid), [], 0, 0
-    for i in range(0, n, _FED):
-        piece = np.ascontiguousarray(values[i : i + _FED].T)
-        if not -LARGEST_SAMPLE <= piece.min() <= piece.max() <= LARGEST_SAMPLE:
-            _refuse_readings(values)
-        last = i + _FED >= n
-        for kept in (spikes.feed(piece), spikes.finish()) if last else (spikes.feed(piece),):
-            columns[:, clean : clean + kept.shape[1]] = kept
-            clean += kept.shape[1]
-        while clean - done >= PIECE or (last and done < n):
-            whole = columns[:, done : done + PIECE]
-            mean, spread = scan.feed(whole)
-            survey.add(whole, mean, spread)
-            seen.append(spread)
-            done += PIECE
-    return columns, survey, np.concatenate(seen, axis=1)
-
-
-def _refuse_readings(values: Array) -> NoReturn:
-    """Name the first sample, output by output, that is no reading."""
-    output, row = np.argwhere(~(np.abs(values.T) <= LARGEST_SAMPLE))[0].tolist()
-    raise MultiposError(
-        f"`samples[{row}, {output}]` is {values[row, output]:g}, no reading of a sensor; "
-        "leave the row out."
-    )
 
 
 @frozen(eq=True)

@@ -87,27 +87,6 @@ def intrinsic_gradient(
     return _differentiate(_intrinsic_vector, model, parameters, environment)
 
 
-def propagate(
-    function: Callable[[Array], Array], values: Array, covariance: Array
-) -> tuple[Array, Array]:
-    """Return function(values) and its covariance to first order (JCGM 100, eq. (13); JCGM 102).
-
-    Parameters
-    ----------
-    function : callable
-        Takes values (batch, p), returns (batch, q).
-    values : (p,) array
-    covariance : (p, p) array
-
-    Returns
-    -------
-    (q,) array, (q, q) array
-    """
-    step = _STEP * np.where(values != 0.0, np.abs(values), np.abs(values).max())
-    result, gradient = _central(function, values, step)
-    return result, gradient @ covariance @ gradient.T
-
-
 def _propagate(
     function: Callable[[Array], Array],
     model: Model,

@@ -1,6 +1,5 @@
 """Static detection and the uncertainty of means, against truth made here."""
 
-import re
 from itertools import groupby, pairwise
 from types import SimpleNamespace
 
@@ -10,6 +9,7 @@ from amounts import rest_slow
 from log_bench import ar1, shared
 from scipy.special import ndtr
 
+import multipos as mp
 from multipos import MultiposError, UsageError
 from multipos.logs import rest_means as of_rests
 from multipos.logs.rest_means import (
@@ -36,8 +36,13 @@ from multipos.logs.rests import (
     _onset,
     _smooth,
     choose_grid,
-    detect_static,
 )
+
+
+def rests_in(samples, **options):
+    """Return the rows of the rests in samples (n, 3), and the threshold that found them."""
+    found = mp.average(samples, outputs=("ax", "ay", "az"), **options)
+    return [rest.rows for rest in found.rests], found.threshold
 
 
 def session(rng, *, noise=1e-3, rests=6, still=1000, moving=200, phi=0.0):
@@ -58,7 +63,7 @@ def session(rng, *, noise=1e-3, rests=6, still=1000, moving=200, phi=0.0):
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 def test_finds_the_rests_without_tuning(noise, phi):
     samples, truth = session(np.random.default_rng(3), noise=noise, phi=phi)
-    rests, threshold = detect_static(samples, rate=100.0)
+    rests, threshold = rests_in(samples, rate=100.0)
     assert len(rests) == len(truth)
     for rest, (start, end) in zip(rests, truth, strict=True):
         # Hardly into the motion, and no more than a few samples short at either end.
@@ -71,7 +76,7 @@ def test_a_step_without_a_moving_sample_parts_two_rests():
     rng = np.random.default_rng(0)
     samples = np.repeat([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], 960, axis=0)
     samples = samples + 1e-3 * rng.normal(size=samples.shape)
-    rests, _ = detect_static(samples)
+    rests, _ = rests_in(samples)
     assert len(rests) == 3
     assert rests == [(0, 960), (960, 1920), (1920, 2880)]
 
@@ -80,7 +85,7 @@ def test_any_axis_counts():
     rng = np.random.default_rng(1)
     samples = 1e-3 * rng.normal(size=(6000, 3))
     samples[2500:3500, 2] += np.sin(np.arange(1000) / 20.0)  # a wobble that z alone sees
-    rests, _ = detect_static(samples, rate=100.0)
+    rests, _ = rests_in(samples, rate=100.0)
     assert [rest.end <= 2505 or rest.start >= 3495 for rest in rests] == [True, True]
 
 
@@ -88,18 +93,15 @@ def test_any_axis_counts():
 def test_no_sample_is_beyond_what_sensors_give(value):
     samples, _ = session(np.random.default_rng(5))
     samples[700, 1] = value
-    with pytest.raises(
-        MultiposError, match=re.escape(f"`samples[700, 1]` is {value:g}, no reading")
-    ):
-        detect_static(samples)
+    with pytest.raises(MultiposError, match=r"row 701, column 'ay': .* leave the row out\."):
+        rests_in(samples)
 
 
 def test_a_unit_so_large_that_readings_vanish_is_no_matter():
     samples, _ = session(np.random.default_rng(5))
-    for size in (1e-80, 1e-320):
-        rests, threshold = detect_static(size * samples)
-        assert len(rests) == 1  # nothing moves by the 1e-18 that is told from nothing
-        assert threshold > 0.0
+    for size in (1e-80, 1e-320):  # nothing moves by the 1e-18 that differs from nothing
+        with pytest.raises(MultiposError, match=r"one rest only, .* at threshold 3\.27e-18"):
+            rests_in(size * samples)
 
 
 def test_pieces_do_not_matter():
@@ -123,7 +125,7 @@ def test_pieces_do_not_matter():
 
 def test_a_threshold_of_the_user_is_used():
     samples, truth = session(np.random.default_rng(2))
-    rests, threshold = detect_static(samples, rate=100.0, threshold=0.01)
+    rests, threshold = rests_in(samples, rate=100.0, threshold=0.01)
     assert (len(rests), threshold) == (len(truth), 0.01)
 
 
@@ -187,8 +189,9 @@ def test_a_sensor_is_no_better_than_its_resolution():
 
 def test_the_shortest_rest_is_the_users():
     samples, _ = session(np.random.default_rng(2), still=1000)
-    assert len(detect_static(samples, rate=100.0, min_duration=9.0)[0]) == 6
-    assert detect_static(samples, rate=100.0, min_duration=11.0)[0] == []
+    assert len(rests_in(samples, rate=100.0, min_duration=9.0)[0]) == 6
+    with pytest.raises(MultiposError, match=r"less than 11 s; --min-duration 9\.99 takes them in"):
+        rests_in(samples, rate=100.0, min_duration=11.0)
 
 
 def test_a_coarse_converter_is_no_problem():
@@ -196,7 +199,7 @@ def test_a_coarse_converter_is_no_problem():
     coarse = (
         np.round(samples / 5e-3) * 5e-3
     )  # noise of a fifth of a step: many windows are constant
-    assert len(detect_static(coarse, rate=100.0)[0]) == len(truth)
+    assert len(rests_in(coarse, rate=100.0)[0]) == len(truth)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +212,7 @@ def test_a_coarse_converter_is_no_problem():
 )
 def test_a_log_without_rest_says_so(samples, message):
     with pytest.raises(MultiposError, match=message):
-        detect_static(samples, rate=100.0)
+        rests_in(samples, rate=100.0)
 
 
 @pytest.mark.parametrize(
@@ -230,8 +233,8 @@ def test_impossible_sizes(rate, duration, message):
 
 def test_real_log_has_its_rests():
     samples = np.loadtxt(shared("mpu9150_imu0.log"))[:, :3]
-    assert len(detect_static(samples)[0]) == 23
-    assert len(detect_static(samples, rate=100.0)[0]) == 23
+    assert len(rests_in(samples)[0]) == 23
+    assert len(rests_in(samples, rate=100.0)[0]) == 23
 
 
 # --- the mean and its uncertainty

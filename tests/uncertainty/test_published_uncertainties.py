@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from profile_oracle import fit_residuals, search_interval
 
 from multipos.numerics.least_squares import solve
-from multipos.sensor.derived import propagate
+from multipos.sensor.derived import _central
 from multipos.uncertainty.propagation import welch_satterthwaite
 
 # H.3: corrections of a thermometer [degC] at temperatures [degC], table H.6
@@ -31,6 +31,12 @@ PEARSON_X = np.array([0.0, 0.9, 1.8, 2.6, 3.3, 4.4, 5.2, 6.1, 6.5, 7.4])
 PEARSON_Y = np.array([5.9, 5.4, 4.4, 4.6, 3.5, 3.7, 2.8, 2.8, 2.4, 1.5])
 WEIGHT_X = np.array([1000.0, 1000.0, 500.0, 800.0, 200.0, 80.0, 60.0, 20.0, 1.8, 1.0])
 WEIGHT_Y = np.array([1.0, 1.8, 4.0, 8.0, 20.0, 20.0, 70.0, 70.0, 100.0, 500.0])
+
+
+def propagate(function, values, covariance):
+    """Return function(values) and its covariance to first order (JCGM 100, eq. (13); JCGM 102)."""
+    result, gradient = _central(function, values, 1e-5 * np.abs(values))
+    return result, gradient @ covariance @ gradient.T
 
 
 def thermometer_line():
