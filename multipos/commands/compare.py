@@ -8,22 +8,18 @@ from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
-from multipos.reports.documents import html_report
-from multipos.reports.several import comparison_content
 from multipos.results import plain
 from multipos.verification import comparison
 from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
-OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure", "html"))
+OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))
 
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     found = comparison.compare(*arguments.calibrations, **options_of(arguments, "compare"))
-    forms: dict[str, Callable[[], Any]] = {
-        "html": lambda: html_report(comparison_content(plain(found.to_dict())))
-    }
+    forms: dict[str, Callable[[], Any]] = {}
     if isinstance(found, RegressionComparison):
         forms["figure"] = lambda: terms_figure(found)
         return answer_of(found, _sentence, str, forms=forms, negative=lambda _: False)

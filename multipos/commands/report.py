@@ -1,17 +1,16 @@
 """``multipos report``."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from multipos.commands.answers import Answer, Output, written_to
 from multipos.commands.options import progress_bar
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import is_folder
-from multipos.files.trees import read_schema, to_json
+from multipos.files.trees import read_json_value, read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.fleet import fit_unit
 from multipos.fleets.folder import read_summary
@@ -20,7 +19,7 @@ from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.reports import documents, regressions
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.several import comparison_content, fleet_content, read_comparison
+from multipos.reports.several import fleet_content
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.inverse import read_nominal
@@ -71,14 +70,6 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
     return _answer(arguments, content, all_of(regression)[0].created)
 
 
-def _of_comparison(arguments: argparse.Namespace, found: Mapping[str, Any]) -> Answer:
-    """Return the report of repeated calibrations, from what compare wrote."""
-    if arguments.check or arguments.monte_carlo or arguments.nominal or arguments.data:
-        raise UsageError("--check, --nominal, --monte-carlo and --data are of one calibration.")
-    content = comparison_content(found, lab=arguments.lab, language=arguments.language)
-    return _answer(arguments, content, None)
-
-
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     schema = FLEET if is_folder(arguments.calibration) else read_schema(arguments.calibration)
@@ -88,12 +79,23 @@ def run(arguments: argparse.Namespace) -> Answer:
         raise UsageError("--unit and --station are of a fleet.")
     if schema == REGRESSION:
         return _of_regression(arguments)
-    comparison = None if schema else read_comparison(arguments.calibration)  # which names none
-    if comparison is not None:
-        return _of_comparison(arguments, comparison)
+    if schema is None and _is_comparison(arguments.calibration):
+        raise UsageError(
+            f"{arguments.calibration}: a comparison has no report; give the calibrations to "
+            "`multipos compare`, with -v for every run or with -o CHART.svg."
+        )
     if arguments.data is not None:
         raise UsageError("--data are the rows of a regression; a calibration holds its readings.")
     return _of_calibration(load(arguments.calibration), arguments)
+
+
+def _is_comparison(path: str) -> bool:
+    """Tell whether `compare` wrote a file, which names no schema."""
+    try:
+        found = read_json_value(path, "file")
+    except MultiposError:  # said where it is read
+        return False
+    return isinstance(found, dict) and "consistent" in found
 
 
 def _of_unit(arguments: argparse.Namespace) -> Answer:

@@ -35,7 +35,7 @@ from multipos.files.records import LARGEST
 from multipos.files.tables import Column, Source, Table
 from multipos.finding import Findings
 from multipos.fitting.fit_readings import FitOptions
-from multipos.fleets.grouping import Conditions, Grouped, find_trials, gather_study, group_rows
+from multipos.fleets.grouping import Conditions, Grouped, group_rows
 from multipos.fleets.labels import Codes, Labels, joined_labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
 from multipos.fleets.solving import LEFT, Pattern, Solved, Task, find_pattern, fit_one, gather
@@ -471,7 +471,7 @@ def fit_units(
     *,
     folder: Path | None = None,
     report: Callable[[int], object] = lambda done: None,
-    study: bool = False,
+    fixtures: bool = False,
     raw: bool = False,
 ) -> Units:
     """Return every unit's numbers; parameters are those of `fit_many`.
@@ -482,9 +482,8 @@ def fit_units(
         The tables are raw logs, one a unit, which the executor averages first.
     folder : path, optional
         Where finished tasks are kept, and found again.
-    study : bool
-        Whether what only all units tell is asked, too: sums over the units of one fixture, and
-        repeats of units at several stations, which are fitted one by one.
+    fixtures : bool
+        Whether sums over the units of one fixture are kept.
     """
     given = _read_options(with_rests(options) if raw else options)
     how = Averaging(averaging_options(options), executor) if raw else None
@@ -495,15 +494,7 @@ def fit_units(
     opened = open_engine("threads") if threads else nullcontext(executor)
     # what single fits warn of is a column of the result
     with opened as running, warnings.catch_warnings(action="ignore", category=CalibrationWarning):
-        units = _solve(rows, grouped, given, running, folder, report, fixtures=study)
-        trials = find_trials(rows, grouped) if study else None
-        if trials is None:
-            return units
-        rows = replace(rows, failed=())
-        each = _solve(rows, trials.grouped, given, running, folder, lambda done: None)
-    usable = ~each.failed & ~each.unfit & (each.names == units.names)
-    study_found = gather_study(trials, each.parameters, usable)
-    return replace(units, study=study_found)
+        return _solve(rows, grouped, given, running, folder, report, fixtures=fixtures)
 
 
 def averaging_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,6 @@ One unit of a fleet by itself, as `fit` finds it: what its own page is made of.
 the tables. Of Parquet only the rows of the unit are read.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
@@ -28,7 +27,7 @@ from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order, read_findings
 from multipos.fitting.fit_readings import FitOptions, fit
-from multipos.fleets import fit_many, gauge, grouping, line, pictures, quality
+from multipos.fleets import fit_many, grouping, line, pictures, quality
 from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
@@ -143,7 +142,7 @@ class Fleet(Result, Drawn):
     ----------
     summary : mapping
         What `fleet.json` holds: input, asked, units, fitted, failed, yield, parameters, outliers,
-        stations, drift, gauge, and beside them causes, verdicts, limits.
+        stations, drift, and beside them causes, verdicts, limits.
     calibrations : Columns
         One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], findings.
     verdicts : Columns
@@ -265,7 +264,7 @@ def fleet(
             running,
             folder=progress_folder,
             report=progress or (lambda done: None),
-            study=True,
+            fixtures=True,
             raw=raw,
         )
     return assemble(units, given, asked(units.key, station_column, options) | {"raw": raw})
@@ -300,7 +299,6 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "outliers": line.find_outliers(units, counted),
         "stations": stations,
         "drift": line.find_drift(units, counted),
-        "gauge": _gauge(units, limits),
     }
     off = [found for station in stations for found in read_findings(station)]
     found = in_order((*_find_failed(units), *off, *units.notes))
@@ -321,29 +319,6 @@ def _find_failed(units: Units) -> Findings:
         f"{units.reasons[first]}"
     )
     return (Finding("failed-units", "warning", text),)
-
-
-def _gauge(units: Units, limits: tuple[Limit, ...]) -> dict[str, Any] | None:
-    """Return what repeats of units at stations tell of every parameter, None without any."""
-    study, model = units.study, units.model
-    if study is None or model is None:
-        return None
-    width = {limit.name: limit.usl - limit.lsl for limit in limits}
-    described = [
-        {"name": name, "unit": unit}
-        | gauge.describe_gauge(
-            study.values[..., place],
-            width[name] if math.isfinite(width.get(name, math.inf)) else None,
-            units.confidence,
-        )
-        for place, (name, unit) in enumerate(zip(units.names, model.units, strict=True))
-    ]
-    return {
-        "units": list(study.units),
-        "stations": list(study.stations),
-        "repeats": study.values.shape[2],
-        "parameters": described,
-    }
 
 
 def _settled(value: Any) -> Any:

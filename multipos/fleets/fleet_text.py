@@ -24,8 +24,6 @@ def fleet_text(found: Mapping[str, Any]) -> str:
     parts.append(_table("Parameters", *parameter_rows(found)))
     if len(found["stations"]) > 1:
         parts.append(_table("Stations, against their mean", *station_rows(found)))
-    if found["gauge"] is not None:
-        parts.append(_table(gauge_title(found["gauge"]), *gauge_rows(found["gauge"])))
     for title, (header, rows) in (
         ("Why units do not pass", cause_rows(found)),
         ("Units that do not belong", outlier_rows(found)),
@@ -118,51 +116,6 @@ def _off(said: Mapping[str, Any]) -> str:
 
 def _uncertain(figure: Mapping[str, float] | None) -> str:
     return "-" if figure is None else uncertain(figure["value"], figure["u"])
-
-
-def gauge_title(gauge: Mapping[str, Any]) -> str:
-    """Return what the study of the gauge was of."""
-    size = f"{len(gauge['units'])} units x {len(gauge['stations'])} stations"
-    return f"Repeatability and reproducibility, {size} x {gauge['repeats']} repeats"
-
-
-def gauge_rows(gauge: Mapping[str, Any]) -> Rows:
-    """Return what every parameter of one unit differs by between repeats and stations."""
-    header = (
-        "parameter",
-        "unit",
-        "repeatability",
-        "reproducibility",
-        "both",
-        "sd of units",
-        "share",
-        "of limits",
-        "p of stations",
-    )
-    return header, [_gauge_row(each) for each in gauge["parameters"]]
-
-
-def _gauge_row(each: Mapping[str, Any]) -> tuple[str, ...]:
-    keys = ("repeatability", "reproducibility", "gauge", "units")
-    factor, unit = readable_unit(max(each[key]["sd"] for key in keys), each["unit"])
-    repeat, reproduce, both, units = (plain_number(factor * each[key]["sd"]) for key in keys)
-    low, high = (plain_number(factor * each["gauge"][side]) for side in ("low", "high"))
-    stations = next(line for line in each["anova"] if line["source"] == "stations")
-    return (
-        each["name"],
-        unit,
-        repeat,
-        reproduce,
-        f"{both} [{low}, {high}]",
-        units,
-        _share(each["share"]),
-        _share(each["tolerance"]),
-        chance(stations["p"]),
-    )
-
-
-def _share(part: float | None) -> str:
-    return "-" if part is None else percent(part)
 
 
 def cause_rows(found: Mapping[str, Any]) -> Rows:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from multipos.finding import Findings
 from multipos.fleets.fixtures import FixtureSums
-from multipos.fleets.grouping import GaugeStudy
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import Solved
 from multipos.numerics.arrays import Array, Mask, Places
@@ -49,8 +48,6 @@ class Units:
     sources : tuple of (name, SHA-256)
     counted : bool
         Units are whole numbers in the tables.
-    study : GaugeStudy or None
-        Repeats of units at several stations.
     key : str or None
         The column of units; None where files name them.
     notes : tuple of Finding
@@ -75,7 +72,6 @@ class Units:
     gravity_u: float
     sources: tuple[tuple[str, str | None], ...]
     counted: bool
-    study: GaugeStudy | None = None
     key: str | None = None
     notes: Findings = ()
 

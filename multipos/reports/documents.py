@@ -38,12 +38,9 @@ from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.regressions import regression_content
 from multipos.reports.sections import Figure, Language, PageTable, Section, template
-from multipos.reports.several import comparison_content, fleet_content
-from multipos.results import plain
+from multipos.reports.several import fleet_content
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
-from multipos.verification.comparison import Comparison
-from multipos.verification.regressions import RegressionComparison
 from multipos.verification.verdicts import Check
 
 _FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
@@ -237,7 +234,7 @@ def pdf_report(content: Content, progress: Callable[[int], object] = lambda _: N
     return paper_report(html_report(content), progress)
 
 
-Reported = Calibration | Comparison | RegressionComparison | Regression | Regressions | Fleet
+Reported = Calibration | Regression | Regressions | Fleet
 
 
 def report(
@@ -257,7 +254,7 @@ def report(
 
     Parameters
     ----------
-    calibration : Calibration, or what `compare`, `regress` or `fleet` returns
+    calibration : Calibration, or what `regress` or `fleet` returns
         Only a calibration has a digital certificate, `simulated` and `check`; the report of a fleet
         is without a laboratory.
     path : path
@@ -312,14 +309,11 @@ def _content(
     found: Reported, path: StrPath, lab: "StrPath | Mapping[str, Any] | None", language: Language
 ) -> Content:
     """Return what the report of anything but a calibration says."""
-    if isinstance(found, Comparison | RegressionComparison):
-        return comparison_content(plain(found.to_dict()), lab=lab, language=language)
     if isinstance(found, Regression | Regressions):
         return regression_content(found, lab=lab, beside=path, language=language)
     if not isinstance(found, Fleet):
         raise UsageError(
-            f"{type(found).__name__} has no report; give what fit, compare, regress or fleet "
-            "returned."
+            f"{type(found).__name__} has no report; give what fit, regress or fleet returned."
         )
     if lab is not None:
         raise UsageError("the report of a fleet has no `lab`.")

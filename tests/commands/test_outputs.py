@@ -168,7 +168,7 @@ WRITTEN = {
     "calibrate": {".json", ".txt"},
     "apply": {".csv", ".json", ".parquet", ".txt"},
     "check": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
-    "compare": {".json", ".txt", ".svg", ".png", ".pdf", ".html"},
+    "compare": {".json", ".txt", ".svg", ".png", ".pdf"},
     "regress": {".json", ".txt", ".svg", ".png", ".pdf"},
     "stability": {".json", ".csv", ".txt", ".svg", ".png", ".pdf"},
     "tumble": {".json", ".txt", ".svg", ".png", ".pdf"},

@@ -287,30 +287,6 @@ def test_a_file_that_changes_while_it_is_read_is_refused(tmp_path, monkeypatch):
             cut.rows.numbers("ax")
 
 
-def test_repeats_are_studied_in_pieces(monkeypatch):
-    rng = np.random.default_rng(3)
-    up = mp.read_scheme("faces-6").up
-    labels = [(u, s, k) for s in "AB" for _ in range(2) for u in range(6) for k in range(6)]
-    table = {
-        "unit": np.array([f"U{u}" for u, _, _ in labels]),
-        "station": np.array([s for _, s, _ in labels]),
-        "position": np.array([k + 1 for _, _, k in labels]),
-    }
-    values = up[[k for *_, k in labels]] * (1.0 + 0.01 * rng.standard_normal(6))[
-        [u for u, *_ in labels], None
-    ] + 1e-4 * rng.standard_normal((len(labels), 3))
-    table |= dict(zip(("ax", "ay", "az"), values.T, strict=True))
-    options = {**APART, "scheme": None, "outputs": ("ax", "ay", "az")}
-    table |= {f"up_{axis}": up[[k for *_, k in labels], i] for i, axis in enumerate("xyz")}
-    whole = mp.fleet(table, **options)
-    in_pieces(monkeypatch, 20)
-    found = mp.fleet(table, **options)
-    assert found["gauge"] is not None
-    for one, other in zip(found["gauge"]["parameters"], whole["gauge"]["parameters"], strict=True):
-        assert one["share"] == pytest.approx(other["share"], rel=1e-8)
-        assert one["repeatability"]["sd"] == pytest.approx(other["repeatability"]["sd"], rel=1e-8)
-
-
 @settings(max_examples=40)
 @given(
     rows=st.integers(1, 30),

@@ -15,7 +15,7 @@ from multipos.estimation.known import share_design
 from multipos.files.tables import Table
 from multipos.fleets import fleet_text, line, stations, unit_findings
 from multipos.fleets.fixtures import FixtureSums
-from multipos.fleets.grouping import Conditions, find_trials, group_rows
+from multipos.fleets.grouping import Conditions, group_rows
 from multipos.fleets.labels import Labels
 from multipos.fleets.solving import (
     _chi2_findings,
@@ -399,37 +399,6 @@ def test_units_whose_numbers_no_fit_takes_come_alone():
     )
     groups = Conditions(table, group_rows(table), ["ax"], ()).groups()
     assert [units.tolist() for units in groups] == [[2], [3], [5], [6], [0, 1, 4, 7]]
-
-
-def test_trials_are_of_what_all_units_were_at():
-    """Three stations; u2 was at two of them, u3 has fewer repeats, u4 repeats one label alone."""
-    visits = [
-        ("u1", "A", "pqpqpq"), ("u2", "A", "qpqp"), ("u1", "B", "ppqq"), ("u2", "B", "ppp"),
-        ("u3", "A", "pqqp"), ("u3", "B", "qpqp"), ("u3", "C", "pqpq"), ("u4", "A", "ppq"),
-        ("u4", "B", "pqpq"), ("u5", "A", "pq"), ("u5", "B", "pq"),
-    ]  # fmt: skip
-    rows = [(unit, station, label) for unit, station, labels in visits for label in labels]
-    unit, station, label = (labels_from(column) for column in zip(*rows, strict=True))
-    table = SimpleNamespace(
-        unit=unit, station=station, columns=("position",), conditions=lambda name: label
-    )
-    grouped = group_rows(table)
-    trials = find_trials(table, grouped)
-    assert (trials.units, trials.stations, trials.repeats) == (("u1", "u2", "u3"), ("A", "B"), 2)
-    heads = np.cumsum([0, *(len(labels) for *_, labels in visits)])
-    wanted = []
-    for name in trials.units:
-        for place in trials.stations:
-            at = next(i for i, each in enumerate(visits) if each[:2] == (name, place))
-            mine = visits[at][2]
-            for trial in range(2):
-                seen = [[i for i, x in enumerate(mine) if x == y][trial] for y in set(mine)]
-                wanted.append(sorted(heads[at] + i for i in seen))
-    assert [trials.grouped.rows(k).tolist() for k in range(len(trials.grouped))] == wanted
-    assert list(trials.grouped.unit) == [u for u in trials.units for _ in range(4)]
-    assert list(trials.grouped.station) == ["A", "A", "B", "B"] * 3
-    table.columns = ("group",)
-    assert find_trials(table, grouped) is None
 
 
 def labels_from(column):

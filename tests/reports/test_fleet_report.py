@@ -27,7 +27,7 @@ def rows_of(values, **columns):
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    """A line of two stations that drifts, with limits, outliers and a study of its gauge."""
+    """A line of two stations that drifts, with limits and outliers."""
     rng = np.random.default_rng(3)
     bias = 3e-3 * rng.standard_normal((120, 3)) + 8e-3 * (np.arange(120) > 70)[:, None]
     bias[31, 0] = 0.3
@@ -40,15 +40,7 @@ def found(tmp_path_factory):
         scheme=SCHEME,
         limits={"bias_ax": (-0.01, 0.01)},
     )
-    again = UP + np.repeat(bias[:6], 4, axis=0)[:, None, :]
-    again = again + 1e-4 * rng.standard_normal(again.shape)
-    study = mp.fleet(
-        rows_of(again, unit=np.repeat(names[:6], 4), station=np.tile(["A", "A", "B", "B"], 6)),
-        unit_column="unit",
-        station_column="station",
-        scheme=SCHEME,
-    )
-    return {**line.to_dict(), "gauge": study.to_dict()["gauge"]}
+    return line.to_dict()
 
 
 def said(content):
@@ -68,7 +60,7 @@ def said(content):
 
 def test_every_word_of_a_fleet_is_chinese(found):
     english, chinese = (fleet_content(found, language=language) for language in ("en", "zh"))
-    assert len(english.sections) == 9
+    assert len(english.sections) == 8
     assert {"A", "Cpk", "bias_ax", "u31"} < set(said(english))
     left = {
         word for text in said(chinese) for word in re.findall("[A-Za-z]{2,}", KEPT.sub("", text))

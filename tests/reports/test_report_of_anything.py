@@ -41,3 +41,17 @@ def test_what_has_none(line, tmp_path):
         mp.report(3, tmp_path / "r.txt")
     with pytest.raises(UsageError, match="of one calibration"):
         mp.report(line, tmp_path / "r.xml")
+
+
+def test_a_comparison(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    cal = mp.demo().calibration
+    cal.save("cal.json")
+    assert main(["compare", "cal.json", "cal.json", "-q", "-o", "both.json"]) == 0
+    capsys.readouterr()
+    assert main(["report", "both.json", "-o", "r.txt"]) == 2
+    assert "both.json: a comparison has no report; give the" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="Comparison has no report"):
+        mp.report(mp.compare(cal, cal), tmp_path / "r.txt")
+    assert main(["compare", "cal.json", "cal.json", "-o", "r.html"]) == 2
+    assert not list(tmp_path.glob("r.*"))

@@ -1,6 +1,5 @@
 """What reports say of a calibration that was combined from sessions."""
 
-import json
 import re
 
 import numpy as np
@@ -8,10 +7,7 @@ import pytest
 from findings_bench import texts
 
 import multipos as mp
-from multipos.cli import main
 from multipos.reports.certificate import build_content
-from multipos.reports.several import comparison_content
-from multipos.results import plain
 
 UP = mp.read_scheme("faces-edges-18").up
 
@@ -57,29 +53,6 @@ def test_a_combined_calibration_says_of_what_and_what_u_holds(compared):
     )
 
 
-def test_the_report_of_repeats_names_the_combined_one(compared, tmp_path):
-    content = comparison_content(plain(compared.to_dict()))
-    assert table_of(content)[1] == table_of(build_content(compared.combined))[1]
-    (tmp_path / "compared.json").write_text(json.dumps(plain(compared.to_dict())), encoding="utf-8")
-    target = tmp_path / "r.txt"
-    assert main(["report", str(tmp_path / "compared.json"), "-o", str(target)]) == 0
-    assert "4 sessions were combined" in target.read_text("utf-8")
-    alone = mp.compare(compared.calibrations)
-    (said,) = (
-        part
-        for part in comparison_content(plain(alone.to_dict()), language="zh").sections
-        if part.title == "合并的各次校准"
-    )
-    assert "--combine" in said.paragraphs[0]
-
-
-def test_repeats_that_disagree_are_a_warning(compared):
-    content = comparison_content(plain(compared.to_dict()))
-    assert "do not agree" in content.sentence
-    alike = mp.compare([compared.calibrations[0]] * 2)
-    assert "do not" not in comparison_content(plain(alike.to_dict())).sentence
-
-
 def test_the_scatter_within_a_session_is_named_so(compared):
     """Residuals of all sessions together are far beyond the noise within one."""
     from multipos.plots import draw_residuals, new_figure
@@ -106,8 +79,6 @@ def english_words(content):
 
 
 def test_chinese_tables_and_figures_have_no_english(compared):
-    plainly = plain(compared.to_dict())
-    assert english_words(comparison_content(plainly, language="zh")) == []
     assert english_words(build_content(compared.combined, language="zh")) == []
     unknown = mp.fit(compared.calibrations[0].readings, unit="g", unknown_orientation=True)
     assert english_words(build_content(unknown, language="zh")) == []
