@@ -206,7 +206,7 @@ def _compensated(
 
 def _require_one_g(source: str, calibration: Calibration, force: Array) -> None:
     """Refuse a record at rest whose force (3, b) [g] is one g in another unit."""
-    if calibration.field.magnetic:  # which is another one elsewhere
+    if not calibration.field.same_everywhere:
         return
     size = float(median(np.linalg.norm(force, axis=0)))
     other = any(each / _NEAR < size < each * _NEAR for each in _OTHER)

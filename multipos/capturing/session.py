@@ -26,11 +26,11 @@ from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import pose_words
-from multipos.positions.headers import field_of_outputs, named_axes
+from multipos.positions.headers import named_axes
 from multipos.reports.sections import Translator
 from multipos.results import plain_dict
 from multipos.sensor.calibration import force_residuals
-from multipos.sensor.gravity import GRAVITY, MAGNETIC, Field, worded
+from multipos.sensor.gravity import GRAVITY, Field, field_sensed
 from multipos.sensor.model import Model
 
 _LIVE = 0.05  # [s] of rows that a live value is the mean of
@@ -119,8 +119,7 @@ class Session:
                 "name three with --outputs, or the positions with --scheme."
             )
         unit = unit or log.units.get(self.rows.outputs[0], "reading")
-        if field_of_outputs(self.rows.outputs, unit, None, kind) == "magnetic":
-            self.field = MAGNETIC
+        self.field = field_sensed(self.rows.outputs, unit, kind)
         self.model = evaluation.model_of(self.plan, self.rows.outputs, unit)
         self._choose_next()
         return self.rows
@@ -311,7 +310,7 @@ class Session:
         elif reason is None:
             reason = self._repeats(still)
         if reason is not None:
-            return replace(pose, accepted=False, reason=worded(reason, self.field))
+            return replace(pose, accepted=False, reason=self.field.worded(reason))
         taken_back = self._decided.get(self.key(pose))
         return pose if taken_back is None else pose.taken_back(taken_back)
 
@@ -517,7 +516,7 @@ def _chinese(text: str | None, field: Field) -> str | None:
 
 def _missing(session: Session) -> Array | None:
     """Return the directions (k, 3) of a magnetic field that no pose is near, None of gravity."""
-    if not session.field.magnetic:
+    if session.field.angle == "tilt":  # which shows by itself where it has been
         return None
     shown = [
         up
@@ -571,9 +570,8 @@ def _shown(session: Session, residual: float | None) -> str | None:
     if residual is None or not math.isfinite(residual):  # no force is found by such a model
         return None
     calibration = session.evaluation.calibration
-    if calibration is None or not session.field.magnetic:
-        return f"{1e6 * residual:+.0f} µg"
-    return calibration.field.shown(residual)
+    field = session.field if calibration is None else calibration.field
+    return field.shown(residual, "+.0f", "µg")
 
 
 def _next(session: Session) -> dict[str, Any] | None:
@@ -584,7 +582,7 @@ def _next(session: Session) -> dict[str, Any] | None:
         "direction": found.direction,
         "gain": found.gain,
         "label": found.label or None,
-        "words": pose_words(found.direction, magnetic=session.field.magnetic),
+        "words": pose_words(found.direction, session.field.towards),
     }
 
 

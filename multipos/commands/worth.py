@@ -15,7 +15,7 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json",))
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     calibration = load(arguments.calibration)
-    towards = "field" if calibration.field.magnetic else "up"
+    towards = calibration.field.towards
     found = worth(calibration, **options_of(arguments, "worth"))
     return Answer(
         sentence=lambda: worth_sentence(found, towards),

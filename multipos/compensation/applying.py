@@ -65,7 +65,6 @@ from multipos.positions.headers import plain_names, require_units, under_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import has_other_solutions, require_response, sensitivities
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt, zeros_of_force
 from multipos.uncertainty.validity import applied, unseen_covariance
@@ -215,11 +214,11 @@ def _heading(field: Array, beside: Calibration, table: tables.Table) -> Array:
 
 def check_beside(calibration: Calibration, beside: Calibration | None, tilt: bool) -> None:
     """Refuse a heading without a magnetometer and an accelerometer, and a tilt of the former."""
-    if tilt and calibration.field.magnetic:
+    if tilt and calibration.field.angle != "tilt":
         raise UsageError("--tilt is of accelerometers; a magnetometer has --with ACCEL.json.")
     if beside is None:
         return
-    if not calibration.field.magnetic or beside.field.magnetic:
+    if (calibration.field.angle, beside.field.angle) != ("heading", "tilt"):
         raise UsageError("--with goes with a magnetometer, and takes an accelerometer's file.")
     for each in (calibration, beside):
         if sorted(each.model.axes) != list(COMPONENTS):
@@ -667,7 +666,7 @@ def apply(
 def found_applying(c: Calibration, of_noise: Findings, beyond: int, rows: int) -> Findings:
     """Return what was found about compensated force."""
     found = in_order((*find_hidden(c), *of_noise, *find_outside(beyond, rows)))
-    return tuple(replace(each, text=worded(each.text, c.field)) for each in found)
+    return tuple(replace(each, text=c.field.worded(each.text)) for each in found)
 
 
 def find_outside(beyond: int, rows: int) -> Findings:

@@ -54,7 +54,7 @@ from multipos.results import changed
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import MAGNETIC, worded
+from multipos.sensor.gravity import MAGNETIC
 from multipos.sensor.model import Model
 
 _POOR = 0.02  # U of a linear term, as a share of the scale factor of its output
@@ -461,7 +461,7 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
     are asked of the relative field, and said in its words. Rows that are outliers are not looked
     for again where they were sought before the fit, and none were there.
     """
-    if not calibration.field.magnetic:
+    if calibration.field.unit == "g":
         return _examined(calibration, sought=sought)
     from multipos.diagnostics.magnetic import OF_FIELD
 
@@ -476,7 +476,7 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
 
 def in_words(text: str) -> str:
     """Return a sentence in the words of a magnetometer."""
-    return worded(text, MAGNETIC)
+    return MAGNETIC.worded(text)
 
 
 def _examined(calibration: Calibration, *, sought: bool) -> Calibration:

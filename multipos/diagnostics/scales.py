@@ -238,7 +238,7 @@ def gravity(c: Calibration) -> Finding | None:
     stated = c.gravity
     if (
         stated is None
-        or c.field.magnetic
+        or c.field.kind != "gravity"
         or _EARTH[0] - stated.u <= stated.value <= _EARTH[1] + stated.u
     ):
         return None

@@ -774,7 +774,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
             means = {name: float(np.mean(readings.environment[name])) for name in model.environment}
             slopes = model.linear_part(found.parameters, means)[:, 1:]
             size = np.linalg.norm(slopes, axis=1)
-            in_force = not model.field.magnetic and np.isfinite(size).all() and (size > 0.0).all()
+            in_force = model.field.unit == "g" and np.isfinite(size).all() and (size > 0.0).all()
             return size if in_force else None
 
         return fit_diagnostics.find_outliers(

@@ -29,13 +29,12 @@ from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.attitudes import Convention
-from multipos.positions.headers import field_of_outputs
 from multipos.positions.order import Order
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
-from multipos.sensor.gravity import FieldKind
+from multipos.sensor.gravity import FieldKind, field_sensed
 from multipos.sensor.model import Gauge
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 from multipos.units import STANDARD_GRAVITY
@@ -300,7 +299,7 @@ def readings_of(
     readings = replace(found.readings, findings=found.findings)
     if unit is not None or found.unit is not None:
         return replace(readings, unit=unit or found.unit or "")
-    if field_of_outputs(readings.outputs, readings.unit, None, field) == "magnetic":
+    if field_sensed(readings.outputs, readings.unit, field).unit != "g":
         return in_likely_field(readings)
     size = float(median(np.linalg.norm(readings.values, axis=1)))
     if readings.values.shape[1] == 3:

@@ -46,6 +46,7 @@ from multipos.positions.order import Order
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, select_rows, spread_reading_sd
 from multipos.positions.scheme import Scheme
+from multipos.sensor.bench import StatedBench
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.formulas import ParsedModel, read_model
@@ -53,7 +54,7 @@ from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.gravity import (
     Field,
     FieldKind,
-    StatedBench,
+    Gravity,
     check_field_kind,
     signed_size,
 )
@@ -363,7 +364,7 @@ def fit(
     used = _columns_named(written)
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used, field=field)
     sensed, free = bench.field_of(data.outputs, data.unit, local), unknown_orientation
-    if sensed.magnetic:
+    if sensed.towards == "field":
         data, free = _magnetic(data, sensed, options, field, scheme)
     if range is not None:
         require_range(data, range)
@@ -530,7 +531,7 @@ def with_excluded(
     calibration = replace(calibration, excluded=excluded)
     labels = tuple(each.label for each in excluded)
     note = Finding("excluded", "note", calibration.set_aside, rows=labels)
-    moved = moving_iron(calibration, readings) if calibration.field.magnetic else None
+    moved = moving_iron(calibration, readings) if calibration.field.towards == "field" else None
     return add_findings(calibration, *((note,) if moved is None else (note, moved)))
 
 
@@ -701,7 +702,7 @@ def _gravity_of(budget: Budget | None, local: Field | None) -> Field | None:
         return local
     if local is not None:
         raise UsageError("the options and the budget's [gravity] both state it; give one.")
-    return Field("gravity", *budget.gravity)
+    return Gravity(*budget.gravity)
 
 
 def _with_rolls(calibration: Calibration) -> Calibration:

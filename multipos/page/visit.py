@@ -320,14 +320,13 @@ def _next(calibration: Calibration, language: Language) -> list[dict[str, Any]]:
     """Return the positions that would lower u most; none where nothing predicts it."""
     try:
         best = worth(calibration).candidates[:_NEXT]
-        magnetic = calibration.field.magnetic
     except MultiposError:
         return []
     return [
         {
             "direction": each.up,
             "fall": each.fall,
-            "words": pose_words(each.up, magnetic=magnetic)[language],
+            "words": pose_words(each.up, calibration.field.towards)[language],
         }
         for each in best
     ]

@@ -11,7 +11,6 @@ from multipos.numerics.rotations import directions
 from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, scale_by_powers
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import worded
 from multipos.sensor.inverse import sensitivities
 from multipos.uncertainty.propagation import Evaluation
 
@@ -43,7 +42,7 @@ def residual_series(calibration: Calibration) -> list[Series]:
     if c.estimator is not Estimator.UNKNOWN:
         return _series_of_outputs(c)
     sizes, sd = size_residuals(c)
-    return [(worded("size of the force", c.field), c.field.printed, sizes, 2.0 * sd)]
+    return [(c.field.worded("size of the force"), c.field.printed, sizes, 2.0 * sd)]
 
 
 def _series_of_outputs(c: Calibration) -> list[Series]:

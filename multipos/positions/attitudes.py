@@ -312,17 +312,18 @@ _READERS = {
 }
 
 
-def pose_words(up: Array, *, magnetic: bool = False) -> dict[str, str]:
+def pose_words(up: Array, towards: str = "up") -> dict[str, str]:
     """Return an up vector (3,) in words, by language: "+z up, leaning 35° so that −x rises".
 
     The largest component names the axis to point up; what is left is a lean by acos|u_largest|
-    towards the axes that rise with it. Of a magnetometer it is the field that points there.
+    towards the axes that rise with it. Of a magnetometer it is the field that points there,
+    `towards` is "field".
     """
     main = max(range(3), key=lambda i: abs(round(float(up[i]), 9)))
     lean = math.degrees(math.acos(min(1.0, abs(float(up[main])))))
     axis = _axis(main, float(up[main]))
     if lean < _LEVEL_DEG:
-        if magnetic:
+        if towards == "field":
             return {"en": f"{axis} along the field", "zh": f"{axis} 轴沿磁场方向"}
         return {"en": f"{axis} straight up", "zh": f"{axis} 轴竖直向上"}
     rest = [i for i in range(3) if i != main]
@@ -330,7 +331,7 @@ def pose_words(up: Array, *, magnetic: bool = False) -> dict[str, str]:
     named = [i for i in rest if abs(float(up[i])) >= _SMALL_SHARE * size]
     named.sort(key=lambda i: -abs(round(float(up[i]), 9)))
     risen = [_axis(i, float(up[i])) for i in named]
-    if magnetic:
+    if towards == "field":
         return {
             "en": f"the field {lean:.0f}° from {axis} towards {' and '.join(risen)}",
             "zh": f"磁场偏离 {axis} 轴 {lean:.0f}°，朝向 {'、'.join(risen)}",

@@ -41,7 +41,7 @@ from multipos.sensor.found import (
     VarianceComponents,
     add_scatter,
 )
-from multipos.sensor.gravity import MAGNETIC, Field
+from multipos.sensor.gravity import Field
 from multipos.sensor.inverse import Nominal, nominal_force
 from multipos.sensor.model import Model, paper_symbol
 from multipos.units import MICRO_G
@@ -263,23 +263,21 @@ class Calibration(Result, Drawn):
         return f"{count} of {count + len(self.readings)} {rows} set aside: {off}"
 
     def _shown(self, each: Excluded) -> str:
-        if self.field.magnetic:
-            return self.field.shown(each.off)
-        return f"{numbers.number(1e3 * each.off, 3)} m{each.unit}"
+        return self.field.shown(each.off, ".3g", "mg")
 
     @cached_property
     def relative(self) -> "Calibration":
-        """The calibration in a magnetic field of size one, whatever its size; of gravity itself.
+        """The calibration in the field of size one, whatever its size; of gravity itself.
 
         A coefficient of degree d in the field is d powers of its size larger.
         """
         field = self.field
-        if not field.magnetic or field.size is None or hasattr(self.model, "functions"):
+        if field.size is None or field.relative is field or hasattr(self.model, "functions"):
             return self
         power = np.asarray(field.size ** self.model.force_degrees.astype(np.float64))
         return replace(
             self,
-            model=replace(self.model, field=MAGNETIC),
+            model=replace(self.model, field=field.relative),
             parameters=self.parameters * power,
             covariance=self.covariance * np.outer(power, power),
             reference=self.reference / field.size,
@@ -570,7 +568,7 @@ def rms_before(calibration: Calibration) -> float | None:
 
     None where neither says what a reading is in g.
     """
-    if calibration.field.magnetic or not has_nominal(calibration):
+    if calibration.field.unit != "g" or not has_nominal(calibration):
         return None
     if calibration.nominal is None:
         nominal = Nominal(0.0, _PER_G / MICRO_G[calibration.model.unit])
@@ -585,7 +583,7 @@ def has_nominal(calibration: Calibration) -> bool:
     Of volts about a zero of 2.5 V neither does: an error before would be that zero.
     """
     c = calibration
-    return c.field.magnetic or c.nominal is not None or c.model.unit in MICRO_G
+    return c.field.unit != "g" or c.nominal is not None or c.model.unit in MICRO_G
 
 
 def hidden_turn(calibration: Calibration, errors: Array) -> Array | None:

@@ -68,7 +68,7 @@ from multipos.sensor.found import (
     StatedBudget,
     VarianceComponents,
 )
-from multipos.sensor.gravity import FIELD_KINDS, Field
+from multipos.sensor.gravity import KINDS, field_of_file
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
 from multipos.sensor.own_models import expression_dict, load_expression, load_parsed
 
@@ -234,7 +234,7 @@ CALIBRATION = Fields(
         "drift_per": Text(("h", "row")),
         "field": Fields(
             {
-                "kind": Text(FIELD_KINDS),
+                "kind": Text(tuple(KINDS)),
                 "size": Maybe(Number(SMALLEST)),
                 "u": NOT_NEGATIVE,
                 "unit": Maybe(Text(MAGNETIC_UNITS)),
@@ -270,8 +270,7 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "created": c.created,
         "input": {"file": readings.source, "sha256": readings.sha256},
         "convention": c.convention,
-        "gravity": _gravity(c.field),
-        **({"field": c.field.to_dict()} if c.field.magnetic else {}),
+        **c.field.to_dict(),
         "estimator": c.estimator,
         "criterion": c.criterion,
         "gauge": c.model.gauge,
@@ -311,21 +310,6 @@ def calibration_dict(c: Calibration) -> dict[str, Any]:
         "findings": c.findings,
     }
     return plain_dict(content)
-
-
-def _gravity(field: Field) -> dict[str, float] | None:
-    """Return the stated gravity, None where there is none."""
-    if field.magnetic or field.size is None:
-        return None
-    return {"value": field.size, "u": field.u}
-
-
-def _field(content: Mapping[str, Any]) -> Field:
-    """Return the field of a file: gravity where it says nothing of one."""
-    gravity, stated = content["gravity"], content.get("field")
-    if stated is not None:
-        return Field(stated["kind"], stated["size"], stated["u"], stated["unit"] or "uT")
-    return Field() if gravity is None else Field(size=gravity["value"], u=gravity["u"])
 
 
 def _known_of(readings: Readings) -> dict[str, Any]:
@@ -378,7 +362,7 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
 
 def _from_dict(content: Mapping[str, Any]) -> Calibration:
     outputs = tuple(content["outputs"])
-    model = replace(_model(content), field=_field(content))
+    model = replace(_model(content), field=field_of_file(content))
     parameters = content["parameters"]
     keys = [(entry["output"], entry["term"]) for entry in parameters]
     if keys != [(output, str(term)) for output, term in model.keys]:

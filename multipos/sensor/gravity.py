@@ -1,9 +1,13 @@
 """The field that a triad senses: gravity or magnetic, its size, and what its uncertainty does.
 
 A triad turned in a field of constant size reads y = b + K f, |f| the size: known, or one where it
-is not. What is said of the field stands in one object, `Field`: its kind, its size and the unit of
-that, and with them the unit of the reference (g; the unit of the field; none of a field of unknown
-size, which is one). Estimation sees a vector of a size and nothing else.
+is not. What is said of the field stands in one object, a `Field`, and a kind of field is a class of
+it in `KINDS`, `Gravity` or `MagneticField`: its words, the unit of the reference (g; the unit of
+the field; none of a field of unknown size, which is one), what files and options say of its size.
+Estimation sees a vector of a size and nothing else. `field_sensed` takes the kind from outputs and
+their unit, `field_of_file` from a calibration file, `check_field_kind` refuses one that is none;
+`in_tesla` converts the units of magnetic fields, `signed_size` gives the reference its sign, and
+`add_gravity` the covariance its common term.
 
 An uncertain size scales the reference of every position at rest alike. Where all are, a
 coefficient of degree d in force is proportional to g^-d, so that its sensitivity (of every case:
@@ -23,48 +27,58 @@ References
 JCGM 100:2008, clause 5.1 and G.4.1.
 """
 
-import math
 import re
-from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from multipos.errors import UsageError
 from multipos.files.numbers import in_unit
 from multipos.numerics.arrays import LARGEST, Array
-from multipos.positions.headers import MAGNETIC_UNITS, field_of_outputs, unit_of
+from multipos.positions.headers import field_of_outputs
 from multipos.results import frozen
-from multipos.units import gravity_ratio, normal_gravity
+from multipos.units import gravity_ratio
 
 FieldKind = Literal["gravity", "magnetic"]
-FIELD_KINDS: tuple[FieldKind, ...] = get_args(FieldKind)
 
 
 @frozen(eq=True)
 class Field:
-    """What a triad senses.
+    """What a triad senses: what every kind of field answers.
 
     Attributes
     ----------
-    kind : str
-        'gravity' or 'magnetic'.
     size, u : float or None, float
         Its size and standard uncertainty, in `size_unit`; None where it is not known: a gravity of
         one g, a magnetic field of one.
     size_unit : str
         'm/s^2', or of a magnetic field T, mT, uT, nT, G or mG.
+    kind : str
+        As files name it: 'gravity' or 'magnetic'.
+    sensor, quantity, symbol : str
+        What senses it, what a sensor gives of it, and what columns call a component of that.
+    towards, angle : str
+        What a direction is of, 'up' or 'field', and what compensated columns give beside the
+        vector: 'tilt' or 'heading'.
+    nominal_unit : str
+        The unit of the reference that a nominal conversion is in.
+    same_everywhere : bool
+        Whether its size is the same at every place, but for a part in a hundred.
     """
 
-    kind: FieldKind = "gravity"
     size: float | None = None
     u: float = 0.0
     size_unit: str = "m/s^2"
 
-    @property
-    def magnetic(self) -> bool:
-        """Whether it is a magnetic field."""
-        return self.kind == "magnetic"
+    kind: ClassVar[FieldKind]
+    sensor: ClassVar[str]
+    quantity: ClassVar[str]
+    symbol: ClassVar[str]
+    towards: ClassVar[str]
+    angle: ClassVar[str]
+    nominal_unit: ClassVar[str]
+    same_everywhere: ClassVar[bool]
 
     @property
     def value(self) -> float:
@@ -74,19 +88,17 @@ class Field:
     @property
     def magnitude(self) -> float:
         """The size of the reference, in `unit`."""
-        return self.value if self.magnetic else gravity_ratio(self.size)
+        return self.value
 
     @property
     def full_scale(self) -> float:
         """The size that percentages are of: one g, or the magnetic field itself."""
-        return self.value if self.magnetic else 1.0
+        return self.value
 
     @property
     def unit(self) -> str:
         """The unit of the reference: g, that of the size, or none."""
-        if not self.magnetic:
-            return "g"
-        return "" if self.size is None else self.size_unit
+        raise NotImplementedError
 
     @property
     def printed(self) -> str:
@@ -94,30 +106,183 @@ class Field:
         return self.unit or "1"
 
     @property
-    def sensor(self) -> str:
-        """What senses it."""
-        return "Magnetometer" if self.magnetic else "Accelerometer"
-
-    @property
-    def symbol(self) -> str:
-        """What a component is called in columns: f of forces, b of magnetic fields."""
-        return "b" if self.magnetic else "f"
+    def relative(self) -> "Field":
+        """The field of size one that one of stated size is relative to; gravity is in g."""
+        return self
 
     @property
     def text(self) -> str:
         """Its size in words."""
-        if self.size is None:
-            return "size unknown, taken as one" if self.magnetic else "local, one g"
         return f"{self.size:.10g} {self.size_unit}, u = {self.u:.3g} {self.size_unit}"
 
-    def shown(self, size: float) -> str:
-        """Return a size in the unit of the reference as people read it, 2 mg, 120 nT or .3 %."""
+    @property
+    def magnetic(self) -> bool:
+        """Whether it is a magnetic field."""
+        return self.kind == "magnetic"
+
+    def vector(self, convention: str) -> str:
+        """Return what the compensated vector is called."""
+        raise NotImplementedError
+
+    def lines(self, convention: str) -> list[tuple[str, str]]:
+        """Return what a summary says of the field: names and values."""
+        raise NotImplementedError
+
+    def shown(self, size: float, form: str = "", unit: str = "") -> str:
+        """Return a size in the unit of the reference as people read it, 2 mg, 120 nT or .3 %.
+
+        A size of force is given in a form and a unit, mg or µg, where a table has one.
+        """
         return in_unit(size, self.unit) if self.unit else f"{100.0 * size:.3g} %"
 
+    def worded(self, text: str) -> str:
+        """Return a sentence about accelerometers as it is said of a sensor of the field."""
+        return text
+
+    def stated(self) -> dict[str, Any]:
+        """Return the options of a bench, as `multipos.fit` takes them, that state its size."""
+        raise NotImplementedError
+
     def to_dict(self) -> dict[str, Any]:
-        """Return what JSON carries of a magnetic field."""
+        """Return the entries of a calibration file that state it."""
+        raise NotImplementedError
+
+
+@frozen(eq=True)
+class Gravity(Field):
+    """Gravity, as accelerometers sense it."""
+
+    kind = "gravity"
+    sensor = "Accelerometer"
+    quantity = "force"
+    symbol = "f"
+    towards = "up"
+    angle = "tilt"
+    nominal_unit = "g"
+    same_everywhere = True
+
+    @property
+    def magnitude(self) -> float:
+        """The size of the reference [g]."""
+        return gravity_ratio(self.size)
+
+    @property
+    def full_scale(self) -> float:
+        """One g."""
+        return 1.0
+
+    @property
+    def unit(self) -> str:
+        """The unit of the reference."""
+        return "g"
+
+    @property
+    def text(self) -> str:
+        """Its size in words."""
+        return "local, one g" if self.size is None else super().text
+
+    def vector(self, convention: str) -> str:
+        """Return what the compensated vector is called under a convention."""
+        return "specific force" if convention == "specific-force" else "gravity"
+
+    def lines(self, convention: str) -> list[tuple[str, str]]:
+        """Return the convention and the size."""
+        return [("convention", convention), ("gravity", self.text)]
+
+    def shown(self, size: float, form: str = "", unit: str = "") -> str:
+        """Return a size of force [g] as people read it, or in mg or µg in a form."""
+        return f"{_PER_G[unit] * size:{form}} {unit}" if unit else super().shown(size)
+
+    def stated(self) -> dict[str, Any]:
+        """Return the options that state its size."""
+        return {"field": self.kind, "gravity": self.size}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of a calibration file, None where no size is stated."""
+        size = None if self.size is None else {"value": self.size, "u": self.u}
+        return {"gravity": size}
+
+
+@frozen(eq=True)
+class MagneticField(Field):
+    """A magnetic field, as magnetometers sense it."""
+
+    size_unit: str = "uT"
+
+    kind = "magnetic"
+    sensor = "Magnetometer"
+    quantity = "field"
+    symbol = "b"
+    towards = "field"
+    angle = "heading"
+    nominal_unit = "uT"
+    same_everywhere = False
+
+    @property
+    def unit(self) -> str:
+        """The unit of the reference: that of the size, none where it is not known."""
+        return "" if self.size is None else self.size_unit
+
+    @property
+    def relative(self) -> Field:
+        """The field of size one."""
+        return self if self.size is None else MAGNETIC
+
+    @property
+    def text(self) -> str:
+        """Its size in words."""
+        return "size unknown, taken as one" if self.size is None else super().text
+
+    def vector(self, convention: str) -> str:
+        """Return what the compensated vector is called."""
+        return "magnetic field"
+
+    def lines(self, convention: str) -> list[tuple[str, str]]:
+        """Return the size; a magnetic field has no convention."""
+        return [("field", self.text)]
+
+    def worded(self, text: str) -> str:
+        """Return a sentence as it is said of a magnetometer.
+
+        Sizes in g are those of the relative field.
+        """
+        text = text.replace("−1 g to +1 g", "the field's range")
+        text = _SIZE.sub(lambda m: f"{_PERCENT[m[2]] * float(m[1]):.3g} % of the field", text)
+        for pattern, new in _TABLE:
+            text = pattern.sub(new, text)
+        return text
+
+    def stated(self) -> dict[str, Any]:
+        """Return the options that state its size."""
+        size = None if self.size is None else f"{self.size}{self.size_unit}"
+        return {"field": self.kind, "field_size": size}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entries of a calibration file."""
         unit = self.size_unit if self.size is not None else None
-        return {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
+        field = {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
+        return {"gravity": None, "field": field}
+
+
+def field_of_file(content: Mapping[str, Any]) -> Field:
+    """Return the field that a calibration file states: gravity where it says nothing of one."""
+    gravity, stated = content["gravity"], content.get("field")
+    if stated is not None:
+        kind = KINDS[stated["kind"]]
+        return kind(stated["size"], stated["u"], stated["unit"] or kind().size_unit)
+    return GRAVITY if gravity is None else Gravity(gravity["value"], gravity["u"])
+
+
+def field_sensed(outputs: Sequence[str], unit: str, asked: str | None = None) -> Field:
+    """Return the field of unstated size that outputs sense, by what is asked, unit and names."""
+    return KINDS[field_of_outputs(outputs, unit, None, asked)]()
+
+
+KINDS: dict[str, type[Field]] = {each.kind: each for each in (Gravity, MagneticField)}
+GRAVITY = Gravity()
+MAGNETIC = MagneticField()
+POWERS = {"T": 0, "mT": -3, "uT": -6, "nT": -9, "G": -4, "mG": -7}  # of ten, in tesla
+_PER_G = {"mg": 1e3, "µg": 1e6}
 
 
 # What is said of force in the sentences of all sensors, and what that is of a magnetic field; the
@@ -167,17 +332,8 @@ _SIZE = re.compile(r"(?<![\w.])([-+]?[\d.]+(?:e[-+]?\d+)?) (mg|µg|g)(?![\w/^])"
 
 
 def worded(text: str, field: Field) -> str:
-    """Return a sentence as it is said of a sensor of a field; of accelerometers as it stands.
-
-    Sizes in g are those of the relative field.
-    """
-    if not field.magnetic:
-        return text
-    text = text.replace("−1 g to +1 g", "the field's range")
-    text = _SIZE.sub(lambda m: f"{_PERCENT[m[2]] * float(m[1]):.3g} % of the field", text)
-    for pattern, new in _TABLE:
-        text = pattern.sub(new, text)
-    return text
+    """Return a sentence as it is said of a sensor of the field."""
+    return field.worded(text)
 
 
 def worded_chinese(text: str) -> str:
@@ -187,139 +343,15 @@ def worded_chinese(text: str) -> str:
     return text
 
 
-GRAVITY = Field()
-MAGNETIC = Field("magnetic", size_unit="uT")
-
-
-@frozen(eq=True)
-class StatedBench:
-    """What is stated of a bench: the field, limits of its readings, and the probability of U.
-
-    Attributes are the options of `multipos.fit`: `gravity`, `gravity_u` [m/s²], `latitude`
-    [degrees] and `height` [m]; `field`, `field_size` and `field_size_u` of a magnetometer; `range`;
-    `confidence`.
-    """
-
-    gravity: float | None = None
-    gravity_u: float | None = None
-    latitude: float | None = None
-    height: float | None = None
-    field: FieldKind | None = None
-    field_size: float | str | None = None
-    field_size_u: float | str | None = None
-    range: Sequence[float] | None = None
-    confidence: float = 0.95
-
-    def local_gravity(self) -> Field | None:
-        """Return the local gravity [m/s²] that is stated, or None.
-
-        Raises
-        ------
-        UsageError
-            Options that contradict each other, or a number that is no gravity on Earth.
-        """
-        gravity, u = self.gravity, self.gravity_u
-        if gravity is not None and self.latitude is not None:
-            raise UsageError("--gravity and --latitude both state the gravity; give one.")
-        if self.height is not None and self.latitude is None:
-            raise UsageError("--height needs --latitude.")
-        if u is not None and gravity is None:
-            raise UsageError("--gravity-u needs --gravity.")
-        if self.latitude is not None:
-            try:
-                return Field(size=normal_gravity(self.latitude, self.height or 0.0))
-            except ValueError as error:
-                raise UsageError(str(error)) from None
-        if gravity is None:
-            return None
-        if u is not None and not 0.0 <= u <= LARGEST:
-            raise UsageError(
-                f"--gravity-u must be 0 or more, and no more than {LARGEST:g}, got {u}."
-            )
-        if not 1.0 <= gravity <= 100.0:
-            raise UsageError(f"--gravity must be in m/s², such as 9.81, got {gravity}.")
-        return Field(size=gravity, u=u or 0.0)
-
-    def field_of(self, outputs: tuple[str, ...], unit: str, gravity: Field | None) -> Field:
-        """Return the field that is stated, or that names and unit of the outputs show.
-
-        Parameters
-        ----------
-        outputs : tuple of str
-        unit : str
-            Of the readings, and of a size of the field that is a number.
-        gravity : Field or None
-            The local gravity, where one is stated.
-
-        Raises
-        ------
-        UsageError
-            An unknown kind, a unit of the other kind, or a size that is none.
-        """
-        size, size_u = self.field_size, self.field_size_u
-        check_field_kind(self.field)
-        known = None if gravity is None else "gravity"
-        if field_of_outputs(outputs, unit, known, self.field) == "gravity":
-            if size is not None or size_u is not None:
-                raise UsageError(
-                    "--field-size is of a magnetic field; give --field magnetic, or the local "
-                    "gravity with --gravity."
-                )
-            return gravity or GRAVITY
-        if gravity is not None:
-            raise UsageError(
-                "--gravity and --latitude are of accelerometers; a magnetic field has --field-size."
-            )
-        if size is None:
-            if size_u is not None:
-                raise UsageError("--field-size-u needs --field-size.")
-            return MAGNETIC
-        return _magnetic_field(size, size_u, unit)
-
-
-def _magnetic_field(size: float | str, size_u: float | str | None, unit: str) -> Field:
-    value, own = _quantity(size, "--field-size", unit)
-    if not 0.0 < value <= LARGEST:
-        raise UsageError(f"--field-size must be above 0, such as 48.6uT, got {size}.")
-    if size_u is None:
-        return Field("magnetic", value, 0.0, own)
-    u, other = _quantity(size_u, "--field-size-u", unit)
-    u *= 10.0 ** (_POWERS[other] - _POWERS[own])
-    if not 0.0 <= u < value:
-        raise UsageError(f"--field-size-u must be 0 or more and below the size, got {size_u}.")
-    return Field("magnetic", value, u, own)
-
-
-_POWERS = {"T": 0, "mT": -3, "uT": -6, "nT": -9, "G": -4, "mG": -7}  # of ten, in tesla
-_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\D*)\s*")
-
-
 def check_field_kind(kind: str | None) -> None:
     """Refuse a kind of field that is none."""
-    if kind is not None and kind not in FIELD_KINDS:
+    if kind is not None and kind not in KINDS:
         raise UsageError(f"--field takes gravity or magnetic, got '{kind}'.")
 
 
 def in_tesla(unit: str) -> float | None:
     """Return a unit of magnetic fields in tesla, None of any other."""
-    return 10.0 ** _POWERS[unit] if unit in _POWERS else None
-
-
-def _quantity(given: float | str, option: str, readings: str) -> tuple[float, str]:
-    """Return number and unit of what was given, the readings' where it has none."""
-    found = _QUANTITY.fullmatch(str(given))
-    try:
-        value = float(found[1]) if found else math.nan
-    except ValueError:
-        value = math.nan
-    written = found[2].strip() if found else ""
-    unit = unit_of(written) if written else readings
-    if math.isnan(value) or unit not in MAGNETIC_UNITS:
-        raise UsageError(
-            f"{option} takes a number and a unit of {', '.join(MAGNETIC_UNITS)}, such as 48.6uT, "
-            f"got '{given}'" + ("." if written else f", and the readings are in '{readings}'.")
-        )
-    return value, unit
+    return 10.0 ** POWERS[unit] if unit in POWERS else None
 
 
 def signed_size(field: Field | None, convention: str) -> float:

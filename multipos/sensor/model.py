@@ -42,7 +42,7 @@ from multipos.numerics.terms import (
 )
 from multipos.positions.headers import axes_by_name
 from multipos.results import Result, frozen
-from multipos.sensor.gravity import GRAVITY, Field, worded
+from multipos.sensor.gravity import GRAVITY, Field
 from multipos.units import unit_per
 
 DRIFT = "drift"  # the column and term of a session's drift
@@ -90,7 +90,7 @@ def parameter_label(output: str, axis: str, term: Term, field: Field = GRAVITY) 
         "product": f"cross-coupling of {output} with {term}",
         "square": f"sensitivity of {output} to {term}",
     }
-    return worded(words.get(kind, f"coefficient of {term} in {output}"), field)
+    return field.worded(words.get(kind, f"coefficient of {term} in {output}"))
 
 
 Block = tuple[Places, Array]  # places in the parameter vector, and dy/dp (n, p_i)
@@ -534,7 +534,7 @@ def paper_symbol(model: Model, index: int) -> str | None:
     The paper numbers the other axes in order (K_ax1 on y, K_ax2 on z; K_ay1 on x, K_ay2 on z;
     K_az1 on x, K_az2 on y) and the square of the own axis 3.
     """
-    of_paper = model.text in ("linear", "own-quadratic") and not model.field.magnetic
+    of_paper = model.text in ("linear", "own-quadratic") and model.field.unit == "g"
     if not of_paper or model.axes != COMPONENTS:
         return None
     output, term = model.keys[index]

@@ -99,7 +99,7 @@ def simulate(
     noise = rng.normal(size=values.shape)[rows]
     values = values + _sd(calibration, reading_sd, "--reading-sd") * noise
     columns = laid.columns()
-    if calibration.field.magnetic and laid.force is None:
+    if calibration.field.towards == "field" and laid.force is None:
         columns = {"position": laid.names, **dict(zip(OF_FIELD, laid.up.T, strict=True))}
     return Simulation(
         {

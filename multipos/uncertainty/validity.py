@@ -173,7 +173,7 @@ def applied(calibration: Calibration) -> ForcesSeen:
     forced = c.readings.forced
     size = np.linalg.norm(c.reference, axis=1)
     largest, margin = float(size.max()), _MARGIN_RMS * c.rms
-    if c.field.magnetic:  # which is another one elsewhere
+    if not c.field.same_everywhere:
         margin += _ELSEWHERE * largest
     sphere = float(size[~forced].max(initial=0.0))
     known = c.reference[forced]

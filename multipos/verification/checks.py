@@ -148,7 +148,7 @@ def _explained(calibration: Calibration, data: Readings, known: Array) -> Array:
 def require_known(calibration: Calibration, data: Readings, tilt: bool) -> None:
     """Refuse known forces where tilt is asked for, or beside a gravity of unknown size."""
     forced = data.forced
-    if tilt and calibration.field.magnetic:
+    if tilt and calibration.field.angle != "tilt":
         raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
     if tilt and forced.any():
         raise MultiposError(
@@ -503,7 +503,6 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findi
     if c.model.gauge is not None or not (np.abs(left) > _FAR_OFF * response).any():
         return ()
     run = replace(data, u=None, dof=None, covariance=None, orientation_sd=None, findings=())
-    size = c.field.size
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
         try:
@@ -512,9 +511,7 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findi
                 axes=c.facing or c.model.axes,
                 inputs=c.model.inputs,
                 convention=c.convention,
-                gravity=None if c.field.magnetic else size,
-                field=c.field.kind,
-                field_size=f"{size}{c.field.size_unit}" if c.field.magnetic and size else None,
+                **c.field.stated(),
             )
         except MultiposError:  # too few positions to fit
             return ()

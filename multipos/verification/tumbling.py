@@ -54,14 +54,14 @@ from multipos.positions.harmonics import (
     strange_harmonics,
     transform,
 )
-from multipos.positions.headers import field_of_outputs
 from multipos.positions.orientations import orient, refuse_open_rolls
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, frozen, stacked
+from multipos.sensor.bench import StatedBench
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.gravity import FieldKind, StatedBench
+from multipos.sensor.gravity import FieldKind, field_sensed
 from multipos.sensor.model import Model, default_axes, stated_facing
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.turntable import BesideTable, TableErrors, find_head, table_errors
@@ -541,7 +541,7 @@ def tumble(
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
     refuse_open_rolls(data)
-    if field_of_outputs(data.outputs, data.unit, None, field) == "magnetic":
+    if field_sensed(data.outputs, data.unit, field).angle != "tilt":
         raise UsageError(
             "a tumble is of accelerometers in gravity; `multipos fit` takes the rolls."
         )

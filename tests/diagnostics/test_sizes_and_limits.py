@@ -297,17 +297,17 @@ def test_outputs_that_respond_as_their_unit_says(sizes, unit, found):
 )  # fmt: skip
 def test_gravity_of_this_earth(value, u, said):
     c = SimpleNamespace(
-        gravity=SimpleNamespace(value=value, u=u), field=SimpleNamespace(magnetic=False)
+        gravity=SimpleNamespace(value=value, u=u), field=SimpleNamespace(kind="gravity")
     )
     assert (scales.gravity(c) is not None) is said
-    c.field.magnetic = True
+    c.field.kind = "magnetic"
     assert scales.gravity(c) is None
 
 
 @pytest.mark.parametrize(("value", "feet"), [(32.17, True), (31.8, False), (32.55, False)])
 def test_gravity_in_feet(value, feet):
     c = SimpleNamespace(
-        gravity=SimpleNamespace(value=value, u=0.0), field=SimpleNamespace(magnetic=False)
+        gravity=SimpleNamespace(value=value, u=0.0), field=SimpleNamespace(kind="gravity")
     )
     assert ("feet" in scales.gravity(c).text) is feet
 

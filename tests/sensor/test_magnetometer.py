@@ -46,8 +46,8 @@ def test_names_change_no_number(oriented):
     force = dict(zip(("ax", "ay", "az"), rows.values(), strict=True))
     a = mp.fit({**force, **up}, unit="count", unknown_orientation=not oriented)
     m = mp.fit({**rows, **up}, unit="count")
-    assert m.field.magnetic
-    assert not a.field.magnetic
+    assert m.field.kind == "magnetic"
+    assert a.field.kind == "gravity"
     for name in ("parameters", "covariance", "residuals", "reference"):
         assert np.array_equal(getattr(a, name), getattr(m, name))
 
@@ -71,7 +71,7 @@ def test_units_of_a_field(unit, factor):
     ours = mp.fit(rows, unit="uT", field_size=SIZE)
     other = {name: factor * column for name, column in rows.items()}
     cal = mp.fit(dict(zip("xyz", other.values(), strict=True)), unit=unit, field_size=SIZE * factor)
-    assert cal.field.magnetic
+    assert cal.field.kind == "magnetic"
     assert cal.field.unit == unit
     assert_allclose(cal["bias_x"].value, factor * ours["bias_mx"].value, rtol=1e-8)
     assert_allclose(cal["scale_y"].U, ours["scale_my"].U, rtol=1e-6)
@@ -231,7 +231,7 @@ def test_a_waved_log_to_px4(tmp_path, capsys):
     asked = ["calibrate", str(path), "--unit", "uT", "--to", "px4", "--device-id", "396825"]
     assert main([*asked, "-o", str(tmp_path / "cal.json")]) == 0
     cal = mp.load(tmp_path / "cal.json")
-    assert cal.field.magnetic
+    assert cal.field.kind == "magnetic"
     assert cal.estimator == "unknown-orientation"
     assert 300 < len(cal.readings) <= 600
     for name, truth in zip(("bias_mx", "bias_my", "bias_mz"), HARD, strict=True):
