@@ -27,6 +27,11 @@ COMMANDS_HEAD = """# Commands
 
 Every command with its options, as `multipos COMMAND --help` prints them. What the files
 hold is on the page of [formats](formats.md).
+
+A shell completes commands, options and files after `pip install 'multipos[completion]'`: put
+`eval "$(register-python-argcomplete multipos)"` into `~/.bashrc` or `~/.zshrc` (in zsh after
+`autoload -U bashcompinit && bashcompinit`); for fish type
+`register-python-argcomplete --shell fish multipos > ~/.config/fish/completions/multipos.fish`.
 """
 NAMES_HEAD = """# Names
 

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """``python -m multipos`` is the command ``multipos``."""
 
 import sys

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The command line: find the command, parse, settle its files, call, deliver.
 
 Every command lives in `multipos.commands` as a module with ``INPUTS``, ``OUTPUT`` and
@@ -89,6 +90,10 @@ def _guarded(argv: list[str]) -> int:
 
 def _run(argv: list[str]) -> int:
     """Run one command and return its exit status."""
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks, and argcomplete ends the process
+        from multipos.commands.completing import complete_line
+
+        complete_line()
     if not argv or argv[0] not in COMMANDS:
         parser = _top_parser()
         if argv and not argv[0].startswith("-"):
@@ -160,6 +165,7 @@ def _signals_raise() -> Iterator[list[int]]:
 
 # What the parts are for that a small installation leaves out.
 _PARTS = {
+    "argcomplete": "completion",
     "scipy": "this",
     "casadi": "a user-defined model",
     "matplotlib": "a figure",

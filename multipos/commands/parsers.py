@@ -32,7 +32,6 @@ COMMANDS = {
     "design": "find the best positions for a model, with proof",
     "worth": "expected gain of one more position of a calibration",
     "page": "write or serve a page that calibrates in the browser, with nothing to install",
-    "completion": "print a script that lets a shell complete commands and options",
 }
 
 
@@ -44,6 +43,12 @@ def command(name: str) -> ModuleType:
 def command_parser(name: str) -> argparse.ArgumentParser:
     """Return the parser of one command, which the documentation prints as well."""
     parser = Parser(prog=f"multipos {name}", description=COMMANDS[name], allow_abbrev=False)
+    add_command_options(parser, name)
+    return parser
+
+
+def add_command_options(parser: argparse.ArgumentParser, name: str) -> None:
+    """Add what a command takes to its parser."""
     accept_negative_lists(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
     add = parser.add_argument
@@ -55,7 +60,6 @@ def command_parser(name: str) -> argparse.ArgumentParser:
     else:
         declare(parser, name)
     module.OUTPUT.add_to(parser)
-    return parser
 
 
 class Parser(argparse.ArgumentParser):

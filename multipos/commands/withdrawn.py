@@ -9,7 +9,10 @@ from collections.abc import Collection, Sequence
 from multipos.errors import UsageError
 
 COMMANDS = {
-    "completion": "install 'multipos[completion]' and run 'activate-global-python-argcomplete'",
+    "completion": (
+        "argcomplete does it; after pip install 'multipos[completion]' put "
+        "'eval \"$(register-python-argcomplete multipos)\"' into the shell's start-up file"
+    ),
     "verify-export": (
         "'export' prints the residual of what it wrote, and C has its self-test NAME_test.c"
     ),

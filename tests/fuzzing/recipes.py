@@ -228,8 +228,6 @@ TEXT = """
  2 export incl.json --to c --tilt -o o.c
 .5 design --model linear --positions 12 --unknown-orientation --candidates all-26
 .3 page -o o
- 1 completion bash
- 1 completion fish -o o.txt
 """
 
 
