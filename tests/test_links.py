@@ -73,21 +73,6 @@ def terms():
     return prose(ROOT / "docs/conventions.md").split("## Terms in English and Chinese")[1]
 
 
-# Of the standards and the papers; no report need have them.
-OF_THE_FIELD = {"六位置测试法", "信息矩阵", "效率", "包含因子"}
-
-
-def test_chinese_terms_are_those_of_reports_and_capture():
-    used = "".join(
-        (ROOT / "multipos" / name).read_text(encoding="utf-8")
-        for name in ("reports/templates/zh.toml", "capturing/page.html")
-    )
-    rows = re.findall(r"^\| .+? \| (.+?) \|", terms(), re.MULTILINE)
-    found = {term for row in rows for term in re.split(r"[,: ]+", re.sub(r" \(.*\)", "", row))}
-    assert len(found) > 50
-    assert {term for term in found if term not in used} <= OF_THE_FIELD
-
-
 def test_the_table_of_terms_lacks_none_that_a_result_names():
     """Kinds of parameters, input quantities and their laws, verdicts: each in both languages."""
     rows = re.findall(

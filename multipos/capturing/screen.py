@@ -1,22 +1,18 @@
 """The text screen: the state of a session on a terminal, for who has no browser at hand.
 
 It shows what `multipos.capturing.session` says and nothing of its own. A line on the keyboard is a
-command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes, ``l``
-changes the language, which at first is that of the terminal.
+command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes.
 """
 
-import os
 import shutil
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from multipos.capturing.session import Session, state_of
 from multipos.files.numbers import number, table
-from multipos.reports.sections import Language, Translator
 
 _OFTEN = 0.25  # [s] from one picture to the next
 _SHOWN = 8  # poses
@@ -35,16 +31,16 @@ def text_screen(session: Session, *, commands: bool) -> Iterator[None]:
     if sys.stderr is None or not sys.stderr.isatty():
         yield
         return
-    ended, chosen = threading.Event(), _Choice(_language_of_terminal())
+    ended = threading.Event()
     if commands and sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=_obey, args=(session, chosen), daemon=True).start()
+        threading.Thread(target=_obey, args=(session,), daemon=True).start()
 
     def show() -> None:
         height = 0
         while not ended.wait(_OFTEN):
             with session.changed:
                 state = state_of(session)
-            height = _draw(picture_of(state, chosen.language), height)
+            height = _draw(picture_of(state), height)
         _draw([], height)
 
     thread = threading.Thread(target=show)
@@ -67,22 +63,8 @@ def _draw(lines: Sequence[str], height: int) -> int:
     return len(lines)
 
 
-@dataclass
-class _Choice:
-    """The language that is shown."""
-
-    language: Language
-
-
-def _language_of_terminal() -> Language:
-    named = (os.environ.get(name) for name in ("LC_ALL", "LC_MESSAGES", "LANG"))
-    return "zh" if next(filter(None, named), "").lower().startswith("zh") else "en"
-
-
-def _obey(session: Session, chosen: _Choice) -> None:
+def _obey(session: Session) -> None:
     for line in sys.stdin:
-        if line.strip() == "l":
-            chosen.language = "en" if chosen.language == "zh" else "zh"
         obey(session, line)
 
 
@@ -101,32 +83,24 @@ def obey(session: Session, line: str) -> None:
         session.changed.notify_all()
 
 
-def picture_of(state: Mapping[str, Any], language: Language = "en") -> list[str]:
+def picture_of(state: Mapping[str, Any]) -> list[str]:
     """Return what the terminal shows of a state, as lines."""
-    tr = Translator(language)
     next_ = state["next"]
-    lines = [_status(state, tr)]
+    lines = [_status(state)]
     if next_ is not None:
         gain = ""
         if next_["gain"] is not None:
-            gain = "  " + tr("(gain {size})", size=number(next_["gain"], 3))
+            gain = f"  (gain {number(next_['gain'], 3)})"
         label = "" if next_["label"] is None else f"{next_['label']}: "
-        lines.append(f"{tr('next')}: {label}{next_['words'][language]}{gain}")
+        lines.append(f"next: {label}{next_['words']}{gain}")
     if state["missing"]:
-        lines.append(
-            tr("no pose near the field along {directions}", directions=_listed(state["missing"]))
-        )
-    lines += [_said(finding, "text", tr) for finding in state["findings"]]
+        lines.append(f"no pose near the field along {_listed(state['missing'])}")
+    lines += [finding["text"] for finding in state["findings"]]
     if state["problem"]:
-        lines.append(_said(state, "problem", tr))
-    poses = [_pose(pose, tr) for pose in state["taken"][-_SHOWN:]]
-    keys = tr("u: undo   r LABEL: redo   f: finish   l: 中文   (then Enter)")
-    return [*lines, *_parameters(state, tr), *poses, keys]
-
-
-def _said(entry: Mapping[str, Any], key: str, tr: Translator) -> str:
-    """Return a sentence of the state in the language that is shown."""
-    return str(entry[key if tr.language == "en" else f"{key}_{tr.language}"])
+        lines.append(state["problem"])
+    poses = [_pose(pose) for pose in state["taken"][-_SHOWN:]]
+    keys = "u: undo   r LABEL: redo   f: finish   (then Enter)"
+    return [*lines, *_parameters(state), *poses, keys]
 
 
 def _listed(directions: Sequence[Sequence[float]]) -> str:
@@ -136,49 +110,48 @@ def _listed(directions: Sequence[Sequence[float]]) -> str:
     return f"{shown} + {more}" if more > 0 else shown
 
 
-def _status(state: Mapping[str, Any], tr: Translator) -> str:
+def _status(state: Mapping[str, Any]) -> str:
     live = state["live"]
     taken = sum(pose["accepted"] for pose in state["taken"])
-    if state["finished"]:
-        said = tr("finished")
-    elif not state["connected"]:
-        said = tr("the source is lost: plug it in again")
-    elif live["values"] is None:
-        said = tr("waiting for rows")
-    elif live["refused"]:
-        said = tr("not taken: {reason}", reason=_said(live, "refused", tr))
-    elif live["enough"]:
-        said = tr("taken: go on to the next pose")
-    elif live["still"]:
-        left = live["seconds_left"]
-        said = tr("hold still")
-        if left is not None:
-            said = tr("hold still: {seconds} s more", seconds=f"{left:.1f}")
-    else:
-        said = tr("moving: hold still")
-    counts = [tr("{poses} poses, {rows} rows", poses=str(taken), rows=str(live["rows"]))]
+    counts = f"{taken} poses, {live['rows']} rows"
     if live["motion"] is not None and live["threshold"] is not None:
-        now, limit = number(live["motion"], 3), number(live["threshold"], 3)
-        counts.append(tr("motion {now} of {limit}", now=now, limit=limit))
-    return f"{said}   ({tr.listed(counts)})"
+        counts += f", motion {number(live['motion'], 3)} of {number(live['threshold'], 3)}"
+    return f"{_doing(state)}   ({counts})"
 
 
-def _parameters(state: Mapping[str, Any], tr: Translator) -> list[str]:
-    header = [tr(title) if title else "" for title in ("parameter", "value", "U", "target", "")]
+def _doing(state: Mapping[str, Any]) -> str:
+    """Return what the session waits for, or what is to be done."""
+    live = state["live"]
+    if state["finished"]:
+        return "finished"
+    if not state["connected"]:
+        return "the source is lost: plug it in again"
+    if live["values"] is None:
+        return "waiting for rows"
+    if live["refused"]:
+        return f"not taken: {live['refused']}"
+    if live["enough"]:
+        return "taken: go on to the next pose"
+    if not live["still"]:
+        return "moving: hold still"
+    left = live["seconds_left"]
+    return "hold still" if left is None else f"hold still: {left:.1f} s more"
+
+
+def _parameters(state: Mapping[str, Any]) -> list[str]:
     rows = [
         [
             entry["name"],
             number(entry["value"], 6),
             f"{number(entry['U'], 2)} {entry['unit']}",
             "" if entry["target"] is None else number(entry["target"], 3),
-            tr("met") if entry["met"] else "",
+            "met" if entry["met"] else "",
         ]
         for entry in state["parameters"]
     ]
-    return table(header, rows).splitlines() if rows else []
+    return table(["parameter", "value", "U", "target", ""], rows).splitlines() if rows else []
 
 
-def _pose(pose: Mapping[str, Any], tr: Translator) -> str:
-    if pose["accepted"]:
-        return f"{pose['position']:>4}  {pose['residual_text'] or ''}"
-    return f"{pose['position']:>4}  {_said(pose, 'reason', tr)}"
+def _pose(pose: Mapping[str, Any]) -> str:
+    said = pose["residual_text"] or "" if pose["accepted"] else pose["reason"]
+    return f"{pose['position']:>4}  {said}"

@@ -12,7 +12,6 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
 from multipos.positions.attitudes import pose_words
 from multipos.positions.headers import named_axes
-from multipos.reports.sections import Translator
 from multipos.results import plain_dict
 from multipos.sensor.calibration import force_residuals
 from multipos.sensor.gravity import GRAVITY, Field, field_sensed
@@ -436,12 +434,6 @@ class Session:
         )
 
 
-@lru_cache(1024)
-def chinese(text: str, field: Field = GRAVITY) -> str:
-    """Return what a session says of poses and of the fit, in Chinese."""
-    return Translator("zh", field).message(text)
-
-
 def state_of(session: Session) -> dict[str, Any]:
     """Return what there is to show, as JSON can carry it; keys as in the reference."""
     live, found = live_of(session), session.evaluation
@@ -464,11 +456,7 @@ def state_of(session: Session) -> dict[str, Any]:
             "positions": session.plan.positions,
             "targets": session.plan.targets,
             "problem": found.problem,
-            "problem_zh": _chinese(found.problem, session.field),
-            "findings": [
-                {**each.to_dict(), "text_zh": chinese(each.text, session.field)}
-                for each in found.findings
-            ],
+            "findings": [each.to_dict() for each in found.findings],
         }
     )
 
@@ -488,7 +476,6 @@ def live_of(session: Session) -> dict[str, Any]:
             "threshold": None if rests is None else rests.limit,
             "enough": under_way is not None and refused is None,
             "refused": refused,
-            "refused_zh": _chinese(refused, session.field),
             "rows": 0 if rows is None else rows.rows,
             "bad_rows": 0 if rows is None else rows.bad,
             "gaps": 0 if rows is None else rows.gaps,
@@ -508,10 +495,6 @@ def line_of(session: Session) -> dict[str, Any]:
             "rate": session.rate,
         }
     )
-
-
-def _chinese(text: str | None, field: Field) -> str | None:
-    return None if text is None else chinese(text, field)
 
 
 def _missing(session: Session) -> Array | None:
@@ -543,7 +526,6 @@ def _entries(session: Session) -> list[dict[str, Any]]:
                 "residual_text": _shown(session, residual),
                 "accepted": pose.accepted,
                 "reason": pose.reason,
-                "reason_zh": _chinese(pose.reason, session.field),
                 "provisional": session.threshold is None,
                 "mean": found.mean,
                 "u": found.u,

@@ -43,7 +43,7 @@ def _of_fleet(arguments: argparse.Namespace) -> Answer:
     if arguments.lab or arguments.nominal or arguments.check or arguments.monte_carlo:
         raise UsageError("--lab, --nominal, --check and --monte-carlo are of one calibration.")
     found = read_summary(arguments.calibration)
-    content = fleet_content(found, language=arguments.language)
+    content = fleet_content(found)
     return _answer(arguments, content, found["created"])
 
 
@@ -65,7 +65,6 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
         lab=arguments.lab,
         data=arguments.data,
         beside=arguments.calibration,
-        language=arguments.language,
     )
     return _answer(arguments, content, all_of(regression)[0].created)
 
@@ -124,7 +123,6 @@ def _of_calibration(calibration: Calibration, arguments: argparse.Namespace) -> 
     content = build_content(
         calibration,
         lab=arguments.lab,
-        language=arguments.language,
         simulated=simulated,
         check=None if arguments.check is None else load_check(arguments.check),
     )

@@ -13,50 +13,15 @@ const EXAMPLE = `position,direction,ax,ay,az
 6,S-W-D,0.0067,-0.0060,-1.0008
 `;
 
-// Words -----------------------------------------------------------------------------------------
-
-const asked = new URLSearchParams(location.search).get("lang") || navigator.language || "en";
-let language = asked.startsWith("zh") ? "zh" : "en";
-
-/** Return a text of the page in the language that is shown; {name} is put in. */
-function T(text, put = {}) {
-  const said = language === "zh" ? SITE.words[text] || text : text;
-  return said.replace(/\{(\w+)\}/g, (whole, name) => put[name] ?? whole);
-}
-
-function translate() {
-  document.documentElement.lang = language === "zh" ? "zh-Hans" : "en";
-  for (const each of document.querySelectorAll("[data-t]")) {
-    each.dataset.t ||= each.textContent;
-    each.textContent = T(each.dataset.t);
-  }
-  $("language").textContent = language === "zh" ? "English" : "中文";
-  $("language").lang = language === "zh" ? "en" : "zh-Hans";
-  const host = $("host").dataset.host;
-  $("host").textContent = host
-    ? T("The first visit fetches the Python runtime from {host}, which sees that visit; later ones need no network.", { host })
-    : T("After the first visit this page needs no network.");
-  $("legend").replaceChildren(...legend([
-    ["good", T("residual within its U")], ["warn", T("beyond U")], ["bad", T("beyond 2 U")], ["next", T("best next")],
-  ]));
-  say();
-}
-
 // State -----------------------------------------------------------------------------------------
 
-const STATUS = {
-  loading: () => T("The program is being loaded, 10 MB the first time…"), ready: () => "", working: () => T("Calculating…"),
-  done: () => "",
-  error: () => $("error").textContent.includes("--") ? T("What --unit and --outputs say is chosen above; other options are those of the command line.") : "",
-};
-
-function say() {
-  $("status").textContent = STATUS[document.documentElement.dataset.state]();
-}
+const STATUS = { loading: "The program is being loaded, 10 MB the first time…", working: "Calculating…" };
+const OF_OPTIONS = "What --unit and --outputs say is chosen above; other options are those of the command line.";
 
 function become(state) {
   document.documentElement.dataset.state = state;
-  say();
+  const named = state === "error" && $("error").textContent.includes("--");
+  $("status").textContent = named ? OF_OPTIONS : STATUS[state] || "";
 }
 
 function fail(text) {
@@ -75,7 +40,7 @@ const waiting = new Map();
 /** Have the service worker between us and the network, for it brings every file and its policy. */
 async function guard() {
   if (!navigator.serviceWorker) {
-    throw new Error(T("This browser gives the page no service worker here: open it by https or on localhost, and not in a private window."));
+    throw new Error("This browser gives the page no service worker here: open it by https or on localhost, and not in a private window.");
   }
   navigator.serviceWorker.addEventListener("message", ({ data }) => data.refused && fail(data.refused));
   const changed = new Promise(resolve => {
@@ -100,7 +65,7 @@ function startWorker() {
     waiting.get(data.id)?.(data.answer);
     waiting.delete(data.id);
   };
-  worker.onerror = event => broken(event.message || T("the worker could not be loaded"));
+  worker.onerror = event => broken(event.message || "the worker could not be loaded");
 }
 
 /** The program itself has ended, as it does where memory ends: say so, and start it anew. */
@@ -108,9 +73,9 @@ function broken(why) {
   worker.terminate();
   const open = [...waiting.values()];
   waiting.clear();
-  for (const each of open) each({ error: T("The program has ended: {why}. Give fewer rows, or use the command line.", { why }) });
+  for (const each of open) each({ error: `The program has ended: ${why}. Give fewer rows, or use the command line.` });
   if (open.length) startWorker();
-  else if ($("error").hidden) fail(T("The program cannot be loaded: {why}", { why }));
+  else if ($("error").hidden) fail(`The program cannot be loaded: ${why}`);
 }
 
 const started = guard().then(startWorker, error => { fail(error.message); throw error; });
@@ -121,7 +86,7 @@ async function ask(request, files = []) {
   await started;
   const id = ++count;
   const answer = new Promise(resolve => waiting.set(id, resolve));
-  worker.postMessage({ id, request: { ...request, language }, files }, files.map(each => each.content));
+  worker.postMessage({ id, request, files }, files.map(each => each.content));
   return answer;
 }
 
@@ -129,9 +94,7 @@ async function ask(request, files = []) {
 async function contents(files) {
   const large = [...files].find(each => each.size > LARGEST);
   if (large) {
-    throw new Error(T("{name} has {size} MB, and this page takes {most} MB: use multipos calibrate on your machine.", {
-      name: large.name, size: Math.round(large.size / 1e6), most: LARGEST / 1e6,
-    }));
+    throw new Error(`${large.name} has ${Math.round(large.size / 1e6)} MB, and this page takes ${LARGEST / 1e6} MB: use multipos calibrate on your machine.`);
   }
   return Promise.all([...files].map(async each => ({ name: each.name, content: await each.arrayBuffer() })));
 }
@@ -139,7 +102,7 @@ async function contents(files) {
 // Calibrate -------------------------------------------------------------------------------------
 
 const KINDS = { known: "known orientations", six: "six faces", free: "hand-held", log: "raw log" };
-const LEVELS = { error: () => T("Not fit for use"), warning: () => T("Warning"), note: () => T("Note") };
+const LEVELS = { error: "Not fit for use", warning: "Warning", note: "Note" };
 const sphere = makeSphere($("positions"));
 let chosen = []; // the files of now; none where the rows count
 let rowsThen = ""; // what stood there when they were chosen
@@ -166,7 +129,7 @@ async function run(request, files, then) {
 function calibrate() {
   if ($("rows").value !== rowsThen) chosen = [];
   if (!chosen.length && !$("rows").value.trim()) {
-    fail(T("There are no rows: drop a file, paste rows, or press Example."));
+    fail("There are no rows: drop a file, paste rows, or press Example.");
     return;
   }
   const rows = new Blob([$("rows").value]);
@@ -186,20 +149,20 @@ function calibrate() {
 function show(answer) {
   $("answer").textContent = answer.sentence;
   for (const name of ["kind", "unit"]) {
-    $(name).options[0].textContent = `${T("what they show")}: ${T(KINDS[answer[name]] || answer[name])}`;
+    $(name).options[0].textContent = `what they show: ${KINDS[answer[name]] || answer[name]}`;
   }
   const items = answer.findings.map(finding => {
-    const stop = !finding.action || /[.?!。]$/.test(finding.text) ? " " : language === "zh" ? "。" : ". ";
-    const said = `${LEVELS[finding.level]()}: ${finding.text}${stop}`;
+    const stop = !finding.action || /[.?!]$/.test(finding.text) ? " " : ". ";
+    const said = `${LEVELS[finding.level]}: ${finding.text}${stop}`;
     const made = element("li", [said, element("b", finding.action)], finding.level);
     made.dataset.code = finding.code;
     return made;
   });
   if (answer.findings.every(finding => finding.level === "note")) {
-    items.unshift(element("li", T("There is nothing to warn of.")));
+    items.unshift(element("li", "There is nothing to warn of."));
   }
   if (answer.findings.some(finding => finding.action.includes("--"))) {
-    items.push(element("li", T("Options (--…) are those of the command line: download the readings and give both to multipos fit."), "soft"));
+    items.push(element("li", "Options (--…) are those of the command line: download the readings and give both to multipos fit.", "soft"));
   }
   $("findings").replaceChildren(...items);
   $("parameters").tBodies[0].replaceChildren(...answer.parameters.map(each => {
@@ -213,9 +176,9 @@ function show(answer) {
   const next = answer.next.map((each, i) => ({ direction: each.direction, kind: "next", label: `${i + 1}`, title: each.words }));
   sphere.show([...marks, ...next]);
   $("positions-title").textContent = answer.positions_title;
-  $("positions").setAttribute("aria-label", T("{count} positions on a sphere; arrow keys turn it", { count: marks.length }));
+  $("positions").setAttribute("aria-label", `${marks.length} positions on a sphere; arrow keys turn it`);
   $("next").replaceChildren(...answer.next.map(each => element("li",
-    T("{words}: u falls by {percent} %", { words: each.words, percent: (100 * each.fall).toFixed(1) }))));
+    `${each.words}: u falls by ${(100 * each.fall).toFixed(1)} %`)));
 }
 
 /** Show the cost of every target that is refused, and a button that accepts it. */
@@ -223,7 +186,7 @@ async function showRefused() {
   $("refused").replaceChildren();
   const answer = await ask({ do: "targets" });
   $("refused").replaceChildren(...Object.entries(answer.refused || {}).map(([form, why]) => {
-    const accept = element("button", T("Accept and download {form}", { form }));
+    const accept = element("button", `Accept and download ${form}`);
     accept.type = "button";
     accept.dataset.accept = form;
     accept.onclick = () => download(form, true);
@@ -278,7 +241,7 @@ function print() {
 function apply() {
   const [log, calibration] = [$("apply-log").files, $("apply-calibration").files];
   if (!log.length) {
-    fail(T("There is no log: choose a file."));
+    fail("There is no log: choose a file.");
     return;
   }
   const request = { do: "apply", calibration: calibration[0]?.name || "", tilt: $("apply-tilt").checked };
@@ -310,13 +273,6 @@ $("plan-make").onclick = plan;
 $("plan-print").onclick = print;
 $("apply-make").onclick = apply;
 for (const each of document.querySelectorAll("[data-download]")) each.onclick = () => download(each.dataset.download);
-$("language").onclick = async () => {
-  language = language === "zh" ? "en" : "zh";
-  translate();
-  if ($("result").hidden) return;
-  const answer = await ask({ do: "show" });
-  if (!answer.error) { show(answer); showRefused(); }
-};
 addEventListener("dragover", event => { event.preventDefault(); document.body.classList.add("dropping"); });
 addEventListener("dragleave", () => document.body.classList.remove("dropping"));
 addEventListener("drop", event => {
@@ -330,4 +286,11 @@ function openView() {
 }
 addEventListener("hashchange", openView);
 openView();
-translate();
+const host = $("host").dataset.host;
+$("host").textContent = host
+  ? `The first visit fetches the Python runtime from ${host}, which sees that visit; later ones need no network.`
+  : "After the first visit this page needs no network.";
+$("legend").replaceChildren(...legend([
+  ["good", "residual within its U"], ["warn", "beyond U"], ["bad", "beyond 2 U"], ["next", "best next"],
+]));
+become(document.documentElement.dataset.state);

@@ -19,9 +19,7 @@ import base64
 import hashlib
 import io
 import json
-import re
 import zipfile
-from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +28,6 @@ from multipos import __version__
 from multipos.errors import MultiposError
 from multipos.files.whole import make_folder, writing, written
 from multipos.page import runtime
-from multipos.reports.sections import Translator
 
 NAME = f"multipos-{__version__}-py3-none-any.whl"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date of a zip file: the same package, the same bytes
@@ -90,7 +87,6 @@ _STATIC = (
     "icon.svg",
     "manifest.webmanifest",
 )
-_WORD = re.compile(r"""\bT\(\s*"([^"]+)"|data-t>([^<]+)<|data-t-label="([^"]+)\"""")
 
 
 class Site(NamedTuple):
@@ -133,7 +129,6 @@ def make_site(pyodide: str | None = None) -> Site:
     policies = _policies(origin)
     files = {name: (_FOLDER / name).read_bytes() for name in _STATIC}
     files |= {name: (_DRAWING / name).read_bytes() for name in _SHARED}
-    words = _words(files, (_FOLDER / "index.html").read_text(encoding="utf-8"))
     files["index.html"] = _page(policies["page"], origin)
     files["pyodide-lock.json"] = json.dumps(runtime.LOCK).encode()
     files[NAME] = make_wheel()
@@ -148,7 +143,6 @@ def make_site(pyodide: str | None = None) -> Site:
             "files": {name: runtime.integrity(digest) for name, digest in runtime.FILES.items()},
         },
         "policies": policies,
-        "words": words,
     }
     said["id"] = runtime.sha256(json.dumps(said).encode())[:16]
     text = json.dumps(said, indent=1, ensure_ascii=False)
@@ -209,11 +203,3 @@ def _page(policy: str, origin: str) -> bytes:
     text = (_FOLDER / "index.html").read_text(encoding="utf-8")
     filled = text.replace("{policy}", escape(policy)).replace("{host}", escape(origin))
     return filled.encode()
-
-
-def _words(files: Mapping[str, bytes], page: str) -> dict[str, str]:
-    """Return the Chinese of every text that the page and its scripts show."""
-    sources = [page, *(raw.decode() for name, raw in files.items() if name.endswith(".js"))]
-    found = {word for text in sources for groups in _WORD.findall(text) for word in groups if word}
-    tr = Translator("zh")
-    return {word: tr(word) for word in sorted(found)}

@@ -35,7 +35,6 @@ from multipos.positions.headers import component
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings
 from multipos.reports.documents import report
-from multipos.reports.sections import Language, Translator
 from multipos.reports.summary import calibration_sentence
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, force_residuals
@@ -64,24 +63,24 @@ class Visit:
     def answer(self, request: str) -> str:
         """Return the answer to a request; what is at fault with it is its `error`."""
         asked = json.loads(request)
-        tr = Translator(asked.get("language", "en"))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                found = getattr(self, f"_{asked['do']}")(asked, tr)
+                found = getattr(self, f"_{asked['do']}")(asked)
         except (MultiposError, UsageError) as error:
-            found = {"error": tr.message(str(error))}
+            found = {"error": str(error)}
         except MemoryError:
-            found = {"error": tr("The data do not fit into memory; give fewer rows.")}
+            found = {"error": "The data do not fit into memory; give fewer rows."}
         except ImportError as error:  # of what the runtime does not carry
-            said = "This takes {name}, which the page lacks; use multipos on your machine."
-            found = {"error": tr(said, name=error.name or str(error))}
+            name = error.name or str(error)
+            said = f"This takes {name}, which the page lacks; use multipos on your machine."
+            found = {"error": said}
         except Exception as error:
             said = f"{type(error).__name__}: {error}; a fault of multipos {__version__}."
             found = {"error": said}
         return json.dumps(plain(found), allow_nan=False)
 
-    def _calibrate(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _calibrate(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         self.calibration = None
         paths = [str(name) for name in asked["files"]]
         unit = asked["unit"] or None
@@ -94,46 +93,43 @@ class Visit:
         else:
             self.calibration = calibrate(*source, unit=unit, outputs=outputs)
         self.name = Path(paths[0]).name.partition(".")[0] or "calibration"
-        return self._show(asked, tr)
+        return self._shown()
 
-    def _show(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _shown(self) -> dict[str, Any]:
         """Return everything that the page shows of the calibration."""
         calibration = self._made()
-        tr = Translator(tr.language, calibration.field)
-        findings = [
-            {
-                **finding.to_dict(),
-                "text": tr.message(finding.text),
-                "action": tr.message(finding.action),
-            }
-            for finding in calibration.findings
-        ]
         return {
             "kind": self.kind,
             "unit": calibration.model.unit,
-            "sentence": calibration_sentence(calibration, tr),
-            "findings": findings,
+            "sentence": calibration_sentence(calibration),
+            "findings": [finding.to_dict() for finding in calibration.findings],
             "parameters": [
-                {"name": p.name, "value": p.value, "u": p.u, "U": p.U, "unit": p.unit}
-                | {"label": tr.message(p.label)}
+                {
+                    "name": p.name,
+                    "value": p.value,
+                    "u": p.u,
+                    "U": p.U,
+                    "unit": p.unit,
+                    "label": p.label,
+                }
                 for p in calibration.entries
             ],
             "positions": _positions(calibration),
-            "positions_title": tr("Positions, up in case axes"),
-            "next": _next(calibration, tr.language),
+            "positions_title": f"Positions, {calibration.field.towards} in case axes",
+            "next": _next(calibration),
         }
 
-    def _targets(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _targets(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return why a target is refused, by its name."""
         refused = {}
         for name in TARGETS:
             try:
                 export(self._made(), name)
             except MultiposError as error:
-                refused[name] = tr.message(str(error))
+                refused[name] = str(error)
         return {"refused": refused}
 
-    def _download(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _download(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Write one form of the calibration, and return where."""
         calibration, form = self._made(), asked["form"]
         _OUT.mkdir(exist_ok=True)
@@ -145,7 +141,7 @@ class Visit:
             write_table(path, calibration.readings.columns())
         elif form == "md":
             path = _OUT / f"{self.name}.md"
-            report(calibration, path, language=tr.language)
+            report(calibration, path)
         else:
             path = _OUT / f"{self.name}{_SUFFIX[form]}"
             accepted = bool(asked.get("accept"))
@@ -153,7 +149,7 @@ class Visit:
             made.save(path)
         return {"path": str(path), "name": path.name}
 
-    def _plan(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _plan(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Return the best positions among faces, edges and corners, which a hand finds."""
         found = design(
             asked["model"],
@@ -165,20 +161,17 @@ class Visit:
         _OUT.mkdir(exist_ok=True)
         write_table(path, found.columns())
         share = f"{100.0 * found.efficiency:.0f}"
-        said = tr(
-            "{positions} positions for the model {model}: {share} % of the precision of the best "
-            "scheme there could be.",
-            positions=str(len(found.positions)),
-            model=found.model,
-            share=share,
+        said = (
+            f"{len(found.positions)} positions for the model {found.model}: {share} % of the "
+            "precision of the best scheme there could be."
         )
         positions = [
-            {"position": str(i), "direction": up, "words": pose_words(up)[tr.language]}
+            {"position": str(i), "direction": up, "words": pose_words(up)}
             for i, up in enumerate(found.positions, 1)
         ]
         return {"sentence": said, "positions": positions, "path": str(path), "name": path.name}
 
-    def _apply(self, asked: Mapping[str, Any], tr: Translator) -> dict[str, Any]:
+    def _apply(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """Write a log with the compensated force beside its columns, and return where."""
         if asked["calibration"]:
             calibration = load(asked["calibration"])
@@ -190,9 +183,8 @@ class Visit:
         path = _OUT / f"{source.name.partition('.')[0]}_compensated.csv"
         _OUT.mkdir(exist_ok=True)
         write_table(path, found)
-        rows = str(len(found["outside"]))
-        said = tr("{rows} rows compensated.", rows=rows)
-        noted = [tr.message(each.text) for each in serious(found.findings)]
+        said = f"{len(found['outside'])} rows compensated."
+        noted = [each.text for each in serious(found.findings)]
         return {"sentence": " ".join([said, *noted]), "path": str(path), "name": path.name}
 
     def _made(self) -> Calibration:
@@ -316,7 +308,7 @@ def _positions(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
-def _next(calibration: Calibration, language: Language) -> list[dict[str, Any]]:
+def _next(calibration: Calibration) -> list[dict[str, Any]]:
     """Return the positions that would lower u most; none where nothing predicts it."""
     try:
         best = worth(calibration).candidates[:_NEXT]
@@ -326,7 +318,7 @@ def _next(calibration: Calibration, language: Language) -> list[dict[str, Any]]:
         {
             "direction": each.up,
             "fall": each.fall,
-            "words": pose_words(each.up, calibration.field.towards)[language],
+            "words": pose_words(each.up, calibration.field.towards),
         }
         for each in best
     ]

@@ -7,7 +7,7 @@ Lengths are units of the view box, which is as wide as a telephone, so that type
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import Literal
 
@@ -22,7 +22,6 @@ from multipos.plots.style import COLOURS
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_errors
 from multipos.sensor.found import Estimator
 
-Words = Callable[[str], str]
 _WIDTH, _TYPE, _INK = 360, 11, "#000000"
 _DRAWN = 500  # positions: of more than twice as many the largest of equal parts
 _RADIUS, _LONGEST = 58.0, 0.32  # of a disc, and of the largest error as a share of it
@@ -73,7 +72,7 @@ def _largest(sizes: Array) -> Places:
     return np.array([part[np.argmax(sizes[part])] for part in np.array_split(places, _DRAWN)])
 
 
-def error_picture(calibration: Calibration, words: Words = str) -> str:
+def error_picture(calibration: Calibration) -> str:
     """Return the error of every position before and after, each on two halves of the sphere.
 
     Before only where a reading has a nominal size. Equal-area, seen from +z and from −z. The arrow
@@ -91,9 +90,7 @@ def error_picture(calibration: Calibration, words: Words = str) -> str:
         size = np.hypot(np.linalg.norm(across, axis=1), along)
         largest = float(np.nanmax(size, initial=0.0))
         scale = _LONGEST / largest if largest > 0.0 else 0.0
-        picture.write(
-            0.5 * _WIDTH, i * _ROW + 12, words(f"{when}: largest {c.field.shown(largest)}")
-        )
+        picture.write(0.5 * _WIDTH, i * _ROW + 12, f"{when}: largest {c.field.shown(largest)}")
         shown = _largest(size)[np.isfinite(size[_largest(size)])]
         for side in (1.0, -1.0):
             centre = np.array([0.5 * _WIDTH - 82.0 * side, i * _ROW + 104.0])
@@ -151,7 +148,7 @@ def _moved(up: Array, step: Array, side: float) -> Array:
     )
 
 
-def residual_picture(calibration: Calibration, words: Words = str) -> str:
+def residual_picture(calibration: Calibration) -> str:
     """Return the residuals of every position with ±2 standard deviations of each.
 
     A panel for each output; of unknown orientation one of the size of the force
@@ -164,10 +161,10 @@ def residual_picture(calibration: Calibration, words: Words = str) -> str:
     places = _LEFT + (shown + 0.5) * (_WIDTH - _LEFT - 4) / len(c.readings)
     picture = _Picture(len(panels) * _PANEL + _FOOT)
     for i, (name, unit, values, band) in enumerate(panels):
-        head = words(f"{name} [{{}}]")
+        head = f"{name} [{{}}]"
         _draw_panel(picture, i * _PANEL, head, unit, places, values[shown], band[shown], i)
     _name_positions(picture, len(panels) * _PANEL, [c.readings.labels[k] for k in shown], places)
-    picture.write(0.5 * (_LEFT + _WIDTH), len(panels) * _PANEL + _FOOT - 4, words("position"))
+    picture.write(0.5 * (_LEFT + _WIDTH), len(panels) * _PANEL + _FOOT - 4, "position")
     return str(picture)
 
 

@@ -17,7 +17,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
-from multipos.plots.svg import FONT, Words, font_of, svg_canvas, svg_renderer
+from multipos.plots.svg import FONT, font_of, svg_canvas, svg_renderer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,11 +71,8 @@ def figure_of(panels: "Sequence[Callable[[Axes], object]]", **size: float) -> "F
     return figure
 
 
-def to_svg(figure: "Figure", words: Words = str) -> str:
-    """Return a figure as an SVG element, without date: the same drawing gives the same bytes.
-
-    Every text stands there as `words` returns it, which may translate it.
-    """
+def to_svg(figure: "Figure") -> str:
+    """Return a figure as an SVG element, without date: the same drawing gives the same bytes."""
     from io import StringIO
 
     from matplotlib.backends import backend_mixed
@@ -93,7 +90,6 @@ def to_svg(figure: "Figure", words: Words = str) -> str:
             72.0 * width,
             72.0 * height,
             stream,
-            words=words,
             image_dpi=kept[1],
             metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")),
         )

@@ -1,7 +1,6 @@
 """How a figure is written as SVG: its text, its hatches and its layout.
 
-Text stays text, so that the reader's own fonts draw it, in whatever language it is put on the way;
-the layout is measured with the words that stand there in the end. A character as wide as it is
+Text stays text, so that the reader's own fonts draw it. A character as wide as it is
 high, as the Chinese ones are, is measured as one em, whether or not a font here has it.
 
 Hatches are lines, cut where the shape ends: browsers print a pattern of SVG as an image.
@@ -16,7 +15,6 @@ the files are looked up.
 
 import unicodedata
 import warnings
-from collections.abc import Callable
 from functools import cache
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
 from pathlib import Path as FilePath
 
 from multipos.errors import MultiposError
-
-Words = Callable[[str], str]
 
 _EM = "\N{EM DASH}"
 _HATCH_WIDTH = 0.6  # points
@@ -46,11 +42,9 @@ _SLOPES: dict[str, tuple[float | None, ...]] = {
 }
 
 
-def svg_renderer(*arguments: Any, words: Words, **options: Any) -> Any:
-    """Return Matplotlib's renderer of SVG, all text as text in these words, none as mathematics."""
-    renderer = _renderer()(*arguments, **options)
-    renderer.words = words
-    return renderer
+def svg_renderer(*arguments: Any, **options: Any) -> Any:
+    """Return Matplotlib's renderer of SVG, all text as text, none as mathematics."""
+    return _renderer()(*arguments, **options)
 
 
 def svg_canvas(figure: "Figure", renderer: Any) -> Any:
@@ -106,8 +100,6 @@ def _renderer() -> Any:
     base: Any = RendererSVG
 
     class Renderer(base):  # type: ignore[misc]
-        words: Words
-
         def draw_text(
             self,
             gc: Any,
@@ -119,11 +111,11 @@ def _renderer() -> Any:
             ismath: bool = False,
             mtext: Any = None,
         ) -> None:
-            # `svg.fonttype` would decide between text and outlines: reports translate text.
-            self._draw_text_as_text(gc, x, y, self.words(s), prop, angle, False, mtext)
+            # `svg.fonttype` would decide between text and outlines.
+            self._draw_text_as_text(gc, x, y, s, prop, angle, False, mtext)
 
         def get_text_width_height_descent(self, s: str, prop: Any, ismath: object) -> Any:
-            measured = "".join(_EM if is_wide(mark) else mark for mark in self.words(s))
+            measured = "".join(_EM if is_wide(mark) else mark for mark in s)
             with warnings.catch_warnings():  # the viewer has fonts of its own
                 warnings.filterwarnings("ignore", message="Glyph ")
                 return super().get_text_width_height_descent(measured, prop, False)

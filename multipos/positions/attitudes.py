@@ -312,8 +312,8 @@ _READERS = {
 }
 
 
-def pose_words(up: Array, towards: str = "up") -> dict[str, str]:
-    """Return an up vector (3,) in words, by language: "+z up, leaning 35° so that −x rises".
+def pose_words(up: Array, towards: str = "up") -> str:
+    """Return an up vector (3,) in words: "+z up, leaning 35° so that −x rises".
 
     The largest component names the axis to point up; what is left is a lean by acos|u_largest|
     towards the axes that rise with it. Of a magnetometer it is the field that points there,
@@ -323,24 +323,16 @@ def pose_words(up: Array, towards: str = "up") -> dict[str, str]:
     lean = math.degrees(math.acos(min(1.0, abs(float(up[main])))))
     axis = _axis(main, float(up[main]))
     if lean < _LEVEL_DEG:
-        if towards == "field":
-            return {"en": f"{axis} along the field", "zh": f"{axis} 轴沿磁场方向"}
-        return {"en": f"{axis} straight up", "zh": f"{axis} 轴竖直向上"}
+        return f"{axis} along the field" if towards == "field" else f"{axis} straight up"
     rest = [i for i in range(3) if i != main]
     size = math.hypot(*(float(up[i]) for i in rest))
     named = [i for i in rest if abs(float(up[i])) >= _SMALL_SHARE * size]
     named.sort(key=lambda i: -abs(round(float(up[i]), 9)))
-    risen = [_axis(i, float(up[i])) for i in named]
+    risen = " and ".join(_axis(i, float(up[i])) for i in named)
     if towards == "field":
-        return {
-            "en": f"the field {lean:.0f}° from {axis} towards {' and '.join(risen)}",
-            "zh": f"磁场偏离 {axis} 轴 {lean:.0f}°，朝向 {'、'.join(risen)}",
-        }
-    rise = "rises" if len(risen) == 1 else "rise"
-    return {
-        "en": f"{axis} up, leaning {lean:.0f}° so that {' and '.join(risen)} {rise}",
-        "zh": f"{axis} 轴向上，倾斜 {lean:.0f}°，使 {'、'.join(risen)} 抬高",
-    }
+        return f"the field {lean:.0f}° from {axis} towards {risen}"
+    rise = "rises" if len(named) == 1 else "rise"
+    return f"{axis} up, leaning {lean:.0f}° so that {risen} {rise}"
 
 
 def _axis(i: int, value: float) -> str:

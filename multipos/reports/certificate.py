@@ -1,4 +1,4 @@
-"""What a report of a calibration says: its sections, tables and figures, in English or Chinese.
+"""What a report of a calibration says: its sections, tables and figures, and their order.
 
 The sections are what a calibration certificate contains by clause 7.8 of ISO/IEC 17025:2017, as
 far as the data know it; what only the laboratory knows comes from its TOML file, and where that
@@ -7,9 +7,8 @@ plain text.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from multipos.reports.findings import (
     signature_section,
     sphere_section,
 )
-from multipos.reports.sections import Language, Section, Translator, method_section, with_annex
+from multipos.reports.sections import Section, method_section, with_annex, worded_section
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -72,21 +71,13 @@ LAB_FIELDS = {
 }
 
 
-_WORDS = (
-    "Findings",
-    "Administrative data",
-    "page",
-    "end of the report",
-)
-
-
 @frozen(eq=True)
 class Content:
     """A whole report.
 
     Attributes
     ----------
-    language, title, subtitle : str
+    title, subtitle : str
     sentence : str
         The answer: what came out, and whether to trust it.
     unfit : bool
@@ -102,7 +93,6 @@ class Content:
         The first screen below sentence and findings, before what the laboratory says.
     """
 
-    language: Language
     title: str
     subtitle: str
     sentence: str
@@ -112,12 +102,6 @@ class Content:
     sections: tuple[Section, ...]
     lab: Mapping[str, str] = field(default_factory=dict)
     result: Section | None = None
-
-    @cached_property
-    def words(self) -> dict[str, str]:
-        """The template's own words, translated."""
-        tr = Translator(self.language)
-        return {text: tr(text) for text in _WORDS}
 
 
 def read_lab(source: "StrPath | Mapping[str, Any] | None") -> dict[str, str]:
@@ -169,10 +153,10 @@ def _read_equipment(entries: Any, where: str) -> dict[str, str]:
     return said
 
 
-def lab_fields(said: Mapping[str, str], tr: Translator) -> tuple[tuple[str, str], ...]:
+def lab_fields(said: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     """Return the fields of the laboratory that it has stated."""
     return tuple(
-        (tr(label), said[f"{section}.{key}"])
+        (label, said[f"{section}.{key}"])
         for section, keys in LAB_FIELDS.items()
         for key, label in keys.items()
         if f"{section}.{key}" in said
@@ -183,7 +167,6 @@ def build_content(
     calibration: Calibration,
     *,
     lab: "StrPath | Mapping[str, Any] | None" = None,
-    language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
 ) -> Content:
@@ -194,8 +177,6 @@ def build_content(
     calibration : Calibration
     lab : path or mapping, optional
         What only the laboratory knows.
-    language : str
-        'en' or 'zh'.
     simulated : MonteCarlo, optional
         What `multipos.uncertainty.monte_carlo` found, for the checks.
     check : Check, optional
@@ -206,99 +187,90 @@ def build_content(
     MultiposError
         The lab file is at fault, or the check is of another calibration.
     """
-    tr = Translator(language, calibration.field)
     said = read_lab(lab)
     c = calibration
     budget = evaluate_budget(c)
-    equipment = equipment_section(said, tr)
+    equipment = equipment_section(said)
     findings = in_order((*c.findings, *(() if check is None else check.findings)))
     forces = math.isfinite(c.rms)  # else an output does not respond, as a finding says
     return Content(
-        language=language,
-        title=tr("Calibration report"),
-        subtitle=tr(
-            "Accelerometer with outputs {outputs}, model {model}",
-            outputs=", ".join(c.outputs),
-            model=c.model.text,
-        ),
-        sentence=_answer(c, check, tr),
+        title="Calibration report",
+        subtitle=f"{c.field.sensor} with outputs {', '.join(c.outputs)}, model {c.model.text}",
+        sentence=_answer(c, check),
         unfit=bool(errors_of(findings)) or (check is not None and check.verdict == "fail"),
-        findings=tuple(tr.message(found.text) for found in serious(findings)),
-        fields=lab_fields(said, tr),
-        result=result_section(c, budget, tr, forces=forces),
+        findings=tuple(c.field.worded(found.text) for found in serious(findings)),
+        fields=lab_fields(said),
+        result=worded_section(result_section(c, budget, forces=forces), c.field),
         sections=with_annex(
-            (
-                parameters_section(c, tr),
-                *(() if c.sessions is None else (sessions_section(c, c.sessions, tr),)),
-                budget_section(c, budget, tr),
-                *((sphere_section(c, tr),) if forces else ()),
-                *(() if check is None else (evidence.check_section(c, check, tr),)),
-                evidence.residuals_section(c, tr),
-                *evidence.temperature_sections(c, tr),
-                evidence.positions_section(c, tr),
-                *((evidence.rolls_section(c, tr),) if has_rolls(c) else ()),
-                evidence.correlation_section(c, tr),
-                evidence.checks_section(c, tr, simulated),
-                _method(c, tr),
+            worded_section(each, c.field)
+            for each in (
+                parameters_section(c),
+                *(() if c.sessions is None else (sessions_section(c, c.sessions),)),
+                budget_section(c, budget),
+                *((sphere_section(c),) if forces else ()),
+                *(() if check is None else (evidence.check_section(c, check),)),
+                evidence.residuals_section(c),
+                *evidence.temperature_sections(c),
+                evidence.positions_section(c),
+                *((evidence.rolls_section(c),) if has_rolls(c) else ()),
+                evidence.correlation_section(c),
+                evidence.checks_section(c, simulated),
+                _method(c),
                 *((equipment,) if equipment is not None else ()),
-                *_validity(findings, tr),
-                _statements(c, check, tr),
-                *((signature_section(said, tr),) if said else ()),
-            ),
-            tr,
+                *_validity(findings),
+                _statements(c, check),
+                *((signature_section(said),) if said else ()),
+            )
         ),
         lab=said,
     )
 
 
-def _answer(c: Calibration, check: Check | None, tr: Translator) -> str:
+def _answer(c: Calibration, check: Check | None) -> str:
     """Return the answer: of an independent run first, which has a verdict against its limit."""
-    said = summary.calibration_sentence(c, tr)
-    return said if check is None else f"{tr.message(check_text.check_sentence(check))} {said}"
+    said = summary.calibration_sentence(c)
+    return said if check is None else f"{c.field.worded(check_text.check_sentence(check))} {said}"
 
 
-def _method(c: Calibration, tr: Translator) -> Section:
-    size = tr(c.field.text)
+def _method(c: Calibration) -> Section:
+    size = c.field.text
     if c.gravity is not None:
         unit = c.gravity.size_unit
         size = f"{c.gravity.value:.10g} {unit}, u = {in_unit(c.gravity.u, unit)}"
     rows: list[tuple[str, str]] = [
-        (tr("Readings"), c.readings.source or tr("from memory")),
-        (tr("SHA-256 of the readings"), c.readings.sha256 or "-"),
-        (tr("Number of readings"), str(len(c.readings))),
-        (tr("Outputs and unit"), f"{', '.join(c.outputs)} [{c.model.unit}]"),
-        (tr("Model"), c.model.text),
-        *(() if c.field.magnetic else ((tr("Convention"), tr(c.convention)),)),
-        (tr("Gravity"), size),
-        (tr("Estimator"), tr(c.estimator)),
-        (tr("Criterion"), tr.message(c.criterion)),
-        (tr("Computed"), f"{c.created}, multipos {c.version}"),
+        ("Readings", c.readings.source or "from memory"),
+        ("SHA-256 of the readings", c.readings.sha256 or "-"),
+        ("Number of readings", str(len(c.readings))),
+        ("Outputs and unit", f"{', '.join(c.outputs)} [{c.model.unit}]"),
+        ("Model", c.model.text),
+        *(() if c.field.magnetic else (("Convention", c.convention),)),
+        (c.field.worded("Gravity"), size),
+        ("Estimator", c.estimator),
+        ("Criterion", c.field.worded(c.criterion)),
+        ("Computed", f"{c.created}, multipos {c.version}"),
     ]
     for name, column in c.readings.environment.items():
         if np.isfinite(column).all():
-            rows.append((tr(name), f"{column.min():.6g} … {column.max():.6g}"))
-    return method_section(rows, tr)
+            rows.append((name, f"{column.min():.6g} … {column.max():.6g}"))
+    return method_section(rows)
 
 
-def _validity(findings: Findings, tr: Translator) -> tuple[Section, ...]:
+def _validity(findings: Findings) -> tuple[Section, ...]:
     """Return the notes: what holds of the method, the positions and the data, and is in U."""
-    notes = tuple(tr.message(found.text) for found in findings if found.level == "note")
-    return (Section(tr("Validity"), notes),) if notes else ()
+    notes = tuple(found.text for found in findings if found.level == "note")
+    return (Section("Validity", notes),) if notes else ()
 
 
-def _statements(c: Calibration, check: Check | None, tr: Translator) -> Section:
-    said: Sequence[str] = (
+def _statements(c: Calibration, check: Check | None) -> Section:
+    paragraphs = [
         "The results relate only to the item calibrated, as it was and where it was.",
         "Uncertainties are evaluated by JCGM 100 (GUM).",
         "This report should not be reproduced except in full without approval of the laboratory.",
-    )
-    paragraphs = list(map(tr, said))
+    ]
     if check is not None and check.limit is not None:
         paragraphs.append(
-            tr(
-                "Decision rule: a position conforms where error and U together stay within the "
-                "limit, and does not where the error less U is beyond it (JCGM 106, guard band U); "
-                "the run does not where that is so with the U of all its errors together."
-            )
+            "Decision rule: a position conforms where error and U together stay within the "
+            "limit, and does not where the error less U is beyond it (JCGM 106, guard band U); "
+            "the run does not where that is so with the U of all its errors together."
         )
-    return Section(tr("Statements"), tuple(paragraphs))
+    return Section("Statements", tuple(paragraphs))

@@ -27,7 +27,6 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import one_line
 from multipos.files.trees import to_json
 from multipos.reports.certificate import Content
-from multipos.reports.sections import Language, Translator
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -98,7 +97,7 @@ def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
     _require_coverage(calibration)
     for prefix, namespace in (("dcc", DCC), ("si", SI), ("xsi", _SCHEMA)):
         ElementTree.register_namespace(prefix, namespace)
-    writer = _Writer(content.language)
+    writer = _Writer()
     root = ElementTree.Element(f"{{{DCC}}}digitalCalibrationCertificate")
     root.set(f"{{{_SCHEMA}}}schemaLocation", f"{DCC} {DCC}/v{VERSION}/dcc.xsd")
     root.set("schemaVersion", VERSION)
@@ -135,11 +134,7 @@ def _require_coverage(c: Calibration) -> None:
 
 
 class _Writer:
-    """Adds elements to a tree; texts in one language."""
-
-    def __init__(self, language: Language) -> None:
-        self.language = language
-        self._tr = Translator(language)
+    """Adds elements to a tree; texts in English."""
 
     def add(self, parent: ElementTree.Element, name: str, text: str = "") -> ElementTree.Element:
         """Add an element of the certificate, ``si:`` before a name of D-SI."""
@@ -148,16 +143,10 @@ class _Writer:
         child.text = _NO_CHARACTERS.sub("\ufffd", one_line(text)) or None
         return child
 
-    def text_element(
-        self, parent: ElementTree.Element, name: str, text: str
-    ) -> ElementTree.Element:
-        """Add an element that holds a sentence of ours, translated."""
-        return self.words(parent, name, self._tr.message(text))
-
     def words(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
-        """Add an element that holds a text in the language of the certificate."""
+        """Add an element that holds a text."""
         child = self.add(parent, name)
-        self.add(child, "content", text).set("lang", self.language)
+        self.add(child, "content", text).set("lang", "en")
         return child
 
     def file(self, parent: ElementTree.Element, name: str, kind: str, text: str) -> None:
@@ -169,7 +158,7 @@ class _Writer:
     def data_of(self, parent: ElementTree.Element, name: str, text: str) -> ElementTree.Element:
         """Add a named element and return where its data go."""
         child = self.add(parent, name)
-        self.text_element(child, "name", text)
+        self.words(child, "name", text)
         return self.add(child, "data")
 
     def quantity(
@@ -179,7 +168,7 @@ class _Writer:
         quantity = self.add(parent, "quantity")
         self.words(quantity, "name", name)
         if label:
-            self.text_element(quantity, "description", label)
+            self.words(quantity, "description", label)
         real = self.add(quantity, "si:real")
         self.add(real, "si:value", _number(value))
         self.add(real, "si:unit", unit)
@@ -207,7 +196,7 @@ def _administrative(
     serial = writer.add(writer.add(item, "identifications"), "identification")
     writer.add(serial, "issuer", "manufacturer")
     writer.add(serial, "value", lab["item.serial"])
-    writer.text_element(serial, "name", "Serial number")
+    writer.words(serial, "name", "Serial number")
     laboratory = writer.add(part, "calibrationLaboratory")
     if lab.get("laboratory.accreditation"):
         writer.add(laboratory, "calibrationLaboratoryCode", lab["laboratory.accreditation"])
@@ -230,8 +219,8 @@ def _administrative(
 def _core_data(writer: _Writer, part: ElementTree.Element, lab: Lab) -> None:
     core = writer.add(part, "coreData")
     writer.add(core, "countryCodeISO3166_1", lab["laboratory.country"])
-    writer.add(core, "usedLangCodeISO639_1", writer.language)
-    writer.add(core, "mandatoryLangCodeISO639_1", writer.language)
+    writer.add(core, "usedLangCodeISO639_1", "en")
+    writer.add(core, "mandatoryLangCodeISO639_1", "en")
     writer.add(core, "uniqueIdentifier", lab["report.number"])
     if lab.get("item.received"):
         writer.add(core, "receiptDate", _dates(lab, "item.received")[0])
@@ -260,13 +249,12 @@ def _dates(lab: Lab, field: str) -> list[str]:
 
 
 def _statements(writer: _Writer, part: ElementTree.Element, content: Content, lab: Lab) -> None:
-    tr = Translator(content.language)
     said = [
-        tr("This file is not signed; it holds as far as its source vouches for it."),
+        "This file is not signed; it holds as far as its source vouches for it.",
         content.sentence,
         *content.findings,
         *(
-            f"{tr(words)}: {lab[field]}"
+            f"{words}: {lab[field]}"
             for field, words in (
                 ("laboratory.location", "Place of calibration"),
                 ("item.condition", "Condition of the item"),
@@ -286,13 +274,13 @@ def _statements(writer: _Writer, part: ElementTree.Element, content: Content, la
 def _results(writer: _Writer, root: ElementTree.Element, c: Calibration, lab: Lab) -> None:
     results = writer.add(root, "measurementResults")
     result = writer.add(results, "measurementResult")
-    writer.text_element(result, "name", "Static calibration in gravity")
+    writer.words(result, "name", "Static calibration in gravity")
     method = writer.add(writer.add(result, "usedMethods"), "usedMethod")
     if lab.get("measurement.method"):
         writer.words(method, "name", lab["measurement.method"])
     else:
-        writer.text_element(method, "name", "static positions in gravity")
-    writer.text_element(method, "description", _description(c))
+        writer.words(method, "name", "static positions in gravity")
+    writer.words(method, "description", _description(c))
     writer.add(method, "reference", "JCGM 100:2008")
     _conditions(writer, result, c)
     found = writer.add(result, "results")

@@ -37,7 +37,7 @@ from multipos.regression.regression import Regression, Regressions
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
 from multipos.reports.regressions import regression_content
-from multipos.reports.sections import Figure, Language, PageTable, Section, template
+from multipos.reports.sections import Figure, PageTable, Section, template
 from multipos.reports.several import fleet_content
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
@@ -186,7 +186,7 @@ def html_report(content: Content) -> str:
         content=content,
         number=number,
         running=_css_text(f"{content.title} {number}".strip()),
-        leaf=_css_text(f"{content.words['page']} "),
+        leaf=_css_text("page "),
         svg=svg,
         aligned=aligned_rows,
         readable=readable,
@@ -242,7 +242,6 @@ def report(
     path: StrPath,
     *,
     lab: "StrPath | Mapping[str, Any] | None" = None,
-    language: Language = "en",
     simulated: MonteCarlo | None = None,
     check: Check | None = None,
 ) -> None:
@@ -261,8 +260,6 @@ def report(
         The rows of a regression, for its figures, are looked for beside it.
     lab : path or mapping, optional
         TOML file of what only the laboratory knows (`multipos.reports.certificate.LAB_FIELDS`).
-    language : str
-        'en' or 'zh'.
     simulated : MonteCarlo, optional
         What `multipos.uncertainty.monte_carlo` found, for the checks.
     check : Check, optional
@@ -271,7 +268,7 @@ def report(
     Raises
     ------
     UsageError
-        Another ending or language, or nothing that has a report.
+        Another ending, or nothing that has a report.
     MultiposError
         The lab file is at fault or lacks what a digital certificate needs, the check is of another
         calibration, or the report cannot be written.
@@ -291,9 +288,7 @@ def report(
             f"{', '.join((*_FORMS, _CERTIFICATE))} file."
         )
     if isinstance(calibration, Calibration):
-        content = build_content(
-            calibration, lab=lab, language=language, simulated=simulated, check=check
-        )
+        content = build_content(calibration, lab=lab, simulated=simulated, check=check)
         if suffix == _CERTIFICATE:
             return whole.write_text(path, xml_report(calibration, content))
         return whole.write_text(path, _FORMS[suffix](content))
@@ -302,22 +297,20 @@ def report(
             "a digital certificate, `simulated` and `check` are of one calibration; write "
             f"anything else to a {', '.join(_FORMS)} file."
         )
-    return whole.write_text(path, _FORMS[suffix](_content(calibration, path, lab, language)))
+    return whole.write_text(path, _FORMS[suffix](_content(calibration, path, lab)))
 
 
-def _content(
-    found: Reported, path: StrPath, lab: "StrPath | Mapping[str, Any] | None", language: Language
-) -> Content:
+def _content(found: Reported, path: StrPath, lab: "StrPath | Mapping[str, Any] | None") -> Content:
     """Return what the report of anything but a calibration says."""
     if isinstance(found, Regression | Regressions):
-        return regression_content(found, lab=lab, beside=path, language=language)
+        return regression_content(found, lab=lab, beside=path)
     if not isinstance(found, Fleet):
         raise UsageError(
             f"{type(found).__name__} has no report; give what fit, regress or fleet returned."
         )
     if lab is not None:
         raise UsageError("the report of a fleet has no `lab`.")
-    return fleet_content(found.to_dict(), language=language)
+    return fleet_content(found.to_dict())
 
 
 def xml_report(calibration: Calibration, content: Content) -> str:
@@ -361,10 +354,9 @@ def _plain_section(section: Section) -> list[str]:
 
 def _front(content: Content) -> list[tuple[str, list[str]]]:
     """Return findings and administrative data as lines."""
-    words = content.words
     fields = [f"{label}: {text}" for label, text in content.fields]
     found = list(map(readable, content.findings))
-    return [(words["Findings"], found), (words["Administrative data"], fields)]
+    return [("Findings", found), ("Administrative data", fields)]
 
 
 def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:

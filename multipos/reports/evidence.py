@@ -6,6 +6,7 @@ about a finished calibration is a table of it.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -27,7 +28,6 @@ from multipos.reports.sections import (
     Figure,
     PageTable,
     Section,
-    Translator,
     chosen_rows,
     draw_svg,
 )
@@ -41,10 +41,10 @@ from multipos.verification.verdicts import Check
 _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 
-def residuals_section(c: Calibration, tr: Translator) -> Section:
+def residuals_section(c: Calibration) -> Section:
     """Return the residuals of every position, and what is left of its error after compensation."""
-    shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
-    names = [*(c.readings.labels[row] for row in shown), "s", tr("dof")]
+    shown, kept, suffix = chosen_rows(c.relative_residuals)
+    names = [*(c.readings.labels[row] for row in shown), "s", "dof"]
     columns = []
     sizes = np.abs(c.readings.values).max(axis=0).tolist()
     largest = np.abs(np.vstack([c.residuals[shown], c.residual_sd]))
@@ -56,41 +56,41 @@ def residuals_section(c: Calibration, tr: Translator) -> Section:
         printed = column([*left[shown], sd], unit, sd, signed=True, scale=size)
         s = printed.cells.pop().removeprefix("+")
         columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, numbers.number(dof)]))
-    paragraphs = [_kind_of_residual(c, tr)]
+    paragraphs = [_kind_of_residual(c)]
     if c.estimator is Estimator.UNKNOWN:
         sizes, sd = size_residuals(c)
         printed = column(sizes[shown], c.field.printed, float(sd.max()), signed=True)
-        columns.append((f"{tr('size of the force')} [{printed.unit}]", [*printed.cells, "", ""]))
+        columns.append((f"size of the force [{printed.unit}]", [*printed.cells, "", ""]))
     if math.isfinite(c.rms):
         before = [("before", nominal_error(c))] if has_nominal(c) else []
         for when, error in (*before, ("after", compensated_error(c))):
             printed = column([*error[shown]], c.field.printed)
-            columns.append((f"{tr('error')} {tr(when)} [{printed.unit}]", [*printed.cells, "", ""]))
-        paragraphs.append(_kind_of_error(c, tr))
+            columns.append((f"error {when} [{printed.unit}]", [*printed.cells, "", ""]))
+        paragraphs.append(_kind_of_error(c))
     table = PageTable(
-        tr("Residuals at every position") + suffix,
-        (tr("Position"), *(head for head, _ in columns)),
+        "Residuals at every position" + suffix,
+        ("Position", *(head for head, _ in columns)),
         tuple(zip(names, *(cells for _, cells in columns), strict=True)),
         kept=kept,
         foot=2,
     )
     figure = Figure(
-        tr("Residuals at every position"),
-        tr("The numbers are in the table below."),
-        lambda: residual_picture(c, tr.label),
+        "Residuals at every position",
+        "The numbers are in the table below.",
+        partial(residual_picture, c),
     )
-    linear = _linearity(c, tr)
-    return Section(tr("Residuals"), tuple(paragraphs), (figure,), (table, *linear))
+    linear = _linearity(c)
+    return Section("Residuals", tuple(paragraphs), (figure,), (table, *linear))
 
 
-def _kind_of_residual(c: Calibration, tr: Translator) -> str:
+def _kind_of_residual(c: Calibration) -> str:
     """Return what a residual is."""
     if c.sessions is not None:
-        return tr(
+        return (
             "Residual = reading − model of all sessions, so that it holds how its session "
             "differs. The bars are ±2 standard deviations within a session."
         )
-    said = tr("Residual = reading − model. The bars are ±2 standard deviations of each residual.")
+    said = "Residual = reading − model. The bars are ±2 standard deviations of each residual."
     if c.estimator is Estimator.UNKNOWN:
         more = (
             "No orientation is known, so a position has one number: by how much the size of "
@@ -103,45 +103,43 @@ def _kind_of_residual(c: Calibration, tr: Translator) -> str:
         )
     else:
         return said
-    return f"{said} {tr(more)}"
+    return f"{said} {more}"
 
 
-def _kind_of_error(c: Calibration, tr: Translator) -> str:
+def _kind_of_error(c: Calibration) -> str:
     """Return what an error before compensation is, and one after it."""
     if not has_nominal(c):
-        return tr("After: compensated. At the same positions that were fitted.")
+        return "After: compensated. At the same positions that were fitted."
     if c.nominal is None:
-        return tr(
+        return (
             "Before: readings divided by one nominal scale factor (1 for readings in g, else "
             "the mean of the outputs), without bias. After: compensated. At the same positions "
             "that were fitted."
         )
-    return tr(
-        "Before: (reading − {bias})/{scale}, the nominal conversion. After: compensated. "
-        "At the same positions that were fitted.",
-        bias=f"{c.nominal.bias:g}",
-        scale=f"{c.nominal.scale:g}",
+    return (
+        f"Before: (reading − {c.nominal.bias:g})/{c.nominal.scale:g}, the nominal conversion. "
+        "After: compensated. At the same positions that were fitted."
     )
 
 
-def _linearity(c: Calibration, tr: Translator) -> tuple[PageTable, ...]:
+def _linearity(c: Calibration) -> tuple[PageTable, ...]:
     """Return the largest distance from a straight line and from the model, in percent."""
     cells = partial(numbers.plain_number, digits=2)
     lines = [
         (output, *(cells(found[f"{w}_model_percent"]) for w in ("without", "with")))
         for output, found in c.linearity.items()
     ]
-    caption = tr("Linearity: largest distance from a line and from the model, % of −1 g to +1 g")
-    header = tuple(map(tr, ("Output", "without the model", "with the model")))
+    caption = "Linearity: largest distance from a line and from the model, % of −1 g to +1 g"
+    header = ("Output", "without the model", "with the model")
     return (PageTable(caption, header, tuple(lines)),) if lines else ()
 
 
-def positions_section(c: Calibration, tr: Translator) -> Section:
+def positions_section(c: Calibration) -> Section:
     """Return where the positions were and what each decides."""
     stood = np.where(c.readings.forced[:, None], c.reference, directions(c.reference))
     up = c.sign * stood + 0.0
     leverage, names = c.diagnostics.leverage, c.readings.labels
-    shown, kept, suffix = chosen_rows(tr, leverage.max(axis=1))
+    shown, kept, suffix = chosen_rows(leverage.max(axis=1))
     rows = [
         (
             names[row],
@@ -151,25 +149,25 @@ def positions_section(c: Calibration, tr: Translator) -> Section:
         for row in shown
     ]
     table = PageTable(
-        tr("Up vector and leverage of every position") + suffix,
-        (tr("Position"), "x", "y", "z", *(f"h {output}" for output in c.outputs)),
+        "Up vector and leverage of every position" + suffix,
+        ("Position", "x", "y", "z", *(f"h {output}" for output in c.outputs)),
         tuple(rows),
         kept=kept,
     )
     return Section(
-        tr("Positions and readings"),
+        "Positions and readings",
         (
-            tr(
+            (
                 "The up vector of every position in case axes, and how far each position fixes its "
                 "own fit (leverage). At a leverage of 1 the model passes through the reading "
                 "whatever it is."
             ),
         ),
-        tables=(table, readings_table(c, tr)),
+        tables=(table, readings_table(c)),
     )
 
 
-def correlation_section(c: Calibration, tr: Translator) -> Section:
+def correlation_section(c: Calibration) -> Section:
     """Return the correlation of the parameters: all of it, or of many the largest coefficients."""
     names, size = c.names, c.correlation
     header: tuple[str, ...] = ("", *names)
@@ -177,17 +175,17 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
         (name, *(f"{value:.2f}" if abs(value) >= 0.005 else "0" for value in row))
         for name, row in zip(names, size.tolist(), strict=True)
     ]
-    caption, left = tr("Correlation coefficients"), 1
+    caption, left = "Correlation coefficients", 1
     if len(names) > _WIDE:
         pairs = np.transpose(np.triu_indices(len(names), 1))
         largest = np.argsort(-np.abs(size[tuple(pairs.T)]), kind="stable")[:LONG_TABLE]
         rows = [(names[i], names[j], f"{size[i, j]:.2f}") for i, j in pairs[largest].tolist()]
-        header, left = (tr("Parameter"), tr("Parameter"), "r"), 2
-        caption = tr("The largest correlation coefficients")
+        header, left = ("Parameter", "Parameter", "r"), 2
+        caption = "The largest correlation coefficients"
     return Section(
-        tr("Correlation"),
+        "Correlation",
         (
-            tr(
+            (
                 "Correlation of the parameters; the whole covariance is in the calibration file. "
                 "What is computed from several parameters needs it."
             ),
@@ -196,44 +194,44 @@ def correlation_section(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def rolls_section(c: Calibration, tr: Translator) -> Section:
+def rolls_section(c: Calibration) -> Section:
     """Return the signal along each roll, the harmonics left, and the errors of the turntable."""
     signals = [partial(draw_rolls, c, output=output) for output in c.outputs]
     left = [partial(draw_harmonics, c, output=output) for output in c.outputs]
     figures = [
         Figure(
-            tr("Signal against angle"),
-            tr("One panel for each output; markers are readings, by the plane of the roll."),
-            partial(draw_svg, tr, 2.2, *signals),
+            "Signal against angle",
+            "One panel for each output; markers are readings, by the plane of the roll.",
+            partial(draw_svg, 2.2, *signals),
         )
     ]
     if fourier_residuals(c):
         figures.append(
             Figure(
-                tr("Residual harmonics"),
-                tr("Bars for each order and roll; the numbers are in the checks."),
-                partial(draw_svg, tr, 1.9, *left),
+                "Residual harmonics",
+                "Bars for each order and roll; the numbers are in the checks.",
+                partial(draw_svg, 1.9, *left),
             )
         )
     return Section(
-        tr("Rolls"),
+        "Rolls",
         (
-            tr(
+            (
                 "Signal of every output against the angle of each roll; the curves are the Fourier "
                 "series of the readings."
             ),
-            tr(
+            (
                 "Errors of the turntable from the rolls: the zero of its encoder and two harmonics "
                 "of its circle, estimated together with the sensor. Each names the terms of a "
                 "sensor that would look the same; where the model has them it is not identifiable."
             ),
         ),
         tuple(figures),
-        tuple(_table_of(sheet, tr, left=2) for sheet in table_error_sheets(table_errors(c))),
+        tuple(_table_of(sheet, left=2) for sheet in table_error_sheets(table_errors(c))),
     )
 
 
-def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
+def check_section(c: Calibration, found: Check) -> Section:
     """Return an independent run before and after compensation.
 
     Raises
@@ -249,146 +247,122 @@ def check_section(c: Calibration, found: Check, tr: Translator) -> Section:
 
     apart = errors_apart(found)
     when: Literal["after", "both"] = "after" if apart else "both"
-    panels = [partial(draw_check, found, axis=axis, when=when) for axis in found.axes]
+    drawn = replace(found, quantity=c.field.worded(found.quantity))
+    panels = [partial(draw_check, drawn, axis=axis, when=when) for axis in found.axes]
     paragraphs = [
-        tr(
-            "An independent run at known positions ({file}), before compensation by (reading − "
-            "{bias}) / {scale}, and after. U has the calibration and the readings of the run in "
-            "it, with a coverage probability of {percent} %.",
-            file=found.source or tr("from memory"),
-            bias=f"{found.bias:g}",
-            scale=f"{found.scale:g}",
-            percent=f"{100.0 * found.confidence:g}",
+        (
+            f"An independent run at known positions ({found.source or 'from memory'}), before "
+            f"compensation by (reading − {found.bias:g}) / {found.scale:g}, and after. U has the "
+            "calibration and the readings of the run in it, with a coverage probability of "
+            f"{100.0 * found.confidence:g} %."
         )
     ]
     if found.limit is not None:
         paragraphs.append(
-            tr(
-                "Verdict against {limit}: {verdict}. It is pass where error and U together "
-                "stay within the limit, fail where the error less U is beyond it, else "
-                "indeterminate; the worst position counts.",
-                limit=numbers.in_unit(found.limit, found.unit),
-                verdict=tr(found.verdict or "-"),
-            )
+            f"Verdict against {numbers.in_unit(found.limit, found.unit)}: {found.verdict or '-'}. "
+            "It is pass where error and U together stay within the limit, fail where the error "
+            "less U is beyond it, else indeterminate; the worst position counts."
         )
-    paragraphs += map(tr.message, run_conclusions(found))
-    return Section(
-        tr("Independent check"),
-        tuple(paragraphs),
-        (
-            Figure(
-                tr("Error against {what}", what=tr(found.quantity)),
-                tr(
-                    "One panel for each axis: circles with U after compensation, dashed lines the "
-                    "limit. Before, errors are so large that they would hide these; see the table."
-                    if apart
-                    else "One panel for each axis: open squares before, circles with U after, "
-                    "dashed lines the limit."
-                ),
-                partial(draw_svg, tr, 1.9, *panels),
-            ),
-        ),
-        tuple(_table_of(sheet, tr, found) for sheet in check_sheets(found, whole=True)),
+    paragraphs += run_conclusions(found)
+    shown = "open squares before, circles with U after, dashed lines the limit."
+    if apart:
+        shown = (
+            "circles with U after compensation, dashed lines the limit. Before, errors are so "
+            "large that they would hide these; see the table."
+        )
+    figure = Figure(
+        f"Error against {found.quantity}",
+        f"One panel for each axis: {shown}",
+        partial(draw_svg, 1.9, *panels),
     )
+    tables = tuple(_table_of(sheet, found) for sheet in check_sheets(found, whole=True))
+    return Section("Independent check", tuple(paragraphs), (figure,), tables)
 
 
-def _table_of(
-    sheet: Sheet, tr: Translator, found: Check | None = None, *, left: int = 1
-) -> PageTable:
+def _table_of(sheet: Sheet, found: Check | None = None, *, left: int = 1) -> PageTable:
     """Return a sheet as a table, of a check's positions those kept that are farthest off."""
-    rows = tuple(tuple(_translated(cell, tr) for cell in row) for row in sheet.rows)
-    header = tuple(map(tr.label, sheet.header))
+    rows = tuple(map(tuple, sheet.rows))
     kept: list[int] = []
     if found is not None and len(rows) == len(found.after):
         sizes = np.abs(found.after).max(axis=1).tolist()
         kept = numbers.largest_rows(sizes, LONG_TABLE, LONG_TABLE)
-    return PageTable(tr.message(sheet.title), header, rows, left, kept=tuple(kept))
+    return PageTable(sheet.title, tuple(sheet.header), rows, left, kept=tuple(kept))
 
 
-def _translated(cell: str, tr: Translator) -> str:
-    """Return a cell, word by word where it is a list."""
-    return tr.listed([tr.message(word) for word in cell.split(", ")])
-
-
-def temperature_sections(c: Calibration, tr: Translator) -> tuple[Section, ...]:
+def temperature_sections(c: Calibration) -> tuple[Section, ...]:
     """Return the section, or none where nothing changes with temperature."""
     curves = temperature_curves(c)
     if not curves:
         return ()
     return (
         Section(
-            tr("Over temperature"),
+            "Over temperature",
             (
-                tr(
+                (
                     "What changes with temperature, over the range of the readings: U holds at one "
                     "temperature, the band at all of them together (Scheffé)."
                 ),
             ),
             (
                 Figure(
-                    tr("Parameters over temperature"),
-                    tr("One panel for each parameter that changes."),
-                    partial(draw_svg, tr, 1.9, *(partial(draw_curve, curve) for curve in curves)),
+                    "Parameters over temperature",
+                    "One panel for each parameter that changes.",
+                    partial(draw_svg, 1.9, *(partial(draw_curve, curve) for curve in curves)),
                 ),
             ),
         ),
     )
 
 
-def checks_section(c: Calibration, tr: Translator, simulated: MonteCarlo | None) -> Section:
+def checks_section(c: Calibration, simulated: MonteCarlo | None) -> Section:
     """Return the checks of the fit."""
     rows: list[tuple[str, str]] = [
-        (tr("rms of what is left after compensation"), c.field.shown(c.rms)),
-        (tr("rank and parameters"), f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
-        (tr("condition of the design"), numbers.number(c.diagnostics.condition, 3)),
+        ("rms of what is left after compensation", c.field.shown(c.rms)),
+        ("rank and parameters", f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
+        ("condition of the design", numbers.number(c.diagnostics.condition, 3)),
     ]
     if c.cross_check is not None:
-        rows.append((tr("closed form against least squares"), f"{c.cross_check:.1e}"))
+        rows.append(("closed form against least squares", f"{c.cross_check:.1e}"))
     for output, test in c.diagnostics.lack_of_fit.items():
         rows.append(
             (
-                tr("lack of fit of {output} against repeats", output=output),
+                f"lack of fit of {output} against repeats",
                 f"F = {numbers.number(_float(test['F']))}, {numbers.p_in_words(_float(test['p']))}",
             )
         )
-    tables = [PageTable(tr("Checks of the fit"), (tr("Check"), tr("Result")), tuple(rows))]
+    tables = [PageTable("Checks of the fit", ("Check", "Result"), tuple(rows))]
     paragraphs: list[str] = []
-    tests = [_tests_of_terms(c, tr)]
+    tests = [_tests_of_terms(c)]
     if c.estimator.exact:
-        tests += [_single_terms(c, tr), _influence(c, tr), _waves(c, tr)]
+        tests += [_single_terms(c), _influence(c), _waves(c)]
     tests = [table for table in tests if table.rows]
     if tests:
         tables += tests
         paragraphs.append(
-            tr(
-                "A small p means that chance alone would rarely do the same: that a term is "
-                "needed, "
-                "or that residuals follow the angle of the roll. With many tests in a table a few "
-                "small p are expected."
-            )
+            "A small p means that chance alone would rarely do the same: that a term is needed, "
+            "or that residuals follow the angle of the roll. With many tests in a table a few "
+            "small p are expected."
         )
     if simulated is not None:
-        tables.append(_simulated(c, simulated, tr))
+        tables.append(_simulated(c, simulated))
         paragraphs.append(
-            tr(
-                "Monte Carlo draws every input quantity from its law, lets it act in full and "
-                "estimates again (JCGM 101). U is valid where the ends of both intervals agree "
-                "within the tolerance."
-            )
+            "Monte Carlo draws every input quantity from its law, lets it act in full and "
+            "estimates again (JCGM 101). U is valid where the ends of both intervals agree "
+            "within the tolerance."
         )
-    return Section(tr("Checks"), tuple(paragraphs), tables=tuple(tables))
+    return Section("Checks", tuple(paragraphs), tables=tuple(tables))
 
 
-def _tests_of_terms(c: Calibration, tr: Translator) -> PageTable:
+def _tests_of_terms(c: Calibration) -> PageTable:
     """Return the tests of terms that the model has, and of those that it could have."""
-    tests = [(test, tr("in the model")) for test in judge_included(c)]
-    tests += [(test, tr("not in the model")) for test in c.diagnostics.model_tests]
+    tests = [(test, "in the model") for test in judge_included(c)]
+    tests += [(test, "not in the model") for test in c.diagnostics.model_tests]
     rows = [(test.term, status, str(test), numbers.chance(test.p)) for test, status in tests]
-    header = tuple(map(tr, ("Terms", "Status", "Statistic", "p")))
-    return PageTable(tr("Tests of terms over all outputs"), header, tuple(rows), 2)
+    header = ("Terms", "Status", "Statistic", "p")
+    return PageTable("Tests of terms over all outputs", header, tuple(rows), 2)
 
 
-def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
+def _simulated(c: Calibration, found: MonteCarlo) -> PageTable:
     units = numbers.common_units(
         zip(c.model.units, np.abs(found.symmetric).max(axis=1).tolist(), strict=True)
     )
@@ -398,7 +372,7 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
         (
             name,
             *_simulated_cells(u, (symmetric, shortest), tolerance, units[unit]),
-            tr("yes") if valid else tr("no"),
+            "yes" if valid else "no",
         )
         for name, unit, u, symmetric, shortest, tolerance, valid in zip(
             found.names, c.model.units, *columns, strict=True
@@ -409,8 +383,8 @@ def _simulated(c: Calibration, found: MonteCarlo, tr: Translator) -> PageTable:
         "U valid",
     )
     return PageTable(
-        tr("Monte Carlo, {trials} trials", trials=str(found.trials)),
-        tuple(map(tr, header)),
+        f"Monte Carlo, {found.trials} trials",
+        header,
         tuple(rows),
     )
 
@@ -431,12 +405,12 @@ def _simulated_cells(
     )
 
 
-def _single_terms(c: Calibration, tr: Translator) -> PageTable:
+def _single_terms(c: Calibration) -> PageTable:
     rows = [
         (
             t.output,
             t.term,
-            tr("in the model") if t.inside else tr("not in the model"),
+            "in the model" if t.inside else "not in the model",
             numbers.number(t.f),
             numbers.number(t.dof[1]),
             numbers.chance(t.p),
@@ -444,15 +418,15 @@ def _single_terms(c: Calibration, tr: Translator) -> PageTable:
         )
         for t in judge_terms(c)
     ]
-    header = tuple(map(tr, ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")))
+    header = ("Output", "Term", "Status", "F", "dof", "p", "AICc if changed")
     # On paper the tests over all outputs speak for them.
-    return PageTable(tr("Tests of single terms"), header, tuple(rows), 3, on_paper=False)
+    return PageTable("Tests of single terms", header, tuple(rows), 3, on_paper=False)
 
 
-def _influence(c: Calibration, tr: Translator) -> PageTable:
+def _influence(c: Calibration) -> PageTable:
     found = find_influence(c)
     names = c.readings.labels
-    shown, kept, suffix = chosen_rows(tr, np.abs(found.studentised).max(axis=1))
+    shown, kept, suffix = chosen_rows(np.abs(found.studentised).max(axis=1))
     columns: list[str] = []
     cells: list[list[str]] = []
     for i, output in enumerate(c.outputs):
@@ -470,9 +444,9 @@ def _influence(c: Calibration, tr: Translator) -> PageTable:
         ]
     rows = zip([names[row] for row in shown], *cells, strict=True)
     return PageTable(
-        tr("Influence of each position: studentised residual r, Cook's D, leave-one-out error e")
+        "Influence of each position: studentised residual r, Cook's D, leave-one-out error e"
         + suffix,
-        (tr("Position"), *columns),
+        ("Position", *columns),
         tuple(rows),
         on_paper=False,  # residuals, s and leverage stand there, and it follows from them
         kept=kept,
@@ -483,7 +457,7 @@ def _two_decimals(size: float) -> str:
     return f"{size:.2f}" if np.isfinite(size) else numbers.number(size)
 
 
-def _waves(c: Calibration, tr: Translator) -> PageTable:
+def _waves(c: Calibration) -> PageTable:
     found = fourier_residuals(c)
     sizes = [w["amplitude"] for entry in found for w in entry["harmonics"]]
     factor, unit = numbers.readable_unit(max(sizes, default=0.0), c.model.unit)
@@ -498,10 +472,10 @@ def _waves(c: Calibration, tr: Translator) -> PageTable:
         )
         for entry in found
     ]
-    orders = [tr("order {n}", n=str(i)) for i in range(1, max(map(len, rows), default=0) - 1)]
+    orders = [f"order {i}" for i in range(1, max(map(len, rows), default=0) - 1)]
     return PageTable(
-        tr("Residuals along each roll: amplitude (p)") + f" [{unit}]",
-        (tr("Roll about"), tr("Output"), *orders),
+        "Residuals along each roll: amplitude (p)" + f" [{unit}]",
+        ("Roll about", "Output", *orders),
         tuple(rows),
         2,
         on_paper=False,  # it follows from the residuals, and a figure shows it

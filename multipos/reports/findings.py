@@ -8,6 +8,7 @@ what is signed last, and the equipment, are here as well.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,6 @@ from multipos.reports.sections import (
     Figure,
     PageTable,
     Section,
-    Translator,
     chosen_rows,
 )
 from multipos.sensor.calibration import Calibration, Parameter, has_nominal
@@ -67,7 +67,7 @@ class Column(NamedTuple):
     cells: list[str]
 
 
-def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> list[Quantity]:
+def derived_quantities(c: Calibration, budget: Evaluation) -> list[Quantity]:
     """Return sensitivities, offsets, angles between axes and mounting of a triad; else nothing.
 
     What the gauge has fixed is left out.
@@ -78,10 +78,10 @@ def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> li
     u, dof, _ = budget.combine(gradient)
     per = unit_per(c.model.unit, 1, (), c.field.unit)
     names = [
-        *((tr("Sensitivity of {output}", output=o), per) for o in c.outputs),
-        *((tr("Offset of {output}", output=o), c.field.printed) for o in c.outputs),
-        *((tr("Angle between input axes {pair}", pair=p), "deg") for p in ("xy", "xz", "yz")),
-        *((tr("Mounting, rotation about {axis}", axis=a), "deg") for a in COMPONENTS),
+        *((f"Sensitivity of {o}", per) for o in c.outputs),
+        *((c.field.worded(f"Offset of {o}"), c.field.printed) for o in c.outputs),
+        *((f"Angle between input axes {p}", "deg") for p in ("xy", "xz", "yz")),
+        *((f"Mounting, rotation about {a}", "deg") for a in COMPONENTS),
     ]
     if c.model.gauge is not None:
         names = names[:-3]
@@ -100,11 +100,11 @@ def derived_quantities(c: Calibration, budget: Evaluation, tr: Translator) -> li
     return quantities
 
 
-def leaning_quantities(c: Calibration, tr: Translator) -> list[Quantity]:
+def leaning_quantities(c: Calibration) -> list[Quantity]:
     """Return how far each output leans to the others; without what the gauge has fixed."""
     return [
         Quantity(
-            tr("Output on {i}, tilt to {j}", i=pair[0], j=pair[1]),
+            f"Output on {pair[0]}, tilt to {pair[1]}",
             "deg",
             angle["value"],
             angle["u"],
@@ -190,75 +190,62 @@ EQUIPMENT = {
 _LINE = "________________"  # to be written on by hand
 
 
-def result_section(c: Calibration, budget: Evaluation, tr: Translator, *, forces: bool) -> Section:
+def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Section:
     """Return the first screen below the answer: errors before and after, validity, the sensor.
 
     Parameters
     ----------
     c : Calibration
     budget : Evaluation
-    tr : Translator
     forces : bool
         Whether readings give forces, so that there are errors to speak of.
     """
-    rows = quantity_rows(derived_quantities(c, budget, tr) or _of_few_axes(c, tr))
-    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
-    percent = f"{100.0 * c.confidence:g}"
-    caption = tr("Sensitivity, offset and axes, U with {percent} %", percent=percent)
+    rows = quantity_rows(derived_quantities(c, budget) or _of_few_axes(c))
+    header = ("Quantity", "Value", "U", "Unit", "k")
+    caption = f"Sensitivity, offset and axes, U with {100.0 * c.confidence:g} %"
     return Section(
-        tr("Result"),
-        (_validity(c, tr),),
-        (_picture(c, tr),) if forces else (),
+        "Result",
+        (_validity(c),),
+        (_picture(c),) if forces else (),
         (PageTable(caption, header, tuple(rows)),) if rows else (),
     )
 
 
-def _picture(c: Calibration, tr: Translator) -> Figure:
+def _picture(c: Calibration) -> Figure:
     return Figure(
-        tr(
-            "Errors at all positions, before and after compensation"
-            if has_nominal(c)
-            else "Errors at all positions after compensation"
-        ),
-        tr(
+        f"Errors at all positions{', before and' if has_nominal(c) else ''} after compensation",
+        (
             "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
             "errors along the up vector, filled where they point out; each picture has a scale of "
             "its own."
         ),
-        lambda: error_picture(c, tr.label),
+        partial(error_picture, c),
     )
 
 
-def _validity(c: Calibration, tr: Translator) -> str:
+def _validity(c: Calibration) -> str:
     """Return within what the calibration holds."""
-    said = tr(
-        "Valid for forces {range}",
-        range=tr.message(pretty_unit(applied(c).in_words(c.model.sensed_axes))),
-    )
+    said = f"Valid for forces {pretty_unit(applied(c).in_words(c.model.sensed_axes))}"
     for name in c.model.environment:
         column = c.readings.environment[name]
-        said += tr(
-            ", {name} {low} to {high}",
-            name=tr(name),
-            low=f"{column.min():.4g}",
-            high=f"{column.max():.4g}{' °C' if name == TEMPERATURE else ''}",
-        )
-    return said + tr(".")
+        unit = " °C" if name == TEMPERATURE else ""
+        said += f", {name} {column.min():.4g} to {column.max():.4g}{unit}"
+    return said + "."
 
 
-def _of_few_axes(c: Calibration, tr: Translator) -> list[Quantity]:
+def _of_few_axes(c: Calibration) -> list[Quantity]:
     """Return scale factors, biases and how the outputs lean, of one or two axes."""
     wanted = [p for p in c.entries if p.name.startswith(("scale_", "bias_"))]
     wanted.sort(key=lambda p: not p.name.startswith("scale_"))
-    found = [Quantity(tr.message(p.label), p.unit, p.value, p.u, p.U, p.k) for p in wanted]
-    return found + leaning_quantities(c, tr)
+    found = [Quantity(p.label, p.unit, p.value, p.u, p.U, p.k) for p in wanted]
+    return found + leaning_quantities(c)
 
 
-def readings_table(c: Calibration, tr: Translator) -> PageTable:
+def readings_table(c: Calibration) -> PageTable:
     """Return the readings as they were measured, with what was stated of each."""
-    shown, kept, suffix = chosen_rows(tr, c.relative_residuals)
+    shown, kept, suffix = chosen_rows(c.relative_residuals)
     r = c.readings
-    columns: list[tuple[str, Sequence[str]]] = [(tr("Position"), r.labels)]
+    columns: list[tuple[str, Sequence[str]]] = [("Position", r.labels)]
     for i, output in enumerate(c.outputs):
         decimals = decimals_of(float(c.residual_sd[i]))
         form = ".10g" if decimals is None or decimals > 12 else f".{decimals + 1}f"
@@ -269,38 +256,36 @@ def readings_table(c: Calibration, tr: Translator) -> PageTable:
             columns.append((f"u {output} [{stated.unit}]", stated.cells))
     if r.samples is not None:
         columns.append(("n", [f"{n:g}" for n in r.samples]))
-    columns += [
-        (tr(name), [f"{v:.6g}" for v in r.environment[name]]) for name in c.model.environment
-    ]
+    columns += [(name, [f"{v:.6g}" for v in r.environment[name]]) for name in c.model.environment]
     rows = tuple(tuple(column[row] for _, column in columns) for row in shown)
     header = tuple(name for name, _ in columns)
-    return PageTable(tr("Readings as measured") + suffix, header, rows, kept=kept)
+    return PageTable("Readings as measured" + suffix, header, rows, kept=kept)
 
 
-def equipment_section(said: Mapping[str, str], tr: Translator) -> Section | None:
+def equipment_section(said: Mapping[str, str]) -> Section | None:
     """Return the equipment that the laboratory names; nothing where it names none."""
     rows: list[tuple[str, ...]] = []
     while any(f"equipment.{len(rows) + 1}.{key}" in said for key in EQUIPMENT):
         rows.append(tuple(said.get(f"equipment.{len(rows) + 1}.{key}", "-") for key in EQUIPMENT))
     if not rows:
         return None
-    header = tuple(map(tr, EQUIPMENT.values()))
-    table = PageTable(tr("Equipment used"), header, tuple(rows), left=len(header))
-    return Section(tr("Equipment"), tables=(table,))
+    header = tuple(EQUIPMENT.values())
+    table = PageTable("Equipment used", header, tuple(rows), left=len(header))
+    return Section("Equipment", tables=(table,))
 
 
-def signature_section(said: Mapping[str, str], tr: Translator) -> Section:
+def signature_section(said: Mapping[str, str]) -> Section:
     """Return where the report is signed."""
     rows = (
-        (tr("Authorised by"), said.get("report.authorised_by", _LINE)),
-        (tr("Date"), said.get("report.issued", _LINE)),
-        (tr("Signature"), _LINE),
+        ("Authorised by", said.get("report.authorised_by", _LINE)),
+        ("Date", said.get("report.issued", _LINE)),
+        ("Signature", _LINE),
     )
-    table = PageTable(tr("Signed by"), (tr("Item"), tr("Value")), rows, left=2)
-    return Section(tr("Signature"), tables=(table,))
+    table = PageTable("Signed by", ("Item", "Value"), rows, left=2)
+    return Section("Signature", tables=(table,))
 
 
-def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Section:
+def sessions_section(c: Calibration, sessions: Sessions) -> Section:
     """Return how many sessions there were, how they differ, and what U holds.
 
     Parameters
@@ -309,28 +294,22 @@ def sessions_section(c: Calibration, sessions: Sessions, tr: Translator) -> Sect
         Combined of the sessions.
     sessions : Sessions
         Its own.
-    tr : Translator
     """
     header = ("Parameter", "Value", "u", "U", "Unit", "k", "sd between sessions")
     table = PageTable(
-        tr("Parameters of all sessions"),
-        tuple(map(tr, header)),
+        "Parameters of all sessions",
+        header,
         _rows(c, sessions.sd),
     )
     return Section(
-        tr("Combined sessions"),
+        "Combined sessions",
         (
-            tr(
-                "{count} sessions were combined: {files}.",
-                count=str(sessions.runs),
-                files=tr.listed(sessions.files),
-            ),
-            tr(
+            f"{sessions.runs} sessions were combined: {', '.join(sessions.files)}.",
+            (
                 "U is that of the next session against these parameters: it includes how the "
-                "sessions differ, mounting and switch-on among it, on {dof} degrees of freedom, "
-                "and what "
-                "all sessions share, such as gravity.",
-                dof=f"{np.min(c.parameter_dof):.3g}",
+                "sessions differ, mounting and switch-on among it, on "
+                f"{np.min(c.parameter_dof):.3g} degrees of freedom, and what all sessions share, "
+                "such as gravity."
             ),
         ),
         tables=(table,),
@@ -351,56 +330,60 @@ def _rows(c: Calibration, sds: Mapping[str, float]) -> tuple[tuple[str, ...], ..
     return tuple(rows)
 
 
-def parameters_section(c: Calibration, tr: Translator) -> Section:
+def parameters_section(c: Calibration) -> Section:
     """Return the parameters with their uncertainty, and how the outputs lean."""
-    leaning = quantity_rows(leaning_quantities(c, tr)) if c.intrinsic is not None else []
-    header = tuple(map(tr, ("Quantity", "Value", "U", "Unit", "k")))
-    installed = (PageTable(tr("Installation"), header, tuple(leaning)),) if leaning else ()
+    leaning = quantity_rows(leaning_quantities(c)) if c.intrinsic is not None else []
+    header = ("Quantity", "Value", "U", "Unit", "k")
+    installed = (PageTable("Installation", header, tuple(leaning)),) if leaning else ()
     return Section(
-        tr("Parameters"),
+        "Parameters",
         (
-            _equation(c, tr),
-            tr(
-                "U = k u is the expanded uncertainty for a coverage probability of {percent} %, "
-                "with k from Student's t at the effective degrees of freedom (dof). It is the "
-                "uncertainty of the coefficients of this model. Whether the model is right is "
-                "outside it; see the residuals and checks below.",
-                percent=f"{100.0 * c.confidence:g}",
+            _equation(c),
+            (
+                "U = k u is the expanded uncertainty for a coverage probability of "
+                f"{100.0 * c.confidence:g} %, with k from Student's t at the effective degrees of "
+                "freedom (dof). It is the uncertainty of the coefficients of this model. Whether "
+                "the model is right is outside it; see the residuals and checks below."
             ),
         ),
-        tables=(_parameter_table(c, tr), *installed),
+        tables=(_parameter_table(c), *installed),
     )
 
 
-def _equation(c: Calibration, tr: Translator) -> str:
+def _equation(c: Calibration) -> str:
     """Return the measurement equation: the terms of the table, or formulas as they were written."""
     if isinstance(c.model, ExpressionModel):
-        return tr(
-            "Each output reads, in the reference x, y, z and that along its own axis [{unit}]: "
-            "{model}.",
-            model=c.model.text,
-            unit=c.field.printed,
+        return (
+            "Each output reads, in the reference x, y, z and that along its own axis "
+            f"[{c.field.printed}]: {c.model.text}."
         )
-    return tr(
+    return (
         "The model of output i is y_i = sum of coefficients times terms of the reference "
         "in g; the terms of each output are in the table."
     )
 
 
-def _parameter_table(c: Calibration, tr: Translator) -> PageTable:
+def _parameter_table(c: Calibration) -> PageTable:
     """Return every parameter; the column of symbols only where there are any."""
     entries = [c[output, str(term)] for output, term in c.model.keys]
     cells = parameter_cells(entries)
     rows = [
-        (p.name, p.symbol or "", tr.message(p.label), *row, plain_number(p.k, 3), number(p.dof))
+        (
+            p.name,
+            p.symbol or "",
+            p.label,
+            *row,
+            plain_number(p.k, 3),
+            number(p.dof),
+        )
         for p, row in zip(entries, cells, strict=True)
     ]
     header = ("Parameter", "Symbol", "Meaning", "Value", "u", "U", "Unit", "k", "dof")
     symbols = any(row[1] for row in rows)
     keep = [i for i in range(len(header)) if symbols or i != 1]
     return PageTable(
-        tr("Parameters with uncertainty"),
-        tuple(tr(header[i]) for i in keep),
+        "Parameters with uncertainty",
+        tuple(header[i] for i in keep),
         tuple(tuple(row[i] for i in keep) for row in rows),
         left=3 if symbols else 2,
         kept=_surest(c),
@@ -414,10 +397,10 @@ def _surest(c: Calibration) -> tuple[int, ...]:
     return tuple(sorted(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE)))
 
 
-def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Section:
+def budget_section(c: Calibration, budget: Evaluation) -> Section:
     """Return the budget: quantities and what each contributes."""
     paragraphs = [
-        tr(
+        (
             "Every input quantity enters by what it does to the parameters through this estimator "
             "at these positions. Quantities marked as common are systematic: they are the same at "
             "all positions and in repeated calibrations. What stands in brackets is independent at "
@@ -427,11 +410,11 @@ def budget_section(c: Calibration, budget: Evaluation, tr: Translator) -> Sectio
     ]
     absent = _absent_quantities(c, budget)
     if absent:
-        paragraphs.append(tr("Not in the budget: {list}.", list=tr.listed(list(map(tr, absent)))))
+        paragraphs.append(f"Not in the budget: {', '.join(absent)}.")
     return Section(
-        tr("Uncertainty budget"),
+        "Uncertainty budget",
         tuple(paragraphs),
-        tables=(_quantity_table(budget, tr), _contribution_table(c, budget, tr)),
+        tables=(_quantity_table(c, budget), _contribution_table(c, budget)),
     )
 
 
@@ -441,27 +424,27 @@ def _absent_quantities(c: Calibration, budget: Evaluation) -> list[str]:
     return [kind.text for name, kind in KINDS.items() if name not in known]
 
 
-def _quantity_table(budget: Evaluation, tr: Translator) -> PageTable:
+def _quantity_table(c: Calibration, budget: Evaluation) -> PageTable:
     """Return the input quantities, each once."""
     first = {row.quantity: row for row in reversed(budget.rows)}
     lines = [
         (
-            tr(row.text),
+            c.field.worded(row.text),
             row.evaluation,
-            tr(row.distribution),
+            row.distribution,
             *_scaled(row.u, row.unit),
             number(float(row.dof.min())),
-            tr("yes") if row.common else tr("no"),
-            tr("in the residuals" if row.contained.all() else "added"),
+            "yes" if row.common else "no",
+            "in the residuals" if row.contained.all() else "added",
         )
         for row in budget.rows
         if row is first[row.quantity]
     ]
     header = ("Quantity", "Evaluation", "Distribution", "u", "Unit", "dof", "Common", "Treatment")
-    return PageTable(tr("Input quantities"), tuple(map(tr, header)), tuple(lines), left=3)
+    return PageTable("Input quantities", header, tuple(lines), left=3)
 
 
-def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> PageTable:
+def _contribution_table(c: Calibration, budget: Evaluation) -> PageTable:
     """Return what every quantity contributes to every parameter."""
     quantities = list(dict.fromkeys(row.quantity for row in budget.rows))
     rows = []
@@ -470,10 +453,9 @@ def _contribution_table(c: Calibration, budget: Evaluation, tr: Translator) -> P
         factor, shown = units[unit]
         cells = [_contribution(budget, quantity, i, factor) for quantity in quantities]
         rows.append((name, *cells, plain_number(factor * float(c.u[i]), 2), shown))
-    quantity_names = map(tr, quantities)
     return PageTable(
-        tr("Contributions to the standard uncertainty of each parameter"),
-        (tr("Parameter"), *quantity_names, tr("combined u"), tr("Unit")),
+        "Contributions to the standard uncertainty of each parameter",
+        ("Parameter", *quantities, "combined u", "Unit"),
         tuple(rows),
         kept=_surest(c),
     )
@@ -504,7 +486,7 @@ def _contribution(budget: Evaluation, quantity: str, parameter: int, factor: flo
     return f"({printed})" if any(row.contained[parameter] for row in rows) else printed
 
 
-def sphere_section(c: Calibration, tr: Translator) -> Section:
+def sphere_section(c: Calibration) -> Section:
     """Return how well force and tilt are known, and where."""
     allowed, hidden = bool(unseen_sizes(c)), not_stated(c)
     seen = applied(c)
@@ -512,52 +494,45 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     sizes = sorted({1.0, *forced, *((2.0, 5.0) if allowed else ())})
     if c.field.magnetic:
         sizes = [c.field.magnitude]
-    rows = _sphere_rows(c, sizes, max((1.0, *forced)), tr)
+    rows = _sphere_rows(c, sizes, max((1.0, *forced)))
     paragraphs = [
-        tr(
+        (
             "Uncertainty of compensated force and of tilt from the parameters, over all "
             "directions; the noise of the reading that is compensated comes on top."
         ),
-        tr(
+        (
             "Lines marked * are beyond what was applied; U there grows with the terms that the "
             "budget states."
         )
         if allowed
-        else tr(
-            "The calibration holds within what was applied, up to {size} {unit}. Beyond, omitted "
-            "terms may grow without limit.",
-            size=f"{seen.largest:.4g}",
-            unit=pretty_unit(c.field.unit),
+        else (
+            f"The calibration holds within what was applied, up to {seen.largest:.4g} "
+            f"{pretty_unit(c.field.unit)}. Beyond, omitted terms may grow without limit."
         ),
     ]
     if hidden:
-        without = tr(
-            "{terms} cannot be determined from these positions and is not included in U between "
-            "them.",
-            terms=", ".join(hidden),
+        without = (
+            f"{', '.join(hidden)} cannot be determined from these positions and is not included "
+            "in U between them."
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
-        paragraphs += _seen_terms(c, tr)
+        paragraphs += _seen_terms(c)
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
-            tr(
-                "No static positions can separate the sum of the squares of x, y and z from a "
-                "bias: at rest it is one."
-            )
+            "No static positions can separate the sum of the squares of x, y and z from a "
+            "bias: at rest it is one."
         )
     if c.readings.forced.any():
         printed = seen.in_words(c.model.sensed_axes)
-        paragraphs.append(
-            tr("Forces that were applied in addition to gravity: {range}.", range=printed)
-        )
+        paragraphs.append(f"Forces that were applied in addition to gravity: {printed}.")
     header = ("Quantity", "At", "rms u", "worst u", "U", "Unit", "k", "Worst direction")
     return Section(
-        tr("Compensated force and tilt"),
+        "Compensated force and tilt",
         tuple(paragraphs),
         tables=(
             PageTable(
-                tr("Worst case and rms over the sphere"),
-                tuple(map(tr, header)),
+                "Worst case and rms over the sphere",
+                header,
                 tuple(rows),
                 left=2,
             ),
@@ -565,19 +540,19 @@ def sphere_section(c: Calibration, tr: Translator) -> Section:
     )
 
 
-def _seen_terms(c: Calibration, tr: Translator) -> list[str]:
+def _seen_terms(c: Calibration) -> list[str]:
     """Return the sizes of terms that the positions show, beside which hidden ones are judged."""
     listed = [f"{name} ({c.field.shown(size)})" for name, size in shown_sizes(c).items()]
-    said = "Of higher order these positions do show {terms}, with what noise leaves open."
-    return [tr(said, terms=", ".join(listed))] if listed else []
+    if not listed:
+        return []
+    terms = ", ".join(listed)
+    return [f"Of higher order these positions do show {terms}, with what noise leaves open."]
 
 
-def _sphere_rows(
-    c: Calibration, sizes: Sequence[float], seen: float, tr: Translator
-) -> list[tuple[str, ...]]:
+def _sphere_rows(c: Calibration, sizes: Sequence[float], seen: float) -> list[tuple[str, ...]]:
     """Return force at each size [g], beyond `seen` marked, and tilt at 1 g, by axis."""
     unit = c.field.printed
-    words = {"force": ("force along {axis}", unit), "tilt_deg": ("tilt of {axis}", "deg")}
+    words = {"force": (f"{c.field.quantity} along", unit), "tilt_deg": ("tilt of", "deg")}
     rows: list[tuple[str, ...]] = []
     evaluated = {size: evaluate_sphere(c, size=size) for size in sizes}
     units = common_units(
@@ -593,7 +568,7 @@ def _sphere_rows(
                 factor, shown = units[unit]
                 rows.append(
                     (
-                        tr(text, axis=axis),
+                        f"{text} {axis}",
                         f"{size:g} {pretty_unit(c.field.printed)}"
                         + ("" if size <= seen or c.field.magnetic else " *"),
                         *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),

@@ -35,10 +35,8 @@ from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.sections import (
     LONG_TABLE,
     Figure,
-    Language,
     PageTable,
     Section,
-    Translator,
     draw_svg,
     method_section,
     with_annex,
@@ -47,7 +45,7 @@ from multipos.reports.sections import (
 _DRAWN = 1000  # rows of a figure, about: a page of 4000 would have 1.8 MB
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 Rows = Places
-Titled = Callable[[str], str]  # the title of a section in a language, of a response
+Titled = Callable[[str], str]  # the title of a section, of a response
 
 
 def regression_content(
@@ -56,7 +54,6 @@ def regression_content(
     lab: "StrPath | Mapping[str, Any] | None" = None,
     data: StrPath | None = None,
     beside: StrPath | None = None,
-    language: Language = "en",
 ) -> Content:
     """Return what the report of a regression says.
 
@@ -69,39 +66,31 @@ def regression_content(
         The rows of the fit, for the figures.
     beside : path, optional
         A file in whose folder they are looked for otherwise.
-    language : str
-        'en' or 'zh'.
 
     Raises
     ------
     MultiposError
         The lab file is at fault, or `data` are not those of the fit.
     """
-    tr = Translator(language)
     said = read_lab(lab)
     several = all_of(regression)
     table = _rows_of_fit(several[0], data, beside)
     sections: list[Section] = []
     results = []
     for r in several:
-        of = partial(_titled, tr, r.response if len(several) > 1 else None)
-        result, rest = _first(r, [_figures(r, table, of, tr), _tests(r, of, tr), _terms(r, of, tr)])
+        of = partial(_titled, r.response if len(several) > 1 else None)
+        result, rest = _first(r, [_figures(r, table, of), _tests(r, of), _terms(r, of)])
         results.append(replace(result, title=of("Result")))
-        sections += [*results[1:][-1:], _knowledge(r, of, tr), *rest, *_paths(r, of, tr)]
+        sections += [*results[1:][-1:], _knowledge(r, of), *rest, *_paths(r, of)]
     return Content(
-        language=language,
-        title=tr("Regression report"),
-        subtitle=tr(
-            "{responses} by {variables}",
-            responses=tr.listed([r.response for r in several]),
-            variables=tr.listed(several[0].variables),
-        ),
-        sentence=" ".join(tr.message(regression_sentence(r)) for r in several),
+        title="Regression report",
+        subtitle=f"{', '.join(r.response for r in several)} by {', '.join(several[0].variables)}",
+        sentence=" ".join(regression_sentence(r) for r in several),
         unfit=False,
         result=results[0],
-        findings=tuple(tr.message(each.text) for each in serious(regression.findings)),
-        fields=lab_fields(said, tr),
-        sections=with_annex((*sections, _method(several, tr)), tr),
+        findings=tuple(each.text for each in serious(regression.findings)),
+        fields=lab_fields(said),
+        sections=with_annex((*sections, _method(several))),
         lab=said,
     )
 
@@ -120,11 +109,11 @@ def _first(r: Regression, sections: list[Section]) -> tuple[Section, list[Sectio
     return first, [each for each in rest if each.figures or each.tables]
 
 
-def _titled(tr: Translator, response: str | None, title: str) -> str:
+def _titled(response: str | None, title: str) -> str:
     """Return the title of a section, of one response where there are several."""
     if response is None:
-        return tr(title)
-    return tr("{title} of {response}", title=tr(title), response=response)
+        return title
+    return f"{title} of {response}"
 
 
 def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) -> Table | None:
@@ -142,53 +131,44 @@ def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) ->
     return found
 
 
-def _knowledge(r: Regression, of: Titled, tr: Translator) -> Section:
+def _knowledge(r: Regression, of: Titled) -> Section:
     """Say what a user must know before relying on it."""
-    first = tr(
-        "The response {response} was described over {n} rows in {count} segments; valid only "
-        "within the ranges in the tables.",
-        response=r.response,
-        n=str(r.n),
-        count=str(len(r.segments)),
+    first = (
+        f"The response {r.response} was described over {r.n} rows in {len(r.segments)} segments; "
+        "valid only within the ranges in the tables."
     )
     sentences = [first]
     between = next((s.between for s in r.segments if s.between is not None), None)
     if between is not None:
         sentences.append(
-            tr(
-                "{runs} switch-ons are separated by '{column}'; U includes the change of bias to "
-                "the next.",
-                runs=str(between.runs),
-                column=str(r.run),
-            )
+            f"{between.runs} switch-ons are separated by '{r.run}'; U includes the change of bias "
+            "to the next."
         )
-    worth = [
-        tr("{rows} of {n}", rows=f"{s.robust.n_effective:.3g}", n=str(s.n))
-        for s in r.segments
-        if s.robust is not None
-    ]
+    worth = [f"{s.robust.n_effective:.3g} of {s.n}" for s in r.segments if s.robust is not None]
     if worth:
-        said = "Noise of rows is correlated in time; independent rows: {rows}, by segment."
-        sentences.append(tr(said, rows=tr.listed(worth)))
+        rows = ", ".join(worth)
+        sentences.append(
+            f"Noise of rows is correlated in time; independent rows: {rows}, by segment."
+        )
     if r.rates and not r.causal:
-        sentences.append(tr("Rates need rows that come later: for a device fit it with --causal."))
+        sentences.append("Rates need rows that come later: for a device fit it with --causal.")
     if r.cross_validation is not None:
-        said = "On blocks of time, each left out once, the error is {rms} rms."
-        sentences.append(tr(said, rms=f"{r.cross_validation['rms']:.3g}"))
+        rms = f"{r.cross_validation['rms']:.3g}"
+        sentences.append(f"On blocks of time, each left out once, the error is {rms} rms.")
     return Section(of("Notes"), paragraphs=tuple(sentences))
 
 
-def _tests(r: Regression, of: Titled, tr: Translator) -> Section:
+def _tests(r: Regression, of: Titled) -> Section:
     """Return the paper's table: F of every segment against its critical value."""
-    ends = (f"F_{r.confidence:g}", "F_robust", "R²", tr("rms"))
-    header = (tr("segment"), "n", "k", "n − k − 1", "F", *ends)
+    ends = (f"F_{r.confidence:g}", "F_robust", "R²", "rms")
+    header = ("segment", "n", "k", "n − k − 1", "F", *ends)
     rows = []
     for s in r.segments:
         robust = "-" if s.robust is None else number(s.robust.F)
-        mark = "" if s.significant else f" ({tr('not significant')})"
+        mark = "" if s.significant else " (not significant)"
         rows.append(
             (
-                f"{_span(r, s, tr)}{mark}",
+                f"{_span(r, s)}{mark}",
                 str(s.n),
                 str(s.dof[0]),
                 str(s.dof[1]),
@@ -199,24 +179,23 @@ def _tests(r: Regression, of: Titled, tr: Translator) -> Section:
                 number(s.rms, 3),
             )
         )
-    caption = tr("F of every segment, against what chance exceeds")
+    caption = "F of every segment, against what chance exceeds"
     tables = [PageTable(caption, header, tuple(rows))]
     if r.junctions:
         jumps = tuple(
-            (f"{j.edge:.6g}{_branch(j, tr)}", uncertain(j.jump, j.u), number(j.U, 2))
+            (f"{j.edge:.6g}{_branch(j)}", uncertain(j.jump, j.u), number(j.U, 2))
             for j in r.junctions
         )
-        said = "Largest jump at every edge of {variable}"
-        caption = tr(said, variable=str(r.segment_variable))
-        tables.append(PageTable(caption, (tr("edge"), tr("jump(u)"), "U"), jumps))
+        caption = f"Largest jump at every edge of {r.segment_variable}"
+        tables.append(PageTable(caption, ("edge", "jump(u)", "U"), jumps))
     return Section(of("Tests"), tables=tuple(tables))
 
 
-def _branch(j: Junction, tr: Translator) -> str:
-    return f", {tr(j.branch)}" if j.branch else ""
+def _branch(j: Junction) -> str:
+    return f", {j.branch}" if j.branch else ""
 
 
-def _terms(r: Regression, of: Titled, tr: Translator) -> Section:
+def _terms(r: Regression, of: Titled) -> Section:
     tables = []
     for s in r.segments:
         rows = tuple(
@@ -228,28 +207,28 @@ def _terms(r: Regression, of: Titled, tr: Translator) -> Section:
             )
             for c in s.coefficients
         )
-        caption = tr("Segment {span}", span=_span(r, s, tr))
-        tables.append(PageTable(caption, (tr("term"), tr("value(u)"), "t", "p"), rows))
+        caption = f"Segment {_span(r, s)}"
+        tables.append(PageTable(caption, ("term", "value(u)", "t", "p"), rows))
         limits = tuple((v, number(low, 6), number(high, 6)) for v, (low, high) in s.limits.items())
-        header = (tr("variable"), tr("from"), tr("to"))
-        tables.append(PageTable(tr("fitted over"), header, limits))
+        header = ("variable", "from", "to")
+        tables.append(PageTable("fitted over", header, limits))
     return Section(of("Terms"), tables=tuple(tables))
 
 
-def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
+def _paths(r: Regression, of: Titled) -> list[Section]:
     """Return how the terms were chosen, drawn and in numbers."""
     chosen = [s for s in r.segments if s.path][: 1 if r.continuous else None]
     if not chosen:
         return []
     figures, tables = [], []
     for s in chosen:
-        span = tr("all segments") if r.continuous else _span(r, s, tr)
+        span = "all segments" if r.continuous else _span(r, s)
         height = 0.8 + 0.22 * len(s.path)
         figures.append(
             Figure(
-                tr("Path of terms, {span}", span=span),
-                tr("F of every step; a diamond is the runner-up."),
-                partial(draw_svg, tr, height, partial(draw_path, s)),
+                f"Path of terms, {span}",
+                "F of every step; a diamond is the runner-up.",
+                partial(draw_svg, height, partial(draw_path, s)),
             )
         )
         rows = tuple(
@@ -262,16 +241,15 @@ def _paths(r: Regression, of: Titled, tr: Translator) -> list[Section]:
             )
             for step in s.path
         )
-        header = (tr("step"), tr("term"), "F", "p", tr("runner-up"))
-        tables.append(PageTable(tr("Steps, {span}", span=span), header, rows, left=2))
+        header = ("step", "term", "F", "p", "runner-up")
+        tables.append(PageTable(f"Steps, {span}", header, rows, left=2))
     return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))]
 
 
-def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> Section:
+def _figures(r: Regression, table: Table | None, of: Titled) -> Section:
     """Return before and after against the variable of the segments and against time."""
     if table is None:
-        said = "The rows of the fit ({source}) are not here; --data draws before and after."
-        sentences = tr(said, source=str(r.source))
+        sentences = f"The rows of the fit ({r.source}) are not here; --data draws before and after."
         return Section(of("Before and after"), paragraphs=(sentences,))
     complete = complete_rows(r, table)
     _, before, after, variable, x = corrected_rows(r, complete)
@@ -281,7 +259,7 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
     shown = _rows_to_draw(after)
     which = ""
     if len(shown) < len(after):
-        which = tr(" ({shown} of {n} rows)", shown=str(len(shown)), n=str(len(after)))
+        which = f" ({len(shown)} of {len(after)} rows)"
 
     def panels(label: str, x: Array, edges: Sequence[float]) -> Iterator[Callable[[Any], None]]:
         for y, word, below in ((before, "before", ""), (after, "after", label)):
@@ -289,22 +267,17 @@ def _figures(r: Regression, table: Table | None, of: Titled, tr: Translator) -> 
 
     figures = tuple(
         Figure(
-            tr("Before and after against {label}", label=label) + which,
-            tr("Above before, below after, each on its own scale."),
-            partial(draw_svg, tr, 1.9, *panels(label, values, edges)),
+            f"Before and after against {label}{which}",
+            "Above before, below after, each on its own scale.",
+            partial(draw_svg, 1.9, *panels(label, values, edges)),
         )
         for label, values, edges in against
     )
     most, left = (float(np.abs(values).max()) for values in (before, after))
     rms, rms_left = (float(np.sqrt(np.mean(values**2))) for values in (before, after))
-    sentences = tr(
-        "Largest |{response}| {most} before and {left} after, rms {rms} and {rms_left}, on the "
-        "rows of the fit; an independent run is what proves it (check).",
-        response=r.response,
-        most=f"{most:.4g}",
-        left=f"{left:.4g}",
-        rms=f"{rms:.4g}",
-        rms_left=f"{rms_left:.4g}",
+    sentences = (
+        f"Largest |{r.response}| {most:.4g} before and {left:.4g} after, rms {rms:.4g} and "
+        f"{rms_left:.4g}, on the rows of the fit; an independent run is what proves it (check)."
     )
     return Section(of("Before and after"), paragraphs=(sentences,), figures=figures)
 
@@ -329,30 +302,26 @@ def _draw_one(
     axes.axhline(0.0, color="#000000", linewidth=0.5)
     for edge in edges:
         axes.axvline(edge, color="#000000", linewidth=0.8, linestyle="--")
-    axes.set_ylabel(name)  # in English, as `Translator.svg` expects words
+    axes.set_ylabel(name)
     axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     axes.set_xlabel(below)
 
 
-def _method(several: Sequence[Regression], tr: Translator) -> Section:
+def _method(several: Sequence[Regression]) -> Section:
     r = several[0]
     rows = [
-        (tr("Data"), r.source or tr("from memory")),
-        (tr("SHA-256 of the data"), r.sha256 or "-"),
-        (tr("Rows, left out"), f"{r.n}, {r.dropped}"),
-        (tr("Method"), r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
-        (tr("Candidates"), ", ".join(r.candidates)),
-        *(
-            (tr("Rate {name}", name=name), tr("window {width}", width=f"{w:.6g}"))
-            for name, w in r.rates.items()
-        ),
-        (tr("Rates"), tr("of past rows") if r.causal else tr("of rows before and after")),
-        (tr("Confidence"), f"{r.confidence:g}"),
-        (tr("Computed"), f"{r.created}, multipos {r.version}"),
+        ("Data", r.source or "from memory"),
+        ("SHA-256 of the data", r.sha256 or "-"),
+        ("Rows, left out", f"{r.n}, {r.dropped}"),
+        ("Method", r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
+        ("Candidates", ", ".join(r.candidates)),
+        *((f"Rate {name}", f"window {w:.6g}") for name, w in r.rates.items()),
+        ("Rates", "of past rows" if r.causal else "of rows before and after"),
+        ("Confidence", f"{r.confidence:g}"),
+        ("Computed", f"{r.created}, multipos {r.version}"),
     ]
-    return method_section(rows, tr)
+    return method_section(rows)
 
 
-def _span(r: Regression, s: Segment, tr: Translator) -> str:
-    span = format_span(r.range_variable, s.range, None if s.branch is None else tr(s.branch))
-    return span.replace(" to ", tr(" to "))
+def _span(r: Regression, s: Segment) -> str:
+    return format_span(r.range_variable, s.range, s.branch)

@@ -2,87 +2,19 @@
 
 Numbers are text here, with the digits that their uncertainty leaves. Figures are functions and
 drawn only where they are wanted.
-
-Words of the reports in other languages than English.
-
-English is the key: a language is a TOML file in `templates`, with the table ``words`` of whole
-sentences, where ``{name}`` stands for what is put in, and ``messages``, patterns for what the
-fits say, where ``{name}`` matches whatever stands there. What a language lacks stays English.
 """
 
-import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.errors import UsageError
 from multipos.files.numbers import largest_rows
 from multipos.results import frozen
-from multipos.sensor.gravity import GRAVITY, Field, worded, worded_chinese
-
-Language = Literal["en", "zh"]
-LANGUAGES: tuple[Language, ...] = get_args(Language)
-
-
-class Translator:
-    """Return a sentence in a language: ``tr("Offset of {output}", output="ax")``."""
-
-    def __init__(self, language: Language, field: Field = GRAVITY) -> None:
-        if language not in LANGUAGES:
-            raise UsageError(f"--language takes {' or '.join(LANGUAGES)}, got '{language}'.")
-        self.language = language
-        content = {} if language == "en" else _read(language)
-        self.words: dict[str, str] = content.get("words", {})
-        self.messages: dict[str, str] = content.get("messages", {})
-        self.field = field
-        if field.magnetic:
-            self.words, self.messages = map(self._in_field, (self.words, self.messages))
-
-    def _in_field(self, table: dict[str, str]) -> dict[str, str]:
-        return {worded(key, self.field): worded_chinese(said) for key, said in table.items()}
-
-    def __call__(self, text: str, **put_in: str) -> str:
-        """Return a sentence with what is put in."""
-        text = worded(text, self.field)
-        return self.words.get(text, text).format(**put_in) if put_in else self.words.get(text, text)
-
-    def message(self, text: str) -> str:
-        """Return what a fit said: a sentence with numbers and names in it."""
-        text = worded(text, self.field)
-        for pattern, translated in self.messages.items():
-            match = _regular(pattern).fullmatch(text)
-            if match:
-                inside = {name: self.message(part) for name, part in match.groupdict().items()}
-                return translated.format(**inside)
-        return self(text)
-
-    def listed(self, parts: Sequence[str]) -> str:
-        """Return a list in words."""
-        return ("、" if self.language == "zh" else ", ").join(parts)
-
-    def label(self, text: str) -> str:
-        """Return a label of a figure; a unit in brackets stays."""
-        words, bracket, unit = text.partition(" [")
-        return self.message(words) + bracket + unit
-
-
-@lru_cache(None)
-def _regular(pattern: str) -> "re.Pattern[str]":
-    parts = re.split(r"\{(\w+)\}", pattern)
-    texts = (re.escape(part) if i % 2 == 0 else f"(?P<{part}>.+?)" for i, part in enumerate(parts))
-    return re.compile("".join(texts))
-
-
-@lru_cache
-def _read(language: str) -> dict[str, Any]:
-    import tomllib
-
-    return tomllib.loads(template(f"{language}.toml"))
+from multipos.sensor.gravity import Field
 
 
 def template(name: str) -> str:
@@ -131,33 +63,49 @@ class Section:
     tables: tuple[PageTable, ...] = ()
 
 
-def method_section(rows: Iterable[tuple[str, str]], tr: Translator) -> Section:
+def worded_section(section: Section, field: Field) -> Section:
+    """Return a section as it is said of a sensor of a field; the rows of its tables stay."""
+
+    def said(texts: Iterable[str]) -> tuple[str, ...]:
+        return tuple(field.worded(text) for text in texts)
+
+    figures = []
+    for figure in section.figures:
+        caption, description = said((figure.caption, figure.description))
+        figures.append(replace(figure, caption=caption, description=description))
+    tables = [
+        replace(table, caption=field.worded(table.caption), header=said(table.header))
+        for table in section.tables
+    ]
+    title = field.worded(section.title)
+    return Section(title, said(section.paragraphs), tuple(figures), tuple(tables))
+
+
+def method_section(rows: Iterable[tuple[str, str]]) -> Section:
     """Return the section on how something was done."""
-    header = (tr("Item"), tr("Value"))
-    table = PageTable(tr("How it was done"), header, tuple(rows), left=2)
-    return Section(tr("Method and data"), tables=(table,))
+    header = ("Item", "Value")
+    table = PageTable("How it was done", header, tuple(rows), left=2)
+    return Section("Method and data", tables=(table,))
 
 
-def draw_svg(tr: Translator, height: float, *panels: Callable[[Any], object]) -> str:
-    """Return a figure of panels of a height, each drawn on its own axes, as SVG translated."""
+def draw_svg(height: float, *panels: Callable[[Any], object]) -> str:
+    """Return a figure of panels of a height, each drawn on its own axes, as SVG."""
     # Imported here: a sentence on the screen needs no figure.
     from multipos.plots.style import figure_of, to_svg
 
-    return to_svg(figure_of(panels, width=_WIDTH, height=height), tr.label)
+    return to_svg(figure_of(panels, width=_WIDTH, height=height))
 
 
-def chosen_rows(
-    tr: Translator, sizes: NDArray[np.float64]
-) -> tuple[list[int], tuple[int, ...], str]:
+def chosen_rows(sizes: NDArray[np.float64]) -> tuple[list[int], tuple[int, ...], str]:
     """Return the rows that a table takes, those that its body keeps, and what its caption adds."""
     largest = tuple(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE))
     if len(sizes) <= _WHOLE:
         return list(range(len(sizes))), largest if len(sizes) > LONG_TABLE else (), ""
-    more = " (the {shown} largest of {count}; the calibration file has all)"
-    return list(largest), (), tr(more, shown=str(LONG_TABLE), count=str(len(sizes)))
+    more = f" (the {LONG_TABLE} largest of {len(sizes)}; the calibration file has all)"
+    return list(largest), (), more
 
 
-def with_annex(sections: Iterable[Section], tr: Translator) -> tuple[Section, ...]:
+def with_annex(sections: Iterable[Section]) -> tuple[Section, ...]:
     """Return the sections with the largest rows of long tables, which an annex has in full."""
     whole: list[PageTable] = []
 
@@ -167,11 +115,9 @@ def with_annex(sections: Iterable[Section], tr: Translator) -> tuple[Section, ..
             return grid
         whole.append(grid)
         kept = [*(grid.kept or range(LONG_TABLE)), *range(count, len(grid.rows))]
-        more = " (the {shown} largest of {count}; all in the annex)"
-        if not grid.kept:
-            more = " (the first {shown} of {count}; all in the annex)"
-        caption = grid.caption + tr(more, shown=str(LONG_TABLE), count=str(count))
+        which = f"{LONG_TABLE} largest" if grid.kept else f"first {LONG_TABLE}"
+        caption = f"{grid.caption} (the {which} of {count}; all in the annex)"
         return replace(grid, caption=caption, rows=tuple(grid.rows[row] for row in kept))
 
     body = tuple(replace(part, tables=tuple(map(short, part.tables))) for part in sections)
-    return (*body, Section(tr("Annex"), tables=tuple(whole))) if whole else body
+    return (*body, Section("Annex", tables=tuple(whole))) if whole else body

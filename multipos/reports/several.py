@@ -29,52 +29,44 @@ _EXPLAINED = (
 )
 
 
-def fleet_content(found: Mapping[str, Any], *, language: sections.Language = "en") -> Content:
+def fleet_content(found: Mapping[str, Any]) -> Content:
     """Return what the report of a fleet says.
 
     Parameters
     ----------
     found : mapping
         As `fleet.json` holds it.
-    language
-        As of `multipos.report`.
     """
-    tr = sections.Translator(language)
     outliers, named = fleet_text.outlier_rows(found)
     header, stations = fleet_text.station_rows(found)
     alone = len(stations) == 1 and len(header) == len(("station", "units"))
     parts = [
-        _section("Why units do not pass", fleet_text.cause_rows(found), tr),
-        None if alone else _section("Stations", (header, stations), tr, (_STATIONS,)),
-        _section(
-            "Parameters", fleet_text.parameter_rows(found), tr, _EXPLAINED, _histograms(found, tr)
-        ),
-        _risks(found, tr),
-        _fixtures(found, tr),
-        _section("What moved", _moves(found), tr, (), _charts(found, tr)),
-        _section("Units that do not belong", ((_WHICH, *outliers[1:]), named), tr, (_OUTLIERS,)),
-        _tables_of(found, tr),
+        _section("Why units do not pass", fleet_text.cause_rows(found)),
+        None if alone else _section("Stations", (header, stations), (_STATIONS,)),
+        _section("Parameters", fleet_text.parameter_rows(found), _EXPLAINED, _histograms(found)),
+        _risks(found),
+        _fixtures(found),
+        _section("What moved", _moves(found), (), _charts(found)),
+        _section("Units that do not belong", ((_WHICH, *outliers[1:]), named), (_OUTLIERS,)),
+        _tables_of(found),
     ]
     return Content(
-        language=language,
-        title=tr("Report of a fleet"),
-        subtitle=tr("Computed {date}", date=str(found["created"])),
-        sentence=_answer(found, tr),
+        title="Report of a fleet",
+        subtitle=f"Computed {found['created']}",
+        sentence=_answer(found),
         unfit=False,
-        findings=tuple(tr.message(each.text) for each in serious(read_findings(found))),
+        findings=tuple(each.text for each in serious(read_findings(found))),
         fields=(),
-        sections=sections.with_annex((part for part in parts if part is not None), tr),
+        sections=sections.with_annex(part for part in parts if part is not None),
     )
 
 
-def _answer(found: Mapping[str, Any], tr: sections.Translator) -> str:
+def _answer(found: Mapping[str, Any]) -> str:
     """Return the yield, and the units by verdict."""
-    counts = [tr(f"{{count}} {name}", count=str(n)) for name, n in found["verdicts"].items()]
-    return tr(
-        "Yield {value} ({low} to {high} with 95 % confidence) of {units} units: {counts}.",
-        **{key: fleet_text.percent(found["yield"][key]) for key in ("value", "low", "high")},
-        units=str(found["units"]),
-        counts=tr.listed(counts),
+    counts = ", ".join(f"{count} {name}" for name, count in found["verdicts"].items())
+    value, low, high = (fleet_text.percent(found["yield"][key]) for key in ("value", "low", "high"))
+    return (
+        f"Yield {value} ({low} to {high} with 95 % confidence) of {found['units']} units: {counts}."
     )
 
 
@@ -103,53 +95,42 @@ _FIXTURES = (
 def _section(
     title: str,
     grid: fleet_text.Rows,
-    tr: sections.Translator,
     paragraphs: tuple[str, ...] = (),
     figures: tuple[sections.Figure, ...] = (),
 ) -> sections.Section | None:
     if not grid[1]:
         return None
-    table = _table(tr(title), grid, tr)
-    return sections.Section(tr(title), tuple(map(tr, paragraphs)), figures, (table,))
+    table = _table(title, grid)
+    return sections.Section(title, paragraphs, figures, (table,))
 
 
-def _table(caption: str, grid: fleet_text.Rows, tr: sections.Translator) -> sections.PageTable:
-    """Return the first rows of a table, each cell in the language of the page."""
+def _table(caption: str, grid: fleet_text.Rows) -> sections.PageTable:
+    """Return the first rows of a table."""
     header, rows = grid
     if len(rows) > _SHOWN:
-        more = " (the first {shown} of {count}; fleet.json has all)"
-        caption += tr(more, shown=str(_SHOWN), count=str(len(rows)))
-    shown = tuple(tuple(map(tr.message, row)) for row in rows[:_SHOWN])
-    return sections.PageTable(caption, tuple(_heading(cell, tr) for cell in header), shown)
+        caption += f" (the first {_SHOWN} of {len(rows)}; fleet.json has all)"
+    return sections.PageTable(caption, tuple(header), tuple(rows[:_SHOWN]))
 
 
-def _heading(text: str, tr: sections.Translator) -> str:
-    word, _, rest = text.partition(" ")  # level x [°], shift ax
-    return f"{tr(word)} {rest}" if word in ("level", "shift") else tr.label(text)
-
-
-def _histograms(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sections.Figure, ...]:
+def _histograms(found: Mapping[str, Any]) -> tuple[sections.Figure, ...]:
     return tuple(
         sections.Figure(
             each["name"],
-            tr(
-                "histogram of {count} units, with limits where there are any",
-                count=str(each["count"]),
-            ),
-            partial(sections.draw_svg, tr, 2.2, partial(draw_histogram, each)),
+            f"histogram of {each['count']} units, with limits where there are any",
+            partial(sections.draw_svg, 2.2, partial(draw_histogram, each)),
         )
         for each in limited(found["parameters"], _DRAWN)
     )
 
 
-def _charts(found: Mapping[str, Any], tr: sections.Translator) -> tuple[sections.Figure, ...]:
+def _charts(found: Mapping[str, Any]) -> tuple[sections.Figure, ...]:
     moved = {each["name"] for each in found["drift"]}
     said = "medians of consecutive units, one line a station, dotted the limits of its EWMA"
     return tuple(
         sections.Figure(
-            tr("{name} by station", name=each["name"]),
-            tr(said),
-            partial(sections.draw_svg, tr, 2.2, partial(draw_chart, each)),
+            f"{each['name']} by station",
+            said,
+            partial(sections.draw_svg, 2.2, partial(draw_chart, each)),
         )
         for each in found["parameters"]
         if each["name"] in moved and each["chart"]
@@ -161,7 +142,7 @@ def _moves(found: Mapping[str, Any]) -> fleet_text.Rows:
     return header, [(*row[:2], f"a {row[2]}", *row[3:]) for row in rows]
 
 
-def _risks(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
+def _risks(found: Mapping[str, Any]) -> sections.Section | None:
     rows = [
         (
             each["name"],
@@ -172,10 +153,10 @@ def _risks(found: Mapping[str, Any], tr: sections.Translator) -> sections.Sectio
         if each["risk"] is not None
     ]
     header = ("parameter", "pass although outside", "fail although inside")
-    return _section("Wrong verdicts", (header, rows), tr, (_RISKS,))
+    return _section("Wrong verdicts", (header, rows), (_RISKS,))
 
 
-def _fixtures(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section | None:
+def _fixtures(found: Mapping[str, Any]) -> sections.Section | None:
     tables = []
     for station in found["stations"]:
         known = [
@@ -186,16 +167,16 @@ def _fixtures(found: Mapping[str, Any], tr: sections.Translator) -> sections.Sec
         if known:
             rows = [(each["position"], *(_angle(each[axis]) for axis in "xyz")) for each in known]
             name = station["station"]
-            caption = tr("Station {name}", name=name) if name else tr("All units")
+            caption = f"Station {name}" if name else "All units"
             off = [", ".join(axis for axis in "xyz" if is_off(each[axis])) for each in known]
-            header: tuple[str, ...] = (tr("position"), "x [deg]", "y [deg]", "z [deg]")
+            header: tuple[str, ...] = ("position", "x [deg]", "y [deg]", "z [deg]")
             if any(off):
-                header = (*header, tr("off"))
+                header = (*header, "off")
                 rows = [(*row, said) for row, said in zip(rows, off, strict=True)]
             tables.append(sections.PageTable(caption, header, tuple(rows)))
     if not tables:
         return None
-    return sections.Section(tr("Angles of the positions"), (tr(_FIXTURES),), (), tuple(tables))
+    return sections.Section("Angles of the positions", (_FIXTURES,), (), tuple(tables))
 
 
 def _angle(figure: Mapping[str, float] | None) -> str:
@@ -205,7 +186,7 @@ def _angle(figure: Mapping[str, float] | None) -> str:
     return numbers.uncertain(figure["value"], figure["u"])
 
 
-def _tables_of(found: Mapping[str, Any], tr: sections.Translator) -> sections.Section:
+def _tables_of(found: Mapping[str, Any]) -> sections.Section:
     rows = tuple((each["file"], each["sha256"] or "-") for each in found["input"])
-    table = sections.PageTable(tr("Tables"), (tr("table"), "SHA-256"), rows, left=2)
-    return sections.Section(tr("Data"), tables=(table,))
+    table = sections.PageTable("Tables", ("table", "SHA-256"), rows, left=2)
+    return sections.Section("Data", tables=(table,))

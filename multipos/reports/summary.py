@@ -15,64 +15,48 @@ from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
-from multipos.reports.sections import Translator
 from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows, rms_before
 from multipos.sensor.found import Estimator
-from multipos.sensor.gravity import worded
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 
 
-_ENGLISH = Translator("en")
-
-
-def counted_findings(findings: Iterable[Finding], tr: Translator = _ENGLISH) -> str:
+def counted_findings(findings: Iterable[Finding]) -> str:
     """Return how many errors and warnings there are."""
     levels = [found.level for found in findings]
     counts = {level: levels.count(level) for level in LEVELS[:2]}
-    said = [
-        tr(f"{{count}} {level}{'s' if n > 1 else ''}", count=str(n))
-        for level, n in counts.items()
-        if n
-    ]
-    return tr.listed(said) or tr("no warnings")
+    said = [f"{n} {level}{'s' if n > 1 else ''}" for level, n in counts.items() if n]
+    return ", ".join(said) or "no warnings"
 
 
-def calibration_sentence(c: Calibration, tr: Translator = _ENGLISH) -> str:
+def calibration_sentence(c: Calibration) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
-    if c.field.magnetic and not tr.field.magnetic:
-        tr = Translator(tr.language, c.field)
     count = len(c.readings)
     kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
     kind = "reading" if c.field.magnetic else kind
-    said = f"{{outputs}} calibrated from {{count}} {kind}{'s' if count != 1 else ''}"
-    parts = [tr(said, outputs=tr.listed(c.outputs), count=str(count))]
+    plural = "" if count == 1 else "s"
+    parts = [f"{', '.join(c.outputs)} calibrated from {count} {kind}{plural}"]
     if math.isfinite(c.rms):
-        before, after = rms_before(c), _with_angle(c, c.rms, tr, "{angle} near level")
-        said = (
-            ": rms error {after}"
-            if before is None
-            else ": rms error {before} before, {after} after"
-        )
-        parts[0] += tr(said, before=numbers.in_unit(before or 0.0, "g"), after=after)
+        before, after = rms_before(c), _with_angle(c, c.rms, " near level")
+        if before is not None:
+            after = f"{numbers.in_unit(before, 'g')} before, {after} after"
+        parts[0] += f": rms error {after}"
     bias, scale = _largest_expanded(c)
-    sizes = [tr("{size} of bias", size=_with_angle(c, bias, tr))] if math.isfinite(bias) else []
-    sizes += [tr("{size} of scale", size=share(scale))] if math.isfinite(scale) else []
+    sizes = [c.field.worded(f"{_with_angle(c, bias)} of bias")] if math.isfinite(bias) else []
+    sizes += [f"{share(scale)} of scale"] if math.isfinite(scale) else []
     if sizes:
         percent = f"{100.0 * c.confidence:g}"
-        parts.append(
-            tr("U ({percent} %) up to {sizes}", percent=percent, sizes=tr(" and ").join(sizes))
-        )
-    head = tr("Not fit for use: ") if errors_of(c.findings) else ""
-    return f"{head}{tr('; ').join([*parts, counted_findings(c.findings, tr)])}{tr('.')}"
+        parts.append(f"U ({percent} %) up to {' and '.join(sizes)}")
+    head = "Not fit for use: " if errors_of(c.findings) else ""
+    return f"{head}{'; '.join([*parts, counted_findings(c.findings)])}."
 
 
-def _with_angle(c: Calibration, size: float, tr: Translator, form: str = "{angle}") -> str:
+def _with_angle(c: Calibration, size: float, where: str = "") -> str:
     """Return a size, of an inclinometer with the angle near level that it is."""
     shown = _shown(c, size)
     if c.field.magnetic or len(c.model.sensed_axes) == len(COMPONENTS):
         return shown
-    return f"{shown} ({tr(form, angle=numbers.in_unit(math.degrees(size), 'deg'))})"
+    return f"{shown} ({numbers.in_unit(math.degrees(size), 'deg')}{where})"
 
 
 def _shown(c: Calibration, size: float) -> str:
@@ -186,7 +170,7 @@ def _residual(value: float, scale: float) -> str:
 def _checks(calibration: Calibration) -> str:
     c = calibration
     unit = c.field.unit or "of the field"
-    no_force = worded("none, as the parameters give no force", c.field)
+    no_force = c.field.worded("none, as the parameters give no force")
     left = f"{numbers.beyond_rounding(c.rms):.3e} {unit}" if math.isfinite(c.rms) else no_force
     lines = [f"rms of what is left after compensation: {left}"]
     if c.nominal is not None:

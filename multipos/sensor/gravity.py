@@ -319,28 +319,8 @@ _WORDS = (
     (r"upside down", "reversed"),
 )
 _PERCENT = {"g": 100.0, "mg": 0.1, "µg": 1e-4}  # of a relative field
-_CHINESE = (
-    *(("−1 g 至 +1 g", "磁场范围"), ("1 g 的", "磁场的")),
-    *(("比力", "磁场"), ("加速度计", "磁力计"), ("加速度", "磁场"), ("重力场", "磁场")),
-    *(("重力", "磁场"), ("受力", "磁场"), ("力的大小", "磁场的大小"), ("补偿后力", "补偿后磁场")),
-    ("向上矢量", "磁场方向"),
-    ("中的“上”", "中的磁场"),
-    *(("为单位的力", "为单位的磁场"), ("零偏", "硬磁偏置"), ("力以", "磁场以"), ("与倾角", "")),
-)
-_TABLE = tuple((re.compile(rf"(?<![\w-]){old}(?!\w)"), new) for old, new in _WORDS)
+_TABLE = tuple((re.compile(rf"(?<![\w-]){old}(?!\w|\.\w)"), new) for old, new in _WORDS)
 _SIZE = re.compile(r"(?<![\w.])([-+]?[\d.]+(?:e[-+]?\d+)?) (mg|µg|g)(?![\w/^])")
-
-
-def worded(text: str, field: Field) -> str:
-    """Return a sentence as it is said of a sensor of the field."""
-    return field.worded(text)
-
-
-def worded_chinese(text: str) -> str:
-    """Return a Chinese sentence as it is said of a magnetometer."""
-    for old, new in _CHINESE:
-        text = text.replace(old, new)
-    return text
 
 
 def check_field_kind(kind: str | None) -> None:

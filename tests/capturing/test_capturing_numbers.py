@@ -277,12 +277,12 @@ def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
     assert live_rests.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
 
 
-def test_a_terminal_shows_the_state_again_and_again_in_its_language(monkeypatch):
+def test_a_terminal_shows_the_state_again_and_again(monkeypatch):
     """Each picture is written in place of the one before, and none stays at the end."""
     pictures, seen = iter([["a", "b"], ["c"], ["d"]]), threading.Event()
 
-    def picture_of(state, language):
-        assert (state, language) == ("state of session", "zh")
+    def picture_of(state):
+        assert state == "state of session"
         lines = next(pictures, None)
         if lines is None:
             seen.set()
@@ -291,7 +291,6 @@ def test_a_terminal_shows_the_state_again_and_again_in_its_language(monkeypatch)
     terminal = SimpleNamespace(isatty=lambda: True, write=(said := []).append, flush=lambda: None)
     monkeypatch.setattr(screen.sys, "stderr", terminal)
     monkeypatch.setattr(screen, "_OFTEN", 1e-4)
-    monkeypatch.setattr(screen, "_language_of_terminal", lambda: "zh")
     monkeypatch.setattr(screen, "state_of", lambda session: "state of session")
     monkeypatch.setattr(screen, "picture_of", picture_of)
     session = SimpleNamespace(changed=threading.Lock())

@@ -43,7 +43,6 @@ from multipos.capturing.running import Kept, _goes_on, make_plan, make_reading, 
 from multipos.capturing.screen import (
     _SHOWN,
     _draw,
-    _language_of_terminal,
     _listed,
     obey,
     picture_of,
@@ -658,19 +657,18 @@ def test_a_rest_is_refused_by_what_it_read():
 
 
 def test_a_pose_in_words():
-    assert pose_words(np.array([0.0, 0.0, -1.0]))["en"] == "−z straight up"
+    assert pose_words(np.array([0.0, 0.0, -1.0])) == "−z straight up"
     lean = np.radians(35.0)
     words = pose_words(np.array([np.sin(lean), 0.0, np.cos(lean)]))
-    assert words["en"] == "+z up, leaning 35° so that +x rises"
-    assert words["zh"] == "+z 轴向上，倾斜 35°，使 +x 抬高"
-    assert "+x and −y rise" in pose_words(np.array([0.5, -0.5, np.sqrt(0.5)]))["en"]
+    assert words == "+z up, leaning 35° so that +x rises"
+    assert "+x and −y rise" in pose_words(np.array([0.5, -0.5, np.sqrt(0.5)]))
 
 
 def test_the_text_screen_shows_the_state(log):
     session = started(log, positions=17, target=["bias=0.002"])
     state = state_of(session)
     text = "\n".join(picture_of(state))
-    assert f"next: {state['next']['words']['en']}" in text
+    assert f"next: {state['next']['words']}" in text
     rows = [line.split() for line in text.splitlines()]
     for entry in state["parameters"]:
         (row,) = (cells for cells in rows if cells[:1] == [entry["name"]])
@@ -860,23 +858,6 @@ def test_what_an_earlier_session_fixed_and_what_was_asked_for():
 )
 def test_a_column_that_rises_may_be_a_time(time, rising):
     assert rises(np.array(time)) == rising
-
-
-@pytest.mark.parametrize(
-    ("named", "language"),
-    [
-        ({}, "en"),
-        ({"LANG": "zh_CN.UTF-8"}, "zh"),
-        ({"LC_ALL": "", "LC_MESSAGES": "zh_TW", "LANG": "de_DE"}, "zh"),
-        ({"LC_ALL": "en_US", "LANG": "zh_CN"}, "en"),
-    ],
-)
-def test_the_language_of_a_terminal_is_that_of_the_first_name_given(named, language, monkeypatch):
-    for name in ("LC_ALL", "LC_MESSAGES", "LANG"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in named.items():
-        monkeypatch.setenv(name, value)
-    assert _language_of_terminal() == language
 
 
 def test_lines_are_drawn_over_those_before_and_end_before_the_edge(capsys, monkeypatch):

@@ -110,7 +110,6 @@ CHOICES = [
     (mp.regress, "robust", (ROWS,), {"response": "y", "variables": "A"}),
     (mp.apply, "outside", (mp.fit(mp.Readings(UP), scheme="faces-6"), TABLE)),
     (mp.correct, "outside", (mp.regress(ROWS, response="y", variables="A"), ROWS)),
-    (mp.report, "language", (mp.fit(mp.Readings(UP), scheme="faces-6"), "report.html")),
 ]
 
 

@@ -58,7 +58,7 @@ compare made.json made.json
 compare made.json lin.json -o o.json
 compare made.json made.json made.json
 report made.json -o o.md
-report made.json -o o.txt --language zh
+report made.json -o o.txt
 report made.json -o o.xml --lab laboratory.toml
 report made.json -o o.html
 export made.json --to c -o o.c

@@ -77,7 +77,7 @@ TEXT = """
  4 report lin.json -o o.md
  3 report stepwise.json -o o.txt
  2 report budget.json -o o.md
- 3 report level.json -o o.md --language zh
+ 3 report level.json -o o.md
  3 report closed.json -o o.txt --json
  2 report unknown.json -o o.txt
  2 report redundant.json -o o.md
@@ -92,7 +92,7 @@ TEXT = """
  8 report lin.json --check force-check.json -o o.md
  4 report lin.json --check tilt-check.json -o o.txt
 .1 report lin.json --check force-check.json -o o.html
-.1 report lin.json --check tilt-check.json -o o.html --language zh
+.1 report lin.json --check tilt-check.json -o o.html
  5 export lin.json --to c -o o.c
  5 export ieee.json --to c --float --name imu -o o.c --json
  3 export warm.json --to c -o o.c
@@ -209,7 +209,7 @@ TEXT = """
  2 compare mag.json mag.json --combine -o o.json
  2 compare lin.json averaged.json --combine -o o.json
  2 report mag.json -o o.md
- 1 report waved.json -o o.txt --language zh
+ 1 report waved.json -o o.txt
  2 export mag.json --to c -o o.c
  1 export mag.json --to c --fixed -o o.c
  1 export lin.json --to c --fixed -o o.c

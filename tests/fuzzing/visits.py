@@ -8,7 +8,6 @@ import random
 from collections.abc import Sequence
 
 from multipos.page.visit import TARGETS, Visit
-from multipos.reports.sections import Translator
 
 from . import bases, hostile
 
@@ -24,10 +23,9 @@ FORMS = ("json", "readings", "md", "c", *TARGETS)
 def draw(rng: random.Random) -> tuple[str, tuple[str, ...]]:
     """Return the file that a visitor gives and the words of the visit."""
     name = rng.choice(FILES)
-    language = rng.choice(("en", "zh"))
     asked = [_calibrate(rng, name)] if rng.random() < 0.95 else []
     asked += [_next(rng, name) for _ in range(rng.choice((0, 1, 2, 4)))]
-    lines = [json.dumps({**each, "language": language}, ensure_ascii=False) for each in asked]
+    lines = [json.dumps(each, ensure_ascii=False) for each in asked]
     return name, (VISIT, *lines)
 
 
@@ -43,7 +41,7 @@ def _calibrate(rng: random.Random, name: str) -> dict:
 def _next(rng: random.Random, name: str) -> dict:
     """One of the other things that the page asks for."""
     positions = rng.choice((0, 1, 4, 6, 9, 12))
-    kind = rng.choices(("show", "targets", "download", "plan", "apply"), (4, 4, 12, 0.3, 4))[0]
+    kind = rng.choices(("targets", "download", "plan", "apply"), (4, 12, 0.3, 4))[0]
     if kind == "download":
         return {"do": kind, "form": rng.choice(FORMS), "accept": rng.random() < 0.5}
     if kind == "plan":
@@ -69,5 +67,5 @@ def main(argv: Sequence[str]) -> int:
         answer = json.loads(visit.answer(request))
         if "; a fault of multipos " in answer.get("error", ""):
             asked = json.loads(request)
-            getattr(visit, f"_{asked['do']}")(asked, Translator(asked["language"]))
+            getattr(visit, f"_{asked['do']}")(asked)
     return 0

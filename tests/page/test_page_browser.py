@@ -248,19 +248,6 @@ def test_plan_and_apply(visitor, tmp_path):
         assert_allclose(applied.numbers(name), own[name], atol=1e-9)
 
 
-def test_another_language_from_the_address_and_by_the_button(visitor):
-    visitor.host.asked.clear()
-    visit(visitor, f"{visitor.host.address}?lang=zh")
-    assert set(visitor.host.asked) <= {"/sw.js", "/site.js"}  # whether there is a newer site
-    assert visitor.evaluate("document.documentElement.lang") == "zh-Hans"
-    assert text(visitor, "calibrate") == "校准"
-    answered(visitor, "document.getElementById('example').click()")
-    assert text(visitor, "answer").startswith("ax、ay、az 由 6 个位置校准")
-    visitor.evaluate("document.getElementById('language').click()")
-    visitor.wait("document.getElementById('answer').innerText.includes('calibrated from 6')")
-    visit(visitor, visitor.host.address)
-
-
 def test_it_works_with_a_keyboard_alone(visitor):
     visit(visitor, visitor.host.address)
 

@@ -30,7 +30,7 @@ os.chdir("/work")
 from multipos.page.visit import Visit
 visit = Visit()
 def ask(do, **asked):
-    answer = json.loads(visit.answer(json.dumps({"do": do, "language": "en"} | asked)))
+    answer = json.loads(visit.answer(json.dumps({"do": do} | asked)))
     assert "error" not in answer, answer
     return answer
 for name, kind in (("faces.csv", "known"), ("hand.csv", "free"), ("log.csv", "log")):

@@ -72,9 +72,6 @@ def test_a_check_that_denies_u_is_a_doubt_of_the_report(cal):
     found = mp.check(cal, mp.Readings(off, outputs=cal.outputs, up=UP))
     content = build_content(cal, check=found)
     assert any("bias_ax" in text for text in texts(content))
-    assert any(
-        "发生了变化" in text for text in texts(build_content(cal, check=found, language="zh"))
-    )
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +252,6 @@ def test_an_inclinometer_says_degrees_near_level():
     force = float(size) * {"mg": 1e-3, "µg": 1e-6}[unit]
     assert float(angle) == pytest.approx(np.degrees(force), rel=0.01)
     assert re.search(r"g \([\d.]+°\) of bias", said)
-    assert "°" not in build_content(cal, language="zh").sentence.partition("近水平")[0]
 
 
 def test_residuals_of_all_outputs_have_one_unit():

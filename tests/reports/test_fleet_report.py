@@ -1,4 +1,4 @@
-"""The report of a fleet in Chinese: every sentence, heading and word."""
+"""The report of a fleet: its sections and words, from Python and by the command."""
 
 import re
 
@@ -11,11 +11,6 @@ from multipos.reports.several import fleet_content
 
 SCHEME = "faces-corners-14"
 UP = mp.read_scheme(SCHEME).up
-# Names, symbols, units and what is typed stay.
-KEPT = re.compile(
-    r"(bias|scale|cross)_a[xyz_]+|\ba[xyz]\b|Cpk|Ppk|EWMA|SHA-256|reading|rms|mg|deg|\de-\d|"
-    r"fleet\.json|stations/NAME\.csv|NAME\.toml|multipos report DIR --unit ID -o ID\.html"
-)
 
 
 def rows_of(values, **columns):
@@ -54,39 +49,30 @@ def said(content):
             yield from re.findall(r"<text[^>]*>([^<]*)</text>", figure.draw())
         for table in section.tables:
             yield from (table.caption, *table.header)
-            if section.title not in ("Data", "数据"):
+            if section.title != "Data":
                 yield from (cell for row in table.rows for cell in row)
 
 
-def test_every_word_of_a_fleet_is_chinese(found):
-    english, chinese = (fleet_content(found, language=language) for language in ("en", "zh"))
-    assert len(english.sections) == 8
-    assert {"A", "Cpk", "bias_ax", "u31"} < set(said(english))
-    left = {
-        word for text in said(chinese) for word in re.findall("[A-Za-z]{2,}", KEPT.sub("", text))
-    }
-    assert left == set()
-    assert re.findall("[A-Za-z]{4,}", KEPT.sub("", english.sentence.rpartition(": ")[2])) == [
-        "pass",
-        "fail",
-    ]
+def test_the_sections_of_a_fleet(found):
+    content = fleet_content(found)
+    assert len(content.sections) == 8
+    assert {"A", "Cpk", "bias_ax", "u31"} < set(said(content))
+    assert re.findall("[a-z]{4,}", content.sentence.rpartition(": ")[2]) == ["pass", "fail"]
 
 
 @pytest.mark.usefixtures("without_drawing")
-def test_the_command_takes_the_language(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_what_python_does(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     values = UP + 1e-3 * np.random.default_rng(5).standard_normal((4, *UP.shape))
     columns = rows_of(values, unit=np.array(["A", "B", "C", "D"]))
     line = mp.fleet(columns, unit_column="unit", scheme=SCHEME)
-    mp.report(line, "python.md", language="zh")
+    mp.report(line, "python.md")
     mp.write_table("line.csv", columns)
     made = ["fleet", "line.csv", "--unit-column", "unit", "--scheme", SCHEME, "-o", "line"]
     assert main(made) == 0
-    assert main(["report", "line", "--language", "zh", "-o", "command.md"]) == 0
+    assert main(["report", "line", "-o", "command.md"]) == 0
     for name in ("python.md", "command.md"):
         text = (tmp_path / name).read_text("utf-8")
-        assert text.startswith("# 批量校准报告\n\n计算于 ")
-        assert "**4 个单元的合格率 100.00 %" in text
-        assert "## 参数" in text
-    with pytest.raises(mp.UsageError, match="en or zh"):
-        mp.report(line, "r.md", language="de")
+        assert text.startswith("# Report of a fleet\n\nComputed ")
+        assert "**Yield 100.00 %" in text
+        assert "## Parameters" in text

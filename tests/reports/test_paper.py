@@ -3,7 +3,6 @@
 import re
 import shutil
 import subprocess
-from functools import reduce
 
 import browser
 import numpy as np
@@ -91,24 +90,6 @@ def test_a_browser_prints_six_pages(content, tmp_path):
         page.pdf(tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").stat().st_size < 1e6
     assert_holds_together(pages_of(tmp_path / "report.pdf"), content)
-
-
-@pytest.mark.slow
-@needs_pages
-def test_chinese_is_printed_in_a_megabyte(checked, tmp_path):
-    # The browser embeds glyphs of OpenType fonts one by one, once for each weight.
-    cal, run = checked
-    any_font = html_report(build_content(cal, lab=LAB, check=run, language="zh"))
-    names = re.search("--chinese: ([^;]*), sans-serif;", any_font)[1].split(",")
-    without_truetype = reduce(lambda text, name: text.replace(name.strip(), '"-"'), names, any_font)
-    target, printed = tmp_path / "report.html", tmp_path / "report.pdf"
-    with browser.browse(tmp_path) as page:
-        for text in (any_font, without_truetype):
-            target.write_text(text, encoding="utf-8")
-            page.open(target)
-            page.pdf(printed)
-            assert printed.stat().st_size < 1e6
-            assert len(pages_of(printed)) <= 7  # six where a font of Chinese is installed
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="needs pdftotext")

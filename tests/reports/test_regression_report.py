@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from findings_bench import texts
 
 import multipos as mp
 from multipos.cli import main
@@ -84,38 +83,6 @@ def test_without_the_rows_there_are_no_figures_of_them(folder, capsys):
     assert main(["report", "reg.json", "--data", "other.csv", "-o", "no.html"]) == 1
     assert "not the data that the regression" in capsys.readouterr().err
     assert not (folder / "no.html").exists()
-
-
-@pytest.mark.usefixtures("without_drawing")
-def test_chinese_has_every_sentence(folder):
-    """Whatever is said in English has its Chinese, but for names, numbers and formulas."""
-    columns = {name: mp.read_table("data.csv").number(name) for name in ("time", "error")}
-    columns["temperature"] = mp.read_table("data.csv").number("temperature")
-    cut = mp.regress(
-        columns,
-        response="error",
-        variables="temperature",
-        segment="temperature:10",
-        free=True,
-        time="time",
-    )
-    for found in (mp.load_regression("reg.json"), cut):
-        english, chinese = (
-            regression_content(found, beside="reg.json", language=language)
-            for language in ("en", "zh")
-        )
-        pairs = [(english.title, chinese.title), (english.subtitle, chinese.subtitle)]
-        pairs += zip(texts(english), texts(chinese), strict=True)
-        for one, two in zip(english.sections, chinese.sections, strict=True):
-            pairs.append((one.title, two.title))
-            pairs += zip(one.paragraphs, two.paragraphs, strict=True)
-            for a, b in zip((*one.figures, *one.tables), (*two.figures, *two.tables), strict=True):
-                pairs.append((a.caption, b.caption))
-            for a, b in zip(one.figures, two.figures, strict=True):
-                pairs.append((a.description, b.description))
-        assert [a for a, b in pairs if a == b] == []
-    assert main(["report", "reg.json", "--language", "zh", "-o", "r.html"]) == 0
-    assert "补偿前后" in page("r.html")
 
 
 def test_runs_and_several_responses(folder):

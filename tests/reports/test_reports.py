@@ -8,7 +8,6 @@ from dataclasses import replace
 import browser
 import numpy as np
 import pytest
-from amounts import rest_slow
 from findings_bench import texts
 
 import multipos as mp
@@ -20,10 +19,8 @@ from multipos.positions.scheme import read_scheme
 from multipos.reports.certificate import build_content
 from multipos.reports.check_text import check_text
 from multipos.reports.documents import html_report, markdown_report, plain_report, readable
-from multipos.reports.sections import Translator
 from multipos.reports.summary import text_report
 from multipos.results import plain
-from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.verification.comparison import compare
 
@@ -54,9 +51,8 @@ def six():
 
 
 @pytest.fixture(scope="module")
-def pages(calibration):
-    """The page in each language."""
-    return {one: html_report(build_content(calibration, language=one)) for one in ("en", "zh")}
+def page(calibration):
+    return html_report(build_content(calibration))
 
 
 class Outline(html.parser.HTMLParser):
@@ -80,9 +76,7 @@ class Outline(html.parser.HTMLParser):
             assert given["aria-label"]
 
 
-@pytest.mark.parametrize("language", ["en", "zh"])
-def test_the_page_stands_alone(pages, language):
-    page = pages[language]
+def test_the_page_stands_alone(page):
     outline = Outline(page)
     assert outline.headings[0] == 1
     assert all(b - a <= 1 for a, b in zip(outline.headings, outline.headings[1:], strict=False))
@@ -92,7 +86,7 @@ def test_the_page_stands_alone(pages, language):
     assert "http" not in re.sub(r'xmlns(:xlink)?="[^"]*"|base64,[^"]*', "", page)
     assert page.index('class="answer') < page.index('id="findings"') < page.index('id="section-0"')
     assert page.count("<figure tabindex") == page.count("<figcaption>") == page.count("<svg ") == 4
-    assert f'lang="{"zh-Hans" if language == "zh" else "en"}"' in page
+    assert 'lang="en"' in page
 
 
 @pytest.mark.parametrize("ending", ["html", "md", "txt"])
@@ -180,18 +174,10 @@ def test_before_of_an_unknown_orientation_is_the_error_of_the_size():
     assert f"rms error {in_unit(rms, 'g')} before" in build_content(c).sentence
 
 
-def test_warnings_stand_on_top(calibration, pages):
+def test_warnings_stand_on_top(calibration, page):
     content = build_content(calibration)
     assert any("position 8" in text for text in texts(content))
-    page = pages["en"]
     assert page.index("position 8 (") < page.index("Sensitivity, offset and axes")
-    chinese = build_content(calibration, language="zh")
-    assert any("偏离其余位置的拟合" in text for text in texts(chinese))
-
-
-def test_every_quantity_of_a_budget_is_named_in_chinese():
-    tr = Translator("zh")
-    assert [kind.text for kind in KINDS.values() if tr(kind.text) == kind.text] == []
 
 
 def test_beyond_one_g_is_marked(calibration, six):
@@ -245,7 +231,6 @@ def test_the_laboratory_fills_the_fields(six, tmp_path):
     [
         (["-o", "r.svg"], 2, "-o r.svg: this command does not write .svg files"),
         ([], 2, "report needs -o REPORT.html"),
-        (["-o", "r.html", "--language", "de"], 2, "--language takes en or zh, got 'de'"),
         (["-o", "r.html", "--lab", "none.toml"], 1, "no such file"),
         (["-o", "r.html", "--lab", "bad.toml"], 1, "bad.toml: not valid TOML"),
         (["-o", "r.html", "--lab", "section.toml"], 1, "unknown section [lab]"),
@@ -273,37 +258,6 @@ def test_the_command_says_what_it_wrote(six, tmp_path, capsys):
     target = str(tmp_path / "r.html")
     assert main(["report", str(tmp_path / "c.json"), "-o", target, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["report"] == target
-
-
-def test_chinese_has_every_sentence(calibration, six):
-    """Whatever is said in English has its Chinese, but for names, numbers and formulas."""
-    for c in (calibration, six):
-        english, chinese = (build_content(c, language=language) for language in ("en", "zh"))
-        pairs = list(zip(texts(english), texts(chinese), strict=True))
-        pairs += [(a[0], b[0]) for a, b in zip(english.fields, chinese.fields, strict=True)]
-        parts = [(content.result, *content.sections) for content in (english, chinese)]
-        for one, two in zip(*parts, strict=True):
-            pairs.append((one.title, two.title))
-            pairs += zip(one.paragraphs, two.paragraphs, strict=True)
-            for a, b in zip((*one.figures, *one.tables), (*two.figures, *two.tables), strict=True):
-                pairs.append((a.caption, b.caption))
-            pairs += [
-                pair
-                for a, b in zip(one.figures, two.figures, strict=True)
-                for pair in [(a.description, b.description)]
-            ]
-        same = [a for a, b in pairs if a == b]
-        assert same == []
-
-
-def test_a_translation_keeps_what_is_put_in():
-    words = Translator("zh").words
-    wrong = [
-        text
-        for text, other in words.items()
-        if set(re.findall(r"\{\w+\}", text)) != set(re.findall(r"\{\w+\}", other))
-    ]
-    assert wrong == []
 
 
 def many_positions(count):
@@ -344,14 +298,12 @@ def test_long_tables_show_their_largest_rows(tmp_path, capsys):
         assert (len(table.rows), len(whole.rows)) in ((24, 101), (26, 103))
         assert (table.rows[0][0] == "8") is not table.caption.startswith("Up vector")
         assert set(table.rows) <= set(whole.rows)
-    chinese = html_report(build_content(long, language="zh"))
-    assert "（101 个中最大的 24 个；全部见附录）" in chinese
     long.save(tmp_path / "c.json")
     found = mp.check(long, many_positions(101))
     assert "Every position (the 20 farthest off of 101; JSON has all)" in check_text(found)
     assert len(found.to_dict()["positions"]) == 101
-    content = build_content(long, check=found, language="zh")
-    assert "各位置（101 个中最大的 24 个；全部见附录）" in html_report(content)
+    content = build_content(long, check=found)
+    assert "Every position (the 24 largest of 101; all in the annex)" in html_report(content)
 
 
 def test_the_check_by_monte_carlo_is_reported(calibration, tmp_path, capsys):
@@ -507,10 +459,6 @@ def test_the_check_is_in_the_report(checked, ending, capsys):
         assert said in re.sub(r"\s+", " ", text)
     if ending == "html":
         assert "limit ±0.1°" in text
-    if ending != "html":  # which draws what it draws in English
-        assert main([*argv, "--language", "zh", "-o", str(target)]) == 0
-        assert "独立检验" in target.read_text("utf-8")
-        assert "Independent check" not in target.read_text("utf-8")
 
 
 def test_checks_that_a_report_refuses(checked, six, tmp_path, capsys):
@@ -541,23 +489,6 @@ def test_checks_that_a_report_refuses(checked, six, tmp_path, capsys):
         assert not (tmp_path / "r.html").exists()
 
 
-def test_chinese_of_the_bench(pair, checked):
-    found = mp.load_check(checked / "check.json")
-    loaded = mp.load(checked / "cal.json")
-    english, chinese = (
-        build_content(loaded, language=language, check=found) for language in ("en", "zh")
-    )
-    for title, other in (("Rolls", "滚转"), ("Independent check", "独立检验")):
-        one, two = section(english, title), section(chinese, other)
-        for a, b in zip(one.figures, two.figures, strict=True):
-            drawn = re.findall(">([^<>]*[a-z][^<>]*)</text>", b.draw())
-            assert [t for t in drawn if t.isascii() and t not in ("Ux [V]", "Uy [V]")] == []
-            assert a.description != b.description
-        for a, b in zip(one.tables, two.tables, strict=True):
-            same = set(a.header) & set(b.header)
-            assert same <= {"U", "p", "x [°]", "y [°]"}
-
-
 # px of the smallest label of a figure, and the captions of tables that are wider than the page
 SMALLEST_LABEL = """Math.min(...[...document.querySelectorAll('figure svg text')]
   .filter(text => text.textContent.trim())
@@ -568,10 +499,9 @@ SCROLLED = """[...document.querySelectorAll('.scroll')]
 
 
 @needs_browser
-@pytest.mark.parametrize("language", rest_slow(["zh", "en"]))
-def test_the_page_in_a_browser(pages, language, tmp_path):
+def test_the_page_in_a_browser(calibration, tmp_path):
     target = tmp_path / "report.html"
-    target.write_text(pages[language], encoding="utf-8")
+    target.write_text(html_report(build_content(calibration)), encoding="utf-8")
     with browser.browse(tmp_path) as page:
         for view in ({}, {"dark": True}, {"width": 380}, {"media": "print"}):
             page.open(target, **view)
@@ -600,8 +530,7 @@ MARKS = "<script>x</script>|`a`*b*"
 HOSTILE = MARKS + "\x1b[31m\u202e"
 
 
-@pytest.mark.parametrize("language", ["en", "zh"])
-def test_no_text_from_outside_acts_in_a_report(six, language):
+def test_no_text_from_outside_acts_in_a_report(six):
     spoilt = replace(
         six,
         created=HOSTILE,
@@ -613,7 +542,7 @@ def test_no_text_from_outside_acts_in_a_report(six, language):
         "report": {"number": HOSTILE},
         "customer": {"name": HOSTILE, "address": f"Street\n# City\n{HOSTILE}"},
     }
-    content = build_content(spoilt, lab=lab, language=language)
+    content = build_content(spoilt, lab=lab)
     page, markdown, plain_text = (
         write(content) for write in (html_report, markdown_report, plain_report)
     )

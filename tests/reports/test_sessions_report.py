@@ -1,10 +1,7 @@
 """What reports say of a calibration that was combined from sessions."""
 
-import re
-
 import numpy as np
 import pytest
-from findings_bench import texts
 
 import multipos as mp
 from multipos.reports.certificate import build_content
@@ -64,23 +61,3 @@ def test_the_scatter_within_a_session_is_named_so(compared):
         _, (axes,) = new_figure()
         draw_residuals(cal, axes, output="ax")
         assert axes.get_legend_handles_labels()[1] == [label, "ax"]
-
-
-def english_words(content):
-    """Return what of a report are two words of English, in tables and figures."""
-    parts = [part for part in (content.result, *content.sections) if part is not None]
-    said = [*texts(content)]
-    for part in parts:
-        for table in part.tables:
-            said += [*table.header, *(cell for row in table.rows for cell in row)]
-        for figure in part.figures:
-            said += re.findall(r"<text[^>]*>([^<]*)<", figure.draw())
-    return [text for text in said if re.search(r"[a-z]{2,} [a-z]{2,}", text)]
-
-
-def test_chinese_tables_and_figures_have_no_english(compared):
-    assert english_words(build_content(compared.combined, language="zh")) == []
-    unknown = mp.fit(compared.calibrations[0].readings, unit="g", unknown_orientation=True)
-    assert english_words(build_content(unknown, language="zh")) == []
-    placed = mp.fit(compared.calibrations[0].readings, unit="g", orientation_sd=1e-3)
-    assert english_words(build_content(placed, language="zh")) == []
