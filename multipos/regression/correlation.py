@@ -170,27 +170,6 @@ def hac_covariance(design: Array, residuals: Array, cofactor: Array, order: Time
     return np.asarray(S * n / (n - p))
 
 
-def cluster_covariance(
-    design: Array, residuals: Array, cofactor: Array, cluster: NDArray[np.intp]
-) -> tuple[Array, int]:
-    """Return the covariance (p, p) of coefficients by eq. (2), and the number of clusters.
-
-    Parameters
-    ----------
-    design, residuals, cofactor
-        As in `hac_covariance`.
-    cluster : (n,) array of int
-        Number of the cluster of each row.
-    """
-    n, p = design.shape
-    labels, number = np.unique(cluster, return_inverse=True)
-    m = len(labels)
-    influence = _influence(design, residuals, cofactor)
-    sums = np.stack([np.bincount(number, weights=column, minlength=m) for column in influence.T])
-    factor = m / (m - 1.0) * (n - 1.0) / (n - p) if m > 1 else np.nan
-    return np.asarray(sums @ sums.T * factor), m
-
-
 def _influence(design: Array, residuals: Array, cofactor: Array) -> Array:
     """What each row adds to the coefficients, (X'X)⁻¹ x_k e_k."""
     return np.asarray((design * residuals[:, np.newaxis]) @ cofactor)

@@ -14,7 +14,6 @@ from multipos.regression import correlation
 from multipos.regression.correlation import (
     _moving_power,
     bandwidth,
-    cluster_covariance,
     effective_size,
     hac_covariance,
     lag_one,
@@ -56,20 +55,6 @@ def test_independent_rows_give_the_heteroscedastic_sandwich():
     cofactor = np.linalg.inv(X.T @ X)
     white = cofactor @ (X * e[:, None] ** 2).T @ X @ cofactor
     assert_allclose(hac_covariance(X, e, cofactor, apart), white * 6 / 4, rtol=1e-12)
-
-
-def test_clusters_against_the_definition():
-    # eq. (2) of regression.correlation
-    rng = np.random.default_rng(3)
-    X, e = rng.standard_normal((12, 2)), rng.standard_normal(12)
-    cluster = np.repeat([5, 1, 9, 2], 3)
-    cofactor = np.linalg.inv(X.T @ X)
-    S = sum(
-        np.outer(s, s) for s in (X[cluster == c].T @ e[cluster == c] for c in np.unique(cluster))
-    )
-    found, m = cluster_covariance(X, e, cofactor, cluster)
-    assert m == 4
-    assert_allclose(found, cofactor @ S @ cofactor * (4 / 3) * (11 / 10), rtol=1e-12)
 
 
 def test_rows_in_any_order_and_gaps():
@@ -151,15 +136,11 @@ def test_f_robust_by_hand():
     terms, b = parse_terms("1 + t + v"), np.array([7.0, 2.0, 1.0])
     covariance = np.diag([100.0, 1.0, 0.25])
     F = (100.0, 2, 17)
-    found = robust_test(RobustFit(covariance, "hac", 9.0, 20.0, 0.5), terms, b, F, 0.95)
+    found = robust_test(RobustFit(covariance, 9.0, 20.0, 0.5), terms, b, F, 0.95)
     assert pytest.approx(32 / 9, rel=1e-12) == found.F
     assert found.dof == (2, 8.0)
     assert found.p == pytest.approx((17 / 9) ** -4, rel=1e-9)  # of 2 and ν: (1 + 2 F/ν)^(−ν/2)
     assert found.t_dof == 9.0
-    # fewer rows in s² is no estimate of a matrix: F on 2 and 9
-    plain = robust_test(RobustFit(covariance, "effective", 9.0, 20.0, 0.5), terms, b, F, 0.95)
-    assert (plain.F, plain.dof) == (pytest.approx(4.0), (2, 9.0))
-    assert plain.p == pytest.approx((17 / 9) ** -4.5, rel=1e-9)
 
 
 def test_more_than_five_intervals_are_a_gap():
