@@ -230,7 +230,7 @@ def robust_test(
     """Return F_robust of a segment's slopes.
 
     By rows made independent, with the largest p of all plausible laws of their noise; else by eq.
-    (5) of `multipos.regression.correlation`. None where there is no robust fit, and where
+    (4) of `multipos.regression.correlation`. None where there is no robust fit, and where
     correlation is not shown and no plausible law takes from F what it says.
 
     Parameters
