@@ -8,10 +8,11 @@ scheme, or it is in the data and already in U.
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from multipos.errors import MultiposError, warn_of
-from multipos.files.records import ANY_TEXT, P_VALUE, TEXTS, Fields, Listed, Record, Text
+from multipos.files.records import P_VALUE, Kind, Listed
+from multipos.files.schema import schema_of
 from multipos.files.spelling import visible
 from multipos.results import Keyed, frozen
 
@@ -55,7 +56,7 @@ class Finding(Keyed):
     action: str = ""
     rows: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
-    p: float | None = None
+    p: Annotated[float | None, P_VALUE] = None
 
     def __post_init__(self) -> None:
         """Keep its sentences on one line, and short: some quote a file, or its name."""
@@ -80,43 +81,45 @@ def short_text(text_of: Callable[[int], str], most: int) -> str:
     return next((text for text in texts if len(text) <= LONGEST), text_of(1))
 
 
-# Keys of a file; version 0.1 wrote doubts, and their texts among the warnings.
-_FINDING = Record.of(Finding, {"level": Text(LEVELS), "p": P_VALUE})
-FINDINGS = {
-    "findings": Listed(_FINDING),
-    "doubts": Listed(
-        Fields(
-            {
-                "code": ANY_TEXT,
-                "severity": Text(("implausible", "caution")),
-                "text": ANY_TEXT,
-                "rows": TEXTS,
-                "outputs": TEXTS,
-            }
-        )
-    ),
-    "warnings": TEXTS,
-}
-_OLD: dict[str, Level] = {"implausible": "error", "caution": "warning"}
+# Of version 0.1.
+_OLD: dict[Any, Level] = {"implausible": "error", "caution": "warning"}
+
+
+def findings_upgraded(content: Any) -> Any:
+    """Return the content of a file with findings: version 0.1 wrote doubts and warnings.
+
+    The texts of its doubts are among its warnings as well.
+    """
+    if not isinstance(content, Mapping) or "findings" in content:
+        return content
+    doubts, warnings = content.get("doubts", []), content.get("warnings", [])
+    if not (_are(Mapping, doubts) and _are(str, warnings)):
+        return content
+    found = list(map(_of_doubt, doubts))
+    known = [each["text"] for each in found]
+    others = (text for text in warnings if text not in known)
+    found += [Finding("earlier-warning", "warning", text).to_dict() for text in others]
+    return {**content, "findings": found}
+
+
+def _are(kind: type, entries: Any) -> bool:
+    return isinstance(entries, list) and all(isinstance(each, kind) for each in entries)
+
+
+def _of_doubt(doubt: Mapping[str, Any]) -> dict[str, Any]:
+    level = _OLD.get(doubt.get("severity"))
+    kept = {key: doubt.get(key) for key in ("code", "text", "rows", "outputs")}
+    return {**kept, "level": level, "action": "", "p": None}
+
+
+_FINDINGS = Listed(schema_of(Finding))
+FINDINGS: dict[str, Kind] = {"findings": _FINDINGS}
 
 
 def read_findings(content: Mapping[str, Any]) -> Findings:
-    """Return the findings that a file holds under the keys `FINDINGS`."""
-    if "findings" in content:
-        return tuple(map(_FINDING.read, content["findings"]))
-    found = [
-        Finding(
-            said["code"],
-            _OLD[said["severity"]],
-            said["text"],
-            rows=tuple(said["rows"]),
-            outputs=tuple(said["outputs"]),
-        )
-        for said in content.get("doubts", ())
-    ]
-    known = {finding.text for finding in found}
-    texts = (text for text in content.get("warnings", ()) if text not in known)
-    return (*found, *(Finding("earlier-warning", "warning", text) for text in texts))
+    """Return the findings that a content has, once it is as `findings_upgraded` has it."""
+    found: Findings = _FINDINGS.read(content.get("findings", ()))
+    return found
 
 
 def in_order(findings: Iterable[Finding]) -> Findings:

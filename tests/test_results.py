@@ -90,6 +90,7 @@ def regressed():
         degree=2,
         stepwise=True,
         segment="t:20",
+        cross_validate=3,
     )
 
 

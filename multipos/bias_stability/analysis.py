@@ -116,6 +116,7 @@ class Values:
         dof = allan.degrees_of_freedom(found.laws, self._lengths, self._samples)
         root = np.sqrt(self._rate)
         return OutputStability(
+            tau=np.array(self._lengths) / self._rate,
             adev=adev,
             u=adev / np.sqrt(2.0 * dof),
             dof=dof,
@@ -317,7 +318,6 @@ def _complete(
     outputs = {name: values.output(i, found[i]) for i, name in enumerate(names)}
     run_to_run, turn_on = _repeats(records, names)
     return Stability(
-        tau=np.array(lengths) / raw[0].rate,
         outputs=outputs,
         run_to_run=run_to_run,
         turn_on=turn_on,

@@ -8,47 +8,34 @@ uncertainty, the coefficients of the noise laws
 drift, warm-up A exp(−t/T) and temperature coefficient; and how the zero repeats from record to
 record.
 
-Stability in files: what the file holds, key by key, its writing and its reading.
-
-What every key means is in `docs/howto/static-records`.
-
-Stability as people read it.
+What every key of its file means is in `docs/howto/static-records`; `load_stability` reads it.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import field
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from multipos.errors import MultiposError
-from multipos.files.numbers import number, table, uncertain
 from multipos.files.records import (
-    ANY_NUMBER,
-    ANY_TEXT,
     DOF,
     NOT_NEGATIVE,
     POSITIVE,
-    SHARE,
-    Fields,
     Listed,
     Maybe,
-    Named,
-    Record,
+    NotNegative,
+    Positive,
+    Share,
     Whole,
-    require,
 )
+from multipos.files.schema import Saved, Stored, read_saved, renamed, schema_of
 from multipos.files.spelling import StrPath
 from multipos.files.tables import Column
-from multipos.files.trees import read_json, to_json
-from multipos.files.whole import write_text
-from multipos.finding import FINDINGS, Findings, read_findings
+from multipos.finding import Findings, findings_upgraded
 from multipos.numerics.arrays import Array
-from multipos.results import Drawn, Result, Tabular, frozen, plain_dict
-from multipos.units import MICRO_G
-
-# What a unit of the readings is in µg, where it is one of acceleration.
+from multipos.results import Drawn, Result, Tabular, frozen
 
 
 @frozen
@@ -56,15 +43,31 @@ class Estimate(Result):
     """A number with its standard and expanded uncertainty, degrees of freedom and unit."""
 
     value: float
-    u: float
-    U: float
-    dof: float
+    u: NotNegative
+    U: NotNegative
+    dof: Annotated[float, Maybe(DOF, math.inf)]
     unit: str
 
     def scaled(self, factor: float, unit: str) -> "Estimate":
         """Return it in another unit, `factor` of which make one."""
         size = abs(factor)
         return Estimate(factor * self.value, size * self.u, size * self.U, self.dof, unit)
+
+
+_AMPLITUDE = renamed(
+    Estimate,
+    value="amplitude",
+    u="amplitude_u",
+    U="amplitude_U",
+    dof="amplitude_dof",
+    unit="unit",
+)
+_TIME_CONSTANT = renamed(
+    partial(Estimate, dof=math.inf, unit="s"),
+    value="time_constant",
+    u="time_constant_u",
+    U="time_constant_U",
+)
 
 
 @frozen
@@ -80,9 +83,9 @@ class WarmUp(Result):
         When the transient has fallen below the smallest Allan deviation of the noise.
     """
 
-    amplitude: Estimate
-    time_constant: Estimate
-    settled_after: float
+    amplitude: Annotated[Estimate, _AMPLITUDE, Stored(flat=True)]
+    time_constant: Annotated[Estimate, _TIME_CONSTANT, Stored(flat=True)]
+    settled_after: NotNegative
 
 
 @frozen
@@ -99,9 +102,12 @@ class TemperatureCoefficient(Result):
         Relative to what the output reads, in 10⁻⁶ per degree; None where it reads next to nothing.
     """
 
-    change: Estimate
+    change: Annotated[Estimate, Stored(flat=True)]
     micro_g: Estimate | None
     ppm: Estimate | None
+
+
+_ALLAN = Stored(rows="allan")
 
 
 @frozen
@@ -110,16 +116,19 @@ class OutputStability(Result):
 
     Attributes
     ----------
+    tau : (T,) array [s]
+        Averaging times.
     adev, u, dof : (T,) arrays
-        At the averaging times of the whole; `dof` are equivalent degrees of freedom.
+        At these; `dof` are equivalent degrees of freedom.
     white_noise, bias_instability, random_walk, drift : Estimate
     warm_up : WarmUp or None
     temperature_coefficient : TemperatureCoefficient or None
     """
 
-    adev: Array
-    u: Array
-    dof: Array
+    tau: Annotated[Array, POSITIVE, _ALLAN]
+    adev: Annotated[Array, NOT_NEGATIVE, _ALLAN]
+    u: Annotated[Array, NOT_NEGATIVE, _ALLAN]
+    dof: Annotated[Array, DOF, _ALLAN]
     white_noise: Estimate
     bias_instability: Estimate
     random_walk: Estimate
@@ -132,9 +141,9 @@ class OutputStability(Result):
 class Spread(Result):
     """How values repeat: their standard deviation, range and degrees of freedom."""
 
-    sd: float
-    range: float
-    dof: int
+    sd: NotNegative
+    range: NotNegative
+    dof: Annotated[int, Whole(1)]
 
 
 @frozen
@@ -154,8 +163,8 @@ class StaticRecord(Result):
     temperature : (b,) array or None
     """
 
-    source: str = field(compare=False)
-    samples: int
+    source: Annotated[str, Stored("file")] = field(compare=False)
+    samples: Annotated[int, Whole(1)]
     time: Array
     zero: Mapping[str, Array]
     settled: Mapping[str, float]
@@ -163,13 +172,11 @@ class StaticRecord(Result):
 
 
 @frozen
-class Stability(Result, Drawn, Tabular):
+class Stability(Saved, Drawn, Tabular):
     """How stable a sensor at rest is, from one static record or several.
 
     Attributes
     ----------
-    tau : (T,) array [s]
-        Averaging times.
     outputs : dict of str to OutputStability
     run_to_run, turn_on : dict of str to Spread
         Of the settled zeros of the records, and of the zeros just after switching on; empty for
@@ -196,16 +203,39 @@ class Stability(Result, Drawn, Tabular):
     True
     """
 
-    tau: Array
+    schema = "multipos/stability/1"
+    called = "stability"
+    again = "run stability again"
+    upgraded = staticmethod(findings_upgraded)
+
     outputs: Mapping[str, OutputStability]
     run_to_run: Mapping[str, Spread]
     turn_on: Mapping[str, Spread]
-    records: tuple[StaticRecord, ...]
-    sample_rate: float
+    records: Annotated[tuple[StaticRecord, ...], Listed(schema_of(StaticRecord), 1)]
+    sample_rate: Positive
     unit: str
-    confidence: float
+    confidence: Share
     calibration: str | None = field(compare=False)
     findings: Findings
+
+    @property
+    def tau(self) -> Array:
+        """Averaging times (T,) [s], the same of all outputs."""
+        return next(iter(self.outputs.values())).tau
+
+    @classmethod
+    def from_file(cls, **values: Any) -> "Stability":
+        """Return the result that a file holds.
+
+        Raises
+        ------
+        ValueError
+            It is not about the same outputs and times all through.
+        """
+        found = cls(**values)
+        if not _is_whole(found):
+            raise ValueError("its outputs, averaging times or records do not go together")
+        return found
 
     def columns(self) -> dict[str, Column]:
         """Return the Allan deviations as a table: `tau`, then `adev_<output>` and `u_<output>`."""
@@ -214,102 +244,23 @@ class Stability(Result, Drawn, Tabular):
             found |= {f"adev_{name}": output.adev, f"u_{name}": output.u}
         return found
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/howto/static-records.md."""
-        # Imported here, for the file's module makes this type and so imports this one.
 
-        return stability_dict(self)
-
-    def save(self, path: StrPath) -> None:
-        """Write the result as JSON, whole or not at all."""
-        write_text(path, to_json(self.to_dict()))
-
-
-SCHEMA = "multipos/stability/1"
-
-_ESTIMATE = Record.of(Estimate, {"u": NOT_NEGATIVE, "U": NOT_NEGATIVE, "dof": Maybe(DOF, math.inf)})
-_POINT = Fields({"tau": POSITIVE, "adev": NOT_NEGATIVE, "u": NOT_NEGATIVE, "dof": DOF})
-_WARM_UP = Fields(
-    {
-        "amplitude": ANY_NUMBER,
-        "amplitude_u": NOT_NEGATIVE,
-        "amplitude_U": NOT_NEGATIVE,
-        "amplitude_dof": Maybe(DOF),
-        "unit": ANY_TEXT,
-        "time_constant": POSITIVE,
-        "time_constant_u": NOT_NEGATIVE,
-        "time_constant_U": NOT_NEGATIVE,
-        "settled_after": NOT_NEGATIVE,
-    }
-)
-_RELATIVE = Record({"micro_g": Maybe(_ESTIMATE), "ppm": Maybe(_ESTIMATE)})
-_TEMPERATURE = Fields({**_ESTIMATE.needed, **_RELATIVE.needed})
-_LAWS = Record(
-    dict.fromkeys(("white_noise", "bias_instability", "random_walk", "drift"), _ESTIMATE)
-)
-_SPREAD = Record.of(Spread, {"sd": NOT_NEGATIVE, "range": NOT_NEGATIVE, "dof": Whole(1)})
-_RECORD = Record.of(StaticRecord, {"samples": Whole(1)}, names={"file": "source"})
-_OUTPUT = Fields(
-    {
-        "allan": Listed(_POINT, 1),
-        **_LAWS.needed,
-        "warm_up": Maybe(_WARM_UP),
-        "temperature_coefficient": Maybe(_TEMPERATURE),
-    }
-)
-# What a result has under its own name; the Allan deviations stand by output.
-_WHOLE = Record(
-    {
-        "run_to_run": Named(_SPREAD),
-        "turn_on": Named(_SPREAD),
-        "records": Listed(_RECORD, 1),
-        "sample_rate": POSITIVE,
-        "unit": ANY_TEXT,
-        "confidence": SHARE,
-        "calibration": Maybe(ANY_TEXT),
-    }
-)
-STABILITY = Fields({"outputs": Named(_OUTPUT), **_WHOLE.needed}, FINDINGS)
-
-
-def stability_dict(found: Stability) -> dict[str, Any]:
-    """Return a result as JSON carries it."""
-    return plain_dict(
-        {
-            "schema": SCHEMA,
-            "outputs": {name: _output(found, each) for name, each in found.outputs.items()},
-            **_WHOLE.write(found),
-            "findings": found.findings,
-        }
+def _is_whole(found: Stability) -> bool:
+    """Tell whether there is an output, and everything is about the same outputs and times."""
+    names = found.outputs.keys()
+    if not names or any(not np.array_equal(each.tau, found.tau) for each in found.outputs.values()):
+        return False
+    spreads = [each.keys() for each in (found.run_to_run, found.turn_on) if each]
+    return all(each == names for each in spreads) and all(
+        _is_record_whole(each, names) for each in found.records
     )
 
 
-def _output(found: Stability, each: OutputStability) -> dict[str, Any]:
-    points = zip(found.tau, each.adev, each.u, each.dof, strict=True)
-    coefficient, warm_up = each.temperature_coefficient, each.warm_up
-    return {
-        "allan": [dict(zip(("tau", "adev", "u", "dof"), row, strict=True)) for row in points],
-        **_LAWS.write(each),
-        "warm_up": None if warm_up is None else _warm_up(warm_up),
-        "temperature_coefficient": None
-        if coefficient is None
-        else {**_ESTIMATE.write(coefficient.change), **_RELATIVE.write(coefficient)},
-    }
-
-
-def _warm_up(found: WarmUp) -> dict[str, Any]:
-    amplitude, constant = found.amplitude, found.time_constant
-    return {
-        "amplitude": amplitude.value,
-        "amplitude_u": amplitude.u,
-        "amplitude_U": amplitude.U,
-        "amplitude_dof": amplitude.dof,
-        "unit": amplitude.unit,
-        "time_constant": constant.value,
-        "time_constant_u": constant.u,
-        "time_constant_U": constant.U,
-        "settled_after": found.settled_after,
-    }
+def _is_record_whole(record: StaticRecord, names: Collection[str]) -> bool:
+    columns = [record.time if record.temperature is None else record.temperature]
+    columns += record.zero.values()
+    alike = all(len(column) == len(record.time) for column in columns)
+    return alike and record.zero.keys() == record.settled.keys() == names
 
 
 def load_stability(path: StrPath) -> Stability:
@@ -330,172 +281,4 @@ def load_stability(path: StrPath) -> Stability:
     >>> list(mp.load_stability("zero.json").outputs)
     ['ax']
     """
-    content = read_json(path, SCHEMA)
-    require(content, STABILITY, str(path), "run stability again")
-    outputs = content["outputs"]
-    taus = [[point["tau"] for point in each["allan"]] for each in outputs.values()]
-    if not _is_whole(content, taus):
-        raise MultiposError(
-            f"{path}: its outputs, averaging times or records do not go together; the file is "
-            "damaged, run stability again."
-        )
-    return Stability(
-        tau=np.array(taus[0], dtype=np.float64),
-        outputs={name: _read_output(each) for name, each in outputs.items()},
-        findings=read_findings(content),
-        **_WHOLE.read(content),
-    )
-
-
-def _is_whole(content: Mapping[str, Any], taus: list[list[float]]) -> bool:
-    """Tell whether there is an output, and everything is about the same outputs and times."""
-    names = set(content["outputs"])
-    if not names or any(tau != taus[0] for tau in taus):
-        return False
-    spreads = [set(content[key]) for key in ("run_to_run", "turn_on") if content[key]]
-    return all(each == names for each in spreads) and all(
-        _is_record_whole(each, names) for each in content["records"]
-    )
-
-
-def _is_record_whole(content: Mapping[str, Any], names: set[str]) -> bool:
-    columns = [content["temperature"] or content["time"], *content["zero"].values()]
-    alike = all(len(column) == len(content["time"]) for column in columns)
-    return alike and set(content["zero"]) == set(content["settled"]) == names
-
-
-def _read_output(content: Mapping[str, Any]) -> OutputStability:
-    adev, u, dof = (
-        np.array([point[name] for point in content["allan"]], dtype=np.float64)
-        for name in ("adev", "u", "dof")
-    )
-    warm, temperature = content["warm_up"], content["temperature_coefficient"]
-    return OutputStability(
-        adev=adev,
-        u=u,
-        dof=dof,
-        **_LAWS.read(content),
-        warm_up=None if warm is None else _read_warm_up(warm),
-        temperature_coefficient=None
-        if temperature is None
-        else TemperatureCoefficient(_ESTIMATE.read(temperature), **_RELATIVE.read(temperature)),
-    )
-
-
-def _read_warm_up(content: Mapping[str, Any]) -> WarmUp:
-    size = {key: content[f"amplitude_{key}"] for key in ("u", "U", "dof")}
-    spread = {key: content[f"time_constant_{key}"] for key in ("u", "U")}
-    return WarmUp(
-        _ESTIMATE.read({"value": content["amplitude"], "unit": content["unit"], **size}),
-        _ESTIMATE.read({"value": content["time_constant"], "unit": "s", "dof": None, **spread}),
-        content["settled_after"],
-    )
-
-
-_HOUR = 3600.0
-_LAWS_TEXT = ("output", "white noise N", "bias instability B", "random walk K", "drift")
-
-
-def stability_text(found: Stability) -> str:
-    """Return a result as text; accelerations in µg, the standard uncertainty in brackets."""
-    factor = MICRO_G.get(found.unit, 1.0)
-    unit = "µg" if found.unit in MICRO_G else found.unit
-    parts = [
-        _laws(found, factor, unit),
-        _warm_up_text(found, factor, unit),
-        _temperature(found, factor, unit),
-        _repeats(found, factor, unit),
-        _records(found),
-    ]
-    return "\n\n".join(filter(None, parts)) + "\n"
-
-
-def _records(found: Stability) -> str:
-    rows = [
-        [each.source, str(each.samples), number(each.samples / found.sample_rate, 6)]
-        for each in found.records
-    ]
-    return table([f"record, {found.sample_rate:.6g} Hz", "samples", "duration [s]"], rows)
-
-
-def _laws(found: Stability, factor: float, unit: str) -> str:
-    units = ["", f"[{unit}/√Hz]", f"[{unit}]", f"[{unit}/√s]", f"[{unit}/h]"]
-    rows = [
-        [
-            name,
-            _shown(each.white_noise, factor),
-            _shown(each.bias_instability, factor),
-            _shown(each.random_walk, factor),
-            _shown(each.drift, _HOUR * factor),
-        ]
-        for name, each in found.outputs.items()
-    ]
-    return table(_LAWS_TEXT, [units, *rows])
-
-
-def _warm_up_text(found: Stability, factor: float, unit: str) -> str:
-    rows = [
-        [
-            name,
-            _shown(each.warm_up.amplitude, factor),
-            _shown(each.warm_up.time_constant, 1.0),
-            number(each.warm_up.settled_after),
-        ]
-        for name, each in found.outputs.items()
-        if each.warm_up is not None
-    ]
-    header = ["warm-up", f"amplitude [{unit}]", "time constant [s]", "warm-up [s]"]
-    return table(header, rows) if rows else ""
-
-
-def _temperature(found: Stability, factor: float, unit: str) -> str:
-    rows = []
-    for name, each in found.outputs.items():
-        if (coefficient := each.temperature_coefficient) is not None:
-            ppm = "-" if coefficient.ppm is None else _shown(coefficient.ppm, 1.0)
-            rows.append([name, _shown(coefficient.change, factor), ppm])
-    header = ["temperature", f"change [{unit}/°C]", "[ppm/°C]"]
-    return table(header, rows) if rows else ""
-
-
-def _repeats(found: Stability, factor: float, unit: str) -> str:
-    rows = [
-        [name, *_spread(each, factor), *_spread(found.turn_on[name], factor), str(each.dof)]
-        for name, each in found.run_to_run.items()
-    ]
-    header = ["zero", f"run to run, sd [{unit}]", "range", "turn-on, sd", "range", "dof"]
-    return table(header, rows) if rows else ""
-
-
-def _spread(found: Spread, factor: float) -> list[str]:
-    return [number(factor * found.sd, 3), number(factor * found.range, 3)]
-
-
-def _shown(found: Estimate, factor: float) -> str:
-    """Return value(u); a coefficient that is not distinguishable from zero as its upper bound."""
-    value, u = factor * found.value, factor * found.u
-    if found.value == 0.0 and math.isfinite(u):
-        return f"< {number(factor * found.U, 2)}"
-    return uncertain(value, u)
-
-
-def stability_sentence(found: Stability) -> str:
-    """Return the largest white noise and bias instability of any output."""
-    factor = MICRO_G.get(found.unit, 1.0)
-    unit = "µg" if found.unit in MICRO_G else found.unit
-    parts = []
-    for name, per in (("white_noise", "/√Hz"), ("bias_instability", "")):
-        values = {o: getattr(each, name).value for o, each in found.outputs.items()}
-        values = {o: value for o, value in values.items() if value is not None and value == value}
-        if values:
-            worst = max(values, key=lambda output: values[output])
-            size = f"up to {number(factor * values[worst], 3)}"
-            if not values[worst]:  # as the table has it
-                bounds = {o: getattr(found.outputs[o], name).U for o in values}
-                worst = max(bounds, key=lambda output: bounds[output])
-                size = f"below {number(factor * bounds[worst], 2)}"
-            parts.append(f"{name.replace('_', ' ')} {size} {unit}{per} ({worst})")
-    records = len(found.records)
-    return f"{', '.join(found.outputs)} over {records} record{'s' if records > 1 else ''}: " + (
-        f"{', '.join(parts)}." if parts else "no noise was found."
-    )
+    return read_saved(Stability, path)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from multipos.bias_stability.stability_result import SCHEMA, load_stability
+from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.commands.answers import STDOUT, Answer, Output, written_to
 from multipos.commands.options import declare, options_of
 from multipos.errors import MultiposError, UsageError
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> Answer:
 
 def _loaded(paths: list[str]) -> Any:
     """Return a stability, or calibrations and regressions, as their files say."""
-    if len(paths) == 1 and read_schema(paths[0]) == SCHEMA:
+    if len(paths) == 1 and read_schema(paths[0]) == Stability.schema:
         return load_stability(paths[0])
     return load_parts(paths)
 

@@ -3,7 +3,7 @@
 import argparse
 
 from multipos.bias_stability.analysis import stability
-from multipos.bias_stability.stability_result import stability_sentence, stability_text
+from multipos.bias_stability.stability_text import stability_sentence, stability_text
 from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import declare, file_progress, options_of
 from multipos.files.tables import format_csv

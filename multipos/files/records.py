@@ -14,7 +14,7 @@ that other programs read line by line.
 import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import field
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -363,6 +363,11 @@ VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
 FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE), math.nan)  # null: there is none
 P_VALUE = Maybe(Number(0.0, 1.0))
 AXIS = Text(COMPONENTS)
+# The same as types of fields, for `multipos.files.schema`.
+Positive = Annotated[float, POSITIVE]
+NotNegative = Annotated[float, NOT_NEGATIVE]
+Share = Annotated[float, SHARE]
+Figure = Annotated[float, FIGURE]
 _KINDS: dict[Any, Kind] = {
     str: ANY_TEXT,
     bool: Flag(),

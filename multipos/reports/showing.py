@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from multipos.bias_stability.stability_result import Stability, stability_sentence, stability_text
+from multipos.bias_stability.stability_result import Stability
+from multipos.bias_stability.stability_text import stability_sentence, stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_sentence, schemes_text
 from multipos.designs.designing import Design, design_sentence, design_text
 from multipos.designs.prospects import Worth, worth_sentence, worth_text

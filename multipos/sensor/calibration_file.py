@@ -47,7 +47,7 @@ from multipos.files.records import (
 )
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
-from multipos.finding import FINDINGS, read_findings
+from multipos.finding import FINDINGS, findings_upgraded, read_findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
 from multipos.numerics.rotations import directions
 from multipos.positions.headers import MAGNETIC_UNITS, known_rows
@@ -349,6 +349,7 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
         A key is missing or not as `CALIBRATION` has it, or the parts contradict each
         other.
     """
+    content = {**content, "diagnostics": findings_upgraded(content.get("diagnostics"))}
     require(content, CALIBRATION, where, "fit again")
     try:
         _check_shapes(content)

@@ -49,7 +49,7 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files import records, trees, whole
 from multipos.files.spelling import StrPath
 from multipos.files.tables import Column, Source, read_table
-from multipos.finding import FINDINGS, Findings, read_findings
+from multipos.finding import FINDINGS, Findings, findings_upgraded, read_findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Mask
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.regression.regression import Regression, Regressions
@@ -395,7 +395,12 @@ def load_check(path: StrPath) -> Check:
             f"{path}: the check of a regression; a report of a calibration needs a check of it."
         )
     return records.restore(
-        content, CHECK, _from_dict, str(path), what="check", again="run check again"
+        findings_upgraded(content),
+        CHECK,
+        _from_dict,
+        str(path),
+        what="check",
+        again="run check again",
     )
 
 

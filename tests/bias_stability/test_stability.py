@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal
 import multipos as mp
 from multipos import plots
 from multipos.bias_stability import trends
-from multipos.bias_stability.stability_result import stability_sentence
+from multipos.bias_stability.stability_text import stability_sentence
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 

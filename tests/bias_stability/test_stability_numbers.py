@@ -23,7 +23,8 @@ from multipos.bias_stability.allan import (
     starts,
 )
 from multipos.bias_stability.analysis import Values, _check_alike, _is_steady, _movements
-from multipos.bias_stability.stability_result import _is_whole, _shown, stability_sentence
+from multipos.bias_stability.stability_result import _is_whole
+from multipos.bias_stability.stability_text import _shown, stability_sentence
 from multipos.bias_stability.static_records import _require_one_g
 
 
@@ -214,7 +215,7 @@ def test_a_movement_is_told_by_its_time(monkeypatch):
 
 @pytest.mark.parametrize("size", [1e3 * 2, 9.8 * 2, 9.8 / 2, 0.102 / 2, 0.102 * 2])
 def test_a_force_of_one_g_in_another_unit_is_refused_within_a_factor_of_two(size):
-    field = SimpleNamespace(magnetic=False)
+    field = SimpleNamespace(same_everywhere=True)
     c = SimpleNamespace(field=field, model=SimpleNamespace(unit="g"))
 
     def force(by):
@@ -224,7 +225,9 @@ def test_a_force_of_one_g_in_another_unit_is_refused_within_a_factor_of_two(size
     with pytest.raises(mp.MultiposError, match="where 1 g is meant"):
         _require_one_g("s", c, force(inside))
     _require_one_g("s", c, force(outside))
-    _require_one_g("s", SimpleNamespace(field=SimpleNamespace(magnetic=True)), force(inside))
+    _require_one_g(
+        "s", SimpleNamespace(field=SimpleNamespace(same_everywhere=False)), force(inside)
+    )
     _require_one_g("s", c, force(inside)[:2])
 
 
@@ -240,27 +243,29 @@ def test_a_record_without_a_change_of_temperature_is_steady():
 
 
 def test_a_file_is_whole_where_everything_is_about_the_same_outputs():
-    def whole(**change):
-        columns = {"a": [1.0, 2.0], "b": [3.0, 4.0]}
-        one = {"temperature": None, "time": [0.0, 1.0], "zero": columns, "settled": columns}
-        spread = {"a": 1, "b": 2}
-        content = {"outputs": spread, "run_to_run": spread, "turn_on": None, "records": [one]}
-        return content | change, one, columns
+    spread = {"a": 1, "b": 2}
+    columns = {"a": [1.0, 2.0], "b": [3.0, 4.0]}
+    one = {"temperature": None, "time": [0.0, 1.0], "zero": columns, "settled": columns}
 
-    taus = [[1.0, 2.0], [1.0, 2.0]]
-    content, one, columns = whole()
-    assert _is_whole(content, taus)
-    assert not _is_whole(content, [[1.0, 2.0], [1.0, 3.0]])
-    assert not _is_whole(whole(outputs={}, run_to_run=None, records=[])[0], [])
-    assert not _is_whole(whole(turn_on={"a": 1})[0], taus)
+    def whole(taus=((1.0, 2.0), (1.0, 2.0)), records=(one,), turn_on=None):
+        outputs = {name: SimpleNamespace(tau=tau) for name, tau in zip("ab", taus, strict=False)}
+        found = SimpleNamespace(outputs=outputs, run_to_run=spread, turn_on=turn_on)
+        found.records = [SimpleNamespace(**each) for each in records]
+        found.tau = taus[0] if taus else None
+        return _is_whole(found)
+
+    assert whole()
+    assert not whole(((1.0, 2.0), (1.0, 3.0)))
+    assert not whole((), ())
+    assert not whole(turn_on={"a": 1})
     for change in (
         {"temperature": [20.0]},
         {"zero": {**columns, "b": [3.0]}},
         {"settled": {"a": 1}},
         {"zero": {"a": [1.0, 2.0]}},
     ):
-        assert not _is_whole(whole(records=[one, {**one, **change}])[0], taus)
-    assert _is_whole(whole(records=[one, {**one, "temperature": [20.0, 21.0]}])[0], taus)
+        assert not whole(records=[one, {**one, **change}])
+    assert whole(records=[one, {**one, "temperature": [20.0, 21.0]}])
 
 
 def test_a_time_constant_moves_and_is_known_as_in_one_fit_of_all():

@@ -1,0 +1,476 @@
+"""The file of a result, as the fields of its frozen dataclass declare it, once.
+
+- `schema_of` makes the `Schema` of a class of its annotations: it checks, reads and writes.
+- `Saved` gives a result with a file `to_dict` and `save`; `read_saved` and `restore` read it again.
+
+A field is a key, of the kind that its type says: a number, a text, a tuple as a list, a mapping as
+an object, another result, or None as null. What does not follow from name and type stands in the
+annotation, a narrower `Kind` or how the field is `Stored`:
+
+    u: Annotated[float, NOT_NEGATIVE]
+    source: Annotated[str | None, Stored("input.file")]
+    sd: Annotated[Array, NOT_NEGATIVE, Stored(by="outputs")]
+
+A property of which the file has the value for its reader, and which follows from the fields when it
+is read, returns ``Annotated[…, Stored(after=KEY)]``: it stands after that key.
+
+A class that is put together of what is read otherwise than by its fields has a class method
+``from_file`` that takes it, by their names; a class whose files were once other has a function
+`upgraded` of the content. Either may raise ValueError where parts contradict each other.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import StrEnum
+from functools import cache
+from types import NoneType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_origin,
+)
+
+import numpy as np
+
+from multipos.errors import MultiposError
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    Entries,
+    Fields,
+    Flag,
+    Kind,
+    Listed,
+    Maybe,
+    Named,
+    Numbers,
+    Text,
+    Whole,
+    require,
+)
+from multipos.files.spelling import StrPath
+from multipos.files.trees import read_json, to_json
+from multipos.files.whole import write_text
+from multipos.numerics.arrays import Array, Mask
+from multipos.results import Result, frozen, plain_dict
+
+S = TypeVar("S", bound="Saved")
+_KINDS: dict[Any, Kind] = {
+    str: ANY_TEXT,
+    bool: Flag(),
+    int: Whole(),
+    float: ANY_NUMBER,
+    Array: Numbers(),
+    Any: Kind(),
+}
+_ARRAYS = (Array, Mask)
+
+
+@frozen(eq=True)
+class Stored:
+    """How a field stands in a file, where that does not follow from its name and its type.
+
+    Attributes
+    ----------
+    key : str
+        Where it is called otherwise; 'input.file' is the key 'file' of the object 'input', which is
+        null where all that it has is `optional` and None.
+    optional : bool
+        It is not in the file where it is None, and need not be there: then it is as by default.
+    nowhere : bool
+        It is not in the file.
+    flat : bool
+        A result whose keys stand among the others; none of them where it is None.
+    by : str
+        An array of the file as an object whose keys are the names in this field.
+    rows : str
+        A column of this table, a list of objects.
+    after : str
+        A property: the key that it is written after.
+    """
+
+    key: str = ""
+    optional: bool = False
+    nowhere: bool = False
+    flat: bool = False
+    by: str = ""
+    rows: str = ""
+    after: str = ""
+
+
+@frozen(eq=True)
+class As(Kind):
+    """A kind whose values a result holds as something else: what `of` makes, and `back`."""
+
+    kind: Kind
+    of: Callable[[Any], Any]
+    back: Callable[[Any], Any] = lambda value: value
+
+    def check(self, value: Any, place: str) -> None:
+        """Raise a fault where the value is something else."""
+        self.kind.check(value, place)
+
+    def read(self, value: Any) -> Any:
+        """Return what a result holds."""
+        return self.of(self.kind.read(value))
+
+    def write(self, value: Any) -> Any:
+        """Return the value of a file."""
+        return self.kind.write(self.back(value))
+
+
+class _Part(NamedTuple):
+    """One field, or one property, which has no kind to be read by."""
+
+    name: str
+    key: str
+    said: Any
+    kind: Kind
+    stored: Stored
+
+    @property
+    def derived(self) -> bool:
+        return bool(self.stored.after)
+
+    def kinds(self) -> Fields:
+        if self.derived:
+            return Fields({})
+        if self.stored.flat:
+            inner = _schema_within(self.kind).fields
+            if isinstance(self.kind, Maybe):
+                return Fields({}, {**inner.needed, **inner.optional})
+            return inner
+        kind = Named(self.kind) if self.stored.by else self.kind
+        return Fields({}, {self.key: kind}) if self.stored.optional else Fields({self.key: kind})
+
+    def write(self, owner: Any) -> dict[str, Any]:
+        value = getattr(owner, self.name)
+        if value is None and (self.stored.optional or self.stored.flat):
+            return {}
+        if self.stored.by:
+            return {self.key: self._named(value, owner)}
+        written = value if self.derived else self.kind.write(value)
+        return written if self.stored.flat else {self.key: written}
+
+    def read(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        if self.stored.flat:
+            schema = _schema_within(self.kind)
+            there = not isinstance(self.kind, Maybe) or schema.keys & content.keys()
+            return {self.name: schema.read(content) if there else None}
+        if self.derived or self.key not in content:
+            return {}
+        value = content[self.key]
+        if self.stored.by:
+            return {self.name: np.array(self._values(value, content))}
+        return {self.name: self.kind.read(value)}
+
+    def cells(self, owner: Any) -> Sequence[Any] | None:
+        """Return the cells of a column, for each row of its table; None without the column."""
+        value = getattr(owner, self.name)
+        if value is None:
+            return None
+        if self.stored.by:
+            return [self._named(row, owner) for row in value]
+        return list(value) if self.derived else list(map(self.kind.write, value))
+
+    def column(self, rows: Sequence[Mapping[str, Any]], content: Mapping[str, Any]) -> Any:
+        """Return the column of these rows, None where one of them lacks it."""
+        if not all(self.key in row for row in rows):
+            return None
+        cells = [row[self.key] for row in rows]
+        if self.stored.by:
+            return np.array([self._values(cell, content) for cell in cells])
+        held = list(map(self.kind.read, cells))
+        return np.array(held) if self.said in _ARRAYS else tuple(held)
+
+    def _named(self, values: Iterable[Any], owner: Any) -> dict[str, Any]:
+        names = getattr(owner, self.stored.by)
+        return dict(zip(names, map(self.kind.write, values), strict=True))
+
+    def _values(self, named: Mapping[str, Any], content: Mapping[str, Any]) -> list[Any]:
+        names = content[self.stored.by]
+        if set(named) != set(names):
+            raise ValueError(f"'{self.key}' is of {', '.join(named)}, not of its {self.stored.by}")
+        return [self.kind.read(named[name]) for name in names]
+
+
+class _Rows(NamedTuple):
+    """The fields that are columns of one table."""
+
+    key: str
+    parts: tuple[_Part, ...]
+
+    def kinds(self) -> Fields:
+        return Fields({self.key: Listed(_fields_of(self.parts), 1)})
+
+    def write(self, owner: Any) -> dict[str, Any]:
+        columns = {part.key: part.cells(owner) for part in self.parts}
+        there = {key: cells for key, cells in columns.items() if cells is not None}
+        rows = zip(*there.values(), strict=True)
+        return {self.key: [dict(zip(there, row, strict=True)) for row in rows]}
+
+    def read(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        rows = content[self.key]
+        read = [part for part in self.parts if not part.derived]
+        return {part.name: part.column(rows, content) for part in read}
+
+
+class _Inside(NamedTuple):
+    """The fields that are the keys of an object within the file."""
+
+    key: str
+    parts: tuple[_Part, ...]
+
+    def kinds(self) -> Fields:
+        inner: Kind = _fields_of(self.parts)
+        return Fields({self.key: Maybe(inner) if self._may_be_null() else inner})
+
+    def write(self, owner: Any) -> dict[str, Any]:
+        inner = _written(self.parts, owner)
+        return {self.key: None if self._may_be_null() and not inner else inner}
+
+    def read(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        inner = content[self.key]
+        nothing = dict.fromkeys((part.name for part in self.parts), None)
+        return nothing if inner is None else _read(self.parts, inner)
+
+    def _may_be_null(self) -> bool:
+        return all(part.stored.optional for part in self.parts)
+
+
+_Place = _Part | _Rows | _Inside
+
+
+@frozen(eq=True)
+class Schema(Kind):
+    """How a class stands in a file."""
+
+    made: Any
+    parts: tuple[_Place, ...]
+    fields: Fields
+
+    @property
+    def keys(self) -> set[str]:
+        """The keys that are read."""
+        return {*self.fields.needed, *self.fields.optional}
+
+    def check(self, value: Any, place: str) -> None:
+        """Raise a fault where the value is something else."""
+        self.fields.check(self._upgraded(value), place)
+
+    def read(self, value: Any) -> Any:
+        """Return the result.
+
+        Raises
+        ------
+        ValueError
+            Its parts contradict each other.
+        """
+        make = getattr(self.made, "from_file", self.made)
+        return make(**self.values(value))
+
+    def values(self, value: Any) -> dict[str, Any]:
+        """Return the values of the fields that the file has."""
+        return _read(self.parts, self._upgraded(value))
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """Return an object, up to arrays and NaN."""
+        return _written(self.parts, value)
+
+    def _upgraded(self, value: Any) -> Any:
+        upgraded = getattr(self.made, "upgraded", None)
+        return value if upgraded is None or not isinstance(value, Mapping) else upgraded(value)
+
+
+class Saved(Result):
+    """A result that has a file of its own.
+
+    Attributes
+    ----------
+    schema : str
+        What the file says that it is.
+    called : str
+        What a message calls it.
+    again : str
+        What writes the file again, as in 'fit again'.
+    """
+
+    schema: ClassVar[str]
+    called: ClassVar[str]
+    again: ClassVar[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as JSON carries it, keys as in docs/reference/formats.md."""
+        return plain_dict({"schema": self.schema, **schema_of(type(self)).write(self)})
+
+    def save(self, path: StrPath) -> None:
+        """Write the result as JSON, whole or not at all."""
+        write_text(path, to_json(self.to_dict()))
+
+
+def read_saved(made: type[S], path: StrPath) -> S:
+    """Read a result from the file that its `save` wrote.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema, or holds what no such result does.
+    """
+    return restore(made, read_json(path, made.schema), str(path))
+
+
+def restore(made: type[S], content: Any, where: str) -> S:
+    """Return the result that its `to_dict` described.
+
+    Parameters
+    ----------
+    made : subclass of Saved
+    content : object
+        As JSON gave it.
+    where : str
+        The file, for the message.
+
+    Raises
+    ------
+    MultiposError
+        Something is missing or of another kind, or the parts contradict each other.
+    """
+    schema = schema_of(made)
+    require(content, schema, where, made.again)
+    try:
+        result: S = schema.read(content)
+    except ValueError as error:
+        said = str(error).rstrip(".")
+        raise MultiposError(f"{where}: not a {made.called}: {said}; {made.again}.") from None
+    return result
+
+
+def schema_of(made: Any) -> Schema:
+    """Return the schema of a frozen dataclass or a named tuple."""
+    return _schema_of(made)
+
+
+@cache
+def _schema_of(made: Any) -> Schema:
+    parts = [_part(name, said) for name, said in made.__annotations__.items() if _is_field(said)]
+    for name, said in _properties(made):
+        part = _part(name, said)
+        place = [each.key for each in parts].index(part.stored.after)
+        parts.insert(place + 1, part)
+    places = _gathered([part for part in parts if not part.stored.nowhere])
+    return Schema(made, places, _fields_of(places))
+
+
+def renamed(made: Any, **keys: str) -> Schema:
+    """Return the schema of some fields of a class under other keys.
+
+    Parameters
+    ----------
+    made : type, or partial of one that has the other fields
+    keys : of each field
+    """
+    parts = schema_of(getattr(made, "func", made)).parts
+    kept = tuple(
+        part._replace(key=keys[part.name])
+        for part in parts
+        if isinstance(part, _Part) and part.name in keys
+    )
+    return Schema(made, kept, _fields_of(kept))
+
+
+def _is_field(said: Any) -> bool:
+    return get_origin(said) is not ClassVar
+
+
+def _properties(made: Any) -> Iterable[tuple[str, Any]]:
+    """Return the properties of a class that its file has, and what they return."""
+    for name, value in vars(made).items():
+        of = getattr(value, "fget", None) or getattr(value, "func", None)
+        said = getattr(of, "__annotations__", {}).get("return")
+        if get_origin(said) is Annotated:
+            yield name, said
+
+
+def _part(name: str, said: Any) -> _Part:
+    marks = said.__metadata__ if get_origin(said) is Annotated else ()
+    stored = next((mark for mark in marks if isinstance(mark, Stored)), Stored())
+    kinds = [mark for mark in marks if isinstance(mark, Kind)]
+    bare = get_args(said)[0] if marks else said
+    cell = get_args(bare)[0] if stored.rows and get_origin(bare) is tuple else bare
+    known = kinds or stored.nowhere or stored.after
+    kind = (kinds or [Kind()])[0] if known else _kind_of(cell, stored.optional)
+    return _Part(name, stored.key or name, bare, kind, stored)
+
+
+def _gathered(parts: Sequence[_Part]) -> tuple[_Place, ...]:
+    """Return parts with the columns of a table, and the keys of an object within, as one."""
+    places: dict[str, list[_Part]] = {}
+    for part in parts:
+        head, _, rest = part.key.partition(".")
+        places.setdefault(part.stored.rows or head, []).append(part._replace(key=rest or head))
+    return tuple(_place(key, each) for key, each in places.items())
+
+
+def _place(key: str, parts: Sequence[_Part]) -> _Place:
+    if parts[0].stored.rows:
+        return _Rows(key, tuple(parts))
+    alone = len(parts) == 1 and parts[0].key == key
+    return parts[0] if alone else _Inside(key, tuple(parts))
+
+
+def _fields_of(parts: Iterable[_Place]) -> Fields:
+    each = [part.kinds() for part in parts]
+    needed = {key: kind for fields in each for key, kind in fields.needed.items()}
+    optional = {key: kind for fields in each for key, kind in fields.optional.items()}
+    return Fields(needed, optional)
+
+
+def _written(parts: Iterable[_Place], owner: Any) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for part in parts:
+        content |= part.write(owner)
+    return content
+
+
+def _read(parts: Iterable[_Place], content: Mapping[str, Any]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for part in parts:
+        values |= part.read(content)
+    return values
+
+
+def _schema_within(kind: Kind) -> Schema:
+    inner = kind.kind if isinstance(kind, Maybe) else kind
+    assert isinstance(inner, Schema)
+    return inner
+
+
+def _kind_of(said: Any, optional: bool = False) -> Kind:
+    """Return the kind of a type; what is `optional` is missing, and not null, where it is None."""
+    origin, inner = get_origin(said), get_args(said)
+    if said in _KINDS:
+        return _KINDS[said]
+    if origin is Annotated:
+        return _part("", said).kind
+    if origin is Literal:
+        return Text(inner)
+    if NoneType in inner:
+        kind = _kind_of(inner[0])
+        return kind if optional else Maybe(kind)
+    if origin is tuple:
+        return _of_tuple(inner)
+    if origin is not None:  # a mapping
+        return Named(_kind_of(inner[-1]))
+    if issubclass(said, StrEnum):
+        return As(Text(tuple(said)), said)
+    return schema_of(said)
+
+
+def _of_tuple(inner: tuple[Any, ...]) -> Kind:
+    if inner[-1] is Ellipsis:
+        return Listed(_kind_of(inner[0]))
+    return As(Entries(tuple(map(_kind_of, inner))), tuple)
