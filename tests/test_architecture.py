@@ -249,6 +249,16 @@ def test_imports_and_calls_nothing_forbidden():
     assert wrong == []
 
 
+KINDLESS = ("reports",)  # rooms in which model, field and estimator answer for themselves
+KIND = re.compile(r"isinstance\([^)]*Model\b|\.magnetic\b|\.exact\b|\bEstimator\.")
+
+
+def test_rooms_ask_no_kind_of_model_field_or_estimator():
+    texts = {name: (PACKAGE / name).read_text("utf-8") for name in EXISTING}
+    asked = {name: KIND.findall(text) for name, text in texts.items() if name.startswith(KINDLESS)}
+    assert not {name: questions for name, questions in asked.items() if questions}
+
+
 def test_imports_no_slow_library_at_start_up():
     wrong = [
         f"{name}:{line} imports {target} at module top level"

@@ -233,7 +233,7 @@ def _answer(c: Calibration, check: Check | None) -> str:
 
 
 def _method(c: Calibration) -> Section:
-    size = c.field.text
+    *in_field, (field, size) = c.field.lines(c.convention)
     if c.gravity is not None:
         unit = c.gravity.size_unit
         size = f"{c.gravity.value:.10g} {unit}, u = {in_unit(c.gravity.u, unit)}"
@@ -243,8 +243,7 @@ def _method(c: Calibration) -> Section:
         ("Number of readings", str(len(c.readings))),
         ("Outputs and unit", f"{', '.join(c.outputs)} [{c.model.unit}]"),
         ("Model", c.model.text),
-        *(() if c.field.magnetic else (("Convention", c.convention),)),
-        (c.field.worded("Gravity"), size),
+        *((name.capitalize(), value) for name, value in (*in_field, (field, size))),
         ("Estimator", c.estimator),
         ("Criterion", c.field.worded(c.criterion)),
         ("Computed", f"{c.created}, multipos {c.version}"),

@@ -87,10 +87,11 @@ def dcc_report(calibration: Calibration, content: Content, page: str) -> str:
         The laboratory has not said what the schema needs, the fields named as `section.key`, or
         the coverage factor is below one.
     """
-    if calibration.field.magnetic:
+    field = calibration.field
+    if field.unit != "g":  # D-SI has no other unit of a reference that is written here
         raise MultiposError(
-            "the certificate as XML is written of accelerometers; report a magnetometer as .html, "
-            ".pdf, .md or .txt."
+            "the certificate as XML is written of accelerometers; report a "
+            f"{field.sensor.lower()} as .html, .pdf, .md or .txt."
         )
     lab = content.lab
     _require(lab)

@@ -17,7 +17,7 @@ from multipos.diagnostics.score_tests import judge_included
 from multipos.errors import MultiposError
 from multipos.files import numbers
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import compensated_error, size_residuals
+from multipos.plots.calibration import compensated_error, residual_series
 from multipos.plots.fits import draw_check, draw_curve, errors_apart, temperature_curves
 from multipos.plots.pictures import residual_picture
 from multipos.plots.tumble import draw_harmonics, draw_rolls
@@ -33,7 +33,6 @@ from multipos.reports.sections import (
 )
 from multipos.reports.sheets import Sheet, table_error_sheets
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
-from multipos.sensor.found import Estimator
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check
@@ -57,10 +56,10 @@ def residuals_section(c: Calibration) -> Section:
         s = printed.cells.pop().removeprefix("+")
         columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, numbers.number(dof)]))
     paragraphs = [_kind_of_residual(c)]
-    if c.estimator is Estimator.UNKNOWN:
-        sizes, sd = size_residuals(c)
-        printed = column(sizes[shown], c.field.printed, float(sd.max()), signed=True)
-        columns.append((f"size of the force [{printed.unit}]", [*printed.cells, "", ""]))
+    for name, of_size, left, band in residual_series(c):
+        if name not in c.outputs:  # what a position of unknown orientation has
+            printed = column(left[shown], of_size, 0.5 * float(band.max()), signed=True)
+            columns.append((f"{name} [{printed.unit}]", [*printed.cells, "", ""]))
     if math.isfinite(c.rms):
         before = [("before", nominal_error(c))] if has_nominal(c) else []
         for when, error in (*before, ("after", compensated_error(c))):
@@ -91,19 +90,7 @@ def _kind_of_residual(c: Calibration) -> str:
             "differs. The bars are ±2 standard deviations within a session."
         )
     said = "Residual = reading − model. The bars are ±2 standard deviations of each residual."
-    if c.estimator is Estimator.UNKNOWN:
-        more = (
-            "No orientation is known, so a position has one number: by how much the size of "
-            "its compensated force is off. It is what the figure shows."
-        )
-    elif not c.estimator.exact:
-        more = (
-            "The orientations were estimated with the parameters, so a residual shows only "
-            "what no turn of its position explains."
-        )
-    else:
-        return said
-    return f"{said} {more}"
+    return f"{said} {c.estimator.residual_note}".rstrip()
 
 
 def _kind_of_error(c: Calibration) -> str:
@@ -332,9 +319,7 @@ def checks_section(c: Calibration, simulated: MonteCarlo | None) -> Section:
         )
     tables = [PageTable("Checks of the fit", ("Check", "Result"), tuple(rows))]
     paragraphs: list[str] = []
-    tests = [_tests_of_terms(c)]
-    if c.estimator.exact:
-        tests += [_single_terms(c), _influence(c), _waves(c)]
+    tests = [_tests_of_terms(c), *(_OUTPUT_TESTS[name](c) for name in c.estimator.output_tests)]
     tests = [table for table in tests if table.rows]
     if tests:
         tables += tests
@@ -480,6 +465,9 @@ def _waves(c: Calibration) -> PageTable:
         2,
         on_paper=False,  # it follows from the residuals, and a figure shows it
     )
+
+
+_OUTPUT_TESTS = {"terms": _single_terms, "influence": _influence, "harmonics": _waves}
 
 
 def _float(value: object) -> float | None:

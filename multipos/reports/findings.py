@@ -9,7 +9,7 @@ what is signed last, and the equipment, are here as well.
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from multipos.reports.sections import (
 )
 from multipos.sensor.calibration import Calibration, Parameter, has_nominal
 from multipos.sensor.derived import intrinsic_gradient
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Sessions
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
@@ -90,13 +89,9 @@ def derived_quantities(c: Calibration, budget: Evaluation) -> list[Quantity]:
     for (name, unit), value, sd, nu in found:
         k = coverage_factor(c.confidence, nu)
         quantities.append(Quantity(name, unit, value, sd, k * sd, k))
-    if c.field.magnetic:  # hard iron is the offset of the readings, in their unit
-        zero = [c[output, "1"] for output in c.outputs]
-        rows = slice(len(zero), 2 * len(zero))
-        quantities[rows] = [
-            Quantity(old.name, p.unit, p.value, p.u, p.U, p.k)
-            for old, p in zip(quantities[rows], zero, strict=True)
-        ]
+    for i, p in enumerate((c[output, "1"] for output in c.outputs), start=len(c.outputs)):
+        of_readings = Quantity(quantities[i].name, p.unit, p.value, p.u, p.U, p.k)
+        quantities[i] = c.field.zero(quantities[i], of_readings)
     return quantities
 
 
@@ -338,7 +333,7 @@ def parameters_section(c: Calibration) -> Section:
     return Section(
         "Parameters",
         (
-            _equation(c),
+            c.model.equation,
             (
                 "U = k u is the expanded uncertainty for a coverage probability of "
                 f"{100.0 * c.confidence:g} %, with k from Student's t at the effective degrees of "
@@ -347,19 +342,6 @@ def parameters_section(c: Calibration) -> Section:
             ),
         ),
         tables=(_parameter_table(c), *installed),
-    )
-
-
-def _equation(c: Calibration) -> str:
-    """Return the measurement equation: the terms of the table, or formulas as they were written."""
-    if isinstance(c.model, ExpressionModel):
-        return (
-            "Each output reads, in the reference x, y, z and that along its own axis "
-            f"[{c.field.printed}]: {c.model.text}."
-        )
-    return (
-        "The model of output i is y_i = sum of coefficients times terms of the reference "
-        "in g; the terms of each output are in the table."
     )
 
 
@@ -490,11 +472,10 @@ def sphere_section(c: Calibration) -> Section:
     """Return how well force and tilt are known, and where."""
     allowed, hidden = bool(unseen_sizes(c)), not_stated(c)
     seen = applied(c)
-    forced = (seen.largest,) if c.readings.forced.any() and seen.largest > 1.0 else ()
-    sizes = sorted({1.0, *forced, *((2.0, 5.0) if allowed else ())})
-    if c.field.magnetic:
-        sizes = [c.field.magnitude]
-    rows = _sphere_rows(c, sizes, max((1.0, *forced)))
+    at_rest = c.field.full_scale
+    largest = max(at_rest, seen.largest if c.readings.forced.any() else 0.0)
+    sizes = sorted({at_rest, largest, *(c.field.beyond if allowed else ())})
+    rows = _sphere_rows(c, sizes, largest)
     paragraphs = [
         (
             "Uncertainty of compensated force and of tilt from the parameters, over all "
@@ -551,30 +532,38 @@ def _seen_terms(c: Calibration) -> list[str]:
 
 def _sphere_rows(c: Calibration, sizes: Sequence[float], seen: float) -> list[tuple[str, ...]]:
     """Return force at each size [g], beyond `seen` marked, and tilt at 1 g, by axis."""
-    unit = c.field.printed
-    words = {"force": (f"{c.field.quantity} along", unit), "tilt_deg": ("tilt of", "deg")}
-    rows: list[tuple[str, ...]] = []
     evaluated = {size: evaluate_sphere(c, size=size) for size in sizes}
+    words = {
+        "force": (f"{c.field.quantity} along", c.field.printed),
+        "tilt_deg": ("tilt of", "deg"),
+    }
     units = common_units(
         (words[what][1], entry["U"])
         for found in evaluated.values()
         for what, axes in found.items()
         for entry in axes.values()
     )
+    rows: list[tuple[str, ...]] = []
     for size, found in evaluated.items():
-        for what in ("force",) if size > 1.0 or c.field.magnetic else found:
+        at = f"{size:g} {pretty_unit(c.field.printed)}{'' if size <= seen else ' *'}"
+        at_rest = f"{c.field.angle}_deg" if size <= c.field.full_scale else ""
+        for what in (name for name in found if name in ("force", at_rest)):
             text, unit = words[what]
-            for axis, entry in found[what].items():
-                factor, shown = units[unit]
-                rows.append(
-                    (
-                        f"{text} {axis}",
-                        f"{size:g} {pretty_unit(c.field.printed)}"
-                        + ("" if size <= seen or c.field.magnetic else " *"),
-                        *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),
-                        shown,
-                        plain_number(entry["k"], 3),
-                        ", ".join(f"{v / size:.2f}" for v in entry["at"]),
-                    )
-                )
+            rows += [
+                (f"{text} {axis}", at, *_sphere_cells(entry, size, units[unit]))
+                for axis, entry in found[what].items()
+            ]
     return rows
+
+
+def _sphere_cells(
+    entry: Mapping[str, Any], size: float, unit: tuple[float, str]
+) -> tuple[str, ...]:
+    """Return rms, worst u, U, unit, k and the worst direction."""
+    factor, shown = unit
+    return (
+        *(plain_number(factor * entry[key], 2) for key in ("rms", "worst", "U")),
+        shown,
+        plain_number(entry["k"], 3),
+        ", ".join(f"{v / size:.2f}" for v in entry["at"]),
+    )

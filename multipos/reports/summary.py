@@ -16,7 +16,6 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows, rms_before
-from multipos.sensor.found import Estimator
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 
@@ -32,8 +31,7 @@ def counted_findings(findings: Iterable[Finding]) -> str:
 def calibration_sentence(c: Calibration) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
     count = len(c.readings)
-    kind = "hand-held position" if c.estimator is Estimator.UNKNOWN else "position"
-    kind = "reading" if c.field.magnetic else kind
+    kind = c.field.row(c.estimator.position)
     plural = "" if count == 1 else "s"
     parts = [f"{', '.join(c.outputs)} calibrated from {count} {kind}{plural}"]
     if math.isfinite(c.rms):
@@ -53,10 +51,10 @@ def calibration_sentence(c: Calibration) -> str:
 
 def _with_angle(c: Calibration, size: float, where: str = "") -> str:
     """Return a size, of an inclinometer with the angle near level that it is."""
-    shown = _shown(c, size)
-    if c.field.magnetic or len(c.model.sensed_axes) == len(COMPONENTS):
+    shown, angle = _shown(c, size), c.field.level_angle(size)
+    if not angle or len(c.model.sensed_axes) == len(COMPONENTS):
         return shown
-    return f"{shown} ({numbers.in_unit(math.degrees(size), 'deg')}{where})"
+    return f"{shown} ({angle}{where})"
 
 
 def _shown(c: Calibration, size: float) -> str:
@@ -126,13 +124,10 @@ def _summary(calibration: Calibration) -> str:
     c = calibration
     readings = c.readings
     counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
-    in_field = [f"convention  {c.convention}", f"gravity     {c.field.text}"]
-    if c.field.magnetic:
-        in_field = [f"field       {c.field.text}"]
     lines = [
         f"readings    {readings.source or 'from memory'}: {counted}",
         f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
-        *in_field,
+        *(f"{name:<12}{value}" for name, value in c.field.lines(c.convention)),
         *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
         f"estimator   {c.estimator}: {c.criterion}",
         f"created     {c.created}, multipos {c.version}",

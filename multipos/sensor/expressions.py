@@ -123,6 +123,14 @@ class ExpressionModel(Model):
         known = {"bias": self.unit, "scale": unit_per(self.unit, 1, (), self.field.unit)}
         return tuple(q.unit or known.get(q.name, "-") for q in self.quantities)
 
+    @property
+    def equation(self) -> str:
+        """What each output reads: the formulas as they were written."""
+        return (
+            "Each output reads, in the reference x, y, z and that along its own axis "
+            f"[{self.field.printed}]: {self.text}."
+        )
+
     def label(self, index: int) -> str:
         """Return a parameter in plain words, for reports."""
         output, term = self.keys[index]

@@ -28,6 +28,33 @@ class Estimator(StrEnum):
         """Whether orientations were taken as known exactly, so that outputs are fitted alone."""
         return self in (Estimator.CLOSED_FORM, Estimator.LINEAR)
 
+    @property
+    def position(self) -> str:
+        """What one of its positions is called."""
+        return "hand-held position" if self is Estimator.UNKNOWN else "position"
+
+    @property
+    def residual_note(self) -> str:
+        """What a residual shows, where orientations were estimated with the parameters."""
+        return _RESIDUAL_NOTES.get(self, "")
+
+    @property
+    def output_tests(self) -> tuple[str, ...]:
+        """Which tests of outputs fitted alone apply to it."""
+        return ("terms", "influence", "harmonics") if self.exact else ()
+
+
+_RESIDUAL_NOTES = {
+    Estimator.UNCERTAIN: (
+        "The orientations were estimated with the parameters, so a residual shows only what no "
+        "turn of its position explains."
+    ),
+    Estimator.UNKNOWN: (
+        "No orientation is known, so a position has one number: by how much the size of its "
+        "compensated force is off. It is what the figure shows."
+    ),
+}
+
 
 @frozen
 class Component(Keyed):

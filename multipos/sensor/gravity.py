@@ -27,6 +27,7 @@ References
 JCGM 100:2008, clause 5.1 and G.4.1.
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal
@@ -65,6 +66,8 @@ class Field:
         The unit of the reference that a nominal conversion is in.
     same_everywhere : bool
         Whether its size is the same at every place, but for a part in a hundred.
+    beyond : tuple of float
+        Larger sizes that a sensor at work meets.
     """
 
     size: float | None = None
@@ -79,6 +82,7 @@ class Field:
     angle: ClassVar[str]
     nominal_unit: ClassVar[str]
     same_everywhere: ClassVar[bool]
+    beyond: ClassVar[tuple[float, ...]]
 
     @property
     def value(self) -> float:
@@ -139,6 +143,18 @@ class Field:
         """Return a sentence about accelerometers as it is said of a sensor of the field."""
         return text
 
+    def row(self, position: str) -> str:
+        """Return what a row of readings is called, given what its position is."""
+        raise NotImplementedError
+
+    def level_angle(self, size: float) -> str:
+        """Return the angle of an inclinometer near level that a size is; of others nothing."""
+        return ""
+
+    def zero(self, force: Any, reading: Any) -> Any:
+        """Return what states the zero of an output: its offset as a force, or as a reading."""
+        raise NotImplementedError
+
     def stated(self) -> dict[str, Any]:
         """Return the options of a bench, as `multipos.fit` takes them, that state its size."""
         raise NotImplementedError
@@ -160,6 +176,7 @@ class Gravity(Field):
     angle = "tilt"
     nominal_unit = "g"
     same_everywhere = True
+    beyond = (2.0, 5.0)
 
     @property
     def magnitude(self) -> float:
@@ -193,6 +210,18 @@ class Gravity(Field):
         """Return a size of force [g] as people read it, or in mg or µg in a form."""
         return f"{_PER_G[unit] * size:{form}} {unit}" if unit else super().shown(size)
 
+    def row(self, position: str) -> str:
+        """Return what its position is called."""
+        return position
+
+    def level_angle(self, size: float) -> str:
+        """Return the tilt near level that a size of force [g] is."""
+        return in_unit(math.degrees(size), "deg")
+
+    def zero(self, force: Any, reading: Any) -> Any:
+        """Return the offset as a force."""
+        return force
+
     def stated(self) -> dict[str, Any]:
         """Return the options that state its size."""
         return {"field": self.kind, "gravity": self.size}
@@ -217,6 +246,7 @@ class MagneticField(Field):
     angle = "heading"
     nominal_unit = "uT"
     same_everywhere = False
+    beyond = ()
 
     @property
     def unit(self) -> str:
@@ -251,6 +281,14 @@ class MagneticField(Field):
         for pattern, new in _TABLE:
             text = pattern.sub(new, text)
         return text
+
+    def row(self, position: str) -> str:
+        """Return 'reading', however it was held."""
+        return "reading"
+
+    def zero(self, force: Any, reading: Any) -> Any:
+        """Return hard iron, which is of the readings."""
+        return reading
 
     def stated(self) -> dict[str, Any]:
         """Return the options that state its size."""

@@ -172,6 +172,14 @@ class Model(Result):
             for _, term in self.keys
         )
 
+    @property
+    def equation(self) -> str:
+        """What each output reads, as a report says it above the table of parameters."""
+        return (
+            "The model of output i is y_i = sum of coefficients times terms of the reference "
+            "in g; the terms of each output are in the table."
+        )
+
     @cached_property
     def sensed_axes(self) -> tuple[int, ...]:
         """Case axes that at least one output has as its own, in the order x, y, z."""
