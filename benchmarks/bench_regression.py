@@ -5,12 +5,12 @@ import numpy as np
 from benchmarks.timing import Ratio, paired_ratio
 from multipos.fitting.regress_columns import regress
 from multipos.numerics.least_squares import solve
-from multipos.numerics.selection import Thresholds, all_subsets, compress, select_stepwise
+from multipos.numerics.selection import Thresholds, compress, select_stepwise
 
 
 def run() -> list[Ratio]:
     rng = np.random.default_rng(1)
-    return [stepwise(rng), whole_command(rng), *subsets(rng)]
+    return [stepwise(rng), whole_command(rng)]
 
 
 def stepwise(rng: np.random.Generator) -> Ratio:
@@ -37,18 +37,3 @@ def whole_command(rng: np.random.Generator) -> Ratio:
 
     pairs = paired_ratio(ours, lambda: solve(X, columns["y"]), repeats=3, inner=1)
     return Ratio("regress, 21 terms, 200,000 rows", "one solve of the full model", pairs, 10)
-
-
-def subsets(rng: np.random.Generator) -> list[Ratio]:
-    ratios = []
-    for n in (100, 10_000):
-        X = np.column_stack((np.ones(n), rng.standard_normal((n, 15))))
-        y = X[:, 3] + rng.standard_normal(n)
-        pairs = paired_ratio(
-            lambda X=X, y=y: all_subsets(compress(X, y), forced=[0]),
-            lambda X=X, y=y: solve(X, y),
-            repeats=9,
-            inner=3,
-        )
-        ratios.append(Ratio(f"all subsets of 15 terms, {n:,} rows", "one solve", pairs, 100))
-    return ratios

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import multipos as mp
-from multipos.fitting import regress_columns
-from multipos.regression import correlation
+from multipos.regression import correlation, cutting
 
 # name: correlation of the slow noise, its sd, sd of the white noise, correlation of the variables
 CASES = {
@@ -78,9 +77,9 @@ def judge(
             return None
         return noise._replace(plausible=() if noise.law is None else (noise.law,))
 
-    with mock.patch.object(regress_columns, "find_noise", remember):
+    with mock.patch.object(cutting, "find_noise", remember):
         significant, robust = regressed(table)
-    with mock.patch.object(regress_columns, "find_noise", likeliest):
+    with mock.patch.object(cutting, "find_noise", likeliest):
         return significant, regressed(table)[1], robust
 
 

@@ -1,4 +1,4 @@
-"""Does a state pay? Lag and hysteresis fitted with the terms, against rates and branches.
+"""Does a state pay? Lag and hysteresis fitted with the terms, against rates.
 
 The chamber is that of `benchmarks.chamber_run`, as it is and once more with a
 sensor that does have states: an element whose bias follows its own temperature s, behind the
@@ -169,8 +169,6 @@ def main() -> None:
                 "  rates, stepwise     ", figures(left_by_regression(runs, unseen, stepwise=True))
             )
             print("  rates, all terms    ", figures(left_by_regression(runs, unseen)))
-            branches = left_by_regression(runs, unseen, branches="temperature_rate", stepwise=True)
-            print("  rates and branches  ", figures(branches))
             for hysteresis in (False, True):
                 theta, p = fit_states(runs, hysteresis)
                 left = [left_by_states(theta, p, run, hysteresis) for run in unseen]

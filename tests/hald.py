@@ -1,8 +1,8 @@
 """Hald's cement data: heat of hardening against four compounds.
 
 Source: A. Hald, Statistical Theory with Engineering Applications, Wiley 1952, p. 647; N. R. Draper,
-H. Smith, Applied Regression Analysis, 2nd ed., Wiley 1981, appendix B (data), chapter 6 (residual
-sums of all subsets, F of the stepwise path).
+H. Smith, Applied Regression Analysis, 2nd ed., Wiley 1981, appendix B (data), chapter 6 (F of the
+stepwise path).
 """
 
 import numpy as np
@@ -27,25 +27,6 @@ COLUMNS = {f"x{i + 1}": TABLE[:, i] for i in range(4)} | {"y": TABLE[:, 4]}
 DESIGN = np.column_stack((np.ones(13), TABLE[:, :4]))
 RESPONSE = TABLE[:, 4]
 
-# residual sum of squares of each subset of x1 … x4, two decimals as printed
-SUBSETS = {
-    (): 2715.76,
-    (1,): 1265.69,
-    (2,): 906.34,
-    (3,): 1939.40,
-    (4,): 883.87,
-    (1, 2): 57.90,
-    (1, 3): 1227.07,
-    (1, 4): 74.76,
-    (2, 3): 415.44,
-    (2, 4): 868.88,
-    (3, 4): 175.74,
-    (1, 2, 3): 48.11,
-    (1, 2, 4): 47.97,
-    (1, 3, 4): 50.84,
-    (2, 3, 4): 73.81,
-    (1, 2, 3, 4): 47.86,
-}
 # enter .06: action, term, F
 PATH = [
     ("add", "x4", 22.7985),

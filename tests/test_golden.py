@@ -691,8 +691,6 @@ def regressions():
     yield "plain", mp.regress(data, **options)
     yield "degree 2", mp.regress(data, degree=2, **options)
     yield "stepwise", mp.regress(data, degree=3, stepwise=True, **options)
-    yield "backward", mp.regress(data, degree=2, backward=True, **options)
-    yield "subsets", mp.regress(data, degree=2, subsets=True, **options)
     cut = mp.regress(data, degree=2, segment="temperature:0,20", **options)
     yield "segments", cut
     yield "continuous", mp.regress(data, segment="temperature:20", continuous=True, **options)
@@ -704,9 +702,6 @@ def regressions():
     yield "runs", runs
     yield "rates", mp.regress(data, rate_window=9.0, **rates)
     yield "terms", mp.regress(data, response="error", terms="1 + temperature + V*|temperature|")
-    yield "effective", mp.regress(data, robust="effective", **options)
-    yield "branches", mp.regress(data, branches="temperature_rate", rate_window=5.0, **options)
-    yield "cross-validated", mp.regress(data, cross_validate=4, degree=2, **options)
     yield "several", mp.regress(data, response="error,V", variables="temperature")
     later = {name: column[:8] for name, column in chamber(53).items()}
     yield "corrected", mp.correct(cut, later, uncertainty=True)

@@ -90,7 +90,6 @@ def regressed():
         degree=2,
         stepwise=True,
         segment="t:20",
-        cross_validate=3,
     )
 
 

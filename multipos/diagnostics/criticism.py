@@ -33,7 +33,7 @@ from multipos.estimation.known import ZERO_NORM
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail
-from multipos.numerics.selection import criteria
+from multipos.numerics.selection import akaike_criterion
 from multipos.numerics.terms import Term
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
@@ -136,7 +136,7 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
 
 def aicc(rss: float, n: int, terms: int) -> float:
     """Return Akaike's criterion for few data; NaN where n − k − 1 is not positive."""
-    value = criteria(rss, n, terms)[0]
+    value = akaike_criterion(rss, n, terms)
     return value if math.isfinite(value) else math.nan
 
 

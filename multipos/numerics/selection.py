@@ -1,4 +1,9 @@
-"""Selection of terms: stepwise and backward, on any list of columns.
+"""Stepwise selection of terms: forward with removal, on any list of columns.
+
+`compress` factors a design and its response once, and `join` makes of several such triangles that
+of all their rows. `thresholds` makes of options when a term goes in and out. `select_stepwise`
+returns the columns chosen with every step of the way, `coefficients` those of some columns by least
+squares. `akaike_criterion` is that of a fitted model, for few data.
 
 A design X (n, p) and a response y are factored once, [X y] = Q R, and R (p + 1 columns, as many
 rows) stands for all n rows from then on: whatever subset S of the columns is fitted,
@@ -26,44 +31,28 @@ always in) has half its digits in common with the model: it is not entered, and 
 selects may ask for more of a column (`Guard`): a length of its own on the rows as they are, and
 coefficients that do not cancel each other.
 
-All subsets of a list of columns: the residual sum of every one, from one factor.
+The criterion of a model with q coefficients and residual sum rss on n rows, counting the variance
+(the smaller the better), is [2]_
 
-R of [X y] (`multipos.numerics.selection`) is triangular. Of its first column two things can be
-said. It is in the model: then the triangle without its first row and column holds the part of the
-others that is orthogonal to it. Or it is out: then R without that column is brought back to a
-triangle by Givens rotations of neighbouring rows, and its last row falls away. Either way a
-triangle one smaller is left, so after m columns 2^m numbers are left, each the root of one residual
-sum. All triangles of one size are rotated together. No sum of squares is formed before the last, so
-a residual sum is as good as that of a QR of its own; the work is some 10 · 2^m operations, not 2^m
-fits.
-
-A subset in which a column has less than 1e-5 of its length outside those before it is left out.
-
-Criteria of a model with q coefficients and residual sum rss on n rows, counting the variance
-(the smaller the better; adjusted R² with its sign turned):
-
-    AICc = n ln(rss/n) + 2 K + 2 K (K + 1)/(n − K − 1),   K = q + 1,
-    BIC = n ln(rss/n) + K ln n,         1 − R²_adj = (rss/(n − q)) / (tss/(n − 1)).
-
-Sources: G. M. Furnival, R. W. Wilson, Technometrics 16, 1974 (the binary tree of subsets);
-C. M. Hurvich, C.-L. Tsai, Biometrika 76, 1989 (AICc).
+    AICc = n ln(rss/n) + 2 K + 2 K (K + 1)/(n − K − 1),   K = q + 1.
 
 References
 ----------
 .. [1] M. A. Efroymson, Multiple regression analysis, in A. Ralston, H. S. Wilf (eds.),
    Mathematical Methods for Digital Computers, Wiley 1960.
+.. [2] C. M. Hurvich, C.-L. Tsai, Biometrika 76, 1989.
 """
 
 from collections.abc import Callable, Sequence
 from math import inf, log
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import Array, Mask
-from multipos.numerics.factoring import BLOCK, join_combinations, name_combinations, separability
+from multipos.errors import UsageError
+from multipos.numerics.arrays import Array
+from multipos.numerics.factoring import BLOCK
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.results import Result, frozen
 
@@ -272,7 +261,7 @@ def select_stepwise(
     -------
     Selection
     """
-    search = _TermSearch(triangle, names, forced, requires, guard=guard)
+    search = _TermSearch(triangle, names, forced, requires, guard)
     path: list[Step] = []
     stood: set[tuple[frozenset[int], ...]] = set()
     while (now := (frozenset(search.inside), frozenset(search.cancelling))) not in stood:
@@ -296,60 +285,6 @@ def select_stepwise(
     return search.result(path, best, limits)
 
 
-def select_backward(
-    triangle: Triangle,
-    names: Sequence[str],
-    limits: Thresholds,
-    *,
-    forced: Sequence[int] = (),
-    requires: Sequence[frozenset[int]] | None = None,
-    guard: Guard | None = None,
-) -> Selection:
-    """Select columns by removing the weakest from all of them, as long as it is weak enough.
-
-    Parameters
-    ----------
-    triangle, names, limits, forced, requires
-        As in `select_stepwise`.
-    guard : Guard, optional
-        Terms whose coefficients cancel go, the weakest first, whatever their F.
-
-    Raises
-    ------
-    MultiposError
-        The full model is saturated, or its columns cannot be separated.
-    """
-    p = len(names)
-    if triangle.rows <= p:
-        raise MultiposError(
-            f"backward selection starts from the full model, which is saturated: {triangle.rows} "
-            f"rows for {p} terms leave nothing to test against; use --stepwise, or give more rows."
-        )
-    found = separability(triangle.R[:, :p])
-    if found.rank < p:
-        said = join_combinations(name_combinations(found.null, names, rows="rows"))
-        raise MultiposError(
-            f"backward selection starts from the full model, but {said}; drop a term, or use "
-            "--stepwise."
-        )
-    search = _TermSearch(triangle, names, forced, requires, start=range(p), guard=guard)
-    path: list[Step] = []
-    while True:
-        removable = search.removable()
-        out = min(removable, key=lambda t: t.F, default=None)
-        if out is not None and not limits.leaves(out) and search.cancels():
-            search.refuse(out)
-        elif out is None or not limits.leaves(out):
-            best = max(search.addable(), key=lambda t: t.F, default=None)
-            return search.result(path, best, limits)
-        rest = [t for t in removable if t is not out]
-        path.append(
-            search.take(
-                len(path) + 1, out, min(rest, key=lambda t: t.F, default=None), tuple(removable)
-            )
-        )
-
-
 class _TermSearch:
     """The model as it stands between two steps: which columns are in, and what each would do."""
 
@@ -359,8 +294,7 @@ class _TermSearch:
         names: Sequence[str],
         forced: Sequence[int],
         requires: Sequence[frozenset[int]] | None,
-        start: Sequence[int] = (),
-        guard: Guard | None = None,
+        guard: Guard | None,
     ) -> None:
         self.triangle = triangle
         X, self.y, self.rows = triangle.R[:, :-1], triangle.R[:, -1], triangle.rows
@@ -368,7 +302,7 @@ class _TermSearch:
         self.X = np.ldexp(X, -np.frexp(np.abs(X).max(axis=0, initial=0.0))[1])
         self.names, self.forced = names, frozenset(forced)
         self.requires = requires or [frozenset()] * len(names)
-        self.inside = set(forced) | set(start)
+        self.inside = set(forced)
         self.collinear: set[int] = set()
         self.guard, self.short, self.cancelling = guard, set[int](), set[int]()
         base = _residual(self.X, self._basis(sorted(self.forced)))
@@ -438,12 +372,11 @@ class _TermSearch:
         short = length < self.guard.least[list(outside)]
         return {j for j, less in zip(outside, short.tolist(), strict=True) if less}
 
-    def cancels(self, found: Tested | None = None) -> bool:
-        """Tell whether the guard refuses the coefficients, with a term that could be added."""
+    def cancels(self, found: Tested) -> bool:
+        """Tell whether the guard refuses the coefficients with a term that could be added."""
         if self.guard is None:
             return False
-        added = set() if found is None else {list(self.names).index(found.term)}
-        columns = sorted(self.inside | added)
+        columns = sorted(self.inside | {list(self.names).index(found.term)})
         return self.guard.cancel(columns, coefficients(self.triangle, columns))
 
     def refuse(self, found: Tested) -> None:
@@ -486,171 +419,11 @@ def _residual(columns: Array, basis: Array) -> Array:
     return np.asarray(once - basis @ (basis.T @ once))
 
 
-SubsetCriterion = Literal["aicc", "bic", "adjusted_r2"]
-CRITERIA: tuple[SubsetCriterion, ...] = get_args(SubsetCriterion)
-MOST_TERMS = 20  # a million subsets; beyond it stepwise is the way
-_LISTED = 256  # subsets that are listed whole
-_BEST = 5  # of each size beyond that
-
-
-@frozen
-class Subset(Result):
-    """One subset of the terms, with its columns and criteria."""
-
-    columns: tuple[int, ...]
-    rss: float
-    r2: float
-    adjusted_r2: float
-    aicc: float
-    bic: float
-
-
-def residual_sums(triangle: Triangle, forced: Sequence[int] = ()) -> Array:
-    """Return the residual sum of squares of every subset of the columns that are not forced.
-
-    Parameters
-    ----------
-    triangle : Triangle
-        With p columns and the response.
-    forced : sequence of int
-        Columns that are in every subset.
-
-    Returns
-    -------
-    (2^m,) array
-        Bit j of the index says whether the j-th of the m free columns is in; inf where columns
-        are collinear.
-    """
-    p = triangle.R.shape[1] - 1
-    free = [j for j in range(p) if j not in forced]
-    order = [*forced, *free, p]
-    R: Array = np.asarray(np.linalg.qr(triangle.R[:, order], mode="r"))
-    if len(R) < p + 1:  # fewer rows than columns: zeros below
-        R = np.vstack((R, np.zeros((p + 1 - len(R), p + 1))))
-    k = len(forced)
-    T = np.ascontiguousarray(R[k:, k:, np.newaxis])
-    lengths = np.linalg.norm(T[:, :, 0], axis=0)
-    least = np.maximum(COLLINEAR * lengths, NOTHING * np.linalg.norm(R[:, k:], axis=0))
-    bad = np.zeros(1, dtype=bool)
-    for length in least[:-1]:
-        collinear = bad | (np.abs(T[0, 0]) <= length)
-        T = np.concatenate((_without_first(T), T[1:, 1:]), axis=2)
-        bad = np.concatenate((bad, collinear))
-    rss = np.where(bad, np.inf, T[0, 0] ** 2)
-    return np.asarray(rss)
-
-
-def _without_first(T: Array) -> Array:
-    """Triangles (m, m, batch) without their first column, triangular again, one row less."""
-    H = T[:, 1:].copy()
-    for i in range(len(H) - 1):
-        a, b = H[i, i], H[i + 1, i]
-        size = np.hypot(a, b)
-        safe = np.where(size > 0.0, size, 1.0)
-        c, s = np.where(size > 0.0, a / safe, 1.0), b / safe
-        upper, lower = H[i, i:], H[i + 1, i:]
-        rotated = c * upper + s * lower
-        lower *= c
-        lower -= s * upper
-        H[i, i:] = rotated
-    return H[:-1]
-
-
-def all_subsets(
-    triangle: Triangle,
-    *,
-    forced: Sequence[int] = (),
-    requires: Sequence[frozenset[int]] | None = None,
-    criterion: SubsetCriterion = "aicc",
-) -> tuple[Subset, ...]:
-    """Return the subsets to try, the best by the criterion first.
-
-    Parameters
-    ----------
-    triangle : Triangle
-    forced : sequence of int
-        Columns in every subset; the first of them is taken for the constant of R².
-    requires : sequence of p sets of int, optional
-        Columns that must be in with a column.
-    criterion : str
-        'aicc', 'bic' or 'adjusted_r2'.
-
-    Returns
-    -------
-    tuple of Subset
-        All of them up to 256, beyond that the five best of each size.
-
-    Raises
-    ------
-    UsageError
-        More than 20 free columns.
-    MultiposError
-        No subset leaves a row over.
-    """
-    p = triangle.R.shape[1] - 1
-    free = [j for j in range(p) if j not in forced]
-    if len(free) > MOST_TERMS:
-        raise UsageError(
-            f"{len(free)} terms have {2 ** len(free)} subsets; all subsets are for {MOST_TERMS} "
-            "terms at most, use --stepwise."
-        )
-    rss = residual_sums(triangle, forced)
-    index = np.arange(len(rss))
-    member = (index[:, np.newaxis] >> np.arange(len(free))) & 1 == 1
-    allowed = np.isfinite(rss)
-    if requires:
-        allowed &= _stand_on_theirs(member, free, forced, requires)
-    size = member.sum(axis=1) + len(forced)
-    allowed &= size < triangle.rows
-    if not allowed.any():
-        raise MultiposError(
-            f"every subset of the terms uses all that the rows determine ({triangle.rows} after "
-            "that of runs), so there are no residuals to compare them by; give more rows, or "
-            "fewer runs."
-        )
-    index = index[allowed]
-    if len(index) > _LISTED:
-        ranked = index[np.lexsort((rss[index], size[index]))]
-        first = np.searchsorted(size[ranked], size[ranked])
-        index = ranked[np.arange(len(ranked)) - first < _BEST]
-    total = float(rss[0])
-    found = [
-        _describe(
-            tuple(sorted([*forced, *(free[j] for j in np.flatnonzero(member[i]))])),
-            float(rss[i]),
-            total,
-            triangle.rows,
-            len(forced),
-        )
-        for i in index.tolist()
-    ]
-    sign = -1.0 if criterion == "adjusted_r2" else 1.0
-    return tuple(sorted(found, key=lambda s: sign * getattr(s, criterion)))
-
-
-def _stand_on_theirs(
-    member: Mask, free: Sequence[int], forced: Sequence[int], requires: Sequence[frozenset[int]]
-) -> Mask:
-    """Tell of each subset whether every column in it has the columns that it requires."""
-    result = np.ones(len(member), dtype=bool)
-    for place, j in enumerate(free):
-        for needed in requires[j].difference(forced):
-            result &= ~member[:, place] | member[:, free.index(needed)]
-    return result
-
-
-def _describe(columns: tuple[int, ...], rss: float, total: float, n: int, always: int) -> Subset:
-    q = len(columns)
-    aicc, bic = criteria(rss, n, q)
-    lost = rss / total if total > 0.0 else float("nan")
-    return Subset(columns, rss, 1.0 - lost, 1.0 - lost * (n - always) / (n - q), aicc, bic)
-
-
-def criteria(rss: float, n: int, coefficients: int) -> tuple[float, float]:
-    """Return AICc and BIC of a model; AICc is inf where there are too few rows for it."""
+def akaike_criterion(rss: float, n: int, coefficients: int) -> float:
+    """Return AICc of a model; inf where there are too few rows for it."""
     if not rss > 0.0:
-        return -inf, -inf
+        return -inf
     K = coefficients + 1
-    fit = n * log(rss / n)
-    aicc = fit + 2 * K + 2 * K * (K + 1) / (n - K - 1) if n > K + 1 else inf
-    return aicc, fit + K * log(n)
+    if n <= K + 1:
+        return inf
+    return n * log(rss / n) + 2 * K + 2 * K * (K + 1) / (n - K - 1)

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, name_axis, name_series, scale_by_powers
+from multipos.plots.marks import draw_points
+from multipos.plots.style import COLOURS, HATCHES, name_axis, name_series, scale_by_powers
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import sensitivities
@@ -57,7 +58,7 @@ def _draw_series(c: Calibration, axes: "Axes", found: Series, place: int, within
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
         axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=f"±2 sd{within}")
-    axes.plot(at, values, MARKERS[place % 8], color=COLOURS[place % 6], label=name)
+    draw_points(axes, at, values, place, name)
     _name_positions(axes, c.readings.labels)
     name_axis(axes.yaxis, name, unit)
     name_series(axes, 2)
@@ -104,8 +105,8 @@ def draw_errors(calibration: Calibration, axes: "Axes") -> None:
     at = np.arange(len(after))
     tiny = 1e-3 * max(float(np.nanmax(after if before is None else before)), 1e-12)
     if before is not None:
-        axes.plot(at, np.maximum(before, tiny), MARKERS[1], color=COLOURS[1], label="before")
-    axes.plot(at, np.maximum(after, tiny * 1e-3), MARKERS[0], color=COLOURS[0], label="after")
+        draw_points(axes, at, np.maximum(before, tiny), 1, "before")
+    draw_points(axes, at, np.maximum(after, tiny * 1e-3), 0, "after")
     scale_by_powers(axes, "y", c.field.printed)
     axes.set_ylabel("error")
     _name_positions(axes, c.readings.labels)
@@ -132,16 +133,12 @@ def draw_budget(evaluation: Evaluation, axes: "Axes") -> None:
     at = np.arange(len(evaluation.names))
     left = np.zeros(len(at))
     for i, (quantity, part) in enumerate(zip(quantities, share, strict=True)):
-        axes.barh(
-            at,
-            part,
-            left=left,
-            color=COLOURS[i % 8],
-            hatch=HATCHES[i % 8],
-            label=quantity,
-            edgecolor="#ffffff",
-            linewidth=0.3,
-        )
+        look: dict[str, Any] = {
+            "color": COLOURS[i % 8],
+            "hatch": HATCHES[i % 8],
+            "edgecolor": "#ffffff",
+        }
+        axes.barh(at, part, left=left, label=quantity, linewidth=0.3, **look)
         left = left + part
     axes.set_yticks(at, list(evaluation.names))
     axes.invert_yaxis()

@@ -14,6 +14,7 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
 from multipos.plots import style
 from multipos.plots.calibration import residual_panels
+from multipos.plots.marks import draw_band, draw_line, draw_points
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
@@ -47,27 +48,9 @@ def draw_check(found: Check, axes: "Axes", *, axis: str, when: _When = "both") -
     )
     axes.axhline(0.0, color="#999999", linewidth=0.5)
     if when != "after":
-        axes.plot(
-            known,
-            before,
-            style.MARKERS[1],
-            color=style.COLOURS[1],
-            fillstyle="none",
-            label="before",
-            clip_on=False,
-        )
+        draw_points(axes, known, before, 1, "before", fillstyle="none", clip_on=False)
     if when != "before":
-        axes.errorbar(
-            known,
-            after,
-            U,
-            fmt=style.MARKERS[0],
-            color=style.COLOURS[0],
-            elinewidth=0.8,
-            capsize=0.0,
-            label="after, with U",
-            clip_on=False,
-        )
+        draw_points(axes, known, after, 0, "after, with U", yerr=U, clip_on=False)
         _draw_limit(found, axes, drawn=when == "both" or _limit_fits(found))
     if (
         when == "both"
@@ -188,20 +171,11 @@ def corrected_rows(
 def _draw_corrected(
     regression: Regression, found: _Corrected, axes: "Axes", *, when: _When
 ) -> None:
-    for values, label, colour, marker in (
-        (found.before, "before", style.COLOURS[6], "x"),
-        (found.after, "after", style.COLOURS[0], "."),
-    ):
-        if when in ("both", label):
-            axes.plot(
-                found.x,
-                values,
-                color=colour,
-                marker=marker,
-                linestyle="none",
-                markersize=3.0,
-                label=label,
-            )
+    x, grey = found.x, style.COLOURS[6]
+    if when != "after":
+        draw_points(axes, x, found.before, 0, "before", marker="x", color=grey, markersize=3.0)
+    if when != "before":
+        draw_points(axes, x, found.after, 0, "after", marker=".", markersize=3.0)
     if found.variable == regression.segment_variable:
         for edge in regression.edges:
             axes.axvline(edge, color="black", linewidth=0.8, linestyle="--")
@@ -213,25 +187,10 @@ def _draw_corrected(
 def draw_curve(curve: Curve, axes: "Axes") -> None:
     """Draw a parameter against temperature with its bands: U at one, and at all temperatures."""
     t = curve.temperature
-    axes.fill_between(
-        t,
-        curve.value - curve.band,
-        curve.value + curve.band,
-        color=style.COLOURS[5],
-        alpha=0.35,
-        linewidth=0.0,
-        label="band, all temperatures",
-    )
-    for sign in (-1.0, 1.0):
-        axes.plot(
-            t,
-            curve.value + sign * curve.U,
-            color=style.COLOURS[0],
-            linewidth=0.8,
-            linestyle="--",
-            label="U, one temperature" if sign > 0.0 else None,
-        )
-    axes.plot(t, curve.value, color=style.COLOURS[0], linewidth=1.2, label=curve.name)
+    draw_band(axes, t, curve.value, curve.band, 5, "band, all temperatures")
+    draw_line(axes, t, curve.value - curve.U, 0, linestyle="--")
+    draw_line(axes, t, curve.value + curve.U, 0, "U, one temperature", linestyle="--")
+    draw_line(axes, t, curve.value, 0, curve.name, linewidth=1.2)
     axes.set_xlabel("temperature")
     style.name_axis(axes.yaxis, curve.name, curve.unit)
     style.name_series(axes, 3)
@@ -248,13 +207,11 @@ def draw_balance(regression: Regression, axes: "Axes") -> None:
     if regression.balance is None:
         raise UsageError("the regression has no rates, so it is in balance everywhere.")
     b = regression.balance
-    axes.fill_between(
-        b.at, b.predicted - b.U, b.predicted + b.U, color=style.COLOURS[5], alpha=0.35
-    )
-    axes.plot(b.at, b.predicted, color=style.COLOURS[0], linewidth=1.2, label="in balance, with U")
+    draw_band(axes, b.at, b.predicted, b.U, 5)
+    draw_line(axes, b.at, b.predicted, 0, "in balance, with U", linewidth=1.2)
     if b.outside.any():
         x, y = b.at[b.outside], b.predicted[b.outside]
-        axes.plot(x, y, color=style.COLOURS[6], marker="x", linestyle="none", label="outside")
+        draw_points(axes, x, y, 0, "outside", marker="x", color=style.COLOURS[6])
     axes.set(xlabel=b.variable, ylabel=regression.response)
     style.name_series(axes, 2)
 
@@ -294,9 +251,7 @@ def _draw_step(step: Step, row: int, axes: "Axes", far: float) -> None:
     if np.inf == step.F:
         axes.text(far, row, "∞ ", ha="right", va="center", color="white")
     if step.runner_up is not None and step.runner_up.F > 0.0:
-        axes.plot(
-            min(step.runner_up.F, far), row, marker="D", color=style.COLOURS[1], linestyle="none"
-        )
+        draw_points(axes, min(step.runner_up.F, far), row, 1, marker="D")
 
 
 def regression_figure(regression: Regression | Regressions, data: Source) -> "Figure":

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multipos.plots.style import COLOURS, MARKERS, name_axis, name_series
+from multipos.plots.marks import draw_points
+from multipos.plots.style import COLOURS, name_axis, name_series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,15 +42,9 @@ def draw_histogram(parameter: Mapping[str, Any], axes: "Axes") -> None:
 def draw_chart(parameter: Mapping[str, Any], axes: "Axes") -> None:
     """Draw the medians of consecutive units of every station, with the limits of its EWMA."""
     for series, line in enumerate(parameter["chart"]):
-        axes.plot(
-            line["place"],
-            line["median"],
-            color=COLOURS[series % 6],
-            marker=MARKERS[series % 8],
-            markersize=2.5,
-            linewidth=0.9,
-            label=line["station"] or parameter["name"],
-        )
+        name = line["station"] or parameter["name"]
+        joined = {"linestyle": "-", "linewidth": 0.9, "markersize": 2.5}
+        draw_points(axes, line["place"], line["median"], series, name, **joined)
         for side in ("ewma_lcl", "ewma_ucl"):
             axes.axhline(
                 line["control"][side], color=COLOURS[series % 6], linestyle=":", linewidth=0.8

@@ -5,7 +5,7 @@ is to the right and y upward on both. A direction at the angle t from the pole l
 from the middle, and the rim is the xy plane.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,16 +41,9 @@ def draw_map(values: Array, label: str, axes: "Axes") -> None:
         values = np.full_like(values, high)
         low, high = 0.5 * high, 1.5 * high
     for side, part in enumerate(values.reshape(2, *r.shape)):
-        mesh = axes.pcolormesh(
-            r * np.cos(t) + side * _APART,
-            r * np.sin(t),
-            part,
-            vmin=low,
-            vmax=high,
-            cmap="cividis",
-            shading="gouraud",
-            rasterized=True,
-        )
+        x, y = r * np.cos(t) + side * _APART, r * np.sin(t)
+        look: dict[str, Any] = {"cmap": "cividis", "shading": "gouraud", "rasterized": True}
+        mesh = axes.pcolormesh(x, y, part, vmin=low, vmax=high, **look)
     bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8)
     bar.outline.set(edgecolor="#000000", linewidth=0.8)
     bar.ax.set_axisbelow("line")
@@ -61,13 +54,10 @@ def draw_map(values: Array, label: str, axes: "Axes") -> None:
 def draw_frame(axes: "Axes") -> None:
     """Draw the rims of both hemispheres and the names of the axes."""
     t = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
-    for side in (0, 1):
-        axes.plot(np.cos(t) + side * _APART, np.sin(t), color="#999999", linewidth=0.6)
-        name = f"z {'down' if side else 'up'}"
-        write(axes, side * _APART, -_NAMES, name, ha="center", va="center")
-        for angle, name in ((0.0, "x"), (0.5 * np.pi, "y")):
-            place = _NAMES * np.cos(angle) + side * _APART, _NAMES * np.sin(angle)
-            write(axes, *place, name, ha="center", va="center")
+    for middle, pole in ((0.0, "z up"), (_APART, "z down")):
+        axes.plot(np.cos(t) + middle, np.sin(t), color="#999999", linewidth=0.6)
+        for x, y, name in ((0.0, -_NAMES, pole), (_NAMES, 0.0, "x"), (0.0, _NAMES, "y")):
+            write(axes, x + middle, y, name, ha="center", va="center")
     axes.set_xlim(-1.15, 1.35 + _APART)
     axes.set_ylim(-1.35, 1.35)
     axes.set_aspect("equal")
@@ -81,29 +71,22 @@ def flat(up: Array, side: float) -> Array:
     return np.asarray(up[:, :2] / np.sqrt(np.maximum(1.0 + height, 1e-12))[:, None])
 
 
-def draw_directions(up: Array, axes: "Axes", marker: str = "o") -> None:
+def draw_directions(up: Array, axes: "Axes") -> None:
     """Draw unit vectors (n, 3); a number counts repeats, and what lies on the rim lies on both."""
     places, counts = np.unique(np.round(up, 6), axis=0, return_counts=True)
     for side, sign in ((0, 1.0), (1, -1.0)):
         on = sign * places[:, 2] > -1e-6
         at = flat(places[on], sign) + np.array([side * _APART, 0.0])
         for place, count in zip(at.tolist(), counts[on].tolist(), strict=True):
-            size = 6.0 if count == 1 else 11.0
-            axes.plot(
-                *place, marker, color=_PAPER, markeredgecolor=_INK, clip_on=False, markersize=size
-            )
+            look: dict[str, Any] = {
+                "markeredgecolor": _INK,
+                "markersize": 6.0 if count == 1 else 11.0,
+            }
+            axes.plot(*place, "o", color=_PAPER, clip_on=False, **look)
             if count > 1:
                 x, y = place
-                write(
-                    axes,
-                    x,
-                    y,
-                    str(count),
-                    ha="center",
-                    va="center_baseline",
-                    fontsize=7.0,
-                    color=_INK,
-                )
+                centred = {"ha": "center", "va": "center_baseline"}
+                write(axes, x, y, str(count), fontsize=7.0, color=_INK, **centred)
 
 
 def _polar() -> tuple[Array, Array]:

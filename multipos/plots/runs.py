@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multipos.numerics.arrays import Array
+from multipos.plots.marks import draw_band, draw_line, draw_points
 from multipos.plots.style import (
     COLOURS,
-    MARKERS,
     figure_of,
     name_axis,
     name_series,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _PANELS = 3  # beside each other
 _DAY = 86400.0  # s
+_CAPS: dict[str, Any] = {"capsize": 2.0, "capthick": 1.0}
 _BESIDE = 0.1  # of a run, between outputs, so that no bar hides another
 
 
@@ -57,17 +58,10 @@ def draw_values(values: Mapping[str, tuple[Array, Array]], axes: "Axes", *, unit
     runs = 0
     for series, (name, (found, U)) in enumerate(values.items()):
         runs = max(runs, len(found))
-        axes.errorbar(
-            np.arange(1, len(found) + 1) + _BESIDE * (series - (len(values) - 1) / 2.0),
-            found,
-            yerr=np.where(np.isfinite(U), U, 0.0),
-            color=COLOURS[series % 6],
-            marker=MARKERS[series % 8],
-            capsize=2.0,
-            capthick=1.0,
-            linewidth=0.9,
-            label=name,
-        )
+        run = np.arange(1, len(found) + 1) + _BESIDE * (series - (len(values) - 1) / 2.0)
+        bars = np.where(np.isfinite(U), U, 0.0)
+        joined = {"linestyle": "-", "linewidth": 0.9}
+        draw_points(axes, run, found, series, name, yerr=bars, **joined, **_CAPS)
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     axes.set_xticks(range(1, runs + 1))
     axes.set_xlabel("run")
@@ -107,20 +101,9 @@ def draw_chart(comparison: Comparison, index: int, axes: "Axes") -> None:
         away = line - np.mean(x)
         middle = np.mean(values) + change.per_year.value * away
         wide = change.per_year.U * np.abs(away)
-        axes.plot(line, middle, color=COLOURS[1], linewidth=0.9)
-        axes.fill_between(line, middle - wide, middle + wide, color=COLOURS[1], alpha=0.15)
-    axes.errorbar(
-        x,
-        values,
-        yerr=np.where(np.isfinite(U), U, 0.0),
-        color=COLOURS[0],
-        marker=MARKERS[0],
-        linestyle="none",
-        markeredgewidth=1.0,
-        elinewidth=0.9,
-        capsize=2.0,
-        capthick=1.0,
-    )
+        draw_line(axes, line, middle, 1)
+        draw_band(axes, line, middle, wide, 1, alpha=0.15)
+    draw_points(axes, x, values, 0, yerr=np.where(np.isfinite(U), U, 0.0), **_CAPS)
     limit = change.limit
     sides = limit if isinstance(limit, tuple) else ()
     if isinstance(limit, float):
@@ -145,17 +128,10 @@ def draw_terms(comparison: RegressionComparison, axes: "Axes") -> None:
             for row, term in enumerate(comparison.terms)
             if not np.isnan(term.values[run]) and term.u[run] > 0.0
         ]
-        axes.errorbar(
-            [(term.values[run] - np.nanmean(term.values)) / typical for _, term, typical in shown],
-            [row + 0.6 * ((run + 0.5) / runs - 0.5) for row, _, _ in shown],
-            xerr=[term.u[run] / typical for _, term, typical in shown],
-            color=COLOURS[run % 6],
-            marker=MARKERS[run % 8],
-            elinewidth=0.8,
-            capsize=0.0,
-            linestyle="none",
-            label=f"run {run + 1}",
-        )
+        x = [(term.values[run] - np.nanmean(term.values)) / typical for _, term, typical in shown]
+        y = [row + 0.6 * ((run + 0.5) / runs - 0.5) for row, _, _ in shown]
+        bars = [term.u[run] / typical for _, term, typical in shown]
+        draw_points(axes, x, y, run, f"run {run + 1}", xerr=bars)
     rows = len(comparison.terms)
     axes.set_yticks(range(rows), [f"{t.segment}: {t.term}" for t in comparison.terms])
     axes.set_ylim(rows - 0.5, -0.5)

@@ -14,7 +14,8 @@ from multipos.files.tables import Source
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import ModelText
 from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, everywhere
-from multipos.plots.style import COLOURS, MARKERS, name_series, new_figure, write_title
+from multipos.plots.marks import draw_points
+from multipos.plots.style import name_series, new_figure, write_title
 from multipos.positions.scheme import Scheme, read_scheme
 
 if TYPE_CHECKING:
@@ -54,15 +55,10 @@ def draw_scheme(
 def draw_efficiency(designs: Mapping[str, Sequence[Design]], axes: "Axes") -> None:
     """Draw the efficiency of designs (`multipos.design`) against their number of positions."""
     for k, (name, found) in enumerate(designs.items()):
-        axes.plot(
-            [len(design.positions) for design in found],
-            [design.efficiency for design in found],
-            color=COLOURS[k % len(COLOURS)],
-            marker=MARKERS[k % len(MARKERS)],
-            label=name,
-            linewidth=0.8,
-            fillstyle="none",
-        )
+        sizes = [len(design.positions) for design in found]
+        reached = [design.efficiency for design in found]
+        joined = {"linestyle": "-", "linewidth": 0.8, "fillstyle": "none"}
+        draw_points(axes, sizes, reached, k, name, **joined)
     axes.axhline(1.0, color="#999999", linewidth=0.8, linestyle="--")
     axes.locator_params(axis="x", integer=True)
     axes.set_xlabel("positions")

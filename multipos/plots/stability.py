@@ -9,7 +9,8 @@ import numpy as np
 from multipos.bias_stability.allan import FLICKER
 from multipos.bias_stability.stability_result import Stability
 from multipos.files.numbers import SUPERSCRIPT
-from multipos.plots.style import COLOURS, MARKERS, figure_of, name_series, scale_by_powers, write
+from multipos.plots.marks import draw_line, draw_points
+from multipos.plots.style import figure_of, name_series, scale_by_powers, write
 from multipos.units import MICRO_G
 
 if TYPE_CHECKING:
@@ -25,24 +26,14 @@ def draw_allan(found: Stability, axes: "Axes") -> None:
     """Draw the overlapping Allan deviation of every output with its u, and the three laws."""
     factor, unit = _shown(found)
     for i, (name, each) in enumerate(found.outputs.items()):
-        colour = COLOURS[i % len(COLOURS)]
         adev, u = factor * each.adev, factor * each.u
-        axes.errorbar(
-            found.tau,
-            adev,
-            [np.minimum(u, 0.9 * adev), u],
-            fmt=MARKERS[i % len(MARKERS)],
-            color=colour,
-            elinewidth=0.8,
-            capsize=0.0,
-            label=name,
-        )
+        draw_points(axes, found.tau, adev, i, name, yerr=[np.minimum(u, 0.9 * adev), u])
         N, B, K = (
             factor * law.value
             for law in (each.white_noise, each.bias_instability, each.random_walk)
         )
         laws = np.sqrt(N**2 / found.tau + FLICKER * B**2 + K**2 * found.tau / 3.0)
-        axes.plot(found.tau, laws, color=colour, linewidth=0.8)
+        draw_line(axes, found.tau, laws, i)
     scale_by_powers(axes, "x")
     scale_by_powers(axes, "y")
     axes.set_xlabel("averaging time [s]")
@@ -60,28 +51,17 @@ def draw_zero(found: Stability, axes: "Axes", *, output: str) -> None:
     longest = max(float(record.time[-1]) for record in found.records)
     hours = longest > _HOUR
     for i, record in enumerate(found.records):
-        axes.plot(
-            record.time / (3600.0 if hours else 1.0),
-            factor * (record.zero[output] - middle),
-            color=COLOURS[i % len(COLOURS)],
-            linestyle=_LINES[i % len(_LINES)],
-            linewidth=0.9,
-            label=f"run {i + 1}",
-        )
+        time = record.time / (3600.0 if hours else 1.0)
+        zero = factor * (record.zero[output] - middle)
+        draw_line(axes, time, zero, i, f"run {i + 1}", linestyle=_LINES[i % len(_LINES)])
     small = abs(factor * middle) < _SMALL
     about = f"{factor * middle:.4g} {unit}" if small else f"{middle:.6g} {found.unit}"
     axes.axhline(0.0, color="#999999", linewidth=0.5)
     axes.set_xlabel("time since switching on [h]" if hours else "time since switching on [s]")
     axes.set_ylabel(f"{output} [{unit}]")
-    write(
-        axes,
-        0.12,  # beside what the numbers along the axis may be multiplied by
-        1.02,
-        f"about {_with_powers(about)}",
-        transform=axes.transAxes,
-        fontsize=8.0,
-        color="#555555",
-    )
+    # Beside what the numbers along the axis may be multiplied by.
+    look = {"transform": axes.transAxes, "fontsize": 8.0, "color": "#555555"}
+    write(axes, 0.12, 1.02, f"about {_with_powers(about)}", **look)
     if len(found.records) > 1:
         name_series(axes, min(len(found.records), 8))
 

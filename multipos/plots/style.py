@@ -17,7 +17,8 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
 from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
-from multipos.plots.svg import FONT, font_of, svg_canvas, svg_renderer
+from multipos.plots.fonts import FONT, font_of
+from multipos.plots.svg import svg_renderer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,6 +76,7 @@ def to_svg(figure: "Figure") -> str:
     """Return a figure as an SVG element, without date: the same drawing gives the same bytes."""
     from io import StringIO
 
+    from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.backends import backend_mixed
 
     stream = StringIO()
@@ -86,14 +88,15 @@ def to_svg(figure: "Figure") -> str:
     _settle(figure, measured=True)
     with _DRAWING:
         figure.dpi = 72.0  # that of SVG
-        vectors = svg_renderer(
+        vectors = svg_renderer()(
             72.0 * width,
             72.0 * height,
             stream,
             image_dpi=kept[1],
             metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")),
         )
-        svg_canvas(figure, vectors)
+        canvas: Any = FigureCanvasBase(figure)
+        canvas.get_renderer = lambda: vectors  # so that the layout measures with what draws
         mixed: Any = backend_mixed  # without types
         figure.draw(mixed.MixedModeRenderer(figure, width, height, kept[1], vectors))
         vectors.finalize()

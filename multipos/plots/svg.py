@@ -1,30 +1,20 @@
-"""How a figure is written as SVG: its text, its hatches and its layout.
+"""How a figure is written as SVG: its text and its hatches.
 
-Text stays text, so that the reader's own fonts draw it. A character as wide as it is
-high, as the Chinese ones are, is measured as one em, whether or not a font here has it.
-
-Hatches are lines, cut where the shape ends: browsers print a pattern of SVG as an image.
-
-Which font draws a text where the figure is not SVG, whose text the reader's fonts draw.
-
-DejaVu Sans comes with Matplotlib, so that a figure is measured alike everywhere, and has no
-Chinese. A text with characters that are as wide as high takes the first font of the system that
-has them all. Matplotlib's own list of fonts is kept from an earlier day and may lack it, so that
-the files are looked up.
+Text stays text, so that the reader's own fonts draw it. A character as wide as it is high, as the
+Chinese ones are, is measured as one em, whether or not a font here has it. Hatches are lines, cut
+where the shape ends: browsers print a pattern of SVG as an image. `svg_renderer` is the class that
+Matplotlib draws with, `hatch_lines` the lines of a hatch.
 """
 
-import unicodedata
 import warnings
 from functools import cache
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from matplotlib.path import Path
-from pathlib import Path as FilePath
+from multipos.plots.fonts import is_wide
 
-from multipos.errors import MultiposError
+if TYPE_CHECKING:
+    from matplotlib.path import Path
 
 _EM = "\N{EM DASH}"
 _HATCH_WIDTH = 0.6  # points
@@ -40,21 +30,6 @@ _SLOPES: dict[str, tuple[float | None, ...]] = {
     "|": (None,),
     "+": (0.0, None),
 }
-
-
-def svg_renderer(*arguments: Any, **options: Any) -> Any:
-    """Return Matplotlib's renderer of SVG, all text as text, none as mathematics."""
-    return _renderer()(*arguments, **options)
-
-
-def svg_canvas(figure: "Figure", renderer: Any) -> Any:
-    """Return a canvas that lets the layout measure with the renderer that draws."""
-    return _canvas()(figure, renderer)
-
-
-def is_wide(mark: str) -> bool:
-    """Return whether a character is as wide as it is high."""
-    return unicodedata.east_asian_width(mark) in "WF"
 
 
 def hatch_lines(hatch: str, low: tuple[float, float], high: tuple[float, float]) -> "Path":
@@ -92,7 +67,8 @@ def _sloping(
 
 
 @cache
-def _renderer() -> Any:
+def svg_renderer() -> Any:
+    """Return the class of Matplotlib's renderer of SVG, all text as text, none as mathematics."""
     from matplotlib.backends.backend_svg import RendererSVG
     from matplotlib.transforms import IdentityTransform
 
@@ -138,95 +114,3 @@ def _renderer() -> Any:
             return False
 
     return Renderer
-
-
-@cache
-def _canvas() -> Any:
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    class Canvas(FigureCanvasBase):
-        def __init__(self, figure: "Figure", renderer: Any) -> None:
-            super().__init__(figure)
-            self._measures = renderer
-
-        def get_renderer(self) -> Any:
-            return self._measures
-
-    return Canvas
-
-
-FONT = "DejaVu Sans"
-# How the names of the files begin that hold sans-serif fonts of Chinese, the free ones first.
-_CHINESE = (
-    "notosanscjk-regular",
-    "notosanscjksc-regular",
-    "notosanssc-regular",
-    "notosanssc[",
-    "sourcehansanssc-regular",
-    "sourcehansanscn-regular",
-    "wqy-zenhei",
-    "wqy-microhei",
-    "droidsansfallback",
-    "pingfang",
-    "hiragino sans gb",
-    "stheiti",
-    "msyh.",
-    "simhei",
-    "simsun",
-    "arial unicode",
-)
-
-
-def font_of(text: str, size: float) -> Any:
-    """Return the font of a text as Matplotlib's properties; size in points.
-
-    Raises
-    ------
-    MultiposError
-        No font of this machine has its Chinese characters.
-    """
-    from matplotlib.font_manager import FontProperties
-
-    wide = frozenset(filter(is_wide, text))
-    if not wide:
-        return FontProperties(
-            family=[FONT],
-            style="normal",
-            variant="normal",
-            weight="normal",
-            stretch="normal",
-            size=size,
-        )
-    return FontProperties(fname=_font_with(wide), size=size)
-
-
-def _font_with(marks: frozenset[str]) -> str:
-    """Return the file of the first font that has all of these characters."""
-    for path in _chinese_fonts():
-        if all(ord(mark) in _characters(path) for mark in marks):
-            return path
-    raise MultiposError(
-        f"no font of this machine has the characters '{''.join(sorted(marks))[:20]}' of the "
-        "figure; install one, such as Noto Sans CJK, or write a .svg file, whose text the "
-        "reader's fonts draw."
-    )
-
-
-@cache
-def _chinese_fonts() -> tuple[str, ...]:
-    from matplotlib.font_manager import findSystemFonts
-
-    places: dict[str, int] = {}
-    for path in sorted(findSystemFonts()):
-        name = FilePath(path).name.lower()
-        place = next((i for i, start in enumerate(_CHINESE) if name.startswith(start)), None)
-        if place is not None:
-            places[path] = place
-    return tuple(sorted(places, key=places.__getitem__))
-
-
-@cache
-def _characters(path: str) -> frozenset[int]:
-    from matplotlib.ft2font import FT2Font
-
-    return frozenset(FT2Font(path).get_charmap())

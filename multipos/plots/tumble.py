@@ -8,7 +8,8 @@ import numpy as np
 
 from multipos.diagnostics.criticism import fourier_residuals
 from multipos.numerics.arrays import Array
-from multipos.plots.style import COLOURS, HATCHES, MARKERS, figure_of, name_axis, name_series
+from multipos.plots.marks import draw_line, draw_points
+from multipos.plots.style import COLOURS, HATCHES, figure_of, name_axis, name_series, write
 from multipos.positions.harmonics import Harmonic, Roll, beyond_chance, find_rolls, series
 from multipos.sensor.calibration import Calibration
 from multipos.verification.tumbling import Tumble, Tumbles
@@ -44,15 +45,9 @@ def _draw_signal(
         terms = [h for h in harmonics if h.plane == roll.plane]
         curve = sum(h.cos * np.cos(h.order * turn) + h.sin * np.sin(h.order * turn) for h in terms)
         if terms:
-            axes.plot(np.degrees(turn), curve, color=COLOURS[k], linewidth=0.8)
-        axes.plot(
-            np.degrees(roll.angle),
-            signal[roll.rows],
-            MARKERS[k],
-            color=COLOURS[k],
-            fillstyle="none",
-            label=f"plane {roll.plane}",
-        )
+            draw_line(axes, np.degrees(turn), curve, k)
+        at, name = np.degrees(roll.angle), f"plane {roll.plane}"
+        draw_points(axes, at, signal[roll.rows], k, name, fillstyle="none")
     axes.set_xticks(range(0, 361, 45))
     axes.set_xlabel("angle [°]")
     name_axis(axes.yaxis, output, calibration.model.unit)
@@ -96,9 +91,7 @@ def draw_residual_harmonics(found: Tumble, axes: "Axes") -> None:
         place = _draw_bars(axes, orders, sizes, k, len(found.rolls), f"plane {roll.plane}")
         for x, h in zip(place.tolist(), left, strict=True):
             if h in strange:
-                axes.annotate(
-                    "*", (x, h.amplitude), ha="center", va="bottom", fontsize=9.0, color="#000000"
-                )
+                write(axes, x, h.amplitude, "*", ha="center", va="bottom")
     _name_harmonics(axes, "left by the model", found.calibration)
 
 

@@ -2,16 +2,13 @@
 
 A chamber runs for hours and is logged every second: neighbouring rows carry nearly the same error,
 and n rows count as far fewer. The classical covariance s² (X'X)⁻¹ divides by n all the same and
-calls everything significant. With the scores g_k = x_k e_k of a row, three ways tell the truth:
+calls everything significant. With the scores g_k = x_k e_k of a row it is
 
-    HAC         (X'X)⁻¹ S (X'X)⁻¹,    S = Σ_l (1 − |l|/B) Σ_k g_k g_{k+l}'               (1)
-    clusters    the same with S = c Σ_G (Σ_{k∈G} g_k)(Σ_{k∈G} g_k)'                     (2)
-    effective   the classical one with n_eff − p degrees of freedom in s² instead of n − p
+    (X'X)⁻¹ S (X'X)⁻¹,    S = Σ_l (1 − |l|/B) Σ_k g_k g_{k+l}',                            (1)
 
-where c = m/(m−1) · (n−1)/(n−p) for m clusters. The bandwidth B of (1) follows the correlation ρ of
-neighbours (Andrews' rule for the triangular kernel),
+whose bandwidth B follows the correlation ρ of neighbours (Andrews' rule for the triangular kernel),
 
-    B = 1.1447 (α n)^(1/3) + 1,    α = 4 ρ² / ((1 − ρ)² (1 + ρ)²).                         (3)
+    B = 1.1447 (α n)^(1/3) + 1,    α = 4 ρ² / ((1 − ρ)² (1 + ρ)²).                         (2)
 
 (1) alone is too small where rows are strongly correlated. So each column of scores is whitened
 first, h_k = g_k − a g_{k−1} with its own lag-1 correlation a, (1) is formed of h, and its rows and
@@ -19,23 +16,22 @@ columns are divided by 1 − a; times n/(n−p), because residuals are smaller t
 triangular kernel is what moving sums of B neighbours give, S = (1/B) Σ M M', so its cost does not
 depend on B. Rows on both sides of a gap in time are not neighbours. The effective number of rows is
 
-    n_eff = n γ / S_e,    γ = Σ e²,  S_e as (1) of the residuals alone.                     (4)
+    n_eff = n γ / S_e,    γ = Σ e²,  S_e as (1) of the residuals alone.                     (3)
 
 Over the k slopes b with robust covariance C,
 
-    F_robust = (b' C⁻¹ b / k) (ν − k + 1)/ν      on k and ν − k + 1 degrees of freedom       (5)
+    F_robust = (b' C⁻¹ b / k) (ν − k + 1)/ν      on k and ν − k + 1 degrees of freedom       (4)
 
-(Hotelling's law), ν = 3 n / 2B, B of the residuals before whitening, as a triangular window has;
-m − 1 for m clusters; t has ν. A run that is short beside its own memory cannot be judged well so:
-at a stated 5 % the false alarms of (5) with four slopes, errors and factors all of lag-1
-correlation ρ, are 4 to 11 % at ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500 to 2000), 23 % at .9
-with 100 rows, where the classical F gives 24, 90 and 92 %. (5) therefore stands in only where
+(Hotelling's law), ν = 3 n / 2B, B of the residuals before whitening, as a triangular window has; t
+has ν. A run that is short beside its own memory cannot be judged well so: at a stated 5 % the false
+alarms of (4) with four slopes, errors and factors all of lag-1 correlation ρ, are 4 to 11 % at
+ρ = .5 (100 to 2000 rows), 3 to 11 % at .9 (500 to 2000), 23 % at .9 with 100 rows, where the
+classical F gives 24, 90 and 92 %. (4) therefore stands in only where
 `multipos.regression.correlation` finds no law of the noise.
 
 Sources: W. K. Newey, K. D. West, Econometrica 55, 1987; D. W. K. Andrews, Econometrica 59, 1991,
 eq. (6.2); D. W. K. Andrews, J. C. Monahan, Econometrica 60, 1992 (whitening); G. V. Bayley,
-J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (effective size); A. C. Cameron, D. L. Miller,
-J. Hum. Resour. 50, 2015 (clusters).
+J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (effective size).
 
 Rows that are correlated in time made independent, so that tests of terms keep their level.
 
@@ -132,20 +128,20 @@ def lag_one(residuals: Array, order: TimeOrder) -> tuple[float, bool]:
 
 
 def bandwidth(rho: float, n: int) -> int:
-    """Return B of eq. (3), at most a third of the rows."""
+    """Return B of eq. (2), at most a third of the rows."""
     rho = min(max(rho, 0.0), _HALF)
     alpha = 4.0 * rho**2 / ((1.0 - rho) ** 2 * (1.0 + rho) ** 2)
     return max(1, min(int(1.1447 * (alpha * n) ** (1.0 / 3.0)) + 1, n // 3))
 
 
 def window_dof(residuals: Array, order: TimeOrder) -> float:
-    """Return ν of eq. (5): how many independent windows the rows make."""
+    """Return ν of eq. (4): how many independent windows the rows make."""
     n = len(residuals)
     return 1.5 * n / bandwidth(lag_one(residuals, order)[0], n)
 
 
 def effective_size(residuals: Array, order: TimeOrder) -> float:
-    """Return the number of independent rows equivalent to correlated ones, eq. (4)."""
+    """Return the number of independent rows equivalent to correlated ones, eq. (3)."""
     n = len(residuals)
     power = float(residuals @ residuals)
     if power == 0.0:
@@ -168,27 +164,6 @@ def hac_covariance(design: Array, residuals: Array, cofactor: Array, order: Time
     n, p = design.shape
     S = _long_run(_influence(design, residuals, cofactor), order)
     return np.asarray(S * n / (n - p))
-
-
-def cluster_covariance(
-    design: Array, residuals: Array, cofactor: Array, cluster: NDArray[np.intp]
-) -> tuple[Array, int]:
-    """Return the covariance (p, p) of coefficients by eq. (2), and the number of clusters.
-
-    Parameters
-    ----------
-    design, residuals, cofactor
-        As in `hac_covariance`.
-    cluster : (n,) array of int
-        Number of the cluster of each row.
-    """
-    n, p = design.shape
-    labels, number = np.unique(cluster, return_inverse=True)
-    m = len(labels)
-    influence = _influence(design, residuals, cofactor)
-    sums = np.stack([np.bincount(number, weights=column, minlength=m) for column in influence.T])
-    factor = m / (m - 1.0) * (n - 1.0) / (n - p) if m > 1 else np.nan
-    return np.asarray(sums @ sums.T * factor), m
 
 
 def _influence(design: Array, residuals: Array, cofactor: Array) -> Array:

@@ -226,7 +226,7 @@ _SAME = 1e-10  # relative difference below which two columns are one
 
 @frozen
 class Data:
-    """Columns of the rows that are fitted, with order in time, clusters, runs and their noise.
+    """Columns of the rows that are fitted, with order in time, runs and their noise.
 
     `variances` are those of the terms over the whole table (`multipos.regression.variation`).
     """
@@ -234,7 +234,6 @@ class Data:
     columns: Mapping[str, Array]
     response: Array
     order: TimeOrder | None = None
-    cluster: Rows | None = None
     run: Rows | None = None
     noise: Noise | None = None
     variances: Array | None = None
@@ -245,7 +244,6 @@ class Data:
             {name: column[rows] for name, column in self.columns.items()},
             self.response[rows],
             None if self.order is None else self.order.of(rows),
-            None if self.cluster is None else self.cluster[rows],
             None if self.run is None else self.run[rows],
             self.noise,
             self.variances,
@@ -338,7 +336,6 @@ def read_observations(
     time: str | None = None,
     rate_window: float | None = None,
     causal: bool = False,
-    cluster: str | None = None,
     run: str | None = None,
     drop_missing: bool = False,
     largest: Mapping[str, float],
@@ -357,7 +354,7 @@ def read_observations(
         Of rates, in the unit of time.
     causal : bool
         Rates from the rows up to each.
-    cluster, run : str, optional
+    run : str, optional
     drop_missing : bool
     largest : mapping of str to float
         How large a variable may be, and its inverse at least, for its powers to be numbers.
@@ -373,22 +370,21 @@ def read_observations(
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
-    _require_columns(table, [*needed, *_named(cluster), *_named(run)])
+    _require_columns(table, [*needed, *_named(run)])
     if formed and time is None:
         raise MultiposError(
             f"{table.source}: no column '{next(iter(formed))}', and no time column of numbers "
             "to form it from; name one with --time."
         )
     columns, kept, found = _read_complete(table, needed, largest, drop_missing)
-    runs = None if run is None else _labelled(table, run, kept, "run")
+    runs = None if run is None else _labelled(table, run, kept)
     rates: dict[str, float] = {}
     if time is not None:
         rates = _form_rates(table, columns, kept, formed, time, rate_window, causal, runs, largest)
     _refuse_lost(table.source, {name: columns[name] for name in (response, *wanted)}, largest)
     clock = np.arange(float(len(kept))) if time is None else columns[time]
     order = time_order(clock, runs)
-    groups = None if cluster is None else _labelled(table, cluster, kept, "cluster")
-    data = Data(columns, columns[response], order, groups, runs)
+    data = Data(columns, columns[response], order, runs)
     return Observations(data, time, rates, table.rows - len(kept), found, said)
 
 
@@ -489,11 +485,11 @@ def _usual_window(time: Array, runs: Rows | None) -> float:
     return float(median(windows)) if windows else np.nan
 
 
-def _labelled(table: Table, column: str, kept: Rows, what: str) -> Rows:
-    """Return the number of the cluster or run that each row belongs to."""
+def _labelled(table: Table, column: str, kept: Rows) -> Rows:
+    """Return the number of the run that each row belongs to."""
     groups = number_labels(np.array(table.text(column))[kept])
     if groups.max() == 0:
-        raise MultiposError(f"{table.source}: column '{column}' holds one {what} only.")
+        raise MultiposError(f"{table.source}: column '{column}' holds one run only.")
     return groups
 
 

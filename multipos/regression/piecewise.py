@@ -20,7 +20,7 @@ them one by one instead.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -36,14 +36,9 @@ from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.selection import (
     Guard,
     Selection,
-    Subset,
-    SubsetCriterion,
     Thresholds,
-    all_subsets,
-    coefficients,
+    akaike_criterion,
     compress,
-    criteria,
-    select_backward,
     select_stepwise,
 )
 from multipos.numerics.terms import CONSTANT, Factor, Term, evaluate_terms, parse_terms
@@ -52,7 +47,6 @@ from multipos.regression.observations import Data, Rows
 from multipos.regression.region import Region, largest_leverage, region_factor
 from multipos.regression.robust import (
     RobustFit,
-    RowDependence,
     add_between,
     find_between,
     robust_fit,
@@ -144,9 +138,6 @@ def stands_on(terms: Sequence[Term]) -> list[frozenset[int]]:
     ]
 
 
-METHODS = ("full", "stepwise", "backward", "subsets")
-
-
 @frozen(eq=True)
 class Plan:
     """What is fitted in every segment, and how it is judged.
@@ -157,23 +148,17 @@ class Plan:
         Candidates.
     variables : tuple of str
         Whose limits are kept.
-    method : str
-    limits : Thresholds
-    criterion : str
+    limits : Thresholds or None
+        Of terms that are chosen stepwise; None where all are taken.
     hierarchy : bool
     confidence : float
-    robust : str
-        'hac' or 'effective', where rows are found correlated.
     """
 
     terms: tuple[Term, ...]
     variables: tuple[str, ...]
-    method: str = "full"
-    limits: Thresholds = field(default_factory=Thresholds)
-    criterion: SubsetCriterion = "aicc"
+    limits: Thresholds | None = None
     hierarchy: bool = False
     confidence: float = 0.95
-    robust: RowDependence = "hac"
 
     @property
     def constant(self) -> bool:
@@ -181,15 +166,11 @@ class Plan:
         return CONSTANT in self.terms
 
 
-_Subsets = tuple[tuple[tuple[str, ...], Subset], ...]
-
-
 @frozen
 class _Fit:
     """Chosen columns of a design and their least squares."""
 
     selection: Selection
-    subsets: _Subsets
     found: LinearFit | None  # None where nothing was chosen
     design: Array
     residuals: Array
@@ -271,7 +252,6 @@ def fit_segments(
     variable: str,
     edges: Sequence[float],
     spans: Sequence[tuple[float, float]],
-    branch: str | None,
     where: str,
     *,
     alone: bool = False,
@@ -287,7 +267,6 @@ def fit_segments(
         What edges and spans are of.
     edges : sequence of float
     spans : sequence of (low, high)
-    branch : str or None
     where : str
         The segments in words, for messages.
     alone : bool
@@ -338,7 +317,7 @@ def fit_segments(
         estimate = terms, L @ b, L @ fit.covariance @ L.T
         test = _tested(fit, data.response, estimate, joined=bool(edges))
         turned = None if robust is None else robust.turned(L)
-        segment = _segment(plan, fit, data, parts[s], estimate, test, (span, branch), turned)
+        segment = _segment(plan, fit, data, parts[s], estimate, test, span, turned)
         left_out = _left_out(plan, fit.selection, terms)
         segments.append(replace(segment, left_out=left_out, region=regions[s]))
     if read.run is None:
@@ -357,7 +336,7 @@ def _changing(
     supported = [set(varying(base, variances, order)) for base in parts] if edges else []
     return [
         h
-        for h in hinges(plan.terms, variable, edges, both=plan.method == "stepwise")
+        for h in hinges(plan.terms, variable, edges, both=plan.limits is not None)
         if {plan.terms.index(h.term)} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
     ]
 
@@ -406,11 +385,11 @@ def _fit(
     (n, p), response, lost = design.shape, data.response, runs_lost(data)
     _require_rows(plan, n, p + lost, where)
     try:
-        selection, subsets = _select(plan, design, data, names, requires, lost, demand)
+        selection = _select(plan, design, data, names, requires, lost, demand)
         columns = list(selection.columns)
         if not columns:
             none, zero = np.zeros((0, 0)), np.zeros(n)
-            return _Fit(selection, subsets, None, design[:, :0], response, zero, none, n - lost)
+            return _Fit(selection, None, design[:, :0], response, zero, none, n - lost)
         chosen = design if len(columns) == p else design[:, columns]
         found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
         dof = found.dof - lost
@@ -429,11 +408,11 @@ def _fit(
         ) from None
     except MultiposError as error:
         raise MultiposError(f"{where}: {error}") from None
-    return _Fit(selection, subsets, found, chosen, left, leverage, covariance, dof)
+    return _Fit(selection, found, chosen, left, leverage, covariance, dof)
 
 
 def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
-    full = plan.method == "full"
+    full = plan.limits is None
     if n < (p if full else int(plan.constant) + 2):
         raise MultiposError(
             f"{where} has {n} rows for {p} terms; move the edge, give more rows or fewer terms"
@@ -452,7 +431,7 @@ def _check_size(what: str, sizes: Array, terms: Sequence[object]) -> None:
 
 
 def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
-    return None if fit.found is None else robust_fit(fit.found, fit.design, data, plan.robust)
+    return None if fit.found is None else robust_fit(fit.found, fit.design, data)
 
 
 def _select(
@@ -463,43 +442,27 @@ def _select(
     requires: list[frozenset[int]],
     lost: int,
     demand: _Demand,
-) -> tuple[Selection, _Subsets]:
-    """Return the columns that are taken, of those that vary, and the subsets that were compared."""
+) -> Selection:
+    """Return the columns that are taken: all that vary, or those that are chosen stepwise."""
     every = range(len(names))
-    tried = list(every)
-    if demand.order is not None and plan.method != "stepwise":
-        tried = sorted(varying(design, demand.variances, demand.order))
-    short = tuple(j for j in every if j not in tried)
-    if plan.method == "full":
-        return Selection(tuple(tried), short=short), ()
-    place = {j: i for i, j in enumerate(tried)}
+    if plan.limits is None:
+        kept = list(every)
+        if demand.order is not None:
+            kept = sorted(varying(design, demand.variances, demand.order))
+        return Selection(tuple(kept), short=tuple(j for j in every if j not in kept))
     whitening = whitening_of(data.order, data.noise)
-    plain = triangle = compress(design[:, tried], data.response)
+    plain = triangle = compress(design, data.response)
     if whitening is not None:
-        triangle = compress(whitening(design[:, tried]), whitening(data.response))
-    least = np.sqrt(LEAST * len(design) * demand.variances[tried])
-    guard = Guard(plain, least, lambda c, b: demand.cancel([tried[j] for j in c], b))
-    triangle = replace(triangle, rows=triangle.rows - lost)
-    called = [names[j] for j in tried]
-    forced = [place[j] for j in every if names[j] == str(CONSTANT)]
-    needed = None
-    if plan.hierarchy:
-        needed = [frozenset(place[k] for k in requires[j] if k in place) for j in tried]
-    named: _Subsets = ()
-    if plan.method == "subsets":
-        every_one = all_subsets(triangle, forced=forced, requires=needed, criterion=plan.criterion)
-        named = tuple((tuple(called[j] for j in subset.columns), subset) for subset in every_one)
-        sets = (subset.columns for subset in every_one)
-        sound = (s for s in sets if not guard.cancel(s, coefficients(triangle, s)))
-        found = Selection(next(sound, tuple(forced)))
-    else:
-        select = select_stepwise if plan.method == "stepwise" else select_backward
-        found = select(triangle, called, plan.limits, forced=forced, requires=needed, guard=guard)
-    columns, cancelling = (
-        tuple(tried[j] for j in each) for each in (found.columns, found.cancelling)
+        triangle = compress(whitening(design), whitening(data.response))
+    least = np.sqrt(LEAST * len(design) * demand.variances)
+    return select_stepwise(
+        replace(triangle, rows=triangle.rows - lost),
+        names,
+        plan.limits,
+        forced=[j for j in every if names[j] == str(CONSTANT)],
+        requires=requires if plan.hierarchy else None,
+        guard=Guard(plain, least, demand.cancel),
     )
-    found = replace(found, columns=columns, cancelling=cancelling, short=short or found.short)
-    return found, named
 
 
 def _segment(
@@ -509,11 +472,11 @@ def _segment(
     rows: Rows,
     estimate: tuple[tuple[Term, ...], Array, Array],
     test: tuple[float, int],
-    place: tuple[tuple[float, float], str | None],
+    span: tuple[float, float],
     robust: RobustFit | None,
 ) -> Segment:
-    """Return a segment of its rows by terms, values and covariance; F on k; span and branch."""
-    (terms, values, covariance), (F, k), (span, branch) = estimate, test, place
+    """Return a segment of its rows by terms, values and covariance; F on k; its span."""
+    (terms, values, covariance), (F, k) = estimate, test
     y, e, h = data.response[rows], fit.residuals[rows], fit.leverage[rows]
     constant = CONSTANT in terms
     rss, tss = float(e @ e), float(((y - (y.mean() if constant else 0.0)) ** 2).sum())
@@ -527,7 +490,6 @@ def _segment(
     selection, names = fit.selection, [str(term) for term in plan.terms]
     return Segment(
         range=span,
-        branch=branch,
         n=len(rows),
         terms=terms,
         values=values,
@@ -536,7 +498,7 @@ def _segment(
         r2=1.0 - lost,
         adjusted_r2=1.0 - ratio,
         rms=float(np.sqrt(variance)),
-        aicc=criteria(whole, len(data), fit.design.shape[1])[0],
+        aicc=akaike_criterion(whole, len(data), fit.design.shape[1]),
         press=press,
         F=F,
         F_critical=f_quantile(plan.confidence, k, fit.dof),
@@ -551,6 +513,5 @@ def _segment(
         collinear=tuple(
             name for name in selection.collinear if name in names and name not in map(str, terms)
         ),
-        subsets=fit.subsets,
         robust=robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
     )

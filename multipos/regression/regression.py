@@ -22,7 +22,8 @@ from multipos.files.whole import write_text
 from multipos.finding import Findings, about, in_order
 from multipos.numerics.arrays import Array, Environment, Mask, Places
 from multipos.numerics.selection import Tested
-from multipos.regression.junctions import Junction, branch_of
+from multipos.regression.branches import branch_of
+from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
 from multipos.results import Result, Tabular, frozen, stacked
@@ -66,14 +67,14 @@ class Regression(Result, Tabular):
     candidates : tuple of str
         The terms that could be in the model.
     method : str
-        'full', 'stepwise', 'backward' or 'subsets'.
+        'full' or 'stepwise'; of version 0.2 also 'backward' or 'subsets'.
     segments : tuple of Segment
         Branch by branch, each by ascending range.
     segment_variable : str or None
     edges : tuple of float
     continuous : bool
     branch_column : str or None
-        The rate whose sign tells heating from cooling.
+        The rate whose sign tells heating from cooling, in a file of version 0.2.
     time : str or None
     rates : mapping of str to float
         Columns formed from the time column, with the window of each.
@@ -87,7 +88,6 @@ class Regression(Result, Tabular):
         Predictions in thermal balance, where rates are among the variables.
     confidence : float
     n, dropped : int
-    hysteresis, cross_validation : mapping or None
     findings : tuple of Finding
     source, sha256, created, version : str or None
 
@@ -112,14 +112,11 @@ class Regression(Result, Tabular):
     segment_variable: str | None
     edges: tuple[float, ...]
     continuous: bool
-    branch_column: str | None
     time: str | None
     rates: Mapping[str, float]
     confidence: float
     n: int
     dropped: int
-    hysteresis: Mapping[str, Any] | None
-    cross_validation: Mapping[str, Any] | None
     source: str | None = field(compare=False)
     sha256: str | None
     created: str = field(compare=False)
@@ -127,6 +124,7 @@ class Regression(Result, Tabular):
     thresholds: Mapping[str, float] = field(default_factory=dict)
     causal: bool = False
     run: str | None = None
+    branch_column: str | None = None
     junctions: tuple[Junction, ...] = ()
     findings: Findings = ()
     balance: Balance | None = None
@@ -199,7 +197,7 @@ def format_span(variable: str, span: tuple[float, float], branch: str | None) ->
 
 
 def _text(r: Regression) -> list[str]:
-    lines = [*_outline(r), *_judged(r), *_jumps(r), *_balanced(r), "", _overview(r)]
+    lines = [*_outline(r), *_jumps(r), *_balanced(r), "", _overview(r)]
     for i, segment in enumerate(r.segments, start=1):
         span = format_span(r.range_variable, segment.range, segment.branch)
         lines += ["", f"Segment {i}: {span}", *_segment_text(segment), *_runs_text(segment)]
@@ -226,24 +224,6 @@ def _outline(r: Regression) -> list[str]:
         edges = ", ".join(f"{edge:.6g}" for edge in r.edges)
         joined = ", continuous" if r.continuous else ""
         lines.append(f"edges      {r.segment_variable} = {edges}{joined}")
-    return lines
-
-
-def _judged(r: Regression) -> list[str]:
-    """Say what tests of the whole table found."""
-    lines = []
-    if r.hysteresis is not None:
-        h = r.hysteresis
-        lines.append(
-            f"branches   F = {number(h['F'])} on {h['dof'][0]:.0f}, {h['dof'][1]:.0f}, "
-            f"{p_in_words(h['p'])}: {'apart' if h['significant'] else 'together'}"
-        )
-    if r.cross_validation is not None:
-        found = r.cross_validation
-        lines.append(
-            f"validation rms {found['rms']:.4g}, R² {number(found['r2'])} "
-            f"over {found['blocks']} blocks of time, each left out once"
-        )
     return lines
 
 
@@ -357,18 +337,6 @@ def _path_text(s: Segment) -> list[str]:
             f"next: {s.runner_up.term}, F = {number(s.runner_up.F)} where "
             f"{number(s.F_to_enter)} is needed, {p_in_words(s.runner_up.p)}"
         )
-    if s.subsets:
-        best = [
-            [
-                " + ".join(names),
-                number(b.r2),
-                number(b.adjusted_r2),
-                number(b.aicc, 5),
-                number(b.bic, 5),
-            ]
-            for names, b in s.subsets[:10]
-        ]
-        lines += ["", table(["subset", "R²", "adjusted R²", "AICc", "BIC"], best)]
     return lines
 
 

@@ -43,9 +43,10 @@ from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, findings_upgraded, read_findings
 from multipos.numerics.arrays import Array
-from multipos.numerics.selection import Step, Subset, Tested
+from multipos.numerics.selection import Step, Tested
 from multipos.numerics.terms import CONSTANT, Term, factor_from_list, factor_to_list, linear_term
-from multipos.regression.junctions import BRANCHES, Junction
+from multipos.regression.branches import BRANCHES
+from multipos.regression.junctions import Junction
 from multipos.regression.region import Region
 from multipos.regression.regression import Balance, Regression, Regressions
 from multipos.regression.segment import Between, Coefficient, LeftOut, Robust, Segment
@@ -59,10 +60,6 @@ _F = Maybe(FIGURE.kind, math.inf)  # of a term that leaves no residual
 _TESTED: dict[str, Kind] = {"action": Text(("add", "remove")), "F": _F, "p": P_VALUE}
 _ANOTHER = Record.of(Tested, _TESTED)
 _STEP = Record.of(Step, {**_TESTED, "runner_up": Maybe(_ANOTHER), "tested": Listed(_ANOTHER)})
-_CRITERION = Maybe(FIGURE.kind, -math.inf)
-_SUBSET = Record(
-    dict.fromkeys(("rss", "r2", "adjusted_r2", "aicc", "bic"), _CRITERION),
-)
 _FACTORS = Listed(Entries((ANY_TEXT, _POWER, _FUNCTION)))
 _REGION = {
     "terms": Listed(_FACTORS, 1),
@@ -127,7 +124,6 @@ SEGMENT = Fields(
     {
         **_FIGURES.optional,
         **_ROBUST.needed,
-        "subsets": Listed(Fields({"terms": TEXTS, **_SUBSET.needed})),
         "region": Fields(_REGION),
         "between_runs": Maybe(_BETWEEN),
     },
@@ -149,8 +145,6 @@ def segment_to_dict(s: Segment) -> dict[str, Any]:
     if s.region is not None:
         terms = [[factor_to_list(f) for f in term.factors] for term in s.region.terms]
         content["region"] = {"terms": terms, "factor": s.region.factor, "limit": s.region.limit}
-    if s.subsets:
-        content["subsets"] = [{"terms": terms, **_SUBSET.write(one)} for terms, one in s.subsets]
     if s.robust is not None:
         content |= _ROBUST.write(s.robust)
     if s.between is not None:
@@ -187,11 +181,6 @@ def segment_from_dict(c: Mapping[str, Any]) -> Segment:
         F=(_F if c["significant"] else FIGURE).read(c["F"]),
         runner_up=None if found is None else _ANOTHER.read({"action": "add", **found}),
         F_to_enter=math.nan if found is None else FIGURE.read(found["F_to_enter"]),
-        subsets=tuple(
-            (tuple(names), Subset(tuple(range(len(names))), **_SUBSET.read(one)))
-            for one in c.get("subsets", ())
-            for names in [one["terms"]]
-        ),
         robust=_robust(c) if "robust" in c else None,
         between=_between(c["between_runs"], terms) if c.get("between_runs") else None,
         region=region,
@@ -258,9 +247,6 @@ SCHEMA = "multipos/regression/1"
 
 _SIZE = Maybe(NOT_NEGATIVE, math.nan)
 _JUNCTION = Record.of(Junction, {"branch": Maybe(Text(BRANCHES)), "u": _SIZE, "U": _SIZE})
-_HYSTERESIS = Fields(
-    {"column": ANY_TEXT, "F": FIGURE, "dof": _PAIR, "p": P_VALUE, "significant": Flag()}
-)
 # What a regression has under its own name, or another; the rest hangs together.
 _WHOLE = Record(
     {
@@ -280,10 +266,6 @@ _WHOLE = Record(
         "branch_column": Maybe(NAME),
         "time": Maybe(NAME),
         "rates": Named(POSITIVE),
-        "hysteresis": Maybe(_HYSTERESIS),
-        "cross_validation": Maybe(
-            Fields({"blocks": Whole(1), "rms": NOT_NEGATIVE, "r2": ANY_NUMBER})
-        ),
     },
     {"causal": Flag(), "run": Maybe(NAME), "jumps": Listed(_JUNCTION)},
     names={"multipos_version": "version", "jumps": "junctions"},

@@ -30,7 +30,7 @@ for a sum of variances, part by part).
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
@@ -132,10 +132,6 @@ def add_between(segment: Segment, between: Between) -> Segment:
     return replace(segment, covariance=segment.covariance + added, robust=robust, between=between)
 
 
-RowDependence = Literal["hac", "effective"]
-ROBUST: tuple[RowDependence, ...] = get_args(RowDependence)
-
-
 class General(NamedTuple):
     """The same terms fitted to rows made independent by one law of their noise.
 
@@ -161,7 +157,6 @@ class RobustFit(NamedTuple):
     """
 
     covariance: Array
-    kind: str
     nu: float
     n_effective: float
     lag_one: float
@@ -174,10 +169,8 @@ class RobustFit(NamedTuple):
         return self._replace(covariance=L @ self.covariance @ L.T, general=general)
 
 
-def robust_fit(
-    found: LinearFit, X: Array, data: Data, dependence: RowDependence
-) -> RobustFit | None:
-    """Return the robust covariance where a cluster column or a time column calls for one.
+def robust_fit(found: LinearFit, X: Array, data: Data) -> RobustFit | None:
+    """Return the robust covariance where rows are correlated in time, or may be; else None.
 
     Parameters
     ----------
@@ -186,37 +179,19 @@ def robust_fit(
         The columns it was found from.
     data : Data
         Its rows.
-    dependence : str
-        'hac' or 'effective', where rows are found correlated in time.
     """
-    if found.dof <= 0 or not found.rss:
+    if found.dof <= 0 or not found.rss or data.order is None:
         return None
-    e, cofactor, noise = found.residuals, found.cofactor, data.noise
-    rho, correlated = (0.0, False) if data.order is None else lag_one(e, data.order)
+    e, noise = found.residuals, data.noise
+    rho, correlated = lag_one(e, data.order)
     correlated |= noise is not None and noise.law is not None
-    size = (
-        correlation.effective_size(e, data.order)
-        if correlated and data.order is not None
-        else len(e)
-    )
-    if data.cluster is not None:
-        covariance, m = correlation.cluster_covariance(X, e, cofactor, data.cluster)
-        return RobustFit(covariance, "cluster", m - 1.0, size, rho)
-    if data.order is None:
+    general = _by_plausible_laws(X, data)
+    if not correlated and not general:
         return None
-    if dependence == "hac":
-        general = _by_plausible_laws(X, data)
-        if not correlated and not general:
-            return None
-        covariance = correlation.hac_covariance(X, e, cofactor, data.order)
-        nu = correlation.window_dof(e, data.order)
-        return RobustFit(covariance, "hac", nu, size, rho, correlated, general)
-    if not correlated:
-        return None
-    nu = size - X.shape[1]
-    scale = found.dof / nu if nu > 0.0 else np.nan
-    covariance = cofactor * (float(found.rss) / found.dof)
-    return RobustFit(covariance * scale, "effective", nu, size, rho)
+    size = correlation.effective_size(e, data.order) if correlated else len(e)
+    covariance = correlation.hac_covariance(X, e, found.cofactor, data.order)
+    nu = correlation.window_dof(e, data.order)
+    return RobustFit(covariance, nu, size, rho, correlated, general)
 
 
 def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
@@ -255,7 +230,7 @@ def robust_test(
     """Return F_robust of a segment's slopes.
 
     By rows made independent, with the largest p of all plausible laws of their noise; else by eq.
-    (5) of `multipos.regression.correlation`. None where there is no robust fit, and where
+    (4) of `multipos.regression.correlation`. None where there is no robust fit, and where
     correlation is not shown and no plausible law takes from F what it says.
 
     Parameters
@@ -278,13 +253,10 @@ def robust_test(
             return None
     else:
         F, k = correlation.wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
-        nu = fit.nu
-        if fit.kind != "effective":  # Hotelling's law for an estimated covariance
-            F, nu = F * (nu - k + 1.0) / nu if nu > 0.0 else np.nan, nu - k + 1.0
-        found = _tested(F, k, nu)
-    dof = found.k, found.nu
-    covariance = fit.covariance
-    return Robust(fit.kind, covariance, found.F, found.p, dof, fit.nu, fit.n_effective, fit.lag_one)
+        nu = fit.nu - k + 1.0
+        found = _tested(F * nu / fit.nu, k, nu)
+    dof, size = (found.k, found.nu), fit.n_effective
+    return Robust("hac", fit.covariance, found.F, found.p, dof, fit.nu, size, fit.lag_one)
 
 
 class _Test(NamedTuple):

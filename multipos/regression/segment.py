@@ -20,7 +20,7 @@ import numpy as np
 
 from multipos.numerics.arrays import Array, Places, quadratic
 from multipos.numerics.quantiles import t_tail
-from multipos.numerics.selection import Step, Subset, Tested
+from multipos.numerics.selection import Step, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
 from multipos.regression.region import Region
 from multipos.results import Result, frozen
@@ -56,7 +56,7 @@ class Robust(Result):
     Attributes
     ----------
     kind : str
-        'hac', 'cluster' or 'effective'.
+        'hac'; in files of version 0.2 also 'cluster' or 'effective'.
     covariance : (q, q) array
         Of the segment's coefficients.
     F, p : float
@@ -150,7 +150,7 @@ class Segment(Result):
     range : (low, high) tuple
         Of the segment variable, or of the first variable where there are no segments.
     branch : str or None
-        'heating' or 'cooling' where these are separate.
+        'heating' or 'cooling' where these are separate, in a file of version 0.2.
     n : int
     terms : tuple of q Term
     values, covariance : (q,), (q, q) arrays
@@ -166,7 +166,6 @@ class Segment(Result):
     runner_up : Tested or None
     F_to_enter : float
     collinear : tuple of str
-    subsets : tuple of (terms, Subset)
     robust : Robust or None
     between : Between or None
         What differs from one switch-on to the next, where runs are distinguished; then `covariance`
@@ -174,7 +173,6 @@ class Segment(Result):
     """
 
     range: tuple[float, float]
-    branch: str | None
     n: int
     terms: tuple[Term, ...]
     values: Array
@@ -193,11 +191,11 @@ class Segment(Result):
     runner_up: Tested | None = None
     F_to_enter: float = float("nan")
     collinear: tuple[str, ...] = ()
-    subsets: tuple[tuple[tuple[str, ...], Subset], ...] = ()
     robust: Robust | None = None
     between: Between | None = None
     left_out: tuple[LeftOut, ...] = ()
     region: Region | None = None
+    branch: str | None = None
 
     @property
     def significant(self) -> bool:

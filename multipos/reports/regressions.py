@@ -152,9 +152,6 @@ def _knowledge(r: Regression, of: Titled) -> Section:
         )
     if r.rates and not r.causal:
         sentences.append("Rates need rows that come later: for a device fit it with --causal.")
-    if r.cross_validation is not None:
-        rms = f"{r.cross_validation['rms']:.3g}"
-        sentences.append(f"On blocks of time, each left out once, the error is {rms} rms.")
     return Section(of("Notes"), paragraphs=tuple(sentences))
 
 

@@ -106,8 +106,6 @@ CHOICES = [
     (mp.fit, "robust", (TABLE,)),
     (mp.tumble, "convention", ({"E": [1.0, 0.0, -1.0, 0.0]},), {"scheme": "tumble-4"}),
     (mp.average, "convention", (TABLE,)),
-    (mp.regress, "criterion", (ROWS,), {"response": "y", "variables": "A"}),
-    (mp.regress, "robust", (ROWS,), {"response": "y", "variables": "A"}),
     (mp.apply, "outside", (mp.fit(mp.Readings(UP), scheme="faces-6"), TABLE)),
     (mp.correct, "outside", (mp.regress(ROWS, response="y", variables="A"), ROWS)),
 ]

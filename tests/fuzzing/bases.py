@@ -161,7 +161,7 @@ fit redundant.csv --unit g --axes x,y,z,x -o redundant.json
 fit warm.csv --unit g --model '1 + x + y + z + temperature + temperature*own' -o warm.json
 regress data.csv --response y --variables T,H --degree 2 -o plain-reg.json
 regress data.csv --response y --variables T,H --degree 2 --stepwise --segment T:15,25 -o cut-reg.json
-regress data.csv --response y --variables T,T_rate --branches T_rate --time time -o branch-reg.json
+regress data.csv --response y --variables T,T_rate --time time -o rate-reg.json
 regress data.csv --response y --variables T --segment T:auto --continuous -o auto-reg.json
 check lin.json r26.csv --limit-g 0.01 -o force-check.json
 check lin.json r26.csv --tilt --limit-deg 0.5 --within-deg 80 -o tilt-check.json
@@ -202,7 +202,7 @@ CALIBRATIONS = listed(
     """
 )
 REGRESSIONS = listed(
-    "plain-reg.json cut-reg.json branch-reg.json auto-reg.json causal-reg.json both-reg.json"
+    "plain-reg.json cut-reg.json rate-reg.json auto-reg.json causal-reg.json both-reg.json"
 )
 CHECKS = ("force-check.json", "tilt-check.json")
 BUDGETS = ("bench.toml", "head.toml")

@@ -139,21 +139,19 @@ TEXT = """
  2 calibrate bare.log --columns time,ax,ay,az --scheme faces-6 --json
 10 regress data.csv --response y --variables T,H
  8 regress data.csv --response y --variables T,H --degree 2 --stepwise -o o.json
- 6 regress data.csv --response y --variables T,H --subsets --json
- 4 regress data.csv --response y --variables T,H,T_rate --backward --hierarchy --robust effective
+ 4 regress data.csv --response y --variables T,H,T_rate --stepwise --hierarchy --json
  4 regress data.csv --response y --variables T --segment T:15,25 --continuous --json
- 3 regress data.csv --response y --variables T,T_rate --branches T_rate --time time
- 3 regress data.csv --response y --variables T --cross-validate 5 --cluster H
+ 3 regress data.csv --response y --variables T,T_rate --time time
  1 regress data.csv --response y --variables T --segment T:auto
  4 regress data.csv --response y --terms '1 + T + T^2 + T*H' --drop-missing
 .3 regress data.csv --response y --variables T,H -o o.svg
  6 apply plain-reg.json data.csv
  6 apply cut-reg.json data.csv --uncertainty -o o.csv
- 6 apply branch-reg.json data.csv --correct y --json
+ 6 apply rate-reg.json data.csv --correct y --json
  6 apply auto-reg.json data.csv --outside clamp
  6 check plain-reg.json data.csv --limit-g 1
  6 check cut-reg.json data.csv --json -o o.json
- 4 check branch-reg.json data.csv
+ 4 check rate-reg.json data.csv
 .2 check auto-reg.json data.csv -o o.svg
 .3 demo -o o
  6 apply causal-reg.json data.csv --uncertainty

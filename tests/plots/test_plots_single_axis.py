@@ -37,7 +37,7 @@ def test_named_harmonics_are_marked(axes):
     found = mp.tumble({"E": np.cos(t) + 1e-4 * np.sin(5 * t) + noise}, scheme="tumble-24")
     draw_residual_harmonics(found, axes)
     assert len(axes.patches) == len(found.residual_harmonics)
-    assert [text.xy[0] for text in axes.texts] == [5.0]
+    assert [text.get_position()[0] for text in axes.texts] == [5.0]
 
 
 def test_check_is_drawn_with_its_limits(axes):

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import multipos as mp
-from multipos.plots import draw_zero, new_figure, render, svg, to_svg
+from multipos.plots import draw_zero, fonts, new_figure, render, to_svg
 from multipos.plots.hemispheres import draw_map, everywhere
 from multipos.plots.svg import hatch_lines
 
@@ -48,7 +48,7 @@ def chinese():
 
 
 def test_pixels_of_chinese_come_from_a_font_that_has_it(monkeypatch):
-    if not svg._chinese_fonts():
+    if not fonts._chinese_fonts():
         pytest.skip("needs a font of Chinese")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -57,10 +57,10 @@ def test_pixels_of_chinese_come_from_a_font_that_has_it(monkeypatch):
 
 
 def test_without_a_font_of_chinese_pixels_are_refused_and_svg_is_not(monkeypatch):
-    dejavu = svg.font_of("x", 9.0)
+    dejavu = fonts.font_of("x", 9.0)
     from matplotlib.font_manager import findfont
 
-    monkeypatch.setattr(svg, "_chinese_fonts", lambda: (findfont(dejavu),))
+    monkeypatch.setattr(fonts, "_chinese_fonts", lambda: (findfont(dejavu),))
     with pytest.raises(mp.MultiposError, match=r"characters '位置' .* write a \.svg file"):
         render(chinese(), ".png")
     assert ">位置<" in to_svg(chinese())

@@ -1,7 +1,8 @@
-"""`multipos regress`: certified digits, published F, segments, branches, and what it refuses."""
+"""`multipos regress`: certified digits, published F, segments, and what it refuses."""
 
 import json
 import math
+from pathlib import Path
 
 import hald
 import nist
@@ -15,13 +16,8 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv, read_table
-from multipos.files.trees import to_json
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_quantile
-from multipos.numerics.terms import parse_terms
-from multipos.regression.correlation import time_order
-from multipos.regression.junctions import compare_branches
-from multipos.regression.observations import Data
 from multipos.regression.prediction import predict_uncertainty
 from multipos.regression.region import region_factor
 
@@ -136,18 +132,6 @@ def test_hald_through_the_command(hald_csv, tmp_path, capsys):
     assert segment["significant"] is True
 
 
-def test_hald_subsets_and_backward(hald_csv):
-    found = mp.regress(hald_csv, response="y", variables="x1,x2,x3,x4", subsets=True)
-    subsets = found.segments[0].subsets
-    assert len(subsets) == 16
-    for names, subset in subsets:
-        columns = tuple(int(name[1]) for name in names if name != "1")
-        assert subset.rss == pytest.approx(hald.SUBSETS[columns], abs=0.005)
-    assert found.segments[0].coefficients[1].term == "x1"
-    backward = mp.regress(hald_csv, response="y", variables="x1,x2,x3,x4", backward=True)
-    assert [s.term for s in backward.segments[0].path] == ["x3", "x4"]
-
-
 def test_press_aicc_and_adjusted_r2_by_their_definitions(hald_csv):
     segment = mp.regress(hald_csv, response="y", variables="x1,x2").segments[0]
     X, y = hald.DESIGN[:, :3], hald.RESPONSE
@@ -197,17 +181,7 @@ def test_four_rows_by_hand():
     assert pytest.approx(841 / 30 / (59 / 90), rel=1e-12) == through.F
 
 
-def test_cross_validation_by_hand():
-    """Two blocks, slopes 7/5 and 6/5 through the origin: each predicts the rows of the other."""
-    columns = {"x": np.array([1.0, 2.0, 1.0, 2.0]), "y": np.array([1.0, 3.0, 2.0, 2.0])}
-    found = mp.regress(columns, response="y", terms="x", cross_validate=2).cross_validation
-    # errors −0.2, 0.6 and 0.6, −0.8, about their mean of 2 the responses have a sum of 2
-    assert found["rms"] == pytest.approx(np.sqrt(1.4 / 4), rel=1e-12)
-    assert found["r2"] == pytest.approx(1 - 1.4 / 2, rel=1e-12)
-    assert found["rms_of_blocks"] == pytest.approx([np.sqrt(0.2), np.sqrt(0.5)], rel=1e-12)
-
-
-# --- segments and branches
+# --- segments
 
 
 def test_segments_are_fits_of_their_own_rows():
@@ -267,50 +241,11 @@ def test_continuous_fit_is_constrained_least_squares():
         assert segment.rms == pytest.approx(np.sqrt(rss / (rows.sum() - leverage[rows].sum())))
 
 
-def hysteresis(gap, seed=3, n=400):
-    rng = np.random.default_rng(seed)
-    time = np.arange(float(n))
-    t = 50 * np.sin(time / 30)
-    rate = np.cos(time / 30)
-    y = 0.02 * t + gap * np.sign(rate) + rng.normal(0, 0.01, n)
-    return {"time": time, "t": t, "t_rate": rate, "y": y}
-
-
-def test_branches_where_they_differ_and_not_where_they_do_not():
-    apart = mp.regress(hysteresis(0.05), response="y", variables="t", branches="t_rate")
-    assert [s.branch for s in apart.segments] == ["heating", "cooling"]
-    assert_allclose([s.values[0] for s in apart.segments], (0.05, -0.05), atol=0.005)
-    together = mp.regress(hysteresis(0.0), response="y", variables="t", branches="t_rate")
-    assert [s.branch for s in together.segments] == [None]
-    assert any("do not differ" in said for said in texts(together))
-
-
-def test_branches_are_compared_by_hand():
-    """±1 about 3 while it heats and about −3 while it cools: rss 16 apart, 16 · 9 more together.
-
-    F = 144/(16/14) on 1 and 14. In time the ±1 agree with 11 of 15 neighbours, and 16 rows are
-    worth as many as `test_correlation` says of the same series.
-    """
-    # eq. (2) of regression.junctions
-    wave = np.array([1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1], dtype=float)
-    rate = np.repeat([1.0, -1.0], 8)
-    columns = {"t": np.arange(16.0), "t_rate": rate}
-    how = (parse_terms("1"), "t_rate", None, (), 0.95)
-    found = compare_branches(how[0], Data(columns, wave + 3.0 * rate), *how[1:])
-    assert found["F"] == pytest.approx(126.0, rel=1e-12)
-    assert found["dof"] == [1, 14.0]
-    worth = 16 * 16 * 23**2 / (3600 - 37**2 + 11 * 23**2 + 4 * 97**2)
-    ordered = Data(columns, wave + 3.0 * rate, time_order(np.arange(16.0)))
-    found = compare_branches(how[0], ordered, *how[1:])
-    assert found["F"] == pytest.approx(126.0 * worth / 16, rel=1e-12)
-    assert found["dof"] == [1, pytest.approx(worth - 2, rel=1e-12)]
-
-
 def test_rates_are_formed_from_time_and_used_again(tmp_path, capsys):
-    columns = hysteresis(0.05)
-    rate = np.cos(columns["time"] / 30) * 50 / 30
-    columns["y"] = 0.1 * rate + np.random.default_rng(4).normal(0, 0.001, 400)
-    del columns["t_rate"]
+    time = np.arange(400.0)
+    rate = np.cos(time / 30) * 50 / 30
+    y = 0.1 * rate + np.random.default_rng(4).normal(0, 0.001, 400)
+    columns = {"time": time, "t": 50 * np.sin(time / 30), "y": y}
     data, model = write(tmp_path / "log.csv", columns), tmp_path / "model.json"
     status, out, _ = run(
         capsys,
@@ -351,9 +286,6 @@ def test_f_robust_stands_where_rows_are_correlated():
     assert segment["n_effective"] < 100
     assert segment["terms"][1]["u_robust"] > 2 * segment["terms"][1]["u"]
     assert any("equal about" in said for said in texts(found))
-    effective = mp.regress(columns, response="y", variables="x", robust="effective")
-    assert effective.segments[0].robust.dof[1] < 100
-    assert segment["F"] > effective.segments[0].robust.F
     without = {name: column for name, column in columns.items() if name != "time"}
     by_row = mp.regress(without, response="y", variables="x")
     assert by_row.segments[0].robust == found.segments[0].robust
@@ -362,37 +294,6 @@ def test_f_robust_stands_where_rows_are_correlated():
     assert mp.regress(named, response="y", variables="x").time == "timestamp"
     white = columns | {"y": rng.standard_normal(n)}
     assert mp.regress(white, response="y", variables="x").segments[0].robust is None
-
-
-def test_clusters_by_column():
-    rng = np.random.default_rng(6)
-    run_of = np.repeat(np.arange(10.0), 40)
-    y = rng.standard_normal(10)[run_of.astype(int)] + rng.normal(0, 0.1, 400)
-    columns = {"run": run_of, "x": rng.standard_normal(10)[run_of.astype(int)], "y": y}
-    robust = mp.regress(columns, response="y", variables="x", cluster="run").segments[0].robust
-    assert robust.kind == "cluster"
-    assert robust.dof == (1, 9)
-
-
-def test_cross_validation_repeats_the_choice():
-    rng = np.random.default_rng(7)
-    n = 60
-    columns = {f"x{i}": rng.standard_normal(n) for i in range(15)} | {"y": rng.standard_normal(n)}
-    names = [f"x{i}" for i in range(15)]
-    found = mp.regress(
-        columns,
-        response="y",
-        variables=names,
-        stepwise=True,
-        enter=0.3,
-        remove=0.4,
-        cross_validate=5,
-    )
-    assert found.segments[0].significant  # noise, chosen until it looks like something
-    assert found.cross_validation["r2"] < 0.1
-    assert found.cross_validation["blocks"] == 5
-    truth = mp.regress(broken(), response="y", variables="t,v", segment="t:0", cross_validate=4)
-    assert truth.cross_validation["rms"] == pytest.approx(0.01, rel=0.1)
 
 
 def test_empty_model_is_said():
@@ -516,8 +417,6 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
     [
         ({"v": np.full(60, 7.0)}, REGRESS, 1, "column 'v' is constant (7)"),
         ({"y": np.full(60, 2.5)}, REGRESS, 1, "the response 'y' is constant (2.5)"),
-        ({"y": np.full(60, 2.5)}, [*REGRESS, "--cross-validate", "3"], 1, "is constant (2.5)"),
-        ({}, [*REGRESS, "--cross-validate", "61"], 1, "but there are 60 rows"),
         ({}, [*REGRESS, "--terms", "t^9223372036854775808"], 2, "must lie between 1 and 30"),
         ({"y": 1e300 * GOOD["y"]}, REGRESS, 1, "row 1 (line 2), column 'y': "),
         ({"v": 1e20 * GOOD["v"]}, [*REGRESS, "--degree", "9"], 1, "(beyond 1.29155e+11)"),
@@ -571,24 +470,19 @@ REGRESS = ["--response", "y", "--variables", "t,v"]
         ({}, ["--response", "y", "--variables", "t,y"], 2, "'y' is among the variables"),
         ({}, ["--response", "y", "--variables", "t,t"], 2, "names a column twice"),
         ({}, ["--response", "y"], 2, "needs --variables A,B,C or --terms"),
-        ({}, [*REGRESS, "--branches", ""], 2, "--branches names no column"),
+        ({}, [*REGRESS, "--run", ""], 2, "--run names no column"),
+        ({}, [*REGRESS, "--run", "y"], 2, "--run names the response 'y'"),
         ({}, ["--response", "q", "--variables", "t"], 1, "no column 'q'"),
         ({}, [*REGRESS, "--degree", "0"], 2, "--degree must lie between 1 and 30"),
         ({}, [*REGRESS, "--degree", "2", "--terms", "1 + t"], 2, "--degree and --terms both"),
         ({}, [*REGRESS, "--terms", "1 + q"], 2, "'q', which is not among --variables"),
         ({}, [*REGRESS, "--terms", "1 + "], 2, "a term is missing"),
-        ({}, [*REGRESS, "--stepwise", "--backward"], 2, "two ways to choose terms"),
         ({}, [*REGRESS, "--stepwise", "--enter", ".2", "--remove", ".1"], 2, "for ever"),
-        ({}, [*REGRESS, "--criterion", "bic"], 2, "--criterion chooses among --subsets"),
-        ({}, [*REGRESS, "--subsets", "--criterion", "cp"], 2, "--criterion takes aicc"),
         ({}, [*REGRESS, "--confidence", "95"], 2, "between 0 and 1"),
         ({}, [*REGRESS, "--confidence", "5e-324"], 2, "between 0 and 1"),
-        ({}, [*REGRESS, "--robust", "bootstrap"], 2, "--robust takes hac, effective"),
-        ({}, [*REGRESS, "--cross-validate", "1"], 2, "2 blocks or more"),
-        ({}, [*REGRESS, "--branches", "v_rate"], 1, "no time column of numbers to form it from"),
-        ({"v": np.abs(GOOD["v"])}, [*REGRESS, "--branches", "v"], 1, "has one sign only"),
+        ({}, [*REGRESS, "--variables", "v_rate"], 1, "no time column of numbers to form it from"),
         ({}, [*REGRESS, "--variables", "t,t_rate", "--time", "v"], 1, "does not increase"),
-        ({}, [*REGRESS, "--cluster", "group"], 1, "no column 'group'"),
+        ({}, [*REGRESS, "--run", "group"], 1, "no column 'group'"),
     ],
 )
 def test_bad_input_is_named(tmp_path, capsys, change, argv, status, message):
@@ -626,15 +520,6 @@ def test_constant_alone_is_refused():
         mp.regress(GOOD, response="y", terms="1")
 
 
-def test_a_constant_told_without_an_intercept_has_no_cross_validated_r2():
-    columns = GOOD | {"y": np.full(60, 2.5)}
-    found = mp.regress(columns, response="y", terms="t", cross_validate=3)
-    assert found.cross_validation["rms"] > 0.0
-    assert np.isnan(found.cross_validation["r2"])
-    assert "R² - over 3 blocks" in str(found)
-    assert json.loads(to_json(found.to_dict()))["cross_validation"]["r2"] is None
-
-
 @pytest.mark.parametrize("column", ["t", "y"])
 def test_a_corrupt_number_is_not_corrected(column):
     found = mp.regress(GOOD, response="y", variables="t,v")
@@ -650,10 +535,18 @@ def test_one_row_has_no_rate():
         mp.regress(one, response="y", variables="t_rate")
 
 
-def test_saturated_backward_is_refused_by_segment():
-    few = {name: column[:3] for name, column in GOOD.items()}
-    with pytest.raises(MultiposError, match=r"the table: backward .* saturated: 3 rows for 3"):
-        mp.regress(few, response="y", variables="t,v", backward=True)
+@pytest.mark.parametrize("name", ["branches", "subsets", "backward"])
+def test_a_file_of_version_0_2_predicts_as_it_did(name, tmp_path):
+    """What that version wrote and predicted, of fits that are made no more."""
+    kept = json.loads(Path(__file__).with_name("regressions_0_2.json").read_text("utf-8"))
+    (tmp_path / "reg.json").write_text(json.dumps(kept[name]["file"]), "utf-8")
+    found = mp.load_regression(tmp_path / "reg.json")
+    after = mp.correct(found, kept["rows"], uncertainty=True)
+    assert_allclose(after["predicted"], kept[name]["predicted"], rtol=1e-12)
+    assert_allclose(after["U_predicted"], kept[name]["U"], rtol=1e-10)
+    assert list(after["outside"]) == kept[name]["outside"]
+    found.save(tmp_path / "again.json")
+    assert mp.load_regression(tmp_path / "again.json") == found
 
 
 @pytest.mark.parametrize("text", ["{", '{"schema": "multipos/regression/1"}'])

@@ -12,6 +12,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 from multipos.errors import MultiposError
+from multipos.numerics.selection import Thresholds
 from multipos.numerics.terms import parse_terms
 from multipos.regression import region, regression, segmentation, variation
 from multipos.regression.correlation import (
@@ -25,7 +26,7 @@ from multipos.regression.correlation import (
     bandwidth,
     time_order,
 )
-from multipos.regression.junctions import _junction, compare_branches, find_junctions
+from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import (
     _same,
     _still,
@@ -194,14 +195,14 @@ def test_numbers_of_a_segment_by_their_definitions():
     terms = parse_terms("1 + t")
     selection = SimpleNamespace(path=(), runner_up=None, F_to_enter=None, collinear=())
     fit = SimpleNamespace(
-        residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection, subsets=()
+        residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection
     )
     data = Rows(y, {"t": X[:, 1]})
     plan = SimpleNamespace(terms=terms, confidence=0.9, variables=("t",))
 
     def segment(rows, kept):
         estimate = kept, np.zeros(2), np.eye(2)
-        return _segment(plan, fit, data, rows, estimate, (3.4, 1), ((0, 1), None), None)
+        return _segment(plan, fit, data, rows, estimate, (3.4, 1), (0, 1), None)
 
     whole = segment(np.arange(n), terms)
     assert whole.rms == pytest.approx(math.sqrt(e @ e / (n - 2)))
@@ -242,7 +243,7 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
 @pytest.mark.parametrize(("continuous", "shown"), [(True, [1, 3]), (False, [0, 1, 2, 3])])
 def test_segments_that_are_fitted_together_share_their_path(continuous, shown, monkeypatch):
     """Two of a rising branch and two of a falling one."""
-    for name in ("_outline", "_judged", "_jumps", "_balanced", "_segment_text", "_runs_text"):
+    for name in ("_outline", "_jumps", "_balanced", "_segment_text", "_runs_text"):
         monkeypatch.setattr(regression, name, lambda of: [])
     monkeypatch.setattr(regression, "_overview", lambda r: "")
     monkeypatch.setattr(regression, "_path_text", lambda segment: [f"path {segment.number}"])
@@ -294,7 +295,7 @@ def test_a_jump_between_two_segments_where_it_is_largest():
 
     def segment(i, dof, robust):
         return SimpleNamespace(
-            values=values[i], covariance=C[i], dof=(1, dof), robust=robust, branch="up",
+            values=values[i], covariance=C[i], dof=(1, dof), robust=robust,
             design=lambda columns, rows: np.column_stack([np.ones(len(rows)), v[rows]]),
         )  # fmt: skip
 
@@ -305,33 +306,7 @@ def test_a_jump_between_two_segments_where_it_is_largest():
     u = math.sqrt(x @ C[0] @ x + 4.0 * x @ C[1] @ x)
     assert found.jump == pytest.approx(0.3 + 0.6 * 3.0)
     assert pytest.approx(t.ppf(0.95, 6.5) * u, rel=1e-6) == found.U
-    assert find_junctions([], Rows(v, {}), None, (), None, 0.9) == ()
-
-
-@pytest.mark.parametrize("edges", [(), (0.3,)])
-def test_hysteresis_is_the_f_of_branches_of_their_own(edges):
-    """RSS of one model a segment less that of two, over q of them, against what these leave."""
-    rng = np.random.default_rng(8)
-    t_, rate = rng.normal(size=40), rng.normal(size=40)
-    y = 0.3 * (rate > 0.0) + rng.normal(size=40)
-    data = Rows(y, {"t": t_, "rate": rate})
-    data.order = None
-    X = np.column_stack([np.ones(40), t_])
-
-    def rss(rows):
-        return np.linalg.lstsq(X[rows], y[rows], rcond=None)[1][0]
-
-    parts = [t_ < 0.3, t_ >= 0.3] if edges else [np.full(40, True)]
-    one = sum(rss(part) for part in parts)
-    two = sum(rss(part & side) for part in parts for side in (rate > 0.0, rate <= 0.0))
-    d, nu = 2 * len(parts), 40 - 4 * len(parts)
-    F = (one - two) / d / (two / nu)
-    found = compare_branches(parse_terms("1 + t"), data, "rate", "t" if edges else None, edges, 0.9)
-    assert (found["column"], found["dof"]) == ("rate", [d, 40 - 2 * d])
-    assert (found["F"], found["p"]) == (
-        pytest.approx(F),
-        pytest.approx(fisher.sf(F, d, 40 - 2 * d)),
-    )
+    assert find_junctions([], Rows(v, {}), None, (), 0.9) == ()
 
 
 def test_columns_are_held_inside_what_a_segment_was_fitted_to():
@@ -396,7 +371,7 @@ def test_rows_of_runs_and_their_usual_window():
 
 @pytest.mark.parametrize(("dof", "rss"), [(0, 1.0), (5, 0.0)])
 def test_what_leaves_nothing_has_no_robust_covariance(dof, rss):
-    assert robust_fit(SimpleNamespace(dof=dof, rss=rss), None, None, "hac") is None
+    assert robust_fit(SimpleNamespace(dof=dof, rss=rss), None, None) is None
 
 
 def test_leverage_of_many_rows_is_worked_out_in_pieces(monkeypatch):
@@ -513,15 +488,15 @@ def test_zeros_of_runs_take_degrees_of_freedom():
     found = _general(fit, 3)
     assert (found.dof, found.covariance.tolist()) == (6, (2.0 * np.eye(2)).tolist())
     assert _general(fit, 9) is None
-    plan = SimpleNamespace(method="full", constant=True)
+    plan = SimpleNamespace(limits=None, constant=True)
     _require_rows(plan, 5, 5, "A segment")
     with pytest.raises(MultiposError, match="A segment has 4 rows for 5 terms"):
         _require_rows(plan, 4, 5, "A segment")
-    plan.method = "stepwise"
+    plan.limits = Thresholds()
     _require_rows(plan, 3, 9, "A segment")
     with pytest.raises(MultiposError, match="has 2 rows"):
         _require_rows(plan, 2, 9, "A segment")
-    plan.method, data = "full", SimpleNamespace(response=np.ones(3), run=np.arange(3))
+    plan.limits, data = None, SimpleNamespace(response=np.ones(3), run=np.arange(3))
     with pytest.raises(MultiposError, match="A segment has 3 rows for 4 terms"):
         _fit(plan, np.ones((3, 2)), data, [], [], "A segment", None)
 

@@ -60,12 +60,6 @@ def test_a_slope_that_differs_is_told_and_one_that_does_not_is_not():
     assert "the slope of t by" in str(differs)
 
 
-def test_a_run_for_every_row_leaves_no_subset_to_compare():
-    each = {"x": np.arange(5.0), "y": np.arange(5.0) ** 2, "run": np.arange(5)}
-    with pytest.raises(MultiposError, match=r"uses all that the rows determine .*fewer runs"):
-        mp.regress(each, response="y", variables="x", run="run", subsets=True)
-
-
 def test_segments_without_a_jump_share_what_runs_differ_by():
     r = mp.regress(
         runs(2, 4), response="y", variables="t", run="run", segment="t:0", continuous=True
@@ -114,8 +108,6 @@ def test_the_next_run_is_covered(m, zero, trials):
 
 
 def test_refusals():
-    with pytest.raises(UsageError, match="--cluster changes the tests alone"):
-        mp.regress(TWO, response="y", variables="x", run="run", cluster="run")
     with pytest.raises(UsageError, match="--run is about the constant"):
         mp.regress(TWO, response="y", terms="x", run="run")
     with pytest.raises(MultiposError, match="holds one run only"):
