@@ -206,7 +206,7 @@ class Stability(Saved, Drawn, Tabular):
     schema = "multipos/stability/1"
     called = "stability"
     again = "run stability again"
-    upgraded = staticmethod(findings_upgraded)
+    _upgraded = staticmethod(findings_upgraded)
 
     outputs: Mapping[str, OutputStability]
     run_to_run: Mapping[str, Spread]
@@ -224,7 +224,7 @@ class Stability(Saved, Drawn, Tabular):
         return next(iter(self.outputs.values())).tau
 
     @classmethod
-    def from_file(cls, **values: Any) -> "Stability":
+    def _from_file(cls, **values: Any) -> "Stability":
         """Return the result that a file holds.
 
         Raises

@@ -15,7 +15,8 @@ from multipos.reports.check_text import check_sentence, check_text, run_conclusi
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.checks import RUN, average_run, check
-from multipos.verification.verdicts import Check, errors_table
+from multipos.verification.error_columns import errors_table
+from multipos.verification.verdicts import Check
 
 INPUTS = ("calibration", "readings", "scheme")
 OUTPUT = Output(

@@ -12,11 +12,12 @@ annotation, a narrower `Kind` or how the field is `Stored`:
     sd: Annotated[Array, NOT_NEGATIVE, Stored(by="outputs")]
 
 A property of which the file has the value for its reader, and which follows from the fields when it
-is read, returns ``Annotated[…, Stored(after=KEY)]``: it stands after that key.
+is read, returns ``Annotated[…, Stored(after=KEY)]``: it stands after that key. With a kind beside
+it, it is read as a field is, and handed on by its key.
 
 A class that is put together of what is read otherwise than by its fields has a class method
-``from_file`` that takes it, by their names; a class whose files were once other has a function
-`upgraded` of the content. Either may raise ValueError where parts contradict each other.
+``_from_file`` that takes it, by their names; a class whose files were once other has a function
+`_upgraded` of the content. Either may raise ValueError where parts contradict each other.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -103,6 +104,14 @@ class Stored:
 
 
 @frozen(eq=True)
+class _Unread(Kind):
+    """What follows from the rest."""
+
+
+_UNREAD = _Unread()
+
+
+@frozen(eq=True)
 class As(Kind):
     """A kind whose values a result holds as something else: what `of` makes, and `back`."""
 
@@ -124,7 +133,7 @@ class As(Kind):
 
 
 class _Part(NamedTuple):
-    """One field, or one property, which has no kind to be read by."""
+    """One field, or one property."""
 
     name: str
     key: str
@@ -134,7 +143,8 @@ class _Part(NamedTuple):
 
     @property
     def derived(self) -> bool:
-        return bool(self.stored.after)
+        """Whether it is written for who reads the file, and not read."""
+        return self.kind == _UNREAD
 
     def kinds(self) -> Fields:
         if self.derived:
@@ -153,20 +163,23 @@ class _Part(NamedTuple):
             return {}
         if self.stored.by:
             return {self.key: self._named(value, owner)}
-        written = value if self.derived else self.kind.write(value)
+        written = self.kind.write(value)
         return written if self.stored.flat else {self.key: written}
 
     def read(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        if self.derived:
+            return {}
         if self.stored.flat:
             schema = _schema_within(self.kind)
             there = not isinstance(self.kind, Maybe) or schema.keys & content.keys()
             return {self.name: schema.read(content) if there else None}
-        if self.derived or self.key not in content:
+        if self.key not in content:
             return {}
         value = content[self.key]
+        name = self.key if self.stored.after else self.name
         if self.stored.by:
-            return {self.name: np.array(self._values(value, content))}
-        return {self.name: self.kind.read(value)}
+            return {name: np.array(self._values(value, content))}
+        return {name: self.kind.read(value)}
 
     def cells(self, owner: Any) -> Sequence[Any] | None:
         """Return the cells of a column, for each row of its table; None without the column."""
@@ -175,7 +188,7 @@ class _Part(NamedTuple):
             return None
         if self.stored.by:
             return [self._named(row, owner) for row in value]
-        return list(value) if self.derived else list(map(self.kind.write, value))
+        return list(map(self.kind.write, value))
 
     def column(self, rows: Sequence[Mapping[str, Any]], content: Mapping[str, Any]) -> Any:
         """Return the column of these rows, None where one of them lacks it."""
@@ -226,7 +239,7 @@ class _Inside(NamedTuple):
     parts: tuple[_Part, ...]
 
     def kinds(self) -> Fields:
-        inner: Kind = _fields_of(self.parts)
+        inner: Kind = Fields({part.key: part.kind for part in self.parts})
         return Fields({self.key: Maybe(inner) if self._may_be_null() else inner})
 
     def write(self, owner: Any) -> dict[str, Any]:
@@ -270,7 +283,7 @@ class Schema(Kind):
         ValueError
             Its parts contradict each other.
         """
-        make = getattr(self.made, "from_file", self.made)
+        make = getattr(self.made, "_from_file", self.made)
         return make(**self.values(value))
 
     def values(self, value: Any) -> dict[str, Any]:
@@ -282,7 +295,7 @@ class Schema(Kind):
         return _written(self.parts, value)
 
     def _upgraded(self, value: Any) -> Any:
-        upgraded = getattr(self.made, "upgraded", None)
+        upgraded = getattr(self.made, "_upgraded", None)
         return value if upgraded is None or not isinstance(value, Mapping) else upgraded(value)
 
 
@@ -359,8 +372,9 @@ def _schema_of(made: Any) -> Schema:
     parts = [_part(name, said) for name, said in made.__annotations__.items() if _is_field(said)]
     for name, said in _properties(made):
         part = _part(name, said)
-        place = [each.key for each in parts].index(part.stored.after)
-        parts.insert(place + 1, part)
+        keys = [each.stored.after or each.key for each in parts]
+        place = len(keys) - keys[::-1].index(part.stored.after)
+        parts.insert(place, part)
     places = _gathered([part for part in parts if not part.stored.nowhere])
     return Schema(made, places, _fields_of(places))
 
@@ -401,9 +415,10 @@ def _part(name: str, said: Any) -> _Part:
     kinds = [mark for mark in marks if isinstance(mark, Kind)]
     bare = get_args(said)[0] if marks else said
     cell = get_args(bare)[0] if stored.rows and get_origin(bare) is tuple else bare
-    known = kinds or stored.nowhere or stored.after
-    kind = (kinds or [Kind()])[0] if known else _kind_of(cell, stored.optional)
-    return _Part(name, stored.key or name, bare, kind, stored)
+    if not kinds:
+        unread = stored.nowhere or stored.after
+        kinds = [_UNREAD if unread else _kind_of(cell, stored.optional)]
+    return _Part(name, stored.key or name, bare, kinds[0], stored)
 
 
 def _gathered(parts: Sequence[_Part]) -> tuple[_Place, ...]:

@@ -37,11 +37,22 @@ References
 JCGM 100:2008, F.1.2.4; ISO 13528:2015, 9.7 (E_n); `docs/reference/formats`.
 """
 
-from typing import NamedTuple
+import math
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from multipos.files.numbers import p_in_words, plain_number
+from multipos.files.records import (
+    NOT_NEGATIVE,
+    P_VALUE,
+    POSITIVE,
+    AnyOf,
+    Entries,
+    Figure,
+    Maybe,
+)
+from multipos.files.schema import As
 from multipos.finding import Finding, Findings, errors_of, short_text
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_tail
@@ -61,6 +72,17 @@ _IDENTIFIABLE = 1e-9  # of its own information, which a parameter keeps beside o
 _TURNS, _SETTLED = 50, 1e-12  # steps of a rotation, and when it stands still [rad]
 
 
+def _dof_of_file(value: float | list[float | None] | None) -> float | list[float]:
+    """Return degrees of freedom; of two an unlimited one is null in the file."""
+    if isinstance(value, list):
+        return [math.inf if each is None else float(each) for each in value]
+    return math.nan if value is None else float(value)
+
+
+_DOFS = Entries((POSITIVE, Maybe(POSITIVE)))
+_DOF = As(AnyOf((Maybe(NOT_NEGATIVE), _DOFS)), _dof_of_file)
+
+
 @frozen
 class Agreement(Keyed):
     """What is said of a run as a whole.
@@ -76,9 +98,9 @@ class Agreement(Keyed):
         Which test, in words.
     """
 
-    statistic: float
-    dof: float | list[float]
-    p: float
+    statistic: Figure
+    dof: Annotated[float | list[float], _DOF]
+    p: Annotated[float, Maybe(P_VALUE.kind, math.nan)]
     test: str
 
 

@@ -1,15 +1,14 @@
-"""Check: an independent run at known positions, before and after compensation.
+"""Check: the errors of an independent run at known positions, before and after compensation.
 
-The errors, of force or of tilt, are those of `multipos.verification.checks`, verdicts those of
-`multipos.verification.verdicts`; whether the run as a whole agrees with the calibration,
-`multipos.verification.agreement`.
+- `check` returns errors, verdicts and findings; of a regression those of
+  `multipos.verification.regressions`.
+- `average_run` returns the means of a run that is a raw log.
+- `run_noise`, `known_force` and `require_known` say what the run is held to.
+- `force_errors` and `tilt_errors` are its errors, `line_departure` their linearity.
 
+Whether the run as a whole agrees with the calibration is for `multipos.verification.agreement`.
 Where a run is so far off that it may have been taken wrongly, it is fitted by itself, and what is
 wrong of it, such as rows interchanged or in another unit, is a finding of the check.
-
-A regression is checked by `multipos.verification.regressions`.
-
-The errors of a run at known positions, and their uncertainty.
 
 At each position and axis the error is what is said less what is known, of the force [g] or of the
 tilt [degrees]: before by the nominal conversion (raw − bias)/scale, after by the calibration,
@@ -468,6 +467,8 @@ def _check_run(
         sha256=data.sha256,
         findings=data.findings,
         calibration=calibration.created,
+        against=None,
+        consistency=None,
     )
 
 

@@ -1,5 +1,10 @@
 """Verdicts: the result of `multipos.check`.
 
+- `judge_errors` gives the verdict of each error, `worst` that of several.
+- `family_confidence` is the confidence of each of many errors that are judged together.
+- `require_limit` refuses a limit that is none.
+- `load_check` reads a `Check`; what every key of its file means is in `docs/reference/formats`.
+
 Errors e of K quantities at n rows before and after compensation, with the expanded uncertainty U of
 the latter. Against a limit L, U is the guard band:
 
@@ -18,50 +23,57 @@ intersection-union test), which needs no correction.
 
 En = |e|/U, where U² = U²(run) + U²(calibration), compares an error with the U of both.
 
-The errors of a run beside its own columns: what `regress` describes by temperature and rates.
-
-A run whose rows say where the sensor stood gives for every row and axis the compensated force f and
-
-    error = f − f_ref   [g],        nominal_error = (raw − bias)/scale − f_ref              (3)
-
-of the nominal conversion; all other columns stay, time and temperatures among them.
-
-Checks in files: what the file of a check holds, key by key, its writing and its reading.
-
-What a check derives again when it is read (its summary and verdicts) is not read and not described
-here; what every key means is in `docs/reference/formats`.
-
 References
 ----------
 JCGM 106:2012, 8.3 (guarded acceptance); ISO 13528:2015, 9.7; R. L. Berger, Technometrics 24, 1982.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.compensation.correction import correct
 from multipos.errors import MultiposError, UsageError
-from multipos.files import records, trees, whole
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    AXIS,
+    NOT_NEGATIVE,
+    Fields,
+    Flag,
+    Listed,
+    Maybe,
+    Number,
+    Share,
+    Text,
+)
+from multipos.files.schema import As, Saved, Stored, restore
 from multipos.files.spelling import StrPath
-from multipos.files.tables import Column, Source, read_table
-from multipos.finding import FINDINGS, Findings, findings_upgraded, read_findings
+from multipos.files.trees import read_json
+from multipos.finding import Findings, findings_upgraded
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Mask
 from multipos.positions.headers import MAGNETIC_UNITS
-from multipos.regression.regression import Regression, Regressions
-from multipos.results import Columns, Drawn, Result, data_frame, frozen
-from multipos.sensor.calibration import Calibration
+from multipos.results import Drawn, data_frame, frozen
 from multipos.verification.agreement import Agreement
 
 VERDICTS = ("pass", "indeterminate", "fail")  # from best to worst
 
 
+_UNIT = Text(("g", "deg", "1", *MAGNETIC_UNITS))
+_BY_AXIS = Stored(rows="positions", by="axes")
+_BY_AXIS_OR_NOT = Stored(rows="positions", by="axes", optional=True)
+_AFTER_U = Stored(rows="positions", by="axes", after="U")
+_AFTER_U_FAMILY = Stored("verdict", rows="positions", after="U_family")
+_BY_AXIS_AFTER = Stored("by_axis", by="axes", after="consistency")
+_LINEARITY = Fields({"linearity_percent": Maybe(NOT_NEGATIVE)})
+_SUMMARY = Fields({"before": _LINEARITY, "after": _LINEARITY})
+
+
 @frozen
-class Check(Result, Drawn):
+class Check(Saved, Drawn):
     """Errors of K axes at n positions, before and after compensation.
 
     Of a regression the one axis is its response, and the positions are the rows of a table.
@@ -110,36 +122,72 @@ class Check(Result, Drawn):
     True
     """
 
-    quantity: str
-    unit: str
-    axes: tuple[str, ...]
-    positions: tuple[str, ...]
-    reference: Array
-    before: Array
-    after: Array
-    u: Array
-    U: Array
-    limit: float | None
-    verdicts: NDArray[np.str_]
-    counted: Mask
-    linearity_percent: Mapping[str, Array]
-    bias: float | None
-    scale: float | None
-    confidence: float
-    source: str | None = field(compare=False)
-    sha256: str | None
-    calibration: str | None = field(default=None, compare=False)
-    against: str | None = None
-    segments: Mapping[str, Mask] = field(default_factory=dict)
-    U_family: Array | None = None
-    consistency: Agreement | None = None
-    findings: Findings = ()
+    schema = "multipos/check/1"
+    called = "check"
+    again = "run check again"
+
+    source: Annotated[str | None, Stored("input.file")] = field(compare=False)
+    sha256: Annotated[str | None, Stored("input.sha256")]
+    calibration: Annotated[str | None, ANY_TEXT] = field(compare=False)
+    quantity: Annotated[str, Text(("force", "tilt"))]
+    against: str | None
+    unit: Annotated[str, As(_UNIT, str, lambda unit: unit or None)]
+    limit: Annotated[float | None, Maybe(Number(SMALLEST, LARGEST))]
+    confidence: Share
+    bias: Annotated[float | None, ANY_NUMBER, Stored("nominal.bias", optional=True)]
+    scale: Annotated[float | None, ANY_NUMBER, Stored("nominal.scale", optional=True)]
+    axes: Annotated[tuple[str, ...], Listed(AXIS, 1, len(COMPONENTS))]
+    positions: Annotated[tuple[str, ...], Stored("position", rows="positions")]
+    reference: Annotated[Array, ANY_NUMBER, _BY_AXIS]
+    before: Annotated[Array, Maybe(ANY_NUMBER, math.nan), _BY_AXIS]
+    after: Annotated[Array, Maybe(ANY_NUMBER, math.nan), _BY_AXIS]
+    u: Annotated[Array, Maybe(NOT_NEGATIVE, math.nan), _BY_AXIS]
+    U: Annotated[Array, Maybe(NOT_NEGATIVE, math.nan), _BY_AXIS]
+    U_family: Annotated[Array | None, Maybe(NOT_NEGATIVE, math.nan), _BY_AXIS_OR_NOT]
+    counted: Annotated[Mask, Flag(), _BY_AXIS]
+    consistency: Agreement | None
+    findings: Findings
+    verdicts: Annotated[NDArray[np.str_], Stored(nowhere=True)]
+    linearity_percent: Annotated[Mapping[str, Array], Stored(nowhere=True)]
+    segments: Annotated[Mapping[str, Mask], Stored(nowhere=True)] = field(default_factory=dict)
+
+    @staticmethod
+    def _upgraded(content: Mapping[str, Any]) -> Any:
+        """Return the content of a file; earlier ones had no `consistency` or `against`."""
+        return {"consistency": None, "against": None, **findings_upgraded(content)}
+
+    @classmethod
+    def _from_file(cls, by_axis: Sequence[Mapping[str, Any]], **values: Any) -> "Check":
+        """Return the check that a file holds; verdicts follow from its errors.
+
+        Raises
+        ------
+        ValueError
+            It has no nominal conversion.
+        """
+        if values["bias"] is None:
+            raise ValueError("it has no nominal conversion")
+        linearity = {
+            when: np.array([each[when]["linearity_percent"] for each in by_axis], dtype=np.float64)
+            for when in ("before", "after")
+        }
+        errors = (values[name] for name in ("after", "U", "limit", "counted"))
+        return cls(**values, verdicts=judge_errors(*errors), linearity_percent=linearity)
 
     @property
-    def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)
+    def En(self) -> Annotated[Array, _AFTER_U]:  # noqa: N802 (the name that ISO 13528 gives it)
         """Error over expanded uncertainty (n, K), ``|e|/U``; NaN where there is no U."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(np.where(self.U > 0.0, np.abs(self.after) / self.U, np.nan))
+
+    @property
+    def _worst_verdicts(self) -> Annotated[tuple[str | None, ...], _AFTER_U_FAMILY]:
+        """The worst verdict of every position, None without a limit."""
+        return tuple(map(worst, self.verdicts))
+
+    @property
+    def _whole(self) -> Annotated[dict[str, Any], Stored(after="counted", flat=True)]:
+        return self.summary()
 
     @property
     def verdict(self) -> str | None:
@@ -147,12 +195,25 @@ class Check(Result, Drawn):
         return worst(self.verdicts)
 
     @property
-    def run_verdict(self) -> str | None:
+    def run_verdict(self) -> Annotated[str | None, Stored(after="counted")]:
         """The verdict of the run by eq. (2), or None without a limit."""
         if self.limit is None or self.U_family is None or self.verdict == "pass":
             return self.verdict
         beyond = (np.abs(self.after) - self.U_family > self.limit) | np.isnan(self.after)
         return "fail" if bool((beyond & self.counted).any()) else "indeterminate"
+
+    @property
+    def _by_axis(self) -> Annotated[tuple[dict[str, Any], ...], _SUMMARY, _BY_AXIS_AFTER]:
+        """The summary of every axis."""
+        return tuple(self.summary(axis) for axis in self.axes)
+
+    @property
+    def _by_segment(self) -> Annotated[dict[str, Any], Stored("by_segment", after="consistency")]:
+        """The summary of every segment of a regression, and its number of rows."""
+        return {
+            name: {"rows": int(rows.sum()), **self.summary(segment=name)}
+            for name, rows in self.segments.items()
+        }
 
     def summary(self, axis: str | None = None, segment: str | None = None) -> dict[str, Any]:
         """Return maximum, rms and linearity before and after, of one axis or segment or of all."""
@@ -200,14 +261,6 @@ class Check(Result, Drawn):
         }
         return data_frame(columns)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as JSON carries it, keys as in docs/reference/formats.md."""
-        return check_dict(self)
-
-    def save(self, path: StrPath) -> None:
-        """Write the check as JSON, whole or not at all."""
-        whole.write_text(path, trees.to_json(self.to_dict()))
-
 
 def judge_errors(after: Array, U: Array, limit: float | None, counted: Mask) -> NDArray[np.str_]:
     """Return the verdicts of eq. (1); empty without a limit and where nothing counts."""
@@ -239,138 +292,6 @@ def require_limit(name: str, value: float) -> None:
         raise UsageError(f"{name} must be above 0, from {SMALLEST:g} to {LARGEST:g}, got {value}.")
 
 
-def errors_table(
-    calibration: Calibration | Regression | Regressions, readings: Source, found: Check
-) -> Columns:
-    """Return the columns of a run with its errors beside them, eq. (3).
-
-    Parameters
-    ----------
-    calibration : Calibration or Regression
-        What was checked; of a regression the columns are those of `correct`.
-    readings : path, mapping of columns, or data frame
-        The run that was checked.
-    found : Check
-        What `check` found of it, of force.
-
-    Raises
-    ------
-    MultiposError
-        A column of that name is there already.
-    UsageError
-        The check is of tilt.
-    """
-    if isinstance(calibration, Regression | Regressions):
-        return correct(calibration, readings, uncertainty=True)
-    if found.quantity != "force":
-        raise UsageError("errors of tilt are no errors to correct; check force, without --tilt.")
-    table = read_table(readings, what="run")
-    added: dict[str, Column] = {}
-    for name, values in (
-        ("f", found.reference + found.after),
-        ("error", found.after),
-        ("nominal_error", found.before),
-    ):
-        added |= {f"{name}_{axis}": values[:, k] for k, axis in enumerate(found.axes)}
-    twice = [name for name in added if name in table]
-    if twice:
-        raise MultiposError(
-            f"{table.source}: column '{twice[0]}' is there already; rename it, check writes it."
-        )
-    return Columns({**table.columns, **added})
-
-
-SCHEMA = "multipos/check/1"
-_BY_AXIS = ("reference", "before", "after", "u", "U", "U_family", "counted", "by_axis")
-_ERRORS = records.Named(records.ANY_NUMBER)
-_BY_AXIS_OR_NONE = records.Named(records.Maybe(records.ANY_NUMBER))
-_UNCERTAINTIES = records.Named(records.Maybe(records.NOT_NEGATIVE))
-_LINEARITY = records.Fields({"linearity_percent": records.Maybe(records.NOT_NEGATIVE)})
-
-CHECK = records.Fields(
-    {
-        "input": records.INPUT,
-        "calibration": records.ANY_TEXT,
-        "quantity": records.Text(("force", "tilt")),
-        "unit": records.Text(("g", "deg", "1", *MAGNETIC_UNITS)),
-        "limit": records.Maybe(records.Number(SMALLEST, LARGEST)),
-        "confidence": records.SHARE,
-        "nominal": records.Fields({"bias": records.ANY_NUMBER, "scale": records.ANY_NUMBER}),
-        "axes": records.Listed(records.AXIS, 1, len(COMPONENTS)),
-        "positions": records.Listed(
-            records.Fields(
-                {
-                    "position": records.ANY_TEXT,
-                    "reference": _ERRORS,
-                    "before": _BY_AXIS_OR_NONE,
-                    "after": _BY_AXIS_OR_NONE,
-                    "u": _UNCERTAINTIES,
-                    "U": _UNCERTAINTIES,
-                    "counted": records.Named(records.Flag()),
-                },
-                {"U_family": _UNCERTAINTIES},
-            ),
-            1,
-        ),
-        "by_axis": records.Named(records.Fields({"before": _LINEARITY, "after": _LINEARITY})),
-    },
-    {
-        "consistency": records.Maybe(
-            records.Fields(
-                {
-                    "statistic": records.FIGURE,
-                    "dof": records.AnyOf(
-                        (
-                            records.Maybe(records.NOT_NEGATIVE),
-                            records.Entries((records.POSITIVE, records.Maybe(records.POSITIVE))),
-                        )
-                    ),
-                    "p": records.P_VALUE,
-                    "test": records.ANY_TEXT,
-                }
-            )
-        ),
-        **FINDINGS,
-    },
-)
-
-
-def check_dict(c: Check) -> dict[str, Any]:
-    """Return everything that a check holds, as JSON carries it."""
-    rows = []
-    for row, label in enumerate(c.positions):
-        entry: dict[str, Any] = {"position": label}
-        for name in ("reference", "before", "after", "u", "U", "En"):
-            entry[name] = dict(zip(c.axes, getattr(c, name)[row].tolist(), strict=True))
-        if c.U_family is not None:
-            entry["U_family"] = dict(zip(c.axes, c.U_family[row].tolist(), strict=True))
-        entry["verdict"] = worst(c.verdicts[row])
-        entry["counted"] = dict(zip(c.axes, c.counted[row].tolist(), strict=True))
-        rows.append(entry)
-    return {
-        "schema": SCHEMA,
-        "input": {"file": c.source, "sha256": c.sha256},
-        "calibration": c.calibration,
-        "quantity": c.quantity,
-        "against": c.against,
-        "unit": c.unit or None,
-        "limit": c.limit,
-        "confidence": c.confidence,
-        "nominal": None if c.bias is None else {"bias": c.bias, "scale": c.scale},
-        "axes": c.axes,
-        "positions": rows,
-        **c.summary(),
-        "run_verdict": c.run_verdict,
-        "consistency": None if c.consistency is None else c.consistency.to_dict(),
-        "by_axis": {axis: c.summary(axis) for axis in c.axes},
-        "by_segment": {
-            name: {"rows": int(rows.sum()), **c.summary(segment=name)}
-            for name, rows in c.segments.items()
-        },
-        "findings": [finding.to_dict() for finding in c.findings],
-    }
-
-
 def load_check(path: StrPath) -> Check:
     """Read a check of a calibration written by `Check.save`.
 
@@ -389,72 +310,9 @@ def load_check(path: StrPath) -> Check:
     >>> mp.load_check("check.json") == found
     True
     """
-    content = trees.read_json(path, SCHEMA)
+    content = read_json(path, Check.schema)
     if content.get("against") is not None:
         raise MultiposError(
             f"{path}: the check of a regression; a report of a calibration needs a check of it."
         )
-    return records.restore(
-        findings_upgraded(content),
-        CHECK,
-        _from_dict,
-        str(path),
-        what="check",
-        again="run check again",
-    )
-
-
-def _from_dict(c: Mapping[str, Any]) -> Check:
-    axes = tuple(c["axes"])
-    for row in [*c["positions"], {"by_axis": c["by_axis"]}]:
-        for key, entry in row.items():
-            if key in _BY_AXIS and set(entry) != set(axes):
-                raise ValueError(f"'{key}' is of {', '.join(entry)}, not of its axes")
-
-    def column(name: str) -> Array:
-        rows = [[row[name][axis] for axis in axes] for row in c["positions"]]
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(axes))
-
-    arrays: dict[str, Any] = {
-        name: column(name) for name in ("reference", "before", "after", "u", "U")
-    }
-    counted = column("counted").astype(bool)
-    linearity = {
-        when: np.array(
-            [c["by_axis"][axis][when]["linearity_percent"] for axis in axes], dtype=np.float64
-        )
-        for when in ("before", "after")
-    }
-    return Check(
-        quantity=c["quantity"],
-        unit=c["unit"],
-        axes=axes,
-        positions=tuple(row["position"] for row in c["positions"]),
-        **arrays,
-        limit=c["limit"],
-        verdicts=judge_errors(arrays["after"], arrays["U"], c["limit"], counted),
-        counted=counted,
-        linearity_percent=linearity,
-        bias=c["nominal"]["bias"],
-        scale=c["nominal"]["scale"],
-        confidence=c["confidence"],
-        source=c["input"]["file"],
-        sha256=c["input"]["sha256"],
-        calibration=c["calibration"],
-        U_family=column("U_family") if all("U_family" in row for row in c["positions"]) else None,
-        consistency=_agreement(c.get("consistency")),
-        findings=read_findings(c),
-    )
-
-
-def _agreement(c: Mapping[str, Any] | None) -> Agreement | None:
-    """Return what a file says of the run as a whole; an unlimited dof is null there."""
-    if c is None:
-        return None
-    statistic, p = (math.nan if c[key] is None else float(c[key]) for key in ("statistic", "p"))
-    dof: float | list[float] = math.nan
-    if isinstance(c["dof"], list):
-        dof = [math.inf if value is None else float(value) for value in c["dof"]]
-    elif c["dof"] is not None:
-        dof = float(c["dof"])
-    return Agreement(statistic, dof, p, c["test"])
+    return restore(Check, content, str(path))

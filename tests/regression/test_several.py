@@ -8,7 +8,7 @@ import pytest
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.verification.verdicts import errors_table
+from multipos.verification.error_columns import errors_table
 
 UP = mp.read_scheme("faces-corners-14").up
 

@@ -48,7 +48,7 @@ def test_triad_before_and_after(calibration):
 
 
 def test_nominal_conversion(calibration):
-    # eq. (3) of verification.verdicts
+    # eq. (1) of verification.error_columns
     columns, scheme = triad(seed=1)
     found = mp.check(calibration, columns, scheme=scheme, nominal=(0.5, 2.0))
     assert_allclose(found.before[:, 0], (columns["ax"] - 0.5) / 2.0 - FACES[:, 0])

@@ -22,6 +22,7 @@ from multipos.verification import (
     combining,
     comparison,
     consistency,
+    error_columns,
     regressions,
     repeat_findings,
     verdicts,
@@ -491,17 +492,17 @@ def test_errors_beside_the_columns_of_a_run():
         quantity="force", axes=("x", "y"), reference=np.array([[1.0, 2.0], [3.0, 4.0]]),
         after=np.array([[0.1, 0.2], [0.3, 0.4]]), before=np.array([[0.5, 0.6], [0.7, 0.8]]),
     )  # fmt: skip
-    table = verdicts.errors_table(None, run, found)
+    table = error_columns.errors_table(None, run, found)
     assert list(table) == [
         "ax", "ay", "f_x", "f_y", "error_x", "error_y", "nominal_error_x", "nominal_error_y"
     ]  # fmt: skip
     assert_allclose((table["f_x"], table["f_y"]), [[1.1, 3.3], [2.2, 4.4]])
     assert_allclose((table["error_y"], table["nominal_error_x"]), [[0.2, 0.4], [0.5, 0.7]])
     with pytest.raises(mp.MultiposError, match="column 'f_x' is there already"):
-        verdicts.errors_table(None, {**run, "f_x": run["ax"]}, found)
+        error_columns.errors_table(None, {**run, "f_x": run["ax"]}, found)
     found.quantity = "tilt"
     with pytest.raises(mp.UsageError):
-        verdicts.errors_table(None, run, found)
+        error_columns.errors_table(None, run, found)
 
 
 def test_several_regressions_are_checked_side_by_side(monkeypatch):
