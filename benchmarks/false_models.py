@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import multipos as mp
-from multipos.regression import correlation, cutting
+from multipos.regression import cutting
+from multipos.regression.whitening import Noise, find_noise
 
 # name: correlation of the slow noise, its sd, sd of the white noise, correlation of the variables
 CASES = {
@@ -65,13 +66,13 @@ def judge(
     y = sd * drift_factor(n, rho, rng, 1)[:, 0] + white * rng.standard_normal(n)
     y = y + slope * np.hypot(sd, white) / np.sqrt(n) * x[:, 0]
     table = {f"x{j}": x[:, j] for j in range(4)} | {"y": y, "time": np.arange(float(n))}
-    told: list[correlation.Noise | None] = []
+    told: list[Noise | None] = []
 
-    def remember(*rows: Any) -> correlation.Noise | None:
-        told.append(correlation.find_noise(*rows))
+    def remember(*rows: Any) -> Noise | None:
+        told.append(find_noise(*rows))
         return told[-1]
 
-    def likeliest(*_: Any) -> correlation.Noise | None:
+    def likeliest(*_: Any) -> Noise | None:
         (noise,) = told
         if noise is None:
             return None

@@ -29,7 +29,8 @@ from multipos.positions.headers import in_celsius, under_names
 from multipos.positions.reading_tables import nonnegative_column
 from multipos.positions.readings import spread_reading_sd
 from multipos.regression import prediction
-from multipos.regression.observations import Rows, form_rate, number_labels
+from multipos.regression.observations import Rows, number_labels
+from multipos.regression.rates import form_rate
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 

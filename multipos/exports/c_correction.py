@@ -4,7 +4,7 @@
     NAME_correct(&state, time, in, out);             once a row, in the order of time
 
 What one row does is what `multipos.compensation.correction` does of a whole table: rates by eq. (2)
-of `multipos.regression.observations`, whose memory is the state; the segment by the edges and the
+of `multipos.regression.rates`, whose memory is the state; the segment by the edges and the
 branch; every variable held where the segment's rows were; then the sum of the segment's terms,
 
     p = Σ_t b_t φ_t,     out = p, or column − p where a column is corrected,                (1)
@@ -32,7 +32,7 @@ from multipos.exports.target_c import c_source, comment
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.terms import CONSTANT, Term
-from multipos.regression.observations import filter_time
+from multipos.regression.rates import filter_time
 from multipos.regression.region import Region
 from multipos.regression.regression import Regression
 from multipos.regression.segment import Segment

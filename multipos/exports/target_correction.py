@@ -33,8 +33,9 @@ from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
-from multipos.regression.observations import filter_time, number_labels
+from multipos.regression.observations import number_labels
 from multipos.regression.prediction import clear_of_limits, predict_clamped
+from multipos.regression.rates import filter_time
 from multipos.regression.regression import Regression, require_same_data
 from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration

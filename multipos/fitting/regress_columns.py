@@ -22,6 +22,7 @@ from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.selection import thresholds
 from multipos.numerics.terms import largest_value
 from multipos.positions.headers import in_celsius, under_names
+from multipos.regression.candidates import read_candidates
 from multipos.regression.cutting import Cut, fit_cut, settle_edges
 from multipos.regression.junctions import Junction, find_junctions
 from multipos.regression.observations import (
@@ -30,7 +31,7 @@ from multipos.regression.observations import (
     join_runs,
     read_observations,
 )
-from multipos.regression.piecewise import Plan, read_candidates
+from multipos.regression.piecewise import Plan
 from multipos.regression.prediction import thermal_balance
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.remarks import (

@@ -7,7 +7,7 @@ variables describes what differs. A regression that was is still read, applied a
 import numpy as np
 
 from multipos.numerics.arrays import Array, Places
-from multipos.regression.observations import rows_of_runs
+from multipos.regression.rates import rows_of_runs
 
 BRANCHES = ("heating", "cooling")
 

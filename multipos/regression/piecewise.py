@@ -11,24 +11,16 @@ The figures of a fit of q coefficients, k slopes, to n rows, with leverage h:
 Segments fitted together without a jump share their degrees of freedom: their coefficients are
 L b of the coefficients b of all columns, their covariance is L C L', n − q counts all rows of the
 branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows less its leverage.
-
-Candidates: the terms that may be in a regression.
-
-The terms of degree D in m variables are all products of at most D factors, (m + D)!/(m! D!) of
-them: the five variables of the full-temperature model make 21 in second degree. A formula lists
-them one by one instead.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
 
-from multipos.errors import MultiposError, RankError, UsageError
+from multipos.errors import MultiposError, RankError
 from multipos.files.records import LARGEST
-from multipos.files.spelling import Names, split_names
 from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import join_combinations
 from multipos.numerics.least_squares import LinearFit, solve
@@ -41,101 +33,18 @@ from multipos.numerics.selection import (
     compress,
     select_stepwise,
 )
-from multipos.numerics.terms import CONSTANT, Factor, Term, evaluate_terms, parse_terms
-from multipos.regression.correlation import wald, whitening_of
+from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
+from multipos.regression.candidates import stands_on
+from multipos.regression.correlation import wald
 from multipos.regression.observations import Data, Rows
 from multipos.regression.region import Region, largest_leverage, region_factor
-from multipos.regression.robust import (
-    RobustFit,
-    add_between,
-    find_between,
-    robust_fit,
-    robust_test,
-    runs_lost,
-    within_runs,
-)
+from multipos.regression.robust import RobustFit, robust_fit, robust_test
+from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
 from multipos.regression.segment import LeftOut, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 from multipos.regression.variation import LEAST, Contributions, by_degree, varying
+from multipos.regression.whitening import whitening_of
 from multipos.results import frozen
-
-HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
-
-
-def read_candidates(
-    response: str, variables: Names | None, degree: int | None, terms: str | None
-) -> tuple[tuple[str, ...], tuple[Term, ...]]:
-    """Return the variables and the candidate terms that options state.
-
-    Raises
-    ------
-    UsageError
-        Terms stated twice or not at all, or made of the response.
-    """
-    names = None if variables is None else split_names(variables, "--variables")
-    if terms is not None and degree is not None:
-        raise UsageError("--degree and --terms both state the terms; give one.")
-    if names is not None and len(set(names)) < len(names):
-        raise UsageError(f"--variables names a column twice: {','.join(names)}.")
-    if terms is not None:
-        names, candidates = _from_formula(terms, names)
-    elif names is None:
-        raise UsageError("regress needs --variables A,B,C or --terms.")
-    else:
-        candidates = polynomial(names, 1 if degree is None else degree)
-    _check_variables(names, response)
-    return names, candidates
-
-
-def _from_formula(
-    text: str, names: tuple[str, ...] | None
-) -> tuple[tuple[str, ...], tuple[Term, ...]]:
-    """Return the variables, those that are used where none are named, and the terms."""
-    terms = parse_terms(text, highest=HIGHEST_DEGREE)
-    used = tuple(dict.fromkeys(f.variable for term in terms for f in term.factors))
-    if names is None:
-        return used, terms
-    strange = [name for name in used if name not in names]
-    if strange:
-        raise UsageError(f"--terms uses '{strange[0]}', which is not among --variables.")
-    return names, terms
-
-
-def _check_variables(names: tuple[str, ...], response: str) -> None:
-    if response in names:
-        raise UsageError(
-            f"the response '{response}' is among the variables and would explain itself; "
-            "leave it out."
-        )
-    if not names:
-        raise UsageError("--terms holds no variable; the mean alone needs no regression.")
-
-
-def polynomial(variables: Sequence[str], degree: int) -> tuple[Term, ...]:
-    """Return all terms of variables up to a degree, the constant first."""
-    if not 1 <= degree <= HIGHEST_DEGREE:
-        raise UsageError(f"--degree must lie between 1 and {HIGHEST_DEGREE}, got {degree}.")
-    terms = []
-    for d in range(degree + 1):
-        for chosen in combinations_with_replacement(variables, d):
-            factors = tuple(Factor(v, chosen.count(v)) for v in sorted(set(chosen)))
-            terms.append(Term(factors))
-    return tuple(terms)
-
-
-def stands_on(terms: Sequence[Term]) -> list[frozenset[int]]:
-    """Return which terms each one stands on: T for T², V and T for V·T."""
-    degrees = [{f.variable: f.degree for f in term.factors} for term in terms]
-    return [
-        frozenset(
-            j
-            for j, lower in enumerate(degrees)
-            if lower
-            and lower != own
-            and all(degree <= own.get(name, 0) for name, degree in lower.items())
-        )
-        for own in degrees
-    ]
 
 
 @frozen(eq=True)

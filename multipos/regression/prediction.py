@@ -8,7 +8,7 @@ segment, which is of the same residuals as C, so that k is Student's t at their 
 Beside a stated noise these grow by Welch and Satterthwaite, (u/u_C)⁴ times.
 
 Where runs are distinguished (``regress --run``) the next one has a zero of its own, with the
-scatter of those that were seen: u and U are those of eq. (3) of `multipos.regression.robust`.
+scatter of those that were seen: u and U are those of eq. (3) of `multipos.regression.runs`.
 
 A row is outside where a variable that its segment's model uses, or the segment variable itself,
 leaves what the rows of the fit covered, or where all together leave the region that these filled

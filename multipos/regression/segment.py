@@ -79,7 +79,7 @@ class Robust(Result):
 
 @frozen
 class Between(Result):
-    """What differs from run to run, eq. (2) of `multipos.regression.robust`.
+    """What differs from run to run, eq. (2) of `multipos.regression.runs`.
 
     Attributes
     ----------

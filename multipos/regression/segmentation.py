@@ -14,7 +14,7 @@ no segment with fewer rows than asked. Their number is what makes
 smallest: p coefficients a segment, and every edge counts. Before they are compared, each edge moves
 to the best of finer cuts between its neighbouring bins, or a jump inside a bin would ask for a
 segment of its own. Where rows are correlated in time, they are made independent first
-(`multipos.regression.correlation`).
+(`multipos.regression.whitening`).
 
 **No jump.** A correction that jumps at an edge is a step in the output. With the edge e of variable
 v, a term r v^k that carries v gets a second column beside it,

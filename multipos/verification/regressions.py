@@ -12,7 +12,7 @@ nothing there.
 
 **The run as a whole.** Its rows are correlated, and share what is uncertain of the coefficients and
 the zero of its switch-on. The rows are made independent by every law of their noise that they leave
-plausible (`multipos.regression.correlation`), ẽ and X̃ are errors and terms then, Z̃ a constant for
+plausible (`multipos.regression.whitening`), ẽ and X̃ are errors and terms then, Z̃ a constant for
 each run (and the slope, where runs differ by it). What the terms explain of ẽ beyond Z̃, B an
 orthonormal basis of theirs, and the zeros â = Z̃⁺ẽ have
 
@@ -54,11 +54,12 @@ from multipos.files.tables import Source, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_factor, f_tail
-from multipos.regression.correlation import Law, TimeOrder, Whitening, find_noise, time_order
+from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
 from multipos.regression.regression import Regression, Regressions, format_span
 from multipos.regression.segment import Segment
+from multipos.regression.whitening import Law, Whitening, find_noise
 from multipos.results import Drawn, Result, Tabular, frozen, plain_dict
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
 from multipos.verification.consistency import Words, judge_together

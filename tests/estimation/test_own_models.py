@@ -18,7 +18,7 @@ from multipos.estimation.gains import estimator_gain
 from multipos.estimation.starts import _is_better
 from multipos.estimation.user_models import first_guesses
 from multipos.positions.scheme import read_scheme
-from multipos.regression.observations import default_window, smoothed_rate
+from multipos.regression.rates import default_window, smoothed_rate
 
 UP = read_scheme("all-26").up
 SATURATING = "each = b + s*own/(1 + k*own^2)"

@@ -30,7 +30,7 @@ from multipos.exports.target_correction import (
     generated_rows,
 )
 from multipos.numerics.terms import parse_terms
-from multipos.regression.observations import filter_time
+from multipos.regression.rates import filter_time
 
 ROWS = 100_000
 

@@ -10,7 +10,7 @@ import multipos as mp
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import f_tail, normal_quantile
 from multipos.numerics.terms import parse_terms
-from multipos.regression import correlation
+from multipos.regression import correlation, whitening
 from multipos.regression.correlation import (
     _moving_power,
     bandwidth,
@@ -216,7 +216,7 @@ def test_the_basis_of_a_design_spans_it_without_what_depends_on_other_columns():
     rng = np.random.default_rng(4)
     X = rng.standard_normal((60, 5)) * [1.0, 1e6, 1e-6, 1.0, 1.0]
     X = np.column_stack([X, 2.0 * X[:, 1] - 1e6 * X[:, 0], np.zeros(60)])
-    basis, y = correlation._basis(X), rng.standard_normal(60)
+    basis, y = whitening._basis(X), rng.standard_normal(60)
     assert_allclose(basis.T @ basis, np.eye(5), atol=1e-14)
     unit = X[:, :5] / np.linalg.norm(X[:, :5], axis=0)
     left = y - unit @ np.linalg.lstsq(unit, y, rcond=None)[0]

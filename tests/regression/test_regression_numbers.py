@@ -15,35 +15,27 @@ from multipos.errors import MultiposError
 from multipos.numerics.selection import Thresholds
 from multipos.numerics.terms import parse_terms
 from multipos.regression import region, regression, segmentation, variation
-from multipos.regression.correlation import (
+from multipos.regression.correlation import _long_run, bandwidth, time_order
+from multipos.regression.junctions import _junction, find_junctions
+from multipos.regression.observations import _same, _still, _usual_time, _usual_window, join_runs
+from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
+from multipos.regression.prediction import hold_inside
+from multipos.regression.rates import default_window, rows_of_runs
+from multipos.regression.region import Region
+from multipos.regression.regression import Regression, _segment_text
+from multipos.regression.regression_file import _balance
+from multipos.regression.robust import _by_law, _general, _tested, robust_fit
+from multipos.regression.runs import within_runs
+from multipos.regression.segment import Between, combined_variance
+from multipos.regression.segmentation import hinges
+from multipos.regression.whitening import (
     _autoregression,
     _filtered,
     _first_variance,
     _law,
     _less,
     _likelihoods,
-    _long_run,
-    bandwidth,
-    time_order,
 )
-from multipos.regression.junctions import _junction, find_junctions
-from multipos.regression.observations import (
-    _same,
-    _still,
-    _usual_time,
-    _usual_window,
-    default_window,
-    join_runs,
-    rows_of_runs,
-)
-from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
-from multipos.regression.prediction import hold_inside
-from multipos.regression.region import Region
-from multipos.regression.regression import Regression, _segment_text
-from multipos.regression.regression_file import _balance
-from multipos.regression.robust import _by_law, _general, _tested, robust_fit, within_runs
-from multipos.regression.segment import Between, combined_variance
-from multipos.regression.segmentation import hinges
 
 
 @dataclass

@@ -12,7 +12,7 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.quantiles import coverage_factor, normal_quantile, t_tail
 from multipos.numerics.terms import linear_term
-from multipos.regression.robust import find_between
+from multipos.regression.runs import find_between
 from multipos.regression.segment import Coefficient, Segment
 
 # y = x + a, a = 0 in run 1 (two rows) and 2 in run 2 (four rows)
@@ -24,7 +24,7 @@ TWO = {
 
 
 def test_the_constant_is_the_mean_of_the_zeros_by_hand():
-    # eqs. (1), (2), (3) of regression.robust
+    # eqs. (1), (2), (3) of regression.runs
     r = mp.regress(TWO, response="y", variables="x", run="run")
     (segment,) = r.segments
     a, b = segment.coefficients
@@ -162,7 +162,7 @@ def between_three(offsets, slopes, terms, noise=0.0):
 
 def test_what_differs_between_runs_by_hand():
     """Offsets 1, 2, 6 and slopes 0, 1, 5: variances and covariance are 7."""
-    # eq. (2) of regression.robust
+    # eq. (2) of regression.runs
     found = between_three([1.0, 2.0, 6.0], [0.0, 1.0, 5.0], [None, linear_term("t")])
     assert (found.runs, found.variable, found.dof) == (3, "t", 2)
     assert found.centre == pytest.approx(16 / 3)

@@ -11,12 +11,7 @@ from multipos.errors import MultiposError
 from multipos.numerics.least_squares import solve
 from multipos.numerics.selection import compress
 from multipos.numerics.terms import evaluate_terms, parse_terms
-from multipos.regression.observations import (
-    causal_rate,
-    default_window,
-    form_rate,
-    smoothed_rate,
-)
+from multipos.regression.rates import causal_rate, default_window, form_rate, smoothed_rate
 from multipos.regression.segmentation import (
     Joined,
     find_edges,
@@ -185,7 +180,7 @@ def test_rate_is_the_least_squares_slope_of_each_window():
 
 def test_rate_by_hand():
     """Rows within 1.5 of t = 2 are 1, 2, 3.5, with means 13/6 and 4: Σ tv = 21/6, Σ t² = 19/6."""
-    # eq. (1) of regression.observations
+    # eq. (1) of regression.rates
     rate = smoothed_rate(np.array([0.0, 1.0, 2.0, 3.5]), np.array([9.0, 2.0, 5.0, 5.0]), window=3.0)
     assert rate[2] == pytest.approx(21 / 19, rel=1e-12)
     assert rate[3] == pytest.approx(0.0, abs=1e-12)  # 2 and 3.5
@@ -226,7 +221,7 @@ def test_one_kind_of_value_has_no_edge_and_two_have_one(values, edges):
 
 def test_causal_rate_by_hand():
     """w = 4, T = 1: the first step by hand, ahead = 2, followed = 1, rate = (1 − 0) / 2."""
-    # eq. (2) of regression.observations
+    # eq. (2) of regression.rates
     rate = causal_rate(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 2.0]), window=4.0)
     # second: ahead 1 + 0, followed .5, rate .5 + (.5 − .5)/2
     assert rate.tolist() == [0.0, 0.5, 0.5]

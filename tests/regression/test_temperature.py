@@ -16,7 +16,7 @@ from multipos.cli import main
 from multipos.errors import UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import f_quantile, normal_quantile
-from multipos.regression.observations import _slopes
+from multipos.regression.rates import _slopes
 
 FORMULA = (
     "1 + x + y + z + own^2 + own^3 + temperature + temperature^2 + temperature^3"

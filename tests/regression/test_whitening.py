@@ -9,7 +9,8 @@ from scipy import stats
 
 import multipos as mp
 from multipos.numerics.quantiles import f_tail, normal_quantile
-from multipos.regression.correlation import Law, Whitening, find_noise, time_order
+from multipos.regression.correlation import time_order
+from multipos.regression.whitening import Law, Whitening, find_noise
 
 
 def slow(rng, n, rho, columns=1):
@@ -22,7 +23,7 @@ def slow(rng, n, rho, columns=1):
 
 def test_the_filter_by_hand():
     """ρ = 1/2, θ = 1/4: r = (1 − 1/4 + 1/16)/(3/4) = 13/12; two runs, told by the gap in time."""
-    # eq. (7) of regression.correlation
+    # eq. (2) of regression.whitening
     order = time_order([0.0, 1.0, 2.0, 20.0, 21.0])
     white = Whitening(order, Law(0.5, 0.25, np.empty(0)))(np.array([13.0, 2.0, 4.0, 13.0, 8.0]))
     first = 13.0 / math.sqrt(13.0 / 12.0)
@@ -43,7 +44,7 @@ def test_rows_are_filtered_in_time_and_stand_where_they_stood():
 
 def test_the_covariance_of_the_noise_becomes_the_identity():
     """W V W' of a known first-order process, column by column of W = filter of the identity."""
-    # eq. (6) of regression.correlation
+    # eq. (1) of regression.whitening
     rho, n = 0.9, 12
     V = rho ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))) / (1.0 - rho**2)
     W = Whitening(time_order(np.arange(float(n))), Law(rho, 0.0, np.empty(0)))(np.eye(n))
@@ -69,7 +70,7 @@ def test_what_is_estimated():
 
 def test_plausible_laws_are_those_as_likely_as_the_likeliest():
     """Eq. (3) with the filter as a matrix W, for which −ln|V|/2 is −ln r/2 of one run."""
-    # eqs. (8), (9) of regression.correlation
+    # eqs. (3), (4) of regression.whitening
     rng = np.random.default_rng(5)
     n = 60
     X = np.column_stack([np.ones(n), slow(rng, n, 0.9)])
