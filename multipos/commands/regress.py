@@ -8,7 +8,7 @@ from multipos.files.tables import Source
 from multipos.fitting.regress_columns import regress
 from multipos.plots.fits import regression_figure
 from multipos.regression.observations import join_runs
-from multipos.regression.regression import regression_sentence
+from multipos.regression.regression_text import regression_sentence, regression_text
 
 INPUTS = ("data",)
 OUTPUT = Output(
@@ -26,4 +26,6 @@ def run(arguments: argparse.Namespace) -> Answer:
         (data,) = arguments.data
     regression = regress(data, **options)
     forms = {"figure": lambda: regression_figure(regression, data)}
-    return answer_of(regression, regression_sentence, lambda r: f"{r}\n", forms=forms)
+    return answer_of(
+        regression, regression_sentence, lambda r: f"{regression_text(r)}\n", forms=forms
+    )

@@ -31,7 +31,7 @@ from multipos.positions.readings import spread_reading_sd
 from multipos.regression import prediction
 from multipos.regression.observations import Rows, number_labels
 from multipos.regression.rates import form_rate
-from multipos.regression.regression import Regression, Regressions
+from multipos.regression.regression import Regression, Regressions, predict_rows
 from multipos.results import require
 
 
@@ -111,7 +111,7 @@ def correct(
     if outside == "refuse":
         _refuse_outside(table, target or next(iter(columns), ""), beyond, columns, clamped)
     used = clamped if outside == "clamp" else columns
-    predicted = prediction.predict_rows(regression, used, place)
+    predicted = predict_rows(regression, used, place)
     values: dict[str, Array] = {"predicted": predicted}
     if target is not None:
         values["corrected"] = table.number(target, largest=LARGEST) - predicted

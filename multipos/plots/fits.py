@@ -15,8 +15,8 @@ from multipos.numerics.selection import Step
 from multipos.plots import style
 from multipos.plots.calibration import residual_panels
 from multipos.plots.marks import draw_band, draw_line, draw_points
-from multipos.regression.regression import Regression, Regressions, format_span
-from multipos.regression.segment import Segment
+from multipos.regression.regression import Regression, Regressions
+from multipos.regression.segment import Segment, format_span
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.temperature import Curve, over_temperature

@@ -15,9 +15,8 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.terms import evaluate_terms
 from multipos.regression.observations import Data, Rows
 from multipos.regression.piecewise import Plan, fit_segments
-from multipos.regression.regression import format_span
 from multipos.regression.runs import within_runs
-from multipos.regression.segment import Segment
+from multipos.regression.segment import Segment, format_span
 from multipos.regression.segmentation import Joined, check_edges, find_edges, hinges, segment_of
 from multipos.regression.variation import term_variances
 from multipos.regression.whitening import Noise, find_noise, whitening_of

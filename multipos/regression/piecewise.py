@@ -1,4 +1,6 @@
-"""Fits of one segment, or of all segments of a branch without a jump: selection, fit, tests.
+"""Fits of one segment, or of all segments without a jump: selection, fit, tests.
+
+`fit_segments` returns the segments of some rows, by the terms and limits of a `Plan`.
 
 The rows are factored once for the selection (`multipos.numerics.selection`); the terms that come
 out are fitted by `multipos.numerics.least_squares`, so what is reported has full precision whatever
@@ -9,8 +11,8 @@ The figures of a fit of q coefficients, k slopes, to n rows, with leverage h:
     rms² = rss/(n − q),      press² = Σ (e/(1 − h))²/n,      R²_adj = 1 − (rss/(n−q))/(tss/(n−1)).
 
 Segments fitted together without a jump share their degrees of freedom: their coefficients are
-L b of the coefficients b of all columns, their covariance is L C L', n − q counts all rows of the
-branch, and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows less its leverage.
+L b of the coefficients b of all columns, their covariance is L C L', n − q counts all rows,
+and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows less its leverage.
 """
 
 from collections.abc import Callable, Sequence

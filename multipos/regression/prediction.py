@@ -1,5 +1,10 @@
 """Predictions of a regression, with their uncertainty, and which rows are outside it.
 
+`predict_uncertainty` returns u and U of rows, `predict_clamped` what is predicted of rows whose
+variables are held in range, which `hold_inside` does. `place_rows` returns the segment of every
+row, `clear_of_limits` the rows that no rounding moves in or out, and `thermal_balance` what is
+predicted where nothing heats or cools.
+
     predicted = x'b,        u² = x' C x + s²,        U = k u,                               (1)
 
 with x the terms of a row, C the covariance of the segment's coefficients (the robust one where rows
@@ -27,7 +32,7 @@ import numpy as np
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_by_tenths, coverage_factor
 from multipos.regression.observations import Rows
-from multipos.regression.regression import Balance, Regression
+from multipos.regression.regression import Balance, Regression, predict_rows
 from multipos.regression.segment import combined_variance
 
 _POINTS = 21  # over the range of temperature
@@ -63,15 +68,6 @@ def clear_of_limits(
             off = np.abs(region.leverage(at, len(rows)) - region.limit)
             clear[rows] = off > region.rounding(at, len(rows), unit)
     return clear
-
-
-def predict_rows(regression: Regression, columns: Mapping[str, Array], place: Places) -> Array:
-    """Return what the regression predicts of every row."""
-    predicted = np.empty(len(place))
-    for number, segment in enumerate(regression.segments):
-        rows = np.flatnonzero(place == number)
-        predicted[rows] = segment.design(columns, rows) @ segment.values
-    return predicted
 
 
 def predict_uncertainty(

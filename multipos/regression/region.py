@@ -1,5 +1,7 @@
 """The region that the rows of a segment fill: where a prediction is within what was measured.
 
+`region_factor` returns the factor G of a `Region`, `largest_leverage` its limit.
+
 A box of limits holds corners that no row came near: rate 0 between −1 and +1, the ambient far from
 the case. A row is inside where each variable lies within the limits **and** its leverage is no
 larger than the largest of the rows of the fit,

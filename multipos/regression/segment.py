@@ -1,5 +1,8 @@
 """One segment of a regression: its coefficients, its tests, and how its terms were chosen.
 
+`Segment` holds them; `combined_variance` returns the variance of sums of coefficients, and
+`format_span` names a segment by its range.
+
 A response is described by coefficients of terms,
 
     response = Σ_t b_t φ_t(variables) + residual.                                           (1)
@@ -18,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multipos.files.numbers import number
 from multipos.numerics.arrays import Array, Places, quadratic
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
@@ -240,3 +244,9 @@ class Segment(Result):
         """Return the segment's design at some rows of a table's columns."""
         chosen = {f.variable: columns[f.variable][rows] for t in self.terms for f in t.factors}
         return evaluate_terms(self.terms, chosen, len(rows))
+
+
+def format_span(variable: str, span: tuple[float, float], branch: str | None) -> str:
+    """Return a segment in words."""
+    text = f"{variable} {number(span[0], 5)} to {number(span[1], 5)}"
+    return text if branch is None else f"{text}, {branch}"

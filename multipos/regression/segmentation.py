@@ -1,5 +1,9 @@
 """Segments: where one variable is cut so that a model per piece explains the response best.
 
+`segment_of` returns the segment of each row, `check_edges` refuses edges outside the data, and
+`find_edges` returns those that explain the response best. `hinges` are the columns that let terms
+change at edges without a jump, `residual_sum` is that of all columns of a triangle.
+
 **Edges.** The rows are sorted by the variable and cut into fine bins; each bin is compressed to a
 triangle (`multipos.numerics.selection`), and the rows from bin i to bin j are the triangles
 between, joined. With c(i, j) the residual sum of the whole list of terms there, the best m segments

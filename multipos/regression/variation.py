@@ -1,5 +1,9 @@
 """Which terms a segment supports: those that vary there, and do not cancel each other.
 
+`term_variances` returns the variance of every term over the table, `varying` the columns that vary
+enough, and `by_degree` the order in which they are asked. `Contributions` tells whether
+coefficients cancel.
+
 **Variation.** A chamber that heats and cools by 1 °C/min holds rate² constant between its soaks. A
 coefficient of it is then found from the noise of the thermometer, takes the place of the constant,
 and says at rate 0 what nobody measured. So a term φ is a candidate on the n rows of a segment only

@@ -26,11 +26,10 @@ from multipos.regression.regression import (
     Regression,
     Regressions,
     all_of,
-    format_span,
-    regression_sentence,
     require_same_data,
 )
-from multipos.regression.segment import Segment
+from multipos.regression.regression_text import regression_sentence
+from multipos.regression.segment import Segment, format_span
 from multipos.reports.certificate import Content, lab_fields, read_lab
 from multipos.reports.sections import (
     LONG_TABLE,

@@ -30,7 +30,8 @@ from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.logs.averages import Averages, averages_sentence, averages_text
 from multipos.plots import calibration, fits, fleets, runs, schemes, stability, style, tumble
 from multipos.positions.scheme import Scheme
-from multipos.regression.regression import Regression, Regressions, regression_sentence
+from multipos.regression.regression import Regression, Regressions
+from multipos.regression.regression_text import regression_sentence, regression_text
 from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
 from multipos.reports.findings import parameter_cells
 from multipos.reports.sheets import table_errors_text
@@ -56,6 +57,8 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     Check: check_text,
     comparison.Comparison: comparison.comparison_text,
     Design: design_text,
+    Regression: regression_text,
+    Regressions: regression_text,
     Schemes: schemes_text,
     Stability: stability_text,
     TableErrors: table_errors_text,

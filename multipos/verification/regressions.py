@@ -1,5 +1,8 @@
 """Regressions on further runs: a check of one, and whether repeated ones agree.
 
+`check_regression` returns the errors of a run before and after correction, `check_regressions`
+those of several responses. `compare_regressions` compares repeats term by term, by `welch`.
+
 A check takes the response on an independent run, before and after correction: it is an error that
 the run knows, and what the regression leaves of it is
 
@@ -57,8 +60,8 @@ from multipos.numerics.quantiles import coverage_factor, f_tail
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
-from multipos.regression.regression import Regression, Regressions, format_span
-from multipos.regression.segment import Segment
+from multipos.regression.regression import Regression, Regressions
+from multipos.regression.segment import Segment, format_span
 from multipos.regression.whitening import Law, Whitening, find_noise
 from multipos.results import Drawn, Result, Tabular, frozen, plain_dict
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of

@@ -14,7 +14,7 @@ from scipy.stats import t
 from multipos.errors import MultiposError
 from multipos.numerics.selection import Thresholds
 from multipos.numerics.terms import parse_terms
-from multipos.regression import region, regression, segmentation, variation
+from multipos.regression import region, regression_text, segmentation, variation
 from multipos.regression.correlation import _long_run, bandwidth, time_order
 from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import _same, _still, _usual_time, _usual_window, join_runs
@@ -22,8 +22,9 @@ from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.rates import default_window, rows_of_runs
 from multipos.regression.region import Region
-from multipos.regression.regression import Regression, _segment_text
+from multipos.regression.regression import Regression
 from multipos.regression.regression_file import _balance
+from multipos.regression.regression_text import _segment_text
 from multipos.regression.robust import _by_law, _general, _tested, robust_fit
 from multipos.regression.runs import within_runs
 from multipos.regression.segment import Between, combined_variance
@@ -236,15 +237,15 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
 def test_segments_that_are_fitted_together_share_their_path(continuous, shown, monkeypatch):
     """Two of a rising branch and two of a falling one."""
     for name in ("_outline", "_jumps", "_balanced", "_segment_text", "_runs_text"):
-        monkeypatch.setattr(regression, name, lambda of: [])
-    monkeypatch.setattr(regression, "_overview", lambda r: "")
-    monkeypatch.setattr(regression, "_path_text", lambda segment: [f"path {segment.number}"])
+        monkeypatch.setattr(regression_text, name, lambda of: [])
+    monkeypatch.setattr(regression_text, "_overview", lambda r: "")
+    monkeypatch.setattr(regression_text, "_path_text", lambda segment: [f"path {segment.number}"])
     segments = [
         SimpleNamespace(number=i, branch=branch, range=(0.0, 1.0), left_out=())
         for i, branch in enumerate(("rising", "rising", "falling", "falling"))
     ]
     r = SimpleNamespace(segments=segments, continuous=continuous, range_variable="t")
-    said = [line for line in regression._text(r) if line.startswith("path")]
+    said = [line for line in regression_text._text(r) if line.startswith("path")]
     assert said == [f"path {i}" for i in shown]
 
 
