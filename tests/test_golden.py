@@ -37,7 +37,6 @@ LEFT_OUT = frozenset(
         "at",
         "calibration",
         "calibrations",
-        "combined",
         "harmonics",
         "condition",
         "confidence",
@@ -607,7 +606,6 @@ def used():
     yield "sphere 2 g", mp.evaluate_sphere(bent, size=2.0)
     others = [mp.fit(triad("faces-edges-18", seed=seed)) for seed in (22, 23)]
     yield "compare", mp.compare(cal, *others)
-    yield "combined", mp.compare(cal, *others, combine=True).combined
 
 
 @case(ITERATED)
@@ -615,7 +613,6 @@ def used_searched():
     options = {"unknown_orientation": True, "reading_sd": 1e-4}
     many = [mp.fit(table(None, sensed(at("fibonacci-24"), seed=s)), **options) for s in (1, 2, 3)]
     yield "compare", mp.compare(*many)
-    yield "combined", mp.compare(*many, combine=True).combined
     raw = {"ax": [0.1, 0.9], "ay": [-0.3, 0.2], "az": [0.94, -0.4]}
     yield "apply", mp.apply(many[0], raw, tilt=True, uncertainty=True)
     yield "sphere", mp.evaluate_sphere(many[0])

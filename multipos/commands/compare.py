@@ -6,7 +6,6 @@ from typing import Any
 
 from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
-from multipos.files.trees import to_json
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
 from multipos.verification import comparison
@@ -24,9 +23,6 @@ def run(arguments: argparse.Namespace) -> Answer:
         forms["figure"] = lambda: terms_figure(found)
         return answer_of(found, _sentence, str, forms=forms, negative=lambda _: False)
     forms["figure"] = lambda: runs_figure(found)
-    combined = found.combined
-    if combined is not None:  # what `-o CAL.json` writes in place of the comparison
-        forms["json"] = lambda: to_json(combined.to_dict())
     return answer_of(
         found,
         _sentence,

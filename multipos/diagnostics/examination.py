@@ -45,11 +45,13 @@ from multipos.diagnostics.residuals import (
 )
 from multipos.diagnostics.variances import Residuals, explain_unequal
 from multipos.estimation.gains import AtSolution, estimator_gain, information_at_solution
+from multipos.estimation.run_zeros import without_zeros
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings, errors_of, in_order
 from multipos.numerics.arrays import Array, Mask, median
+from multipos.positions.headers import RUN
 from multipos.positions.order import share_absorbed
-from multipos.positions.readings import diagonal
+from multipos.positions.readings import Readings, diagonal
 from multipos.results import changed
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -459,8 +461,14 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
 
     Beside the findings stand the tests of the terms that the model lacks. Of a magnetometer they
     are asked of the relative field, and said in its words. Rows that are outliers are not looked
-    for again where they were sought before the fit, and none were there.
+    for again where they were sought before the fit, and none were there. Rows of several runs are
+    looked at less what the zeros of runs differ by.
     """
+    c = calibration
+    readings = without_zeros(c.readings, c.model, c.reference) if c.estimator.exact else c.readings
+    if readings is not c.readings:
+        within = examine(_within_runs(c, readings), sought=sought)
+        return replace(c, diagnostics=within.diagnostics)
     if calibration.field.unit == "g":
         return _examined(calibration, sought=sought)
     from multipos.diagnostics.magnetic import OF_FIELD
@@ -472,6 +480,21 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
     new = [each for each in own if each is not None and each.code not in known]
     findings = without_explained((*new, *said))
     return replace(calibration, diagnostics=replace(found, findings=findings))
+
+
+def _within_runs(c: Calibration, readings: Readings) -> Calibration:
+    """Return a calibration with readings and residuals without the zeros of their runs."""
+    residuals = c.residuals + readings.values - c.readings.values
+    dof = np.maximum(c.dof - float(len(np.unique(c.readings.environment[RUN])) - 1), 1.0)
+    spare = np.minimum(dof, len(residuals))
+    return replace(
+        c,
+        readings=readings,
+        residuals=residuals,
+        residual_sd=np.sqrt(np.sum(residuals**2, axis=0) / spare),
+        dof=dof,
+        diagnostics=replace(c.diagnostics, outliers=(), lack_of_fit={}, claim=None),
+    )
 
 
 def in_words(text: str) -> str:

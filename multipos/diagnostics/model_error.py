@@ -78,10 +78,10 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         or TEMPERATURE not in c.readings.environment
     ):
         return None
-    from multipos.sensor.temperature import soaks_of
+    from multipos.sensor.temperature import runs_of, soaks_of
 
     soak = soaks_of(c.readings)
-    if soak is None:
+    if soak is None or runs_of(c.readings, c.model) is not None:  # whose zeros U has already
         return None
     columns = (soak[:, None] == np.unique(soak)).astype(np.float64)
     phi = c.model.basis(c.reference, c.readings.environment)

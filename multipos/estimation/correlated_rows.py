@@ -56,6 +56,7 @@ from multipos.estimation.problem import Solution
 from multipos.numerics.arrays import Array, Mask, Places, count_different, recur, row_keys
 from multipos.numerics.factoring import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
+from multipos.positions.headers import RUN
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.results import frozen
@@ -131,7 +132,7 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     if isinstance(model, ExpressionModel) or readings.covariance is not None:
         return False
     # what varies with a column is for the model, and its tests, to say
-    if set(readings.environment) - {_TIME, "approach"}:
+    if set(readings.environment) - {_TIME, RUN, "approach"}:
         return False
     if estimator is Estimator.LINEAR:
         many = len(reference) >= _FEWEST
@@ -160,7 +161,7 @@ def find_correlated(
 def _at_known(solution: Solution, readings: Readings) -> Solution:
     model = solution.model
     place = _places(solution.reference)
-    sd = _sd(solution, readings)
+    sd = sd_of_rows(solution, readings)
     phi = model.basis(solution.reference, readings.environment)
     found = []
     for i, columns in enumerate(model.columns):
@@ -191,7 +192,7 @@ def _are_correlated(error: Array, quiet: Array, place: Places) -> Mask:
 
 def _known_in_time(solution: Solution, readings: Readings, order: Places) -> Solution:
     """Judge rows in order of time by eq. (5), outputs together."""
-    model, sd = solution.model, _sd(solution, readings)[order]
+    model, sd = solution.model, sd_of_rows(solution, readings)[order]
     phi = model.basis(solution.reference, readings.environment)[order]
     error = solution.residuals[order] / sd
     quiet = _ROUNDING * np.abs(readings.values).max(axis=0)
@@ -217,7 +218,7 @@ def _unknown(solution: Solution, readings: Readings, order: Places | None) -> So
     # M'⁻¹ f but for its length, which a slope of nothing leaves defined
     across = cofactors_of(slopes.transpose(1, 2, 0))
     normal = np.einsum("mkn,nk->nm", across, force)
-    whitened = normal * _sd(solution, readings)
+    whitened = normal * sd_of_rows(solution, readings)
     sd = np.sqrt(np.einsum("nm,nm->n", whitened, whitened))
     quiet = np.abs(solution.residuals).max() <= _ROUNDING * np.abs(readings.values).max()
     if quiet or not (sd > 0.0).all() or degrees < 2.0:
@@ -238,7 +239,7 @@ def _unknown(solution: Solution, readings: Readings, order: Places | None) -> So
     return _with(solution, [(tuple(range(len(model.outputs))), slice(None), worth)])
 
 
-def _sd(solution: Solution, readings: Readings) -> Array:
+def sd_of_rows(solution: Solution, readings: Readings) -> Array:
     """Return the standard deviation of every reading (n, M), up to a factor common to all."""
     outputs = solution.model.outputs
     noise = add_scatter(readings.noise, solution.variance_components, outputs)

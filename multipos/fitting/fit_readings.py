@@ -25,7 +25,7 @@ from multipos.diagnostics.examination import examine
 from multipos.diagnostics.magnetic import moving_iron
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.errors import MultiposError, UsageError
-from multipos.estimation import correlated_rows, stated_uncertainty, uncertain
+from multipos.estimation import correlated_rows, run_zeros, stated_uncertainty, uncertain
 from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.known import solve_known
 from multipos.estimation.outliers import find_outlying_rows
@@ -68,6 +68,7 @@ from multipos.sensor.model import (
     default_axes,
     stated_facing,
 )
+from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 
 
@@ -472,6 +473,8 @@ def find_apart(
         saturated = saturated_few(readings.findings, len(readings)) if known is None else ()
         apart[[label in saturated for label in readings.labels]] = True
         left = select_rows(readings, ~apart) if apart.any() else readings
+        if known is not None:
+            left = run_zeros.without_zeros(left, model, known)
         found = find_outlying_rows(
             model, stated_uncertainty.shrink_variances(left), known, stated_up.orientation_sd
         )
@@ -569,13 +572,8 @@ def calibrate_at(
     readings: Readings,
     stated_up: orientations.StatedOrientations,
     options: Options,
-    *,
-    ordered: bool = True,
 ) -> Calibration:
-    """Return the calibration of readings whose positions are resolved; no finding is asked yet.
-
-    Rows that are `ordered` stand in the order of time, and may be correlated.
-    """
+    """Return the calibration of readings whose positions are resolved; no finding is asked yet."""
     tied = _TIED if stated_up.listed.any() else stated_up.rolls and _ROLLED
     if options.gauge != GAUGES[0] and tied:
         text = f"--gauge {options.gauge} has no effect: {tied}"
@@ -601,7 +599,10 @@ def calibrate_at(
         readings = bounded_below
         solution = _solver(estimator, readings, stated_up, options, tested=False)(model)
     solution = stated_uncertainty.with_stated_dof(solution, readings, joint=not estimator.exact)
-    if ordered:
+    runs = runs_of(readings, model)
+    if runs is not None:
+        solution = run_zeros.spread_runs(solution, readings, runs, estimator)
+    else:
         solution = correlated_rows.spread_correlation(solution, readings, stated_up, estimator)
     found = solution.orientation_sd
     calibration = complete(

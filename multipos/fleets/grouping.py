@@ -16,7 +16,7 @@ from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Owners, Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
 from multipos.positions import attitudes
-from multipos.positions.headers import FORCE, TEMPERATURE
+from multipos.positions.headers import FORCE, RUN, TEMPERATURE
 from multipos.results import frozen
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers
@@ -195,6 +195,10 @@ class Conditions:
                 cells = self._grouped.arranged(rows.numbers(name))
                 bad |= ~((cells > 0.0) if name == "n" else (cells >= 0.0))
         starts = self._grouped.starts[:-1]
+        for name in rows.columns:
+            if name.casefold() == RUN:  # several runs are a random effect, which a batch lacks
+                runs = self._grouped.arranged(rows.conditions(name).codes)
+                bad |= runs != np.repeat(runs[starts], self._grouped.counts)
         sound = ~np.logical_or.reduceat(bad, starts)
         for column in self.values:
             sound &= ~(np.maximum.reduceat(np.abs(column), starts) < SMALLEST)

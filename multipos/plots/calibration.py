@@ -26,12 +26,11 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     """Draw the residuals of an output at every position, with ±2 standard deviations of each.
 
     The band is that of the residuals themselves, s sqrt(1 − h), narrow where the leverage h is
-    large. Where sessions were combined, s is that within a session.
+    large.
     """
     c = calibration
     i = c.outputs.index(output)
-    within = "" if c.sessions is None else " within a session"
-    _draw_series(c, axes, _series_of_outputs(c)[i], i, within)
+    _draw_series(c, axes, _series_of_outputs(c)[i], i)
 
 
 Series = tuple[str, str, Array, Array]  # name, unit, residuals (n,) and ±2 sd of each
@@ -52,12 +51,12 @@ def _series_of_outputs(c: Calibration) -> list[Series]:
     return [(output, c.model.unit, left, band) for output, left, band in columns]
 
 
-def _draw_series(c: Calibration, axes: "Axes", found: Series, place: int, within: str) -> None:
+def _draw_series(c: Calibration, axes: "Axes", found: Series, place: int) -> None:
     name, unit, values, band = found
     at = np.arange(len(values))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
     if np.isfinite(band).all():
-        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label=f"±2 sd{within}")
+        axes.vlines(at, -band, band, color=COLOURS[5], linewidth=5.0, label="±2 sd")
     draw_points(axes, at, values, place, name)
     _name_positions(axes, c.readings.labels)
     name_axis(axes.yaxis, name, unit)
@@ -82,7 +81,7 @@ def size_residuals(calibration: Calibration) -> tuple[Array, Array]:
 def draw_size_residuals(calibration: Calibration, axes: "Axes") -> None:
     """Draw `size_residuals` at every position, with ±2 standard deviations of each."""
     (found,) = residual_series(calibration)
-    _draw_series(calibration, axes, found, 0, "")
+    _draw_series(calibration, axes, found, 0)
 
 
 def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":

@@ -153,7 +153,7 @@ def residual_picture(calibration: Calibration) -> str:
 
     A panel for each output; of unknown orientation one of the size of the force
     (`multipos.plots.calibration.size_residuals`). The bands are those of the residuals, narrow
-    where the leverage is large; where sessions were combined, those within a session.
+    where the leverage is large.
     """
     c = calibration
     panels = residual_series(c)

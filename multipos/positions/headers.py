@@ -540,7 +540,8 @@ def unit_of_outputs(
     return asked
 
 
-SOAKS = ("soak", "run", "cycle", "chamber")  # beside a temperature: labels of stays at one
+RUN = "run"  # a label of rows between a switch-on, or a mounting, and the next
+SOAKS = ("soak", RUN, "cycle", "chamber")  # beside a temperature: labels of stays at one
 
 
 def is_environment(name: str) -> bool:

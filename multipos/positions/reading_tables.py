@@ -343,8 +343,9 @@ def _may_be_output(name: str, table: Table) -> bool:
 
 
 def _is_soak(name: str, table: Table) -> bool:
-    """Tell whether a column is a label of soaks: by its name, beside a temperature."""
-    return name.casefold() in headers.SOAKS and "temperature" in table
+    """Tell whether a column is a label of runs, or beside a temperature of soaks, by its name."""
+    known = headers.SOAKS if headers.TEMPERATURE in table else (headers.RUN,)
+    return name.casefold() in known
 
 
 def _averaged_along(names: tuple[str, ...], table: Table) -> list[str]:

@@ -25,7 +25,6 @@ from multipos.reports.findings import (
     equipment_section,
     parameters_section,
     result_section,
-    sessions_section,
     signature_section,
     sphere_section,
 )
@@ -205,7 +204,6 @@ def build_content(
             worded_section(each, c.field)
             for each in (
                 parameters_section(c),
-                *(() if c.sessions is None else (sessions_section(c, c.sessions),)),
                 budget_section(c, budget),
                 *((sphere_section(c),) if forces else ()),
                 *(() if check is None else (evidence.check_section(c, check),)),

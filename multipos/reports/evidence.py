@@ -84,11 +84,6 @@ def residuals_section(c: Calibration) -> Section:
 
 def _kind_of_residual(c: Calibration) -> str:
     """Return what a residual is."""
-    if c.sessions is not None:
-        return (
-            "Residual = reading − model of all sessions, so that it holds how its session "
-            "differs. The bars are ±2 standard deviations within a session."
-        )
     said = "Residual = reading − model. The bars are ±2 standard deviations of each residual."
     return f"{said} {c.estimator.residual_note}".rstrip()
 

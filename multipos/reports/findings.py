@@ -1,4 +1,4 @@
-"""What a report says was found: the result, sessions, parameters, uncertainty, compensation.
+"""What a report says was found: the result, parameters, uncertainty, compensation.
 
 Values stand with their uncertainty: in a unit that people read, to the digits of u. A row has one
 unit, by the larger of value and U; a column of numbers of one unit has one as well.
@@ -41,7 +41,6 @@ from multipos.reports.sections import (
 )
 from multipos.sensor.calibration import Calibration, Parameter, has_nominal
 from multipos.sensor.derived import intrinsic_gradient
-from multipos.sensor.found import Sessions
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
@@ -278,51 +277,6 @@ def signature_section(said: Mapping[str, str]) -> Section:
     )
     table = PageTable("Signed by", ("Item", "Value"), rows, left=2)
     return Section("Signature", tables=(table,))
-
-
-def sessions_section(c: Calibration, sessions: Sessions) -> Section:
-    """Return how many sessions there were, how they differ, and what U holds.
-
-    Parameters
-    ----------
-    c : Calibration
-        Combined of the sessions.
-    sessions : Sessions
-        Its own.
-    """
-    header = ("Parameter", "Value", "u", "U", "Unit", "k", "sd between sessions")
-    table = PageTable(
-        "Parameters of all sessions",
-        header,
-        _rows(c, sessions.sd),
-    )
-    return Section(
-        "Combined sessions",
-        (
-            f"{sessions.runs} sessions were combined: {', '.join(sessions.files)}.",
-            (
-                "U is that of the next session against these parameters: it includes how the "
-                "sessions differ, mounting and switch-on among it, on "
-                f"{np.min(c.parameter_dof):.3g} degrees of freedom, and what all sessions share, "
-                "such as gravity."
-            ),
-        ),
-        tables=(table,),
-    )
-
-
-def _rows(c: Calibration, sds: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
-    """Return parameters with their U, and the sd over the sessions in the same unit."""
-    entries = [c[name] for name in sds]
-    rows = []
-    cells = parameter_cells(entries)
-    units = common_units((p.unit, most_of(p.value, p.U)) for p in entries)
-    for p, shown, sd in zip(entries, cells, sds.values(), strict=True):
-        factor = units[p.unit][0]
-        decimals = decimals_of(factor * p.u)
-        spread = plain_number(factor * sd, 2) if decimals is None else f"{factor * sd:.{decimals}f}"
-        rows.append((p.name, *shown, plain_number(p.k, 3), spread))
-    return tuple(rows)
 
 
 def parameters_section(c: Calibration) -> Section:

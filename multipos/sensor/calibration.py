@@ -36,7 +36,6 @@ from multipos.sensor.found import (
     Estimator,
     Excluded,
     FoundOrientations,
-    Sessions,
     StatedBudget,
     VarianceComponents,
     add_scatter,
@@ -121,8 +120,6 @@ class Calibration(Result, Drawn):
         The conversion before the calibration, where it was stated.
     facing : tuple of M str, or None
         What was said of the axis and sense of each output, as x or -y; None where nothing was.
-    sessions : Sessions or None
-        What it was combined of, where it is of several sessions.
     excluded : tuple of Excluded
         Rows that were set aside, and are not among the readings.
 
@@ -166,7 +163,6 @@ class Calibration(Result, Drawn):
     budget: StatedBudget | None = None
     nominal: Nominal | None = None
     facing: tuple[str, ...] | None = None
-    sessions: Sessions | None = None
     excluded: tuple[Excluded, ...] = ()
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:

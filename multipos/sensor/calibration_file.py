@@ -64,7 +64,6 @@ from multipos.sensor.found import (
     FoundOrientations,
     OrientationSpread,
     RestToRest,
-    Sessions,
     StatedBudget,
     VarianceComponents,
 )
@@ -171,7 +170,6 @@ _ADDED = Record(
             make=lambda bias, scale: inverse.read_nominal((bias, scale)),
         ),
         "excluded": Listed(Record.of(Excluded, {"off": NOT_NEGATIVE})),
-        "sessions": Record.of(Sessions, {"runs": Whole(2), "sd": Named(NOT_NEGATIVE)}),
         "budget": Record(
             {
                 "tables": Named(Named(_SETTING)),

@@ -200,20 +200,3 @@ class StatedBudget(Keyed):
     tables: Mapping[str, Mapping[str, Any]]
     rows: tuple[Mapping[str, Any], ...]
     scatter: Array | None = None
-
-
-@frozen
-class Sessions(Keyed):
-    """The sessions that a calibration was combined of.
-
-    Attributes
-    ----------
-    runs : int
-    files : tuple of str
-    sd : mapping of str to float
-        Standard deviation of every parameter over the sessions, by name.
-    """
-
-    runs: int
-    files: tuple[str, ...]
-    sd: Mapping[str, float]

@@ -41,12 +41,12 @@ from multipos.errors import UsageError
 from multipos.numerics.arrays import COMPONENTS, Array, Places, quadratic
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import CONSTANT, linear_term
-from multipos.positions.headers import SOAKS, TEMPERATURE
+from multipos.positions.headers import RUN, SOAKS, TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.model import parameter_name
+from multipos.sensor.model import Model, parameter_name
 
 _POINTS = 101
 _SOAK = 2.0  # [degC], by which neighbouring rows of one soak may differ
@@ -246,12 +246,12 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings | None, estimated: Ar
     """
     parts, dof = [np.zeros((*X.shape[:2], 0))], np.full(X.shape[1], np.inf)
     contained = np.zeros(X.shape[:2])
-    if TEMPERATURE not in c.model.environment:
+    if not has_zeros(c):
         return Zeros(parts[0], dof, contained)
+    by_run = runs_of(c.readings, c.model) is not None
     numbers = np.zeros(len(X), dtype=np.intp)
     if run is not None:
-        found = soaks_of(run)  # None: fewer than a calibration is judged by
-        numbers = _soaks_in_order(run.environment[TEMPERATURE]) if found is None else found
+        numbers = _zeros_in_run(c, run)
     for i, output in enumerate(c.outputs):
         soaks = _soaks(c, i)
         if soaks is None or not soaks.sd > 0.0:
@@ -260,13 +260,38 @@ def zeros_of_soaks(c: Calibration, X: Array, run: Readings | None, estimated: Ar
         own = np.zeros((*X.shape[:2], int(np.max(numbers)) + 1))
         beyond = np.sqrt(max(spread**2 - stated**2, 0.0))
         own[np.arange(len(X)), i, numbers] = beyond if run is None else spread
-        parts += [beyond * (X @ soaks.moves), own]
+        parts.append(own)
         dof[i] = soaks.dof
         of_fit = estimated[:, i] ** 2
-        if c.noise is None:
+        if not by_run:  # else covariance has what they do to the parameters
+            parts.append(beyond * (X @ soaks.moves))
+        if c.noise is None and not by_run:
             of_fit = of_fit + quadratic(X[:, i], soaks.covariance)
         contained[:, i] = max(1.0 - soaks.within, 0.0) * of_fit
     return Zeros(np.concatenate(parts, axis=2), dof, contained)
+
+
+def has_zeros(c: Calibration) -> bool:
+    """Tell whether rows of a calibration may have shared zeros, of soaks or of runs."""
+    return TEMPERATURE in c.model.environment or runs_of(c.readings, c.model) is not None
+
+
+def runs_of(readings: Readings, model: Model) -> Places | None:
+    """Return the run of each reading; None where there is one, or temperature makes them soaks."""
+    labels = readings.environment.get(RUN)
+    if labels is None or {RUN, TEMPERATURE} & {*model.environment}:
+        return None
+    runs = np.unique(labels, return_inverse=True)[1].astype(np.intp)
+    return runs if runs.any() else None
+
+
+def _zeros_in_run(c: Calibration, data: Readings) -> Places:
+    """Return which zero each reading of other data has."""
+    if TEMPERATURE not in c.model.environment:
+        runs = runs_of(data, c.model)
+        return np.zeros(len(data), dtype=np.intp) if runs is None else runs
+    found = soaks_of(data)  # None: fewer than a calibration is judged by
+    return _soaks_in_order(data.environment[TEMPERATURE]) if found is None else found
 
 
 def _stated_zero(c: Calibration, output: str) -> float:
@@ -320,7 +345,10 @@ def _enough(soak: Places) -> Places | None:
 
 def _soaks(c: Calibration, output: int) -> _Soaks | None:
     """Return what soaks differ by in an output; None where the readings cannot tell."""
-    soak = soaks_of(c.readings)
+    soak = runs_of(c.readings, c.model)
+    by_run = soak is not None
+    if soak is None:
+        soak = soaks_of(c.readings)
     if soak is None or not c.estimator.exact or isinstance(c.model, ExpressionModel):
         return None
     mine = list(c.model.columns[output])
@@ -345,7 +373,7 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     covariance[np.ix_(places, places)] = s_0 * inverse @ inverse.T
     sd = float(np.sqrt(variance))
     means = np.array([e[soak == s].mean() for s in np.unique(soak)])
-    found = _hysteresis(c, soak, means, sd)
+    found = None if by_run else _hysteresis(c, soak, means, sd)
     return _Soaks(sd, float(q), moves, within / s_0, covariance, found)
 
 

@@ -38,11 +38,10 @@ from numpy.typing import ArrayLike
 
 from multipos.numerics.arrays import Array, quadratic
 from multipos.numerics.quantiles import coverage_by_tenths
-from multipos.positions.headers import TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import invert_at_rest, sensitivities, unseen_leak
-from multipos.sensor.temperature import zeros_of_soaks
+from multipos.sensor.temperature import has_zeros, zeros_of_soaks
 
 _ROUNDING = 1e-12  # [g], by which a noise-free |f| may exceed g
 
@@ -106,7 +105,7 @@ def zeros_of_force(
     `estimated` is as of `zeros_of_soaks`.
     """
     c = calibration
-    if TEMPERATURE not in c.model.environment:  # so that there are no soaks
+    if not has_zeros(c):
         size = len(c.model.sensed_axes)
         return ZerosOfForce(*np.zeros((3, len(rest), size, size)))
     held = np.where(np.isfinite(rest), rest, 0.0)

@@ -48,6 +48,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents
 from multipos.sensor.simulation import turned
+from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget, find_quantities
 from multipos.uncertainty.sensitivities import is_bounded, reading_moves, turn_axes
@@ -320,7 +321,7 @@ def simulate_budget(
     Raises
     ------
     UsageError
-        An option is out of range, the calibration needs an `estimator`, or is of several sessions.
+        An option is out of range, the calibration needs an `estimator`, or is of several runs.
     MultiposError
         The noise of the readings is unknown.
 
@@ -335,10 +336,10 @@ def simulate_budget(
     require(calibration, Calibration)
     _check_options(trials, digits)
     c = calibration
-    if c.sessions is not None:
+    if runs_of(c.readings, c.model) is not None:
         raise UsageError(
-            "U of a combined calibration comes from how its sessions differ, which trials do not "
-            "draw; simulate the calibration of one session."
+            "U of the biases holds how the zero differs from run to run, which trials do not draw; "
+            "simulate the fit of one run."
         )
     generator = np.random.default_rng(rng)
     solve = estimator or _own_estimator(c)

@@ -315,11 +315,9 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     dof = c.dof_of_outputs
     stated = bool(np.isinf(c.dof).all())
     text = "noise of the readings, as stated" if stated else "residual noise"
-    if c.sessions is not None:
-        text = "variation from session to session"
     return [
         Row(
-            quantity="readings" if c.sessions is None else "sessions",
+            quantity="readings",
             text=text,
             evaluation="A",
             u=math.nan,

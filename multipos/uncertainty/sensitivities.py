@@ -53,7 +53,7 @@ less than one keeps its residuals as they are, and the cause is in U twice.
 Beside a stated noise d_mk the scatter is τ_m² from rest to rest, W = diag(d_mk + τ_m²), and (3) is
 `multipos.estimation.excess_variance` of e − A t, made as long as (3) has it. Estimates stay what
 they are; only their variance follows what is left. Not looked for is a cause where robust weights
-follow it themselves, and where U comes from how sessions differ.
+follow it themselves, and where U holds how runs differ.
 
 References
 ----------
@@ -78,6 +78,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
+from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, zero_moves
 from multipos.uncertainty.validity import term_moves
 
@@ -322,7 +323,9 @@ def _is_looked_for(c: Calibration, quantity: Quantity) -> bool:
     kind = quantity.kind
     if not (kind.common or kind.shared) or quantity.name == "gravity" or not quantity.u > 0.0:
         return False
-    if not c.estimator.exact or c.robust_weight is not None or c.sessions is not None:
+    if not c.estimator.exact or c.robust_weight is not None:
+        return False
+    if runs_of(c.readings, c.model) is not None:
         return False
     if is_bounded(c, quantity):
         return False  # no one pattern is known of it

@@ -40,7 +40,6 @@ from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.results import Drawn, Result, data_frame, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.verification.combining import combine_sessions
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.recalibration import Change, LimitsSource, find_changes
 from multipos.verification.regressions import RegressionComparison, compare_regressions
@@ -150,8 +149,6 @@ class Comparison(Judgement, Result, Drawn):
         What drift is per: 'run', or 'time' in seconds.
     times : str
         Of the calibrations: 'absolute', 'ordered' or, per run, 'as given'.
-    combined : Calibration or None
-        That of all sessions, where it was asked for.
     findings : tuple of Finding
     changes : tuple of Change
         Between the first and the last; empty for several methods on the same readings.
@@ -169,7 +166,6 @@ class Comparison(Judgement, Result, Drawn):
     bias_stability: dict[str, float]
     per: str
     times: str
-    combined: Calibration | None = None
     changes: tuple[Change, ...] = ()
 
     @property
@@ -230,14 +226,12 @@ class Comparison(Judgement, Result, Drawn):
             "drift_per": self.per,
             "drift_times": self.times,
             "findings": [finding.to_dict() for finding in self.findings],
-            **({} if self.combined is None else {"combined": self.combined.to_dict()}),
         }
 
 
 def compare(
     *calibrations: "Run | Sequence[Run]",
     confidence: float = 0.95,
-    combine: bool = False,
     limits: LimitsSource | None = None,
 ) -> Comparison | RegressionComparison:
     """Compare repeated calibrations of one unit, or several methods on the same readings.
@@ -248,8 +242,6 @@ def compare(
         Two or more, in the order of the runs; one by one, or one list or tuple of them.
     confidence : float
         They are called inconsistent where chance would do so with probability 1 − confidence.
-    combine : bool
-        Make one calibration of them, `combined`, whose U holds how sessions differ.
     limits : path, mapping of name to (low, high), or text, optional
         What a parameter may be, from a file as of `multipos.fleet`; a text such as
         'bias=1mg,scale=500ppm' says how far it may have changed, by name or kind.
@@ -263,7 +255,7 @@ def compare(
     UsageError
         Fewer than two calibrations, or regressions among them.
     MultiposError
-        They are not of the same model, outputs, unit and convention; or cannot be combined.
+        They are not of the same model, outputs, unit and convention.
 
     Examples
     --------
@@ -282,13 +274,11 @@ def compare(
     found = tuple(one for one in loaded if isinstance(one, Calibration))
     regressions = [all_of(one) for one in loaded if not isinstance(one, Calibration)]
     if not regressions:
-        return _compare(found, files, confidence, combine=combine, limits=limits)
+        return _compare(found, files, confidence, limits)
     if found:
         raise UsageError("calibrations and regressions are no repeats; compare one kind.")
     if limits is not None:
         raise UsageError("--limits are of calibrations; a regression has terms of its own.")
-    if combine:
-        raise UsageError("--combine is for calibrations; fit runs of a regression with --run.")
     return compare_regressions(regressions, files, confidence)
 
 
@@ -296,12 +286,9 @@ def _compare(
     found: tuple[Calibration, ...],
     files: tuple[str, ...],
     confidence: float,
-    *,
-    combine: bool,
     limits: LimitsSource | None,
 ) -> Comparison:
     _check_alike(found, files)
-    combined = combine_sessions(found, files) if combine else None
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
     drift = find_drift(found, values)
@@ -323,7 +310,6 @@ def _compare(
         sd=sd,
         range=np.ptp(values, axis=0),
         bias_stability=_of_biases(found[0], sd),
-        combined=combined,
         changes=() if same else find_changes(found, since_1970(found), limits),
         **drift._asdict(),
         **vars(judged) | {"findings": in_order(findings)},
@@ -408,7 +394,6 @@ def runs_text(found: Comparison) -> str:
         *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
         "bias stability\n" + numbers.table(["output", f"sd [{model.unit}]"], stability),
         _verdict(found),
-        *([] if found.combined is None else [f"combined\n{found.combined}"]),
     ]
     return "\n\n".join(parts)
 

@@ -1057,6 +1057,7 @@ REASONS = {
     ("full-matrix", ""): "a note on what to do with a matrix; nothing about the data changes",
     ("magnetic", ""): "a note on what was assumed; --field states it",
     ("no-dof", ""): "where nothing is left, no-redundancy says so first, and is followed",
+    ("run-unused", ""): "another fit is to be chosen; test_run_zeros has the one that takes runs",
     (
         "table",
         "State the bench",

@@ -204,8 +204,6 @@ TEXT = """
  4 apply mag.json compass.csv --with lin.json --json
  3 apply waved.json compass.csv --with lin.json --outside clamp
  3 compare mag.json mag.json
- 2 compare mag.json mag.json --combine -o o.json
- 2 compare lin.json averaged.json --combine -o o.json
  2 report mag.json -o o.md
  1 report waved.json -o o.txt
  2 export mag.json --to c -o o.c

@@ -58,7 +58,7 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
         ({"u": 0.0}, False),
         ({"exact": False}, False),
         ({"robust_weight": 1}, False),
-        ({"sessions": 1}, False),
+        ({"runs": [1.0, 2.0]}, False),
         ({"bounded": True}, False),
         ({"noise": 1}, False),
         ({"noise": 1, "rests": {}}, True),
@@ -66,14 +66,15 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
 )
 def test_what_residuals_may_show(change, looked, monkeypatch):
     of = {"common": True, "shared": False, "name": "level", "u": 0.1, "exact": True, "noise": None}
-    of |= {"robust_weight": None, "sessions": None, "bounded": False, "rests": None, **change}
+    of |= {"robust_weight": None, "runs": [1.0, 1.0], "bounded": False, "rests": None, **change}
     monkeypatch.setattr(sensitivities, "is_bounded", lambda c, quantity: of["bounded"])
     quantity = SimpleNamespace(
         kind=SimpleNamespace(common=of["common"], shared=of["shared"]), name=of["name"], u=of["u"]
     )
     c = SimpleNamespace(
         estimator=SimpleNamespace(exact=of["exact"]), robust_weight=of["robust_weight"],
-        sessions=of["sessions"], noise=of["noise"], model=None,
+        readings=SimpleNamespace(environment={"run": of["runs"]}), noise=of["noise"],
+        model=SimpleNamespace(environment=()),
         variance_components=SimpleNamespace(rest_to_rest=of["rests"]),
     )  # fmt: skip
     assert sensitivities._is_looked_for(c, quantity) is looked

@@ -12,14 +12,12 @@ from scipy.stats import chi2, linregress, norm, t
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import build_model
 from multipos.sensor.tilt import ZerosOfForce
 from multipos.verification import (
     agreement,
     checks,
-    combining,
     comparison,
     consistency,
     error_columns,
@@ -104,9 +102,6 @@ def test_the_scatter_of_an_output_by_hand():
     assert math.isnan(_scatter(c, [1]))
 
 
-# --- sessions combined
-
-
 @dataclass
 class Part:
     quantity: str
@@ -122,64 +117,6 @@ class Part:
     linearity_percent: dict
     findings: tuple
     segments: dict
-
-
-@dataclass
-class Fit:
-    variance_components: VarianceComponents | None
-
-
-def session_of(sd, dof, n=7):
-    model = SimpleNamespace(per_parameter=lambda of_outputs, _: of_outputs[[0, 0, 1]])
-    readings = mp.Readings(np.zeros((n, 2)), up=np.tile([0.0, 0.0, 1.0], (n, 1)))
-    return SimpleNamespace(
-        names="abc", residual_sd=np.array(sd), dof=np.array(dof), model=model, readings=readings
-    )  # fmt: skip
-
-
-def test_noise_of_few_readings_is_drawn_to_that_of_all():
-    """Pooled by degrees of freedom, which weigh as eight of all sessions beside a session's own."""
-    found = [session_of([0.3, 0.5], [2.0, 5.0]), session_of([0.7, 0.2], [3.0, 4.0])]
-    pooled = np.array([2 * 0.09 + 3 * 0.49, 5 * 0.25 + 4 * 0.04]) / [5.0, 9.0]
-    assert_allclose(combining._within(found, lambda c: c.residual_sd) ** 2, pooled)
-    factors = combining._shrunk(found)
-    wanted = (2 * 0.09 + 8 * pooled[0]) / 10 / 0.09, (5 * 0.25 + 8 * pooled[1]) / 13 / 0.25
-    assert_allclose(factors[0], [wanted[0], wanted[0], wanted[1]])
-
-
-def test_stated_noise_of_sessions_is_enlarged_by_what_all_leave(monkeypatch):
-    """χ²/ν of both is 26/12; of one (20 + 8·26/12)/(5 + 8), of the other no less than 1."""
-    gain = np.array([[0.5, -0.3], [0.2, 0.7]])
-    monkeypatch.setattr(combining, "estimator_gain", lambda c: gain)
-    monkeypatch.setattr(combining, "_covariance_within", lambda c: c.covariance)
-    stated = gain**2 @ [0.04, 0.09]
-
-    def one(chi2, dof, factor):
-        claim = SimpleNamespace(chi2=chi2, dof=dof)
-        readings = SimpleNamespace(noise=np.array([0.04, 0.09]))
-        return SimpleNamespace(
-            diagnostics=SimpleNamespace(claim=claim), readings=readings,
-            covariance=np.diag(stated * factor),
-        )  # fmt: skip
-
-    found = [one(20.0, 5.0, 1.7), one(6.0, 7.0, 1.3)]
-    level = (20.0 + 8 * 26 / 12) / 13, max((6.0 + 8 * 26 / 12) / 15, 1.0)
-    assert_allclose(combining._by_stated(found), [level[0] / 1.7, level[1] / 1.3])
-    quiet = [one(2.0, 5.0, 1.7), one(6.0, 7.0, 1.3)]
-    assert_allclose(combining._by_stated(quiet), [1.0 / 1.7, 1.0 / 1.3])
-
-
-def test_the_scatter_from_rest_to_rest_of_sessions_is_their_root_mean_square():
-    def part(x, y):
-        rests = {"ax": RestToRest(x, 0.1, 4.0), "ay": RestToRest(y, 0.2, 5.0)}
-        return Fit(VarianceComponents(rest_to_rest=rests))
-
-    nothing = Fit(None)
-    found = [part(0.3, 0.5), nothing, part(0.7, 0.1)]
-    rests = combining._with_scatter(part(0.6, 0.2), found).variance_components.rest_to_rest
-    assert rests["ax"] == RestToRest(pytest.approx(math.sqrt(0.29)), 0.1, 4.0)
-    assert rests["ay"] == RestToRest(0.2, 0.2, 5.0)  # the pooled fit has no more
-    assert combining._with_scatter(nothing, found) is nothing
 
 
 # --- a run that is checked
