@@ -1140,7 +1140,7 @@ def test_the_misfit_along_the_force_is_what_is_asked_for_correlation(timed, monk
     sd = rng.uniform(0.5, 2.0, (n, 3))
     order = rng.permutation(n) if timed else None
     seen = {}
-    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd)
+    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd)
     monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
     monkeypatch.setattr(
         correlated_rows, "_are_beyond_chance", lambda *those: seen.update(asked=those) or [True]
@@ -1180,7 +1180,7 @@ def test_rows_in_time_are_asked_by_their_own_noise(monkeypatch):
     model = build_model("1 + own", ("a", "b", "c"), ("x", "y", "z"))
     residuals, sd = 0.1 * rng.normal(size=(9, 3)), rng.uniform(0.5, 2.0, (9, 3))
     order, seen = rng.permutation(9), {}
-    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd)
+    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd)
     monkeypatch.setattr(correlated_rows, "_with", lambda solution, found: found)
     monkeypatch.setattr(
         correlated_rows, "_judge_in_time", lambda *those: seen.update(judged=those) or "xyz"
@@ -1200,11 +1200,11 @@ def test_rows_in_time_are_asked_by_their_own_noise(monkeypatch):
         assert (correlated_rows._known_in_time(solution, given, order) is solution) is not asked
     few = SimpleNamespace(model=model, reference=up[:4], residuals=residuals[:4])
     some = mp.Readings(up[:4], up=up[:4], outputs=("a", "b", "c"), unit="g")
-    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd[:4])
+    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd[:4])
     assert correlated_rows._known_in_time(few, some, np.arange(4)) is not few
     few.residuals, few.reference = residuals[:3], up[:3]
     some = mp.Readings(up[:3], up=up[:3], outputs=("a", "b", "c"), unit="g")
-    monkeypatch.setattr(correlated_rows, "_sd", lambda *those: sd[:3])
+    monkeypatch.setattr(correlated_rows, "sd_of_rows", lambda *those: sd[:3])
     assert correlated_rows._known_in_time(few, some, np.arange(3)) is few
 
 

@@ -456,11 +456,12 @@ def test_a_station_whose_nest_is_turned_is_named(tmp_path):
 def test_columns_of_the_bench_are_no_outputs_and_that_is_said(tmp_path):
     made = line(3, scheme="faces-corners-14")
     count = len(made["ax"])
-    found = mp.fleet(made | {"soak": np.arange(count), "run": np.ones(count)}, unit_column="unit")
+    beside = {"soak": np.arange(count), "cycle": np.ones(count), "run": np.ones(count)}
+    found = mp.fleet(made | beside, unit_column="unit")
     (note,) = found.findings
     assert (note.code, note.level) == ("outputs-by-name", "note")
     assert "soak" in note.text
-    assert "run" in note.text
+    assert "cycle" in note.text
 
 
 def test_a_file_with_other_columns_fails_its_units_and_not_the_run(tmp_path):
