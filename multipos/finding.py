@@ -1,5 +1,10 @@
 """A finding: what a result has to say about itself, and what to do about it.
 
+`in_order` puts findings in their order, `about` says what they are about, `errors_of` and `serious`
+pick those that matter, `short_text` shortens one. `warn` raises them as Python warnings,
+`refuse_unfit` refuses a calibration with errors and `forced` says that one was passed on in spite
+of them. `read_findings` reads those of a file, and `repeated_files` finds files given twice.
+
 `error` means that nobody should use the result: no sensor gives such readings at such positions,
 or what is given contradicts itself. A `warning` is about these data: U may not hold, or something
 is to be decided. A `note` leaves nothing to decide: it is so of the method, the positions or the

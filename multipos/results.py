@@ -1,9 +1,13 @@
 """What every result is: a frozen dataclass that can be pickled, copied and compared by value.
 
+`frozen` declares a class of results, `changed` returns one with other values and `require` refuses
+what is none. `freeze` makes a value unchangeable, `plain` and `plain_dict` make it what JSON can
+carry. `stacked` joins tables and `data_frame` returns one as pandas has it.
+
 A class of results derives from `Result` and is declared ``@frozen``, without the equality of a
-dataclass, which asks arrays whether they are true. Two results are equal
-where their fields are: arrays by shape and value, NaN equal to NaN. What only tells two runs apart,
-the time and the names of files, is a field with ``compare=False``.
+dataclass, which asks arrays whether they are true. Two results are equal where their fields are:
+arrays by shape and value, NaN equal to NaN. What only tells two runs apart, the time and the names
+of files, is a field with ``compare=False``.
 
 Arrays are read-only and mappings `Frozen`, and they are still so after pickling and copying.
 Nothing that a `cached_property` has worked out goes along: it is worked out again.

@@ -1,5 +1,8 @@
 """The six-position paper's own readings, and what becomes of them: ``multipos demo``.
 
+`demo` calibrates the paper's readings, `demo_text` prints what came of it, and `demo_dict` is its
+JSON.
+
 Table 2 of the paper is calibrated by its closed form and by least squares, each coefficient is
 set beside the one printed, and what the closed form does not say is said: six readings and five
 coefficients an axis leave one contrast, and with it one degree of freedom.

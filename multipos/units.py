@@ -1,5 +1,8 @@
 """The few units of the field, exact trigonometry of degrees, and normal gravity.
 
+`normal_gravity` is that of a latitude and a height, `gravity_ratio` the size of the reference in g.
+`sin_deg` and `cos_deg` are exact at multiples of 30°, and `unit_per` is the unit of a coefficient.
+
 Inside the package angles are radians and specific force is in g, where one g is the local
 gravity unless a gravity was stated, and then the standard gravity ``g_n = 9.80665 m/s²``.
 

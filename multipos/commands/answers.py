@@ -1,5 +1,9 @@
 """What a command reads and writes, checked before it runs, and its answer, delivered after.
 
+`settle` checks the files of a command line, `refuse_inputs` refuses outputs that are among the
+inputs, which `same_file` compares; `answer_of` makes the `Answer` of a result and `written_to` that
+of a file; `deliver` puts an answer where it belongs, and `print_out` prints it.
+
 A command module says in ``INPUTS`` which of its arguments name files, and in ``OUTPUT`` what
 ``-o`` writes. `settle` holds them against each other before any work is done; ``run`` then
 returns an `Answer`, whose forms are made when they are asked for, and `deliver` puts them where

@@ -8,7 +8,7 @@ from multipos.commands.options import options_of
 from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema
 from multipos.finding import Findings, errors_of
-from multipos.plots.fits import check_figure
+from multipos.plots.checks import check_figure
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_file import SCHEMA, load_regression
 from multipos.reports.check_text import check_sentence, check_text, run_conclusions

@@ -1,6 +1,8 @@
-"""``multipos export``.
+"""``multipos export``, and the exports that other commands write beside a calibration.
 
-Exports beside a calibration, in the same go: what is asked for, and its files.
+`run` writes one calibration or regression for its consumer, and `add_options` adds what targets
+have of their own. `check_targets` refuses unknown targets, `files_beside` names the files of an
+export beside a calibration, and `make_exports` makes them.
 """
 
 import argparse

@@ -24,6 +24,6 @@ def run(arguments: argparse.Namespace) -> Answer:
 
 def _figure(calibration: Calibration) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
-    from multipos.plots.fits import calibration_figure
+    from multipos.plots.curves import calibration_figure
 
     return calibration_figure(calibration)

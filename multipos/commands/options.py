@@ -1,4 +1,10 @@
-"""What several commands share: lists on the command line, the model's options, findings."""
+"""What several commands share: lists on the command line, the model's options, findings.
+
+`declare` adds the options of a group, `options_of` returns what they hold and `setting_of` those of
+a setting. `accept_negative_lists` lets an option take ``-2,2``, `take_full_scale` reads the nominal
+conversion and `asks_export` tells whether a target is asked for. `tell` prints findings and `say` a
+line to stderr; `progress_bar` and `file_progress` show how much is done.
+"""
 
 import argparse
 import csv

@@ -1,4 +1,8 @@
-"""All commands by name, and the parser of each."""
+"""All commands by name, and the parser of each.
+
+`command` returns the module of a command, `command_parser` its parser, and `add_command_options`
+adds what it takes.
+"""
 
 import argparse
 import sys

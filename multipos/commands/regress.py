@@ -6,7 +6,7 @@ from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.files.tables import Source
 from multipos.fitting.regress_columns import regress
-from multipos.plots.fits import regression_figure
+from multipos.plots.regressions import regression_figure
 from multipos.regression.observations import join_runs
 from multipos.regression.regression_text import regression_sentence, regression_text
 

@@ -1,12 +1,16 @@
 """What a design is to be good for: criteria that weigh the information of its positions.
 
+`make_criterion` reads a criterion, `objective` is its value, `kernels` gives G of eq. (2) and
+`sensitivity` the gradient s(u) at positions.
+
 With I(u) the information of a position along u, eq. (1) of `information`, what is designed is the
 information per position, M = Σ w_k I(u_k), Σ w_k = 1, by one of
 
     D   (ln det M)/p,
     L   −ln tr(M⁻¹ B),      B = 1 (A), the mean of X'X over directions (I), e_j e_j' (u_j),   (1)
 
-both to be made large. With the gradient s(u) of (1) towards a position at u,
+both to be made large; B of a range of tilt or force is for `multipos.designs.ranges`. With the
+gradient s(u) of (1) towards a position at u,
 
     s(u) = tr(G I(u)),      G = M⁻¹/p  or  M⁻¹ B M⁻¹ / tr(M⁻¹ B),      Σ w_k s(u_k) = 1,      (2)
 
@@ -15,17 +19,6 @@ most. p s(u) is the variance of the prediction at u in case D.
 
 Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960 (the equivalence of D and G);
 V. V. Fedorov, Theory of Optimal Experiments, 1972 (linear criteria).
-
-Ranges of tilt and force, for designs that make small what matters in use.
-
-A sensor stands with z up, and every other axis that it has leans up to a range either way, alone
-and together (of a sensor of z alone, z leans from level). At a position that points up along u the
-tilt of axis e and its force change by
-
-    dtilt = t·df,    t = (e − u (u·e))/cos tilt;        df_e = e·df;                         (3)
-
-with fewer than three axes tilt is asin f_e, so that t = e/cos tilt. The variances of both, over the
-range on average, are what `multipos.designs.information` weighs parameters by.
 """
 
 import math
@@ -35,6 +28,7 @@ from functools import partial
 import numpy as np
 
 from multipos.designs.information import Blocks, Setting, log_det, multiply
+from multipos.designs.ranges import range_directions
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
@@ -42,64 +36,6 @@ from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model
-
-_LEANS = 13  # tilts of an axis over a range, whose mean stands for all
-
-
-def range_directions(name: str, axes: tuple[str, ...]) -> tuple[Array, list[Array]]:
-    """Return up vectors (n, 3) of a range, and t or e (n, K) of each axis that leans, eq. (3).
-
-    Parameters
-    ----------
-    name : str
-        'tilt:±DEGREES' or 'force:±G'.
-    axes : tuple of str
-        The axes of the outputs; K of them are different.
-
-    Raises
-    ------
-    UsageError
-        No such range.
-    """
-    kind, _, text = name.partition(":")
-    try:
-        size = abs(float(text.replace("±", "").replace("+-", "")))
-    except ValueError:
-        size = 0.0
-    largest, unit = (89.0, "degrees") if kind == "tilt" else (1.0, "g")
-    if not 0.0 < size <= largest:
-        raise UsageError(
-            f"criterion '{name}': give {kind}:±SIZE with a size above 0 and up to {largest:g} "
-            f"{unit}, such as {kind}:±{'30' if kind == 'tilt' else '0.5'}."
-        )
-    sensed = [i for i, axis in enumerate(COMPONENTS) if axis in axes]
-    up, leaning = _leaning(kind, size, sensed)
-    directions = []
-    for i in leaning:
-        along = np.tile(np.eye(3)[i], (len(up), 1))
-        if kind == "tilt":
-            level = np.sqrt(1.0 - up[:, [i]] ** 2)
-            away = along - up * up[:, [i]] if len(sensed) == len(COMPONENTS) else along
-            along = away / level
-        directions.append(along[:, sensed])
-    return up, directions
-
-
-def _leaning(kind: str, size: float, sensed: list[int]) -> tuple[Array, list[int]]:
-    """Return up vectors (n, 3) of a range, and the axes that lean in it."""
-    upright = COMPONENTS.index("z")
-    leaning = [i for i in sensed if i != upright]
-    if not leaning:
-        leaning, upright = [upright], 0
-    line = np.linspace(-size, size, _LEANS)
-    sines = np.sin(np.radians(line)) if kind == "tilt" else line
-    grid = np.stack(np.meshgrid(*[sines] * len(leaning)), axis=-1).reshape(-1, len(leaning))
-    grid = grid[np.sum(grid**2, axis=1) < 1.0 - 1e-9]
-    up = np.zeros((len(grid), 3))
-    up[:, leaning] = grid
-    up[:, upright] = np.sqrt(1.0 - np.sum(grid**2, axis=1))
-    return up, leaning
-
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.
 _OTHERS = 1e-4
@@ -142,7 +78,7 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
 
 
 def _weigh_range(name: str, setting: Setting) -> Array:
-    """Return B for the mean variance of tilt or force over a range: `multipos.designs.criteria`."""
+    """Return B for the mean variance of tilt or force over a range: `multipos.designs.ranges`."""
     up, directions = range_directions(name, setting.model.axes)
     X, J = setting.design(setting.size * up), setting.force_jacobian(up)
     by_parameter = np.linalg.pinv(J[:, :, list(setting.model.sensed_axes)]) @ X  # (n, K, p)

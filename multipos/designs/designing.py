@@ -1,13 +1,12 @@
 """Schemes made: the best positions for a model on a bench, with the proof.
 
+`design` makes a `Design`, and `smaller_designs` those of fewer positions beside one. `design_text`
+prints it, `design_csv` writes it as a scheme file, and `design_sentence` says how good it is.
+
 The continuous optimum (`multipos.designs.optimum`) says what N positions could tell at most, its
 certificate how sure that is; exchange and polish (`multipos.designs.exchange`) find N positions
 that come near. The efficiency of a design is per position, against the optimum on the whole sphere:
 on a bench with few positions it also says what the bench costs.
-
-A design as a result: its positions with the proof, as text, as a scheme file, and as a sheet.
-
-What more positions bring: designs of several sizes, up to the one that was asked for.
 """
 
 import math
@@ -33,7 +32,7 @@ from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
-from multipos.numerics.factoring import join_combinations
+from multipos.numerics.separability import join_combinations
 from multipos.numerics.terms import ModelText
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme

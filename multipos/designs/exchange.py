@@ -1,5 +1,9 @@
 """The best N positions: exchange of candidates, restarts, polish, or every choice there is.
 
+`choose` returns choices of candidates, best first, and `exchange` one that no replacement of a
+position improves. `polish` moves positions freely on the sphere, `polish_largest` those of
+criterion G.
+
 N positions with rows Z_k have the information M = Z'Z/N. Replacing position i by candidate j
 changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j;
 Z_i], C = diag(1, −1) and S = C + W (N M)⁻¹ W',

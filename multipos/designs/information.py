@@ -1,5 +1,10 @@
 """The information that positions hold about a model.
 
+`make_setting` makes of options a `Setting`, which gives the rows of positions. `inform` is the
+information of rows, `log_det` its determinant, `multiply` a product in pieces. `require_values`
+refuses positions at which a formula has no value, and `nothing_to_weigh` warns of a reading sd of a
+whole g. `tangents` are the two directions across each up vector, `unit` vectors at length 1.
+
 At a position that points up along u the M outputs are y = Θ φ(f) + ε, with f = u turned by a small
 rotation δ ~ N(0, s² I), J = dy/df and ε of standard uncertainty σ_i. Eliminating δ leaves
 

@@ -1,5 +1,10 @@
 """The best that positions can do: weights of a continuous design, with their certificate.
 
+`optimise_sphere` returns the best weights over all directions, `optimise_candidates` those on
+candidates and `weigh` those on a few hundred, each with its gap. `largest_sensitivity` is max s of
+criterion D, `maxima` finds where a function of directions is largest, and `solve_definite` solves
+for a positive definite matrix.
+
 Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.criteria` as
 large as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
 

@@ -1,5 +1,9 @@
 """Prospects: what one more position would bring to a calibration, and when enough are measured.
 
+`worth` returns how far each candidate lowers the uncertainties; `worth_text` prints it and
+`worth_sentence` names the best. `measured` is the information of the readings, `information_of`
+that of positions.
+
 With the information N of the positions measured and I(u) of one more at u, both of
 `multipos.designs.information` with the sensor's own parameters and reading noise, the covariance
 

@@ -43,9 +43,10 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.estimation.batches import Solution
-from multipos.numerics.arrays import Array, Mask, Places, median, recur
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.numerics.factoring import Covariance, factor
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail, f_log_tails, f_quantile, f_tail
+from multipos.numerics.recursions import recur
 from multipos.numerics.rotations import cross_matrix
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration

@@ -36,7 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.numerics.arrays import Array, Mask, Places
-from multipos.numerics.factoring import cofactors_of, log_determinant
+from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.factoring import log_determinant
 from multipos.numerics.quantiles import chi2_quantile, f_quantile
 from multipos.results import frozen
 

@@ -53,9 +53,10 @@ import numpy as np
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array, Mask, Places, count_different, recur, row_keys
-from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.arrays import Array, Mask, Places, count_different, row_keys
+from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
+from multipos.numerics.recursions import recur
 from multipos.positions.headers import RUN
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings

@@ -12,12 +12,8 @@ import numpy as np
 
 from multipos.errors import RankError
 from multipos.numerics.arrays import SMALLEST, Array
-from multipos.numerics.factoring import (
-    join_combinations,
-    log_determinant,
-    name_combinations,
-    separability,
-)
+from multipos.numerics.factoring import log_determinant
+from multipos.numerics.separability import join_combinations, name_combinations, separability
 from multipos.sensor.model import Model
 
 UNSEEN = 1e-12  # eigenvalue of the scaled information: sd a million times that of the best

@@ -47,7 +47,7 @@ from multipos.estimation.problem import Solution
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_dof, taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.finding import Finding, Findings
-from multipos.numerics import factoring, least_squares, quantiles
+from multipos.numerics import factoring, least_squares, quantiles, separability
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.terms import linear_term
 from multipos.positions.readings import Readings, add_variances
@@ -814,7 +814,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     name = model.outputs[output]
     terms = model.terms[output]
     if isinstance(model, ExpressionModel):
-        said = factoring.join_combinations(error.combinations)
+        said = separability.join_combinations(error.combinations)
         said = said or f"{len(phi)} readings for {len(terms)} parameters"
         return RankError(
             f"{error.rank} of {error.parameters} parameters of {name} can be separated: {said}; "
@@ -827,7 +827,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     kept: list[int] = []
     for column in range(len(terms)):
         trial = [*kept, column]
-        if factoring.separability(design[:, trial], least_norm=ZERO_NORM).rank == len(trial):
+        if separability.separability(design[:, trial], least_norm=ZERO_NORM).rank == len(trial):
             kept = trial
     formula = " + ".join(str(terms[column]) for column in kept)
     way_out = (
@@ -843,7 +843,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
         )
     return RankError(
         f"{error.rank} of {error.parameters} parameters of {name} can be separated: "
-        f"{factoring.join_combinations(error.combinations)}; {way_out}.",
+        f"{separability.join_combinations(error.combinations)}; {way_out}.",
         rank=error.rank,
         parameters=error.parameters,
         combinations=error.combinations,

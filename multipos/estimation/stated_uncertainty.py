@@ -51,7 +51,7 @@ import numpy as np
 from multipos.estimation.problem import Solution
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, Mask
-from multipos.numerics.quantiles import digamma, inverse_trigamma, trigamma
+from multipos.numerics.polygamma import digamma, inverse_trigamma, trigamma
 from multipos.positions.readings import Readings
 
 _KNOWN = 1000.0  # degrees of freedom from which on u is taken as known

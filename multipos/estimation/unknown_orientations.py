@@ -59,7 +59,7 @@ from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
-from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.levenberg_marquardt import STRICT, Rules, descend
 from multipos.numerics.losses import Loss, loss, loss_weight
 from multipos.numerics.quantiles import chi2_quantile

@@ -36,7 +36,8 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import COMPONENTS, Array
-from multipos.numerics.terms import CONSTANT, FUNCTIONS, Code, Factor, Term, linear_term
+from multipos.numerics.factors import FUNCTIONS, Code, Factor
+from multipos.numerics.terms import CONSTANT, Term, linear_term
 from multipos.sensor.calibration import Calibration
 
 _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken

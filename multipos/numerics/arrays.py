@@ -1,14 +1,9 @@
-"""The arrays that signatures speak of, how large their numbers may be, and rows by kind.
+"""The arrays that signatures speak of, how large their numbers may be, and rows of equal kind.
 
-The median, as NumPy's, which imports all of its masked arrays at the first call.
-
-Recursions of the first order are z_k = w_k + a z_{k−1}, of any number of runs and columns at once.
-Sums of 1, 2, 4 … rows are doubled, in blocks of m rows that stay in cache,
-
-    z ← z + a^m z_{k−m},      m = 1, 2, 4, …,                                               (1)
-
-where row k − m is of the same run; the last row of a block enters the next by powers of a. It is as
-fast as LAPACK's substitution of two diagonals, whose import takes longer than most fits.
+`places_of_kinds` yields where the rows of each kind stand, `row_keys` makes rows comparable and
+`count_different` counts those that differ. `median` is NumPy's, which imports all of its masked
+arrays at the first call. `coarse_steps` and `resolution` find the grid that numbers lie on,
+`quadratic` is g'Ag of many vectors, and `require_rate` refuses a rate out of range.
 """
 
 import math
@@ -164,52 +159,6 @@ def quadratic(vectors: Array, matrix: Array) -> Array:
     kept = np.ascontiguousarray(vectors[..., used]).reshape(-1, len(used))
     along = kept @ matrix[np.ix_(used, used)]
     return np.asarray(np.einsum("np,np->n", along, kept).reshape(vectors.shape[:-1]))
-
-
-_BLOCK = 16_384  # numbers of a block
-_FEWEST = 1024  # rows of a block
-_NOTHING = 1e-20  # of a row, what a sum does not hold
-
-
-def recur(w: Array, a: float, first: NDArray[np.bool_] | None = None) -> Array:
-    """Return z (n,) or (n, p) with z_k = w_k + a z_{k−1}, and z_k = w_k where a run begins.
-
-    Parameters
-    ----------
-    w : (n,) or (n, p) array
-    a : float
-    first : (n,) array of bool, optional
-        Rows where a run begins, beside the first.
-    """
-    rows = max(_FEWEST, _BLOCK * len(w) // max(w.size, 1))
-    if len(w) <= rows:
-        return _doubled(w, a, first)
-    z = np.empty(w.shape)
-    powers = (float(a) ** np.arange(1.0, rows + 1.0)).reshape(-1, *[1] * (w.ndim - 1))
-    powers = powers[: np.count_nonzero(np.abs(powers) > _NOTHING)]
-    for begin in range(0, len(w), rows):
-        block = slice(begin, begin + rows)
-        runs = None if first is None else first[block]
-        z[block] = _doubled(w[block], a, runs)
-        if begin:
-            same = len(w) - begin if runs is None or not runs.any() else int(np.argmax(runs))
-            carried = powers[:same]
-            z[begin : begin + len(carried)] += carried * z[begin - 1]
-    return z
-
-
-def _doubled(w: Array, a: float, first: NDArray[np.bool_] | None) -> Array:
-    """Return z by eq. (1)."""
-    z = np.array(w, dtype=np.float64)
-    runs = None if first is None or not first[1:].any() else np.cumsum(first)
-    lag, factor = 1, float(a)
-    while lag < len(z) and abs(factor) > _NOTHING:
-        earlier = factor * z[:-lag]
-        if runs is not None:
-            earlier[runs[lag:] != runs[:-lag]] = 0.0
-        z[lag:] += earlier
-        lag, factor = 2 * lag, factor * factor
-    return z
 
 
 SLOWEST, FASTEST = 1e-12, 1e7  # [Hz]

@@ -1,5 +1,8 @@
 """Linear least squares: every linear problem of the package, positions and temperature alike.
 
+`solve` fits a response by a design, `factor_alike` factors several designs of one size to be solved
+for many responses, and `block_design` joins the designs of several outputs.
+
 The n rows of a design X (n, p) explain a response y (n,) through p coefficients b,
 
     y = X b + r,    cov r = V,    b minimises r' V⁻¹ r.                                     (1)
@@ -11,8 +14,8 @@ and factored, L⁻¹ X = Q R (`multipos.numerics.factoring`):
 
 C, the cofactor, is the covariance of b where V is the covariance of the rows, and C s² with
 s² = rss/(n − p) is where V is known up to a factor. A residual sum is a sum of squared residuals,
-never a difference of sums. What the rows cannot tell apart is named, and not solved
-(`multipos.numerics.factoring`).
+never a difference of sums. What the rows cannot separate is named, and not solved
+(`multipos.numerics.separability`).
 
 **Refinement.** QR loses κε of the coefficients (κ the condition of the scaled design, ε = 1.1e-16):
 half of all digits on a tenth-degree polynomial, how many depends on the order of the rows.
@@ -21,10 +24,10 @@ So the augmented system
     V λ + X b = y,    X' λ = 0,    r = V λ                                                  (3)
 
 is solved by iteration: residuals f = y − V λ − X b and g = −X' λ in twice the working precision
-(`factoring`), corrections from the same Q and R. Each step multiplies the error by about κε, until
-b is the exact answer for X, y and V as given, correctly rounded or nearly so, in any order
-of the rows. One step does it below κ of some 1e6. (3) is stated in the rows as given because
-whitening rounds.
+(`multipos.numerics.exact_sums`), corrections from the same Q and R. Each step multiplies the error
+by about κε, until b is the exact answer for X, y and V as given, correctly rounded or nearly so, in
+any order of the rows. One step does it below κ of some 1e6. (3) is stated in the rows as given
+because whitening rounds.
 
 **Cofactor.** R⁻¹ R⁻ᵀ loses κε as well, which no quoted uncertainty shows below κ = 1e6 (nine digits
 left). Above, with T ≈ R⁻¹ and Z = L⁻¹ X T formed in twice the working precision, C = T (Z' Z)⁻¹ T'
@@ -44,7 +47,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, RankError
-from multipos.numerics import factoring
+from multipos.numerics import exact_sums
 from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import (
     BLOCK,
@@ -53,11 +56,9 @@ from multipos.numerics.factoring import (
     column_norms,
     design_matrix,
     factor,
-    join_combinations,
-    name_combinations,
-    separability,
     singular_values,
 )
+from multipos.numerics.separability import join_combinations, name_combinations, separability
 
 _REFINE_COFACTOR = 1e6  # condition from which the cofactor takes twice the working precision
 _STEPS = 7  # of refinement at most; Filip takes two
@@ -260,7 +261,7 @@ def _refined(
     last = np.ones((len(X), 1, 1))
     for _ in range(_STEPS):
         white = V.whitened(V.residual(y, X, b, multiplier))
-        u = Q_turned @ white - T_turned @ factoring.cross_residual(X, multiplier)
+        u = Q_turned @ white - T_turned @ exact_sums.cross_residual(X, multiplier)
         db = T @ u
         size = _relative(db, b, norms)
         better = size < 0.5 * last
@@ -296,7 +297,7 @@ def _precise_cofactor(X: Array, V: Covariance, T: Array) -> Array:
     step = n if V.full is not None else BLOCK
     for i in range(0, n, step):
         rows = slice(i, i + step)
-        Z = V.whitened(factoring.product(X[rows], T), rows)
+        Z = V.whitened(exact_sums.product(X[rows], T), rows)
         information += Z.T @ Z
     half = np.linalg.inv(np.linalg.cholesky(information)) @ T.T
     return np.asarray(half.T @ half)

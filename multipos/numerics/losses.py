@@ -1,5 +1,8 @@
 """Robust losses: how much a position far from the others still counts.
 
+`loss` returns rho of squared misfits, `loss_weight` how much each position counts, `loss_slope`
+what scales the covariance, and `counted` how many degrees of freedom the weights leave.
+
 With q the squared, standardised misfit of a position and m its degrees of freedom, z² = q/m and
 the tuning constant c of each loss (95 % efficiency under the normal law),
 

@@ -1,5 +1,12 @@
 """Quantiles and tails of the four laws behind every stated confidence.
 
+`coverage_factor` is k of a two-sided interval, `coverage_factors` that of many degrees of freedom
+and `coverage_by_tenths` that of degrees rounded down to a tenth. Of Student's law there are
+`t_quantile`, `t_tail` and, of many, `t_tails`; of the normal law `normal_quantile`,
+`normal_quantiles` and `erf`; of ratios of variances `f_quantile`, `f_tail` and, of many,
+`f_log_tails`; of sums of squares `chi2_quantile` and `chi2_tail`; of the beta law `beta_quantile`.
+`solve` inverts a monotone function, and `check_confidence` refuses what is no probability.
+
 An estimate with standard uncertainty u on ν degrees of freedom is stated with expanded uncertainty
 
     U = k u,    P(|T_ν| ≤ k) = confidence        (JCGM 100, G.3),
@@ -8,50 +15,18 @@ where T_ν is Student's t, and the normal law at ν = ∞ (the reading noise is 
 of squares are judged by χ²_ν against a known variance, and by F_{k,ν} = (χ²_k/k) / (χ²_ν/ν) against
 one estimated on ν degrees of freedom; at ν = ∞ the second is χ²_k/k.
 
-=====================  ============================================================
-`coverage_factor`      k of a two-sided interval, `coverage_factors` of many
-`t_tail`               p value of an estimate over its u, both sides
-`f_tail`, `f_quantile` variances compared: terms entering a model, lack of fit
-`chi2_tail`            residuals against stated noise
-=====================  ============================================================
-
 Degrees of freedom may be fractional (Welch–Satterthwaite) and infinite; where they are not positive
-the question has no answer, and nan is returned. Scalars in, float out: a fit asks for a handful;
-only `coverage_factors` is for those of many units.
+the question has no answer, and nan is returned. Scalars in, float out, but for those of many: a fit
+asks for a handful, in less time than it takes to import `scipy.special`.
 
 The short tail is used throughout: 1 − p keeps no digits below 1e-16, so a two-sided factor is
 computed from (1 − confidence)/2 and not from 1 − (1 − confidence)/2.
 
-Incomplete gamma and beta functions, by series and continued fractions.
-
-They are what the laws behind a stated confidence need, in the few values that a fit asks for:
-importing `scipy.special` takes longer than such a fit. With a and b up to `LARGEST` their
-logarithms of factorials keep twelve digits; beyond, the factor before the series is written with
-the remainder δ of Stirling's formula and the deviance D, which lose none [2]_,
-
-    x^a e^−x/Γ(a + 1) = exp(−δ(a) − D(a, x))/√(2π a),     D(a, m) = a ln(a/m) + m − a.
-
-    P(a, x) = γ(a, x)/Γ(a),   Q = 1 − P,   I_x(a, b) = B(x; a, b)/B(a, b)
-
-by the series [1]_ (6.5.29) below x = a + 1 and the fraction (6.5.31) above; and by the fraction
-(26.5.8) up to x = (a + 1)/(a + b + 2), of 1 − x beyond. What is small keeps its digits: each is
-computed as itself, and the other as one less it.
-
-Digamma and trigamma of positive arguments, by recurrence and their asymptotic series.
-
-    ψ(x) = ln x − 1/2x − 1/12x² + 1/120x⁴ − 1/252x⁶ + …,     ψ(x) = ψ(x + 1) − 1/x,        (1)
-    ψ'(x) = 1/x + 1/2x² + 1/6x³ − 1/30x⁵ + 1/42x⁷ − …,       ψ'(x) = ψ'(x + 1) + 1/x².     (2)
-
-From x = 10 on the first term left out is below 1e-11. SciPy has both, but takes longer to import
-than a fit takes.
-
 References
 ----------
 .. [1] M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 1964.
-.. [2] C. Loader, *Fast and accurate computation of binomial probabilities*, 2000.
-.. [3] M. J. Wichura, Algorithm AS 241, Applied Statistics 37, 1988.
-.. [4] W. J. Cody, *Rational Chebyshev approximations for the error function*, 1969.
-M. Abramowitz, I. A. Stegun, *Handbook of Mathematical Functions*, 6.3.5, 6.3.18, 6.4.6, 6.4.12.
+.. [2] M. J. Wichura, Algorithm AS 241, Applied Statistics 37, 1988.
+.. [3] W. J. Cody, *Rational Chebyshev approximations for the error function*, 1969.
 """
 
 import math
@@ -61,104 +36,13 @@ from functools import lru_cache
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import SMALLEST, Array, Mask
+from multipos.numerics.arrays import SMALLEST, Array
+from multipos.numerics.incomplete import LARGEST, STEPS, TINY, beta_tails, gamma_tails
 
-LARGEST = 500.0
-_STEPS = 100_000
 _NEARLY_NORMAL = 1e5  # degrees of freedom from which on t has its expansion
 _FEW = 30  # values that are worked out one by one: as arrays they take longer
 _NORMAL = 1e9  # degrees of freedom from which on a law is taken as normal
-_EPS = 1e-16
 _ROUNDING = 1e-15  # of a logarithm, which the function's own rounding moves
-_TINY = 1e-300
-
-
-def gamma_tails(a: float, x: float) -> tuple[float, float]:
-    """Return P(a, x) and Q(a, x)."""
-    if x <= 0.0:
-        return 0.0, 1.0
-    if a > LARGEST:
-        scale = math.exp(-_stirling(a) - _deviance(a, x)) * math.sqrt(a / (2.0 * math.pi))
-    else:
-        scale = math.exp(a * math.log(x) - x - math.lgamma(a))
-    if x < a + 1.0:
-        term = total = 1.0 / a
-        step = a
-        while abs(term) > _EPS * abs(total):
-            step += 1.0
-            term *= x / step
-            total += term
-        lower = scale * total
-        return lower, 1.0 - lower
-    b = x + 1.0 - a
-    upper = scale / _fraction(b, lambda n: (-n * (n - a), b + 2.0 * n))
-    return 1.0 - upper, upper
-
-
-def beta_tails(x: float, y: float, a: float, b: float) -> tuple[float, float]:
-    """Return I_x(a, b) and its complement; y = 1 − x is given, so that either may be small."""
-    if x <= 0.0 or y <= 0.0:
-        return (0.0, 1.0) if x <= 0.0 else (1.0, 0.0)
-    if x > (a + 1.0) / (a + b + 2.0):
-        upper = _beta_lower(y, x, b, a)
-        return 1.0 - upper, upper
-    lower = _beta_lower(x, y, a, b)
-    return lower, 1.0 - lower
-
-
-def _beta_lower(x: float, y: float, a: float, b: float) -> float:
-    if max(a, b) > LARGEST:
-        n = a + b
-        size = (
-            _stirling(n) - _stirling(a) - _stirling(b) - _deviance(a, n * x) - _deviance(b, n * y)
-        )
-        scale = math.exp(size) * math.sqrt(b / (2.0 * math.pi * a * n))
-    else:
-        front = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b)
-        scale = math.exp(front + a * math.log(x) + b * math.log(y)) / a
-
-    def term(n: int) -> tuple[float, float]:
-        m = n // 2
-        if n % 2:
-            return -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)), 1.0
-        return m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)), 1.0
-
-    return scale / _fraction(1.0, term)
-
-
-def _stirling(a: float) -> float:
-    """Return δ(a) = ln Γ(a + 1) − (a + ½) ln a + a − ½ ln 2π."""
-    if a < 20.0:
-        return math.lgamma(a + 1.0) - (a + 0.5) * math.log(a) + a - 0.5 * math.log(2.0 * math.pi)
-    s = 1.0 / a**2
-    return (1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680 - s / 1188)))) / a
-
-
-def _deviance(a: float, m: float) -> float:
-    """Return D(a, m) without the digits that its terms cancel where m is near a."""
-    v = (a - m) / (a + m)
-    if abs(v) > 0.1:
-        return a * math.log(a / m) + m - a
-    total, term, n = (a - m) * v, 2.0 * a * v, 1
-    while True:
-        term *= v * v
-        after = total + term / (2 * n + 1)
-        if after == total:
-            return total
-        total, n = after, n + 1
-
-
-def _fraction(first: float, term: Callable[[int], tuple[float, float]]) -> float:
-    """Return b_0 + a_1/(b_1 + a_2/(b_2 + …)) by Lentz's algorithm; `term` gives a_n and b_n."""
-    value, c, d = first, first, 0.0
-    for n in range(1, _STEPS):
-        a, b = term(n)
-        d = 1.0 / (b + a * d or _TINY)
-        c = b + a / c or _TINY
-        value *= c * d
-        if abs(c * d - 1.0) < _EPS:
-            break
-    return value
 
 
 def solve(function: Callable[[float], float], target: float, start: float) -> float:
@@ -171,7 +55,7 @@ def solve(function: Callable[[float], float], target: float, start: float) -> fl
     goal = math.log(target)
 
     def off(u: float) -> float:
-        return math.log(max(function(math.exp(u)), _TINY)) - goal
+        return math.log(max(function(math.exp(u)), TINY)) - goal
 
     low = high = math.log(start)
     at_low = at_high = off(low)
@@ -306,7 +190,7 @@ def t_tails(square: Array, dof: Array) -> Array:
     norm = [math.lgamma(h + 0.5) - math.lgamma(h) - math.lgamma(0.5) for h in different.tolist()]
     front = np.array(norm)[place.reshape(half.shape)]
     value, c, d = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
-    for n in range(1, _STEPS):  # Lentz's algorithm, as in `_fraction`
+    for n in range(1, STEPS):  # Lentz's algorithm, as in `_fraction`
         m = n // 2
         term = m * (b - m) if n % 2 == 0 else -(a + m) * (a + b + m)
         term = term * x / ((a + n - 1.0) * (a + n))
@@ -338,7 +222,7 @@ def normal_quantile(p: float) -> float:
 
 
 def normal_quantiles(p: Array) -> Array:
-    """Return `normal_quantile` of many, by the rational functions of [3]_."""
+    """Return `normal_quantile` of many, by the rational functions of [2]_."""
     q = p - 0.5
     tail = np.sqrt(-np.log(np.minimum(p, 1.0 - p)))
     r = np.where(
@@ -349,7 +233,7 @@ def normal_quantiles(p: Array) -> Array:
     return np.where(np.abs(q) <= 0.425, q * near, np.sign(q) * outside)
 
 
-# Coefficients of [3]_, highest power first: near the middle, in the tails, far out.
+# Coefficients of [2]_, highest power first: near the middle, in the tails, far out.
 _RATIONAL = """
 2509.0809287301226727 33430.575583588128105 67265.770927008700853 45921.953931549871457
 13731.693765509461125 1971.5909503065514427 133.14166789178437745 3.3871328727963666080
@@ -370,7 +254,7 @@ _AS241 = np.array(_RATIONAL.split(), dtype=np.float64).reshape(3, 2, 8)
 
 
 def erf(z: Array, decay: Array | None = None) -> Array:
-    """Return the error function of each number, by the rational functions of [4]_.
+    """Return the error function of each number, by the rational functions of [3]_.
 
     Parameters
     ----------
@@ -401,7 +285,7 @@ def _polynomial(coefficients: list[float], x: Array) -> Array:
     return value
 
 
-# Coefficients of [4]_, highest power first: up to .46875, of z², and beyond, of z, each over the
+# Coefficients of [3]_, highest power first: up to .46875, of z², and beyond, of z, each over the
 # next.
 _RATIONAL_ERF = """
 1.85777706184603153e-1 3.1611237438705656 113.864154151050156 377.485237685302021
@@ -499,61 +383,6 @@ def chi2_tail(x: float, dof: float) -> float:
         z = ((x / dof) ** (1.0 / 3.0) - 1.0 + 2.0 / (9.0 * dof)) / math.sqrt(2.0 / 9.0 / dof)
         return 0.5 * math.erfc(z / math.sqrt(2.0))
     return gamma_tails(float(dof) / 2.0, float(x) / 2.0)[1]
-
-
-_FAR = 10.0  # where the series are good
-_STEPS_POLYGAMMA = 60  # of Newton's iteration; a handful is needed
-
-
-def digamma(x: Array) -> Array:
-    """Return ψ of each x > 0 by eq. (1)."""
-    far, low = _shifted(x)
-    square = 1.0 / far**2
-    series = np.log(far) - 0.5 / far
-    series -= square * (1 / 12 - square * (1 / 120 - square * (1 / 252 - square / 240)))
-    return np.asarray(series - sum(np.where(there, 1.0 / y, 0.0) for y, there in low))
-
-
-def trigamma(x: Array) -> Array:
-    """Return ψ' of each x > 0 by eq. (2)."""
-    far, low = _shifted(x)
-    square = 1.0 / far**2
-    series = 1.0 / far + 0.5 * square
-    series += square / far * (1 / 6 - square * (1 / 30 - square * (1 / 42 - square / 30)))
-    return np.asarray(series + sum(np.where(there, 1.0 / y**2, 0.0) for y, there in low))
-
-
-def inverse_trigamma(value: Array) -> Array:
-    """Return the x > 0 whose ψ' is each value above 0, by Newton's iteration in 1/ψ'."""
-    x = np.asarray(0.5 + 1.0 / value)
-    searched = np.ones(x.shape, dtype=np.bool_)
-    for _ in range(_STEPS_POLYGAMMA):
-        here = trigamma(x)
-        # 1/ψ' is nearly straight; its slope is that of ψ'(x) ≈ 1/(x − 1/2)
-        step = (1.0 / value - 1.0 / here) * _slope(x, here)
-        x = np.where(searched, np.maximum(x + step, x / 2.0), x)
-        searched &= np.abs(step) > 1e-12 * x
-        if not searched.any():
-            break
-    return x
-
-
-def _slope(x: Array, here: Array) -> Array:
-    """Return dx/d(1/ψ') at x."""
-    step = 1e-6 * x
-    above = trigamma(x + step)
-    return np.asarray(step / (1.0 / above - 1.0 / here))
-
-
-def _shifted(x: Array) -> tuple[Array, list[tuple[Array, Mask]]]:
-    """Return arguments raised to where the series are good, and the steps on the way."""
-    y = np.array(x, dtype=np.float64)
-    low = []
-    for _ in range(int(_FAR)):
-        there = y < _FAR
-        low.append((y.copy(), there))
-        y = np.where(there, y + 1.0, y)
-    return y, low
 
 
 def coverage_by_tenths(confidence: float, dof: Array) -> Array:

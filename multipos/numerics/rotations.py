@@ -1,5 +1,10 @@
 """Directions on the sphere and rotations, many at a time.
 
+`directions` makes unit vectors, `tangent_basis` the two directions across each. `step_on_sphere` is
+E of eq. (1), `step_derivative` its derivative. `rotation_matrix` is Exp of a rotation vector,
+`rotation_vector` its inverse, `cross_matrix` [v]x and `left_jacobian` J_l; `align` is the rotation
+that brings vectors nearest to others.
+
 A direction d is a unit vector; a step t (two angles) in the tangent plane at u, with the
 orthonormal basis B (3, 2), leads along a great circle:
 

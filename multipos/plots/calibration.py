@@ -1,4 +1,11 @@
-"""Figures of a calibration: residuals, positions, budget, correlation."""
+"""Figures of a calibration: residuals, errors at positions, budget.
+
+`draw_residuals` draws what is left of one output, `draw_size_residuals` what is left of the size of
+the force where orientations are unknown, and `residual_panels` returns what draws either;
+`residual_series` and `size_residuals` are the numbers. `draw_errors` draws the errors before and
+after compensation, of which `compensated_error` and `compensated_errors` are those after.
+`draw_budget` draws `variance_shares`, what each input quantity has of a variance.
+"""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,4 +1,8 @@
-"""Figures of many units, drawn from counts and means and never from the units themselves."""
+"""Figures of many units, drawn from counts and means and never from the units themselves.
+
+`draw_histogram` draws how many units have which value of a parameter, `draw_chart` its course along
+the line, and `limited` returns the parameters that are drawn.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any

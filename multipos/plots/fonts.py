@@ -1,5 +1,7 @@
 """Which font draws the text of a figure in pixels or on paper.
 
+`font_of` returns the font of a text, and `is_wide` tells which characters need one of their own.
+
 DejaVu Sans comes with Matplotlib, so that a figure is measured alike everywhere, and has no
 Chinese. A text with characters that are as wide as high takes the first font of the system that
 has them all. Matplotlib's own list of fonts is kept from an earlier day and may lack it, so that

@@ -1,5 +1,8 @@
 """The sphere of directions drawn flat: its two hemispheres as discs of equal areas.
 
+`draw_frame` draws the rims and the names of the axes, `draw_directions` unit vectors, and
+`draw_map` values at the directions that `everywhere` returns. `flat` is the map of one hemisphere.
+
 Lambert's map: z up in the middle on the left, z down on the right, both seen from above, so that x
 is to the right and y upward on both. A direction at the angle t from the pole lies √(1 − cos t)
 from the middle, and the rim is the xy plane.

@@ -1,5 +1,8 @@
 """The two figures that every report has, written as SVG without Matplotlib.
 
+`error_picture` is the sphere of errors before and after, of which `split_errors` are the numbers;
+`residual_picture` has a panel of residuals for each output.
+
 A report holds the errors of all positions on its first screen and the residuals below. Importing
 Matplotlib and laying out with it takes longer than all else that a report does.
 

@@ -1,4 +1,9 @@
-"""Figures of repeated calibrations."""
+"""Figures of repeated calibrations and of repeated regressions.
+
+`draw_runs` draws one parameter of every output by run, `draw_values` any values so, and
+`draw_chart` one parameter over the dates; `runs_figure` is the figure of all. `draw_terms` draws
+the terms of repeated regressions, and `terms_figure` is their figure.
+"""
 
 from collections.abc import Mapping
 from functools import partial

@@ -1,4 +1,9 @@
-"""Figures of schemes: where the positions lie and what they tell, and how many are needed."""
+"""Figures of schemes: where the positions lie and what they tell, and how many are needed.
+
+`draw_scheme` draws positions and the variance of the prediction, `draw_efficiency` how good designs
+of several sizes are. `schemes_figure` and `design_figure` are the figures of schemes and of a
+design.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any

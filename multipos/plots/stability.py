@@ -1,4 +1,8 @@
-"""Figures of static records: the Allan deviation, and the zero against time."""
+"""Figures of static records: the Allan deviation, and the zero against time.
+
+`draw_allan` draws the Allan deviation of every output, `draw_zero` the zero of one against time,
+and `stability_figure` is the figure of both.
+"""
 
 import re
 from functools import partial

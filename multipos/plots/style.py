@@ -1,5 +1,9 @@
 """The look that all figures share.
 
+`new_figure` makes axes and `figure_of` a figure of panels; `to_svg` and `render` give its bytes.
+`name_series`, `name_axis`, `scale_by_powers`, `write` and `write_title` put names, scales and words
+on axes, and `dress_axis` its ticks and numbers.
+
 Colours are those of Okabe and Ito, which colour-blind people can tell apart, and every series has
 a second cue: a marker, a line style, a hatch or a number.
 
@@ -28,6 +32,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999", "#f0e442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 HATCHES = ("", "//", "\\\\", "xx", "--", "||", "++", "////")  # dots would weigh 150 kB each
+
+When = Literal["both", "before", "after"]  # of compensation: what a panel shows
 
 _INK = "#000000"
 _SIZE = 9.0  # of type, in points

@@ -1,4 +1,9 @@
-"""Figures of a single-axis tumble, and of the rolls of any calibration."""
+"""Figures of a single-axis tumble, and of the rolls of any calibration.
+
+`draw_signal` draws the signal of a tumble and `draw_rolls` that of any calibration against the
+angle, `draw_harmonics` and `draw_residual_harmonics` what is left at each harmonic, and
+`tumble_figure` is the figure of a tumble.
+"""
 
 from collections.abc import Sequence
 from functools import partial

@@ -13,7 +13,8 @@ from itertools import combinations_with_replacement
 
 from multipos.errors import UsageError
 from multipos.files.spelling import Names, split_names
-from multipos.numerics.terms import Factor, Term, parse_terms
+from multipos.numerics.factors import Factor
+from multipos.numerics.terms import Term, parse_terms
 
 HIGHEST_DEGREE = 30  # of a power; NIST's Filip has 10
 

@@ -24,7 +24,6 @@ import numpy as np
 from multipos.errors import MultiposError, RankError
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import Array
-from multipos.numerics.factoring import join_combinations
 from multipos.numerics.least_squares import LinearFit, solve
 from multipos.numerics.quantiles import f_quantile, f_tail
 from multipos.numerics.selection import (
@@ -35,6 +34,7 @@ from multipos.numerics.selection import (
     compress,
     select_stepwise,
 )
+from multipos.numerics.separability import join_combinations
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
 from multipos.regression.candidates import stands_on
 from multipos.regression.correlation import wald

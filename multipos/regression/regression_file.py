@@ -43,8 +43,9 @@ from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import FINDINGS, findings_upgraded, read_findings
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.selection import Step, Tested
-from multipos.numerics.terms import CONSTANT, Term, factor_from_list, factor_to_list, linear_term
+from multipos.numerics.terms import CONSTANT, Term, linear_term
 from multipos.regression.branches import BRANCHES
 from multipos.regression.junctions import Junction
 from multipos.regression.region import Region

@@ -54,8 +54,9 @@ from multipos.errors import MultiposError
 from multipos.files.numbers import number
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.factoring import column_scales
+from multipos.numerics.factors import Factor
 from multipos.numerics.selection import Triangle, compress, join
-from multipos.numerics.terms import Factor, Term
+from multipos.numerics.terms import Term
 from multipos.results import frozen
 
 Rows = Places

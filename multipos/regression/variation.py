@@ -35,7 +35,8 @@ from math import comb
 import numpy as np
 
 from multipos.numerics.arrays import Array
-from multipos.numerics.terms import CONSTANT, Factor, Term
+from multipos.numerics.factors import Factor
+from multipos.numerics.terms import CONSTANT, Term
 
 LEAST = 1e-4  # share of a term's variance over the table that a segment must have
 

@@ -43,8 +43,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.numerics.arrays import Array, recur
+from multipos.numerics.arrays import Array
 from multipos.numerics.factoring import gram
+from multipos.numerics.recursions import recur
 from multipos.regression.correlation import TimeOrder
 from multipos.results import frozen
 

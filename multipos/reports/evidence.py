@@ -18,7 +18,8 @@ from multipos.errors import MultiposError
 from multipos.files import numbers
 from multipos.numerics.rotations import directions
 from multipos.plots.calibration import compensated_error, residual_series
-from multipos.plots.fits import draw_check, draw_curve, errors_apart, temperature_curves
+from multipos.plots.checks import draw_check, errors_apart
+from multipos.plots.curves import draw_curve, temperature_curves
 from multipos.plots.pictures import residual_picture
 from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.check_text import check_sheets, run_conclusions

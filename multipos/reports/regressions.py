@@ -19,7 +19,7 @@ from multipos.files.spelling import StrPath
 from multipos.files.tables import Table, read_table
 from multipos.finding import serious
 from multipos.numerics.arrays import Array, Places
-from multipos.plots.fits import complete_rows, corrected_rows, draw_path
+from multipos.plots.regressions import complete_rows, corrected_rows, draw_path
 from multipos.plots.style import COLOURS
 from multipos.regression.junctions import Junction
 from multipos.regression.regression import (

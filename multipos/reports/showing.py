@@ -28,7 +28,17 @@ from multipos.finding import NOT_FIT, Findings, errors_of, serious
 from multipos.fleets.fleet import Fleet
 from multipos.fleets.fleet_text import fleet_sentence, fleet_text
 from multipos.logs.averages import Averages, averages_sentence, averages_text
-from multipos.plots import calibration, fits, fleets, runs, schemes, stability, style, tumble
+from multipos.plots import (
+    calibration,
+    checks,
+    curves,
+    fleets,
+    runs,
+    schemes,
+    stability,
+    style,
+    tumble,
+)
 from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_text import regression_sentence, regression_text
@@ -150,7 +160,7 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
             return [partial(calibration.draw_errors, found)]
         return calibration.residual_panels(found)
     if isinstance(found, Check):
-        return fits.check_panels(found)
+        return checks.check_panels(found)
     if isinstance(found, Tumble):
         return [partial(tumble.draw_signal, found), partial(tumble.draw_residual_harmonics, found)]
     if isinstance(found, Tumbles):
@@ -166,7 +176,7 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
 
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
     comparison.Comparison: runs.draw_runs,
-    Curve: fits.draw_curve,
+    Curve: curves.draw_curve,
     Evaluation: calibration.draw_budget,
     RegressionComparison: runs.draw_terms,
     Scheme: schemes.draw_scheme,

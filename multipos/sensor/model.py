@@ -27,14 +27,12 @@ from multipos.errors import UsageError
 from multipos.files.records import LONGEST
 from multipos.files.spelling import Names, listed, near, split_names
 from multipos.numerics.arrays import COMPONENTS, Array, Environment, Places
+from multipos.numerics.factors import MODULUS, Factor, function_forms
 from multipos.numerics.terms import (
     CONSTANT,
-    MODULUS,
     NAMED,
-    Factor,
     Term,
     expand_others,
-    function_forms,
     linear_term,
     parse_term,
     sees_only,

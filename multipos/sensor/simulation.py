@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import LARGEST, Array, recur, require_rate
+from multipos.numerics.arrays import LARGEST, Array, require_rate
+from multipos.numerics.recursions import recur
 from multipos.positions.headers import OF_FIELD
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, read_scheme

@@ -87,9 +87,9 @@ from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import in_unit
 from multipos.finding import Finding, short_text
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
-from multipos.numerics.factoring import separability
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
+from multipos.numerics.separability import separability
 from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result, Tabular, frozen, require

@@ -28,8 +28,8 @@ from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation.known import ZERO_NORM
 from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
-from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.separability import name_combinations, separability
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.designs.criteria import _leaning
 from multipos.designs.designing import design_text
+from multipos.designs.ranges import _leaning
 from multipos.units import cos_deg, sin_deg
 
 pytestmark = pytest.mark.usefixtures("optima_once")

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.designs import designing, exchange, information
+from multipos.designs.aliases import find_aliases
 from multipos.designs.assessment import (
     Assessor,
     _dof,
-    find_aliases,
     positions_table,
     scheme_details,
     scheme_rows,

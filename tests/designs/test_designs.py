@@ -17,14 +17,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.designs import exchange
 from multipos.designs.assessment import schemes_text
-from multipos.designs.criteria import (
-    Criterion,
-    kernels,
-    make_criterion,
-    objective,
-    range_directions,
-    sensitivity,
-)
+from multipos.designs.criteria import Criterion, kernels, make_criterion, objective, sensitivity
 from multipos.designs.exchange import _Bordered, _descend, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
@@ -37,6 +30,7 @@ from multipos.designs.optimum import (
     solve_definite,
 )
 from multipos.designs.prospects import _ahead, _mean_fall, _variances
+from multipos.designs.ranges import range_directions
 from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
 
@@ -307,7 +301,7 @@ def test_fewer_outputs_and_redundant_ones_are_described():
 
 
 def test_what_six_faces_cannot_see():
-    # eq. (2) of designs.assessment
+    # eq. (1) of designs.aliases
     (entry,) = mp.schemes("faces-6", model="linear")["schemes"]
     seen = {(a["output"], a["term"]): a for a in entry["aliases"]}
     # x³ = x and x|x| = x on the faces; x y = 0 there; x² is a third, and shows: ‖x² − 1/3‖/‖x²‖
@@ -725,7 +719,7 @@ def test_the_model_of_a_calibration_is_designed_for():
     ("name", "axes"), [("tilt:±30", "xyz"), ("tilt:±30", "xz"), ("force:±0.4", "xyz")]
 )
 def test_how_tilt_follows_force_by_differences(name, axes):
-    # eq. (3) of designs.criteria
+    # eq. (1) of designs.ranges
     up, directions = range_directions(name, tuple(axes))
     sensed = ["xyz".index(axis) for axis in axes]
     for i, along in zip([0, 1] if axes == "xyz" else [0], directions, strict=True):

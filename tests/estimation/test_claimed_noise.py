@@ -12,7 +12,7 @@ from multipos.estimation.stated_uncertainty import (
     shrink_variances,
     shrunk,
 )
-from multipos.numerics.quantiles import inverse_trigamma
+from multipos.numerics.polygamma import inverse_trigamma
 
 UP = mp.read_scheme("faces-6").up
 

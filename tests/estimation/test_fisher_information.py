@@ -12,7 +12,7 @@ from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import COMPONENTS
-from multipos.numerics.factoring import cofactors_of
+from multipos.numerics.cofactors import cofactors_of
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import build_model
 

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from multipos.numerics.factoring import cofactors_of, gram
+from multipos.numerics.cofactors import cofactors_of
+from multipos.numerics.factoring import gram
 
 
 def test_gram_by_pieces_is_the_product():

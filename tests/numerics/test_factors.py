@@ -8,18 +8,15 @@ import pytest
 
 import multipos as mp
 from multipos.designs.criteria import _mean_product
-from multipos.numerics.terms import (
+from multipos.numerics.factors import (
     FUNCTIONS,
     Code,
     Factor,
     Function,
-    Term,
     factor_from_list,
     factor_to_list,
-    formula_columns,
-    largest_value,
-    parse_terms,
 )
+from multipos.numerics.terms import Term, formula_columns, largest_value, parse_terms
 
 SGN = Function(
     form="sgn({})",
@@ -128,7 +125,7 @@ def test_an_unknown_function_is_refused_by_name():
 
 
 def test_what_is_odd_and_its_degree():
-    # eq. (1) of numerics.terms
+    # eq. (1) of numerics.factors
     odd = {str(f): (f.is_odd, f.degree) for f in (Factor("x", 3), Factor("x", 1, "modulus"))}
     assert odd == {"x^3": (True, 3), "x*|x|": (True, 2)}
     assert math.isclose(_mean_product(*parse_terms("x^2 + |x|")), 0.25)  # of |x|^3

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from multipos.numerics.quantiles import LARGEST, beta_tails, gamma_tails, solve, t_tail, t_tails
+from multipos.numerics.incomplete import LARGEST, beta_tails, gamma_tails
+from multipos.numerics.quantiles import solve, t_tail, t_tails
 
 SHAPE = st.floats(0.25, LARGEST)
 

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 
 from multipos.errors import MultiposError, RankError
 from multipos.numerics import factoring, least_squares
-from multipos.numerics.factoring import name_combinations, separability
 from multipos.numerics.least_squares import factor_alike, solve
+from multipos.numerics.separability import name_combinations, separability
 
 EPS = 2.0**-53  # relative error of one rounding
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from multipos.numerics.arrays import quadratic, recur
+from multipos.numerics.arrays import quadratic
+from multipos.numerics.recursions import recur
 
 
 def test_a_half_of_the_row_before_by_hand():
@@ -24,7 +25,7 @@ def test_each_run_begins_anew_by_hand():
 @pytest.mark.parametrize("a", [0.3, -0.9, 0.999])
 def test_rows_of_one_block_and_of_several_are_summed_one_by_one(n, a):
     """At the end of a block too: z_k = w_k + a z_{k−1} by a loop."""
-    # eq. (1) of numerics.arrays
+    # eq. (1) of numerics.recursions
     rng = np.random.default_rng(n)
     w, first = rng.normal(size=(n, 2)), rng.random(n) < 0.01
     expected = w.copy()

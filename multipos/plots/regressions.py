@@ -1,115 +1,30 @@
-"""Figures of a fit, of parameters over temperature, of a regression, and of an independent run."""
+"""Figures of a regression: a column before and after, in thermal balance, how terms were chosen.
+
+`draw_correction` draws a column before and after, of which `corrected_rows` are the numbers and
+`complete_rows` the rows that have all. `draw_balance` draws what is predicted in thermal balance,
+`draw_path` the F of every step of a selection, and `regression_figure` is the figure of all.
+"""
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from multipos.compensation.correction import correct, range_column, read_predictors, read_runs
 from multipos.errors import UsageError
-from multipos.files.numbers import in_unit, pretty_unit
 from multipos.files.tables import Source, Table, read_table
 from multipos.numerics.arrays import Array
 from multipos.numerics.selection import Step
 from multipos.plots import style
-from multipos.plots.calibration import residual_panels
 from multipos.plots.marks import draw_band, draw_line, draw_points
+from multipos.plots.style import When
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.segment import Segment, format_span
-from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.temperature import Curve, over_temperature
-from multipos.verification.verdicts import Check
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_When = Literal["both", "before", "after"]
-
-_WIDE = 5.0  # times the limit, from which errors are drawn logarithmically beyond it
-_LIMIT = 10.0  # times what is left after, from which a limit would hide it
-_APART = 5.0  # times what is left after, from which errors before have axes of their own
-
-
-def draw_check(found: Check, axes: "Axes", *, axis: str, when: _When = "both") -> None:
-    """Draw the errors of one axis before and after, U about the latter, and the limit.
-
-    Those of a regression are drawn against its segment variable. A limit so wide
-    that errors after and their U would shrink to a line is named beside them and not drawn.
-    """
-    column = found.axes.index(axis)
-    used = found.counted[:, column]
-    order = np.argsort(found.reference[used, column], kind="stable")
-    known = found.reference[used, column][order]
-    before, after, U = (
-        array[used, column][order] for array in (found.before, found.after, found.U)
-    )
-    axes.axhline(0.0, color="#999999", linewidth=0.5)
-    if when != "after":
-        draw_points(axes, known, before, 1, "before", fillstyle="none", clip_on=False)
-    if when != "before":
-        draw_points(axes, known, after, 0, "after, with U", yerr=U, clip_on=False)
-        _draw_limit(found, axes, drawn=when == "both" or _limit_fits(found))
-    if (
-        when == "both"
-        and found.limit is not None
-        and np.nanmax(np.abs(before)) > (_WIDE * found.limit)
-    ):  # else the limits would be one line
-        style.scale_by_powers(axes, "y", found.unit, linthresh=2.0 * found.limit)
-    axes.margins(0.06)
-    unit = f" [{pretty_unit(found.unit)}]" if found.unit else ""
-    axes.set_xlabel(found.against or f"{found.quantity} of {axis}{unit}")
-    word = axis if found.against else "error"
-    if axes.get_yscale() == "linear":
-        style.name_axis(axes.yaxis, word, found.unit)
-    else:
-        axes.set_ylabel(word)
-    style.name_series(axes, 3)
-
-
-def _draw_limit(found: Check, axes: "Axes", *, drawn: bool) -> None:
-    if found.limit is None:
-        return
-    said = f"limit ±{in_unit(found.limit, found.unit)}"
-    if not drawn:
-        axes.plot([], [], color="#555555", linestyle="--", linewidth=0.8, label=f"{said}, outside")
-        return
-    for height, label in ((-found.limit, None), (found.limit, said)):
-        axes.axhline(height, color="#555555", linestyle="--", linewidth=0.8, label=label)
-
-
-def errors_apart(found: Check) -> bool:
-    """Tell whether errors before would hide those after on one and the same scale."""
-    left = _left(found)
-    if _limit_fits(found):
-        left = max(left, found.limit or 0.0)
-    return float(np.nanmax(np.abs(found.before[found.counted]), initial=0.0)) > _APART * left
-
-
-def _left(found: Check) -> float:
-    """Return the largest error after compensation with its U."""
-    return float(np.nanmax((np.abs(found.after) + found.U)[found.counted], initial=0.0))
-
-
-def _limit_fits(found: Check) -> bool:
-    """Tell whether errors after can still be seen where the limit is drawn."""
-    return found.limit is not None and found.limit <= _LIMIT * _left(found)
-
-
-def check_panels(found: Check) -> "list[Callable[[Axes], None]]":
-    """Return what draws each panel: before and after apart, where one would hide the other."""
-    drawn: tuple[_When, ...] = ("before", "after") if errors_apart(found) else ("both",)
-    return [
-        partial(draw_check, found, axis=axis, when=when) for axis in found.axes for when in drawn
-    ]
-
-
-def check_figure(found: Check) -> "Figure":
-    """Return the errors of every axis; before and after apart, where one would hide the other."""
-    return style.figure_of(check_panels(found))
-
 
 _FAR = 5.0  # times what is left after, from which the response before would hide it
 
@@ -121,7 +36,7 @@ def draw_correction(
     *,
     variable: str | None = None,
     column: str | None = None,
-    when: _When = "both",
+    when: When = "both",
 ) -> None:
     """Draw a column before and after its correction against a variable, with the segments.
 
@@ -168,9 +83,7 @@ def corrected_rows(
     return _Corrected(target, table.number(target), after, name, x)
 
 
-def _draw_corrected(
-    regression: Regression, found: _Corrected, axes: "Axes", *, when: _When
-) -> None:
+def _draw_corrected(regression: Regression, found: _Corrected, axes: "Axes", *, when: When) -> None:
     x, grey = found.x, style.COLOURS[6]
     if when != "after":
         draw_points(axes, x, found.before, 0, "before", marker="x", color=grey, markersize=3.0)
@@ -182,18 +95,6 @@ def _draw_corrected(
     axes.axhline(0.0, color="black", linewidth=0.5)
     axes.set(xlabel=found.variable, ylabel=found.column)
     style.name_series(axes, 2)
-
-
-def draw_curve(curve: Curve, axes: "Axes") -> None:
-    """Draw a parameter against temperature with its bands: U at one, and at all temperatures."""
-    t = curve.temperature
-    draw_band(axes, t, curve.value, curve.band, 5, "band, all temperatures")
-    draw_line(axes, t, curve.value - curve.U, 0, linestyle="--")
-    draw_line(axes, t, curve.value + curve.U, 0, "U, one temperature", linestyle="--")
-    draw_line(axes, t, curve.value, 0, curve.name, linewidth=1.2)
-    axes.set_xlabel("temperature")
-    style.name_axis(axes.yaxis, curve.name, curve.unit)
-    style.name_series(axes, 3)
 
 
 def draw_balance(regression: Regression, axes: "Axes") -> None:
@@ -273,7 +174,7 @@ def regression_figure(regression: Regression | Regressions, data: Source) -> "Fi
 def _before_and_after(regression: Regression, table: Table) -> "list[Callable[[Axes], None]]":
     found = corrected_rows(regression, complete_rows(regression, table))
     before, after = (np.abs(y).max(initial=0.0) for y in (found.before, found.after))
-    words: tuple[_When, ...] = ("before", "after") if before > _FAR * after else ("both",)
+    words: tuple[When, ...] = ("before", "after") if before > _FAR * after else ("both",)
     return [partial(_draw_corrected, regression, found, when=word) for word in words]
 
 
@@ -290,21 +191,3 @@ def complete_rows(regression: Regression, table: Table) -> Table:
     names = {n if n in table else n.removesuffix("_rate") for n in needed}
     columns = [table.number(n, empty=True) for n in names if n in table]
     return table.select(np.flatnonzero(np.isfinite(columns).all(axis=0)).tolist())
-
-
-_TEMPERATURE = "temperature"
-
-
-def temperature_curves(calibration: Calibration) -> tuple[Curve, ...]:
-    """Return the parameters that change over temperature; none without such a term."""
-    model = calibration.model
-    if isinstance(model, ExpressionModel) or _TEMPERATURE not in model.environment:
-        return ()
-    curves = over_temperature(calibration, column=_TEMPERATURE)
-    return tuple(curve for curve in curves if curve.value.min() < curve.value.max())
-
-
-def calibration_figure(calibration: Calibration) -> "Figure":
-    """Return the residuals of every output, and below them what changes over temperature."""
-    curves = [partial(draw_curve, curve) for curve in temperature_curves(calibration)]
-    return style.figure_of([*residual_panels(calibration), *curves])
