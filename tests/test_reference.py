@@ -15,7 +15,7 @@ from multipos.numerics.terms import NAMED
 from multipos.positions import attitudes
 from multipos.positions.headers import RESERVED
 from multipos.positions.scheme import SCHEMES
-from multipos.reports.certificate import LAB_FIELDS
+from multipos.reports.laboratory import LAB_FIELDS
 from multipos.sensor.found import FoundOrientations
 from multipos.sensor.model import build_model
 from multipos.uncertainty.budgets import DIVISORS, KINDS

@@ -28,7 +28,7 @@ from multipos.fleets.folder import (
 from multipos.fleets.quality import PASS
 from multipos.fleets.workers import ENGINES
 from multipos.reports.documents import html_report, markdown_report
-from multipos.reports.several import fleet_content
+from multipos.reports.fleet_report import fleet_content
 
 INPUTS = ("tables", "scheme", "budget", "limits")
 OUTPUT = Output(

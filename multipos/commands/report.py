@@ -19,7 +19,7 @@ from multipos.regression.regression_file import SCHEMA as REGRESSION
 from multipos.regression.regression_file import load_regression
 from multipos.reports import documents, regressions
 from multipos.reports.certificate import Content, build_content
-from multipos.reports.several import fleet_content
+from multipos.reports.fleet_report import fleet_content
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.sensor.inverse import read_nominal

@@ -1,9 +1,8 @@
-"""What a report of a calibration says: its sections, tables and figures, and their order.
+"""What a report of a calibration says: its sections in their order, with the sentence above them.
 
-The sections are what a calibration certificate contains by clause 7.8 of ISO/IEC 17025:2017, as
-far as the data know it; what only the laboratory knows comes from its TOML file, and where that
-is silent a field stays open, marked as such. `documents` writes the content as HTML, Markdown or
-plain text.
+`build_content` collects them. They are what a calibration certificate contains by clause 7.8 of
+ISO/IEC 17025:2017, as far as the data know it; what only the laboratory knows comes from its file
+(`multipos.reports.laboratory`). `documents` writes the content as HTML, Markdown or plain text.
 """
 
 import math
@@ -13,19 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.files.numbers import in_unit
 from multipos.files.spelling import StrPath
-from multipos.files.trees import read_toml
 from multipos.finding import Findings, errors_of, in_order, serious
 from multipos.reports import check_text, evidence, summary
-from multipos.reports.findings import (
-    EQUIPMENT,
+from multipos.reports.fit_tests import checks_section
+from multipos.reports.laboratory import equipment_section, lab_fields, read_lab, signature_section
+from multipos.reports.outcome import (
     budget_section,
-    equipment_section,
     parameters_section,
     result_section,
-    signature_section,
     sphere_section,
 )
 from multipos.reports.sections import Section, method_section, with_annex, worded_section
@@ -35,39 +31,6 @@ from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.turntable import has_rolls
 from multipos.verification.verdicts import Check
-
-LAB_FIELDS = {
-    "report": {
-        "number": "Report number",
-        "issued": "Date of issue",
-        "authorised_by": "Authorised by",
-    },
-    "laboratory": {
-        "name": "Laboratory",
-        "address": "Address",
-        "country": "Country (ISO 3166-1)",
-        "location": "Place of calibration",
-        "accreditation": "Accreditation",
-    },
-    "customer": {"name": "Customer", "address": "Address of the customer"},
-    "item": {
-        "description": "Item",
-        "manufacturer": "Manufacturer",
-        "type": "Type",
-        "serial": "Serial number",
-        "condition": "Condition",
-        "received": "Date of receipt",
-    },
-    "measurement": {
-        "performed": "Date of calibration",
-        "method": "Method",
-        "conditions": "Environmental conditions",
-        "traceability": "Metrological traceability",
-        "deviations": "Deviations from the method",
-        "decision_rule": "Decision rule",
-        "remarks": "Remarks",
-    },
-}
 
 
 @frozen(eq=True)
@@ -101,65 +64,6 @@ class Content:
     sections: tuple[Section, ...]
     lab: Mapping[str, str] = field(default_factory=dict)
     result: Section | None = None
-
-
-def read_lab(source: "StrPath | Mapping[str, Any] | None") -> dict[str, str]:
-    """Return what the laboratory says, by ``section.key``.
-
-    Raises
-    ------
-    MultiposError
-        The file is missing or not TOML, or has a section or key that a report does not know.
-    """
-    if source is None:
-        return {}
-    where = "the lab file" if isinstance(source, Mapping) else str(source)
-    tables = source if isinstance(source, Mapping) else read_toml(source, "lab file")
-    said: dict[str, str] = {}
-    for section, table in tables.items():
-        if section == "equipment":
-            said |= _read_equipment(table, where)
-            continue
-        if section not in LAB_FIELDS or not isinstance(table, Mapping):
-            raise MultiposError(
-                f"{where}: unknown section [{section}]; a report has {', '.join(LAB_FIELDS)} "
-                "and [[equipment]]."
-            )
-        for key, value in table.items():
-            if key not in LAB_FIELDS[section]:
-                raise MultiposError(
-                    f"{where}, [{section}]: unknown key '{key}'; it takes "
-                    f"{', '.join(LAB_FIELDS[section])}."
-                )
-            if str(value).strip():
-                said[f"{section}.{key}"] = str(value)
-    return said
-
-
-def _read_equipment(entries: Any, where: str) -> dict[str, str]:
-    """Return what is said of each piece of equipment, by ``equipment.1.name``."""
-    said: dict[str, str] = {}
-    for place, entry in enumerate(entries if isinstance(entries, list) else [entries], start=1):
-        unknown = (
-            [key for key in entry if key not in EQUIPMENT] if isinstance(entry, Mapping) else [""]
-        )
-        if unknown or not isinstance(entry, Mapping):
-            raise MultiposError(
-                f"{where}, [[equipment]]: unknown key '{unknown[0]}'; each entry takes "
-                f"{', '.join(EQUIPMENT)}."
-            )
-        said |= {f"equipment.{place}.{key}": str(value) for key, value in entry.items()}
-    return said
-
-
-def lab_fields(said: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Return the fields of the laboratory that it has stated."""
-    return tuple(
-        (label, said[f"{section}.{key}"])
-        for section, keys in LAB_FIELDS.items()
-        for key, label in keys.items()
-        if f"{section}.{key}" in said
-    )
 
 
 def build_content(
@@ -212,7 +116,7 @@ def build_content(
                 evidence.positions_section(c),
                 *((evidence.rolls_section(c),) if has_rolls(c) else ()),
                 evidence.correlation_section(c),
-                evidence.checks_section(c, simulated),
+                checks_section(c, simulated),
                 _method(c),
                 *((equipment,) if equipment is not None else ()),
                 *_validity(findings),

@@ -1,4 +1,9 @@
-"""What checks say: as sheets of text (`multipos.reports.sheets`), and as plain text of them."""
+"""What checks say: as sheets of text, as plain text, and in a sentence.
+
+`check_sheets` gives the tables, of all positions or the largest errors, and `check_text` prints
+them with the verdict; `run_conclusions` judges the run as a whole, and `check_sentence` says the
+largest error against its limit.
+"""
 
 import math
 from dataclasses import replace

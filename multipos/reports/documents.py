@@ -1,34 +1,19 @@
 """The report as one HTML page, on paper, as Markdown or plain text, or as a digital certificate.
 
-`report` writes everything that `multipos.reports.certificate` has to say. The HTML is one
-file: figures are inline SVG, nothing is fetched and no script runs, and the same calibration gives
-the same bytes.
-
-Numbers in a report: aligned at the point, with a minus sign, without powers of ten in letters.
-
-Whatever the form of the report; programs read JSON and XML.
-
-A report on paper: the page as PDF, with the number of the report and of the page on every one.
-
-WeasyPrint lays the page out by its own rules for print; it fetches nothing, as the page names
-nothing that is not in it. It is an extra, `multipos[pdf]`; without it an installed Chromium prints.
+`report` writes everything there is to say of a result. `html_report`, `pdf_report`,
+`markdown_report`, `plain_report` and `xml_report` each give one form of the content that
+`certificate`, `regressions` and `fleet_report` collect. The HTML is one file: figures are inline
+SVG, nothing is fetched and no script runs, and the same calibration gives the same bytes.
 """
 
-import os
 import re
-import subprocess
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import suppress
 from html import escape
-from importlib.util import find_spec
 from pathlib import Path
-from shutil import which
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import UsageError
 from multipos.files import numbers, whole
 from multipos.files.spelling import StrPath, visible
 from multipos.fleets.fleet import Fleet
@@ -36,134 +21,14 @@ from multipos.plots.style import COLOURS
 from multipos.regression.regression import Regression, Regressions
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.dcc import dcc_report
+from multipos.reports.fleet_report import fleet_content
+from multipos.reports.paper import paper_report
+from multipos.reports.readable import aligned_rows, readable
 from multipos.reports.regressions import regression_content
-from multipos.reports.sections import Figure, PageTable, Section, template
-from multipos.reports.several import fleet_content
+from multipos.reports.sections import Figure, Section, template
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 from multipos.verification.verdicts import Check
-
-_FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
-_PLAIN = re.compile(r"[-+]?\d+(?P<rest>(?:\.\d+)?)(?:\(\d+\))?")
-_POWER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:\(\d+\))?)e([-+]?\d+)(?!\w|\.\w)")
-_UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as it is typed
-_MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
-_ZERO = re.compile(r"(^|[\[( ])-(?=0(?:\.0+)?(?![\d.]))")  # what rounds to it has no sign
-_CELSIUS = re.compile(r"(?<=[/\[])degC\b")
-_DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
-
-
-def aligned_rows(grid: PageTable, figure: str = _FIGURE, point: str = _POINT) -> list[list[str]]:
-    """Return the rows of a table, filled up by spaces as wide as a figure and as a point."""
-    columns = [list(column) for column in zip(*grid.rows, strict=True)]
-    shown = [
-        [readable(cell) for cell in column]
-        if place < grid.left
-        else _aligned(column, figure, point)
-        for place, column in enumerate(columns)
-    ]
-    return [list(row) for row in zip(*shown, strict=True)]
-
-
-def readable(text: str) -> str:
-    """Return a cell with powers, units and infinity as people write them."""
-    text = _POWER.sub(lambda m: f"{m[1]}×10{str(int(m[2])).translate(numbers.SUPERSCRIPT)}", text)
-    text = _DEGREES.sub("°", _CELSIUS.sub("°C", text))
-    text = _UNIT.sub(lambda m: m[1] + m[2].translate(numbers.SUPERSCRIPT), text)
-    if text == "inf":
-        return "∞"
-    return _MINUS.sub(r"\1−", _ZERO.sub(r"\1", text))
-
-
-def _aligned(column: Sequence[str], figure: str, space: str) -> list[str]:
-    """Return a column of numbers, each filled up on the right to the longest behind its point."""
-    found = [_PLAIN.fullmatch(cell) for cell in column]
-    longest = max((len(match["rest"]) for match in found if match), default=0)
-    cells = []
-    for cell, match in zip(column, found, strict=True):
-        behind = len(match["rest"]) if match else longest
-        fill = figure * (longest - max(behind, 1)) if longest > behind else ""
-        point = space if longest and match and not match["rest"] else ""
-        cells.append(readable(cell) + point + fill)
-    return cells
-
-
-_LIBRARY = "weasyprint"
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "msedge")
-_LONGEST = 300.0  # seconds that a browser may print
-_OFTEN = 0.2  # seconds between two words of progress
-
-
-def paper_report(page: str, progress: Callable[[int], object] = lambda _: None) -> bytes:
-    """Return an HTML report as PDF, by WeasyPrint or else by an installed Chromium.
-
-    Parameters
-    ----------
-    page : str
-    progress : callable
-        Called again and again while the pages are laid out.
-
-    Raises
-    ------
-    MultiposError
-        Neither is installed, or what there is cannot print; names the way out.
-    """
-    browser = next(filter(None, map(which, _BROWSERS)), None)
-    if find_spec(_LIBRARY) is None and browser is None:
-        raise MultiposError(
-            f"a PDF is made by {_LIBRARY} or Chromium, and neither is installed; install one with "
-            "pip install 'multipos[pdf]', or write a .html file and print that."
-        )
-    with ThreadPoolExecutor(1) as executor:
-        if find_spec(_LIBRARY) is None:
-            making = executor.submit(_print_by_browser, str(browser), page)
-        else:
-            making = executor.submit(_print_by_library, page)
-        while not wait((making,), _OFTEN).done:
-            progress(0)
-        return making.result()
-
-
-def _print_by_library(page: str) -> bytes:
-    for i, colour in enumerate(COLOURS[:7], start=1):  # WeasyPrint has no variables in figures
-        page = page.replace(f"var(--c{i})", colour)
-    page = page.replace("stroke: var(--paper)", "stroke: #ffffff").replace(
-        "currentColor", "#000000"
-    )
-    try:
-        from weasyprint import HTML
-    except OSError as error:  # Pango is a library of the system
-        raise MultiposError(
-            f"{_LIBRARY} cannot start, as a library of the system is missing ({error}); install "
-            "Pango, or write a .html file and print that."
-        ) from None
-    made: bytes = HTML(string=page, url_fetcher=_fetch_nothing).write_pdf()
-    return made
-
-
-def _print_by_browser(program: str, page: str) -> bytes:
-    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        source, printed = Path(folder, "report.html"), Path(folder, "report.pdf")
-        source.write_text(page, encoding="utf-8")
-        options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer"]
-        if getattr(os, "geteuid", lambda: 1)() == 0:  # for root Chromium has no sandbox
-            options.append("--no-sandbox")
-        where = [f"--user-data-dir={folder}/profile", f"--print-to-pdf={printed}", source.as_uri()]
-        with suppress(OSError, subprocess.TimeoutExpired):
-            command = [program, *options, *where]
-            subprocess.run(command, capture_output=True, timeout=_LONGEST, check=False)
-        try:
-            return printed.read_bytes()
-        except OSError:
-            raise MultiposError(
-                f"{program} printed no PDF; install the extra with pip install 'multipos[pdf]', or "
-                "write a .html file and print that."
-            ) from None
-
-
-def _fetch_nothing(url: str) -> dict[str, object]:
-    """Refuse whatever a page might name: it holds all that it shows."""
-    raise ValueError(f"a report fetches nothing, not {url[:40]}")
 
 
 def html_report(content: Content) -> str:
@@ -259,7 +124,7 @@ def report(
     path : path
         The rows of a regression, for its figures, are looked for beside it.
     lab : path or mapping, optional
-        TOML file of what only the laboratory knows (`multipos.reports.certificate.LAB_FIELDS`).
+        TOML file of what only the laboratory knows (`multipos.reports.laboratory.LAB_FIELDS`).
     simulated : MonteCarlo, optional
         What `multipos.uncertainty.monte_carlo` found, for the checks.
     check : Check, optional
@@ -320,8 +185,14 @@ def xml_report(calibration: Calibration, content: Content) -> str:
 
 # Between the lines of an entry of a list.
 _BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
+
+
 _LONG_TABLE = 40  # rows: beyond, a table may break over pages
+
+
 _CERTIFICATE = ".xml"
+
+
 _FORMS: dict[str, Callable[[Content], str | bytes]] = {
     ".html": html_report,
     ".pdf": pdf_report,

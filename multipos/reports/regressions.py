@@ -22,15 +22,11 @@ from multipos.numerics.arrays import Array, Places
 from multipos.plots.regressions import complete_rows, corrected_rows, draw_path
 from multipos.plots.style import COLOURS
 from multipos.regression.junctions import Junction
-from multipos.regression.regression import (
-    Regression,
-    Regressions,
-    all_of,
-    require_same_data,
-)
+from multipos.regression.regression import Regression, Regressions, all_of, require_same_data
 from multipos.regression.regression_text import regression_sentence
 from multipos.regression.segment import Segment, format_span
-from multipos.reports.certificate import Content, lab_fields, read_lab
+from multipos.reports.certificate import Content
+from multipos.reports.laboratory import lab_fields, read_lab
 from multipos.reports.sections import (
     LONG_TABLE,
     Figure,

@@ -1,7 +1,10 @@
 """What a report is made of: sections of paragraphs, figures and tables.
 
-Numbers are text here, with the digits that their uncertainty leaves. Figures are functions and
-drawn only where they are wanted.
+Numbers are text here, with the digits that their uncertainty leaves; figures are functions and
+drawn only where they are wanted, by `draw_svg`. `chosen_rows` picks the rows of a table and
+`with_annex` shortens long ones, which an annex has in full; `method_section` says how something was
+done, `worded_section` rewords a section for the sensor of another field, and `template` reads a
+file of the folder of templates.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,7 +1,8 @@
-"""What tumbles and turntables say: as sheets of text, and as plain text of them.
+"""What the installation of a sensor and its rolls on a turntable give: as sheets of text.
 
-A sheet is a title, a header and rows. Commands print it, and `multipos.reports.documents` puts it
-into a report of any form and language.
+A `Sheet` is a title, a header and rows, which commands print and reports take as a table.
+`installation_sheets` has the angles of the outputs, `table_error_sheets` the errors of the
+turntable and shifts of the zero between rolls, and `table_errors_text` prints the latter.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,8 @@
 """Results that show themselves: in a notebook as HTML, printed as a summary, drawn on axes.
 
-`show_html` is compact: findings first, then a table or the summary, and one figure, as one piece of
-HTML without styles or scripts of a page around it. `Result` finds this module by its name, for
-results stand above all reports and know none of them.
+`show_text` prints one as its command does, `show_html` is compact: findings first, then a table or
+the summary, and one figure, without styles or scripts of a page around it; `draw` draws the figure
+alone. `Result` finds this module by its name, for results stand above all reports and know none.
 """
 
 import math
@@ -43,7 +43,7 @@ from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_text import regression_sentence, regression_text
 from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
-from multipos.reports.findings import parameter_cells
+from multipos.reports.quantities import parameter_cells
 from multipos.reports.sheets import table_errors_text
 from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text

@@ -1,8 +1,10 @@
 """The summary that a fit prints; the whole report is `multipos.reports.documents`.
 
-The answer in a sentence, the parameters as value(u) with U, k and degrees of freedom, and the
-findings; then what was done, of one- and two-axis sensors how they are installed and what their
-rolls say of the turntable, the residuals of every position, and how the result was checked.
+`text_report` is all of it: `calibration_sentence`, the answer in a sentence, with
+`counted_findings` and the largest U in percent or ppm (`share`); `parameter_text`, the parameters
+as value(u) with U, k and degrees of freedom; the findings; and `detail_text`, what was done, of
+one- and two-axis sensors how they are installed and what their rolls say of the turntable, the
+residuals of every position, and how the result was checked.
 """
 
 import math

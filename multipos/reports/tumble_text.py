@@ -1,4 +1,8 @@
-"""The pages of a tumble as text: coefficients, harmonics, hysteresis and the table."""
+"""What a tumble prints: coefficients, harmonics, hysteresis and the table.
+
+`tumble_sections` gives titles with text, `tumble_text` prints those of one output, `tumbles_text`
+those of several in common tables, and `tumble_sentence` says scale factor and bias of each.
+"""
 
 import math
 from collections.abc import Mapping

@@ -221,8 +221,8 @@ def test_dots_of_residuals_stand_where_they_are(cal):
 @pytest.mark.usefixtures("without_drawing")
 def test_paper_needs_the_extra_or_a_browser(cal, tmp_path, capsys, monkeypatch):
     cal.save(tmp_path / "c.json")
-    monkeypatch.setattr("multipos.reports.documents.find_spec", lambda name: None)
-    monkeypatch.setattr("multipos.reports.documents.which", lambda name: None)
+    monkeypatch.setattr("multipos.reports.paper.find_spec", lambda name: None)
+    monkeypatch.setattr("multipos.reports.paper.which", lambda name: None)
     assert main(["report", str(tmp_path / "c.json"), "-o", str(tmp_path / "r.pdf")]) == 1
     assert "pip install 'multipos[pdf]'" in capsys.readouterr().err
     assert not (tmp_path / "r.pdf").exists()
@@ -235,7 +235,7 @@ def test_paper(cal, tmp_path, monkeypatch, way):
     elif browser.find() is None:
         pytest.skip("needs Chromium")
     else:
-        monkeypatch.setattr("multipos.reports.documents.find_spec", lambda name: None)
+        monkeypatch.setattr("multipos.reports.paper.find_spec", lambda name: None)
     said = []
     made = pdf_report(build_content(cal), said.append)
     assert made.startswith(b"%PDF")

@@ -7,7 +7,7 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.reports.several import fleet_content
+from multipos.reports.fleet_report import fleet_content
 
 SCHEME = "faces-corners-14"
 UP = mp.read_scheme(SCHEME).up

@@ -18,8 +18,9 @@ from multipos.files.numbers import (
 from multipos.plots.calibration import draw_size_residuals, residual_panels, size_residuals
 from multipos.plots.style import name_axis, new_figure
 from multipos.reports.certificate import build_content
-from multipos.reports.documents import html_report, markdown_report, plain_report, readable
-from multipos.reports.findings import column, with_u
+from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.quantities import column, with_u
+from multipos.reports.readable import readable
 
 pytestmark = pytest.mark.usefixtures("without_drawing")
 

@@ -18,7 +18,8 @@ from multipos.finding import Finding
 from multipos.positions.scheme import read_scheme
 from multipos.reports.certificate import build_content
 from multipos.reports.check_text import check_text
-from multipos.reports.documents import html_report, markdown_report, plain_report, readable
+from multipos.reports.documents import html_report, markdown_report, plain_report
+from multipos.reports.readable import readable
 from multipos.reports.summary import text_report
 from multipos.results import plain
 from multipos.uncertainty.propagation import evaluate_budget

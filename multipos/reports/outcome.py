@@ -1,187 +1,43 @@
-"""What a report says was found: the result, parameters, uncertainty, compensation.
+"""The sections of a report on what came out of a calibration.
 
-Values stand with their uncertainty: in a unit that people read, to the digits of u. A row has one
-unit, by the larger of value and U; a column of numbers of one unit has one as well.
-
-The first screen is the result, one picture of all errors before and after, and how far it holds;
-what is signed last, and the equipment, are here as well.
+`result_section` is the first screen: one picture of all errors before and after, how far the
+result holds, and sensitivities, offsets and angles. Then `parameters_section`, `budget_section`
+with what each input contributes, and `sphere_section` on compensated force and tilt over all
+directions.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from multipos.diagnostics.model_error import not_stated
 from multipos.diagnostics.projections import shown_sizes
 from multipos.files.numbers import (
-    beside,
-    beyond_rounding,
     common_units,
     decimals_of,
-    fixed,
     largest_rows,
-    most_of,
     number,
     plain_number,
     pretty_unit,
     readable_unit,
 )
-from multipos.numerics.arrays import COMPONENTS, Array
-from multipos.numerics.quantiles import coverage_factor
+from multipos.numerics.arrays import COMPONENTS
 from multipos.plots.pictures import error_picture
 from multipos.positions.headers import TEMPERATURE
-from multipos.reports.sections import (
-    LONG_TABLE,
-    Figure,
-    PageTable,
-    Section,
-    chosen_rows,
+from multipos.reports.quantities import (
+    Quantity,
+    derived_quantities,
+    leaning_quantities,
+    parameter_cells,
+    quantity_rows,
 )
-from multipos.sensor.calibration import Calibration, Parameter, has_nominal
-from multipos.sensor.derived import intrinsic_gradient
+from multipos.reports.sections import LONG_TABLE, Figure, PageTable, Section
+from multipos.sensor.calibration import Calibration, has_nominal
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
-from multipos.units import unit_per
-
-
-class Quantity(NamedTuple):
-    """A quantity with its uncertainty."""
-
-    name: str
-    unit: str
-    value: float
-    u: float
-    U: float
-    k: float
-
-
-class Column(NamedTuple):
-    """Numbers of one unit as cells, and the unit."""
-
-    unit: str
-    cells: list[str]
-
-
-def derived_quantities(c: Calibration, budget: Evaluation) -> list[Quantity]:
-    """Return sensitivities, offsets, angles between axes and mounting of a triad; else nothing.
-
-    What the gauge has fixed is left out.
-    """
-    if c.intrinsic is None:
-        return []
-    values, gradient = intrinsic_gradient(c.model, c.parameters, c.mean_environment)
-    u, dof, _ = budget.combine(gradient)
-    per = unit_per(c.model.unit, 1, (), c.field.unit)
-    names = [
-        *((f"Sensitivity of {o}", per) for o in c.outputs),
-        *((c.field.worded(f"Offset of {o}"), c.field.printed) for o in c.outputs),
-        *((f"Angle between input axes {p}", "deg") for p in ("xy", "xz", "yz")),
-        *((f"Mounting, rotation about {a}", "deg") for a in COMPONENTS),
-    ]
-    if c.model.gauge is not None:
-        names = names[:-3]
-    found = zip(names, values.tolist(), u.tolist(), dof.tolist(), strict=False)
-    quantities = []
-    for (name, unit), value, sd, nu in found:
-        k = coverage_factor(c.confidence, nu)
-        quantities.append(Quantity(name, unit, value, sd, k * sd, k))
-    for i, p in enumerate((c[output, "1"] for output in c.outputs), start=len(c.outputs)):
-        of_readings = Quantity(quantities[i].name, p.unit, p.value, p.u, p.U, p.k)
-        quantities[i] = c.field.zero(quantities[i], of_readings)
-    return quantities
-
-
-def leaning_quantities(c: Calibration) -> list[Quantity]:
-    """Return how far each output leans to the others; without what the gauge has fixed."""
-    return [
-        Quantity(
-            f"Output on {pair[0]}, tilt to {pair[1]}",
-            "deg",
-            angle["value"],
-            angle["u"],
-            angle["U"],
-            angle["U"] / angle["u"],
-        )
-        for pair, angle in c.installation_deg.items()
-        if angle["u"]
-    ]
-
-
-def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:
-    """Return name, value, U, unit and k of each; those of one unit have it in common."""
-    units = common_units((q.unit, most_of(q.value, q.U)) for q in found)
-    rows: list[tuple[str, ...]] = []
-    for q in found:
-        factor, unit = units[q.unit]
-        shown = beside(factor * q.value, factor * q.u, factor * q.U)
-        rows.append((q.name, *shown, unit, plain_number(q.k, 3)))
-    return rows
-
-
-def parameter_cells(entries: Iterable[Parameter]) -> list[tuple[str, str, str, str]]:
-    """Return value, u, U and unit of parameters; those of one unit have it in common."""
-    given = list(entries)
-    units = common_units((p.unit, most_of(p.value, p.U)) for p in given)
-    return [with_u(p.value, p.u, p.U, units[p.unit]) for p in given]
-
-
-def with_u(
-    value: float, u: float, U: float, unit: str | tuple[float, str]
-) -> tuple[str, str, str, str]:
-    """Return a value, its u and its U to the digits of u, and the unit of all three.
-
-    `unit` is that of the numbers, or the one to print with its factor, as of `common_units`.
-    """
-    factor, shown = readable_unit(most_of(value, U), unit) if isinstance(unit, str) else unit
-    decimals = decimals_of(factor * u)
-    value_cell, U_cell = beside(factor * value, factor * u, factor * U)
-    return value_cell, "-" if decimals is None else f"{factor * u:.{decimals}f}", U_cell, shown
-
-
-def column(
-    values: Sequence[float] | Array,
-    unit: str | tuple[float, str],
-    u: float | None = None,
-    *,
-    signed: bool = False,
-    scale: float = 1.0,
-) -> Column:
-    """Return numbers as cells of one unit, to the digits of `u`, else to three.
-
-    What is but the rounding of numbers of size `scale` is 0. `unit` is that of the numbers, or
-    the one to print with its factor, as of `readable_unit`.
-    """
-    values = [beyond_rounding(x, scale) for x in np.asarray(values, dtype=np.float64).tolist()]
-    u = None if u is None else beyond_rounding(u, scale)
-    sizes = np.abs(np.asarray(values))
-    if isinstance(unit, str):
-        unit = readable_unit(float(np.max(sizes[np.isfinite(sizes)], initial=0.0)), unit)
-    factor, shown = unit
-    decimals = None if u is None else decimals_of(factor * u)
-    cells = []
-    for value in (factor * np.asarray(values, dtype=np.float64)).tolist():
-        if not np.isfinite(value):
-            cells.append(number(value))
-        elif decimals is None:
-            sign = "+" if signed and value > 0.0 else ""
-            cells.append(sign + plain_number(value))
-        else:
-            cells.append(fixed(value, decimals, signed=signed))
-    return Column(shown, cells)
-
-
-EQUIPMENT = {
-    "name": "Equipment",
-    "type": "Type",
-    "serial": "Serial number",
-    "calibrated": "Calibrated",
-    "due": "Due",
-    "certificate": "Certificate",
-}
-_LINE = "________________"  # to be written on by hand
 
 
 def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Section:
@@ -233,50 +89,6 @@ def _of_few_axes(c: Calibration) -> list[Quantity]:
     wanted.sort(key=lambda p: not p.name.startswith("scale_"))
     found = [Quantity(p.label, p.unit, p.value, p.u, p.U, p.k) for p in wanted]
     return found + leaning_quantities(c)
-
-
-def readings_table(c: Calibration) -> PageTable:
-    """Return the readings as they were measured, with what was stated of each."""
-    shown, kept, suffix = chosen_rows(c.relative_residuals)
-    r = c.readings
-    columns: list[tuple[str, Sequence[str]]] = [("Position", r.labels)]
-    for i, output in enumerate(c.outputs):
-        decimals = decimals_of(float(c.residual_sd[i]))
-        form = ".10g" if decimals is None or decimals > 12 else f".{decimals + 1}f"
-        columns.append((f"{output} [{c.model.unit}]", [f"{v:{form}}" for v in r.values[:, i]]))
-    if r.u is not None:
-        for i, output in enumerate(c.outputs):
-            stated = column(r.u[:, i], c.model.unit)
-            columns.append((f"u {output} [{stated.unit}]", stated.cells))
-    if r.samples is not None:
-        columns.append(("n", [f"{n:g}" for n in r.samples]))
-    columns += [(name, [f"{v:.6g}" for v in r.environment[name]]) for name in c.model.environment]
-    rows = tuple(tuple(column[row] for _, column in columns) for row in shown)
-    header = tuple(name for name, _ in columns)
-    return PageTable("Readings as measured" + suffix, header, rows, kept=kept)
-
-
-def equipment_section(said: Mapping[str, str]) -> Section | None:
-    """Return the equipment that the laboratory names; nothing where it names none."""
-    rows: list[tuple[str, ...]] = []
-    while any(f"equipment.{len(rows) + 1}.{key}" in said for key in EQUIPMENT):
-        rows.append(tuple(said.get(f"equipment.{len(rows) + 1}.{key}", "-") for key in EQUIPMENT))
-    if not rows:
-        return None
-    header = tuple(EQUIPMENT.values())
-    table = PageTable("Equipment used", header, tuple(rows), left=len(header))
-    return Section("Equipment", tables=(table,))
-
-
-def signature_section(said: Mapping[str, str]) -> Section:
-    """Return where the report is signed."""
-    rows = (
-        ("Authorised by", said.get("report.authorised_by", _LINE)),
-        ("Date", said.get("report.issued", _LINE)),
-        ("Signature", _LINE),
-    )
-    table = PageTable("Signed by", ("Item", "Value"), rows, left=2)
-    return Section("Signature", tables=(table,))
 
 
 def parameters_section(c: Calibration) -> Section:
