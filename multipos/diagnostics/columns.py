@@ -1,5 +1,8 @@
 """Findings that the columns raise by themselves, whatever was fitted.
 
+`dead_output`, `counter_column`, `saturated` and `quantized` find outputs that a sensor does not
+give, `repeated_rows` copies of rows, and `temperature_kelvin` a temperature that looks like kelvin.
+
 A dead output stands still, to the last digit, while its own axis turned from one side of the
 horizon to the other. A sensor at rest scatters and quantises, but over an own reference that spans
 more than half a g it does not repeat one number.

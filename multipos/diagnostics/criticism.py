@@ -1,5 +1,9 @@
 """Is the model right, and which positions decide it? Criticism of a fit at known orientations.
 
+`judge_terms` tests terms of higher order in and out, `aicc` is Akaike's criterion, `find_influence`
+what each position does to the fit, and `fourier_residuals` the harmonics of residuals along each
+roll. `residual_sum` is what other terms would leave, `force_components` what a term uses.
+
 With residuals e, leverage h, s² = e'e/ν of n readings and p terms of one output:
 
 - a term or several: F = ((rss₀ − rss₁)/q) / (rss₁/ν₁) of the smaller model in the larger one, q

@@ -1,18 +1,23 @@
 """Every finding about a finished calibration, in the order in which they are asked.
 
+`examine` returns a calibration with its findings, of which `compete` names one among causes that
+explain the same residuals and `without_explained` leaves out those that another explains.
+`no_redundancy` and `poorly_determined` find fits that nothing checks or that U leaves open, which
+`are_poorly_known` and `are_open` tell of many units; `drift_absorbed` and `hidden_table` find what
+the model takes for the sensor, and `open_headings` says what a stated level assumes. `in_words`
+words a sentence for a magnetometer.
+
 A finding is a function from a calibration to at most one finding, a `Finding`, and a line in one of
 the lists below. Cautions about what the residuals say are asked only where nothing wrong
 was found: rows interchanged look like a missing term, an outlier and a rejected noise as well, and
 are none of these.
 
-Which cause is named: those that explain the same residuals compete in one likelihood.
+Causes that explain the same residuals compete in one likelihood. Terms that the model lacks,
+orientation error, outliers and repeats that agree too well are found by tests of their own, causes
+of time and table by `multipos.diagnostics.row_order`. Where one of these is beyond chance, all are
+held against each other by S of eq. (3) there, and the best is named, with its size and what to do.
 
-Terms that the model lacks, orientation error, outliers and repeats that agree too well are found by
-tests of their own, causes of time and table by `multipos.diagnostics.row_order`. Where one of these
-is beyond chance, all are held against each other by S of eq. (3) there, and the best is named, with
-its size and what to do.
-
-What nothing checks is cautioned about: as many parameters as readings, or hardly fewer.
+Fits that nothing checks are cautioned about: as many parameters as readings, or hardly fewer.
 A fit with no degrees of freedom passes through every reading, right or wrong, and its residuals,
 zero to rounding, say nothing. With orientations unknown a position is one equation, however
 many outputs it has. Positions that are much alike separate the parameters badly: at a condition of

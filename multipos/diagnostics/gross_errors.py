@@ -1,14 +1,17 @@
 """What no sensor gives, and the one repair that would explain it.
 
+`explained` returns what is grossly wrong with a fit: a repair that `explains` the data, of several
+that which `as_good_as_best` leaves, or the fact. `is_gross` tells whether a misfit is beyond any
+sensor.
+
 The cheap question comes first: are the residuals and the directions of the outputs those of a
 sensor? Only where they are not, the linear view of the readings is made, repairs
 are tried on it (`repairs`), and where none explains the data, it is asked whether there is a
 signal at all: residuals as large as what the outputs respond to one g, or an output that does
 not respond to its own axis. A sensor that has a signal is then asked for its directions and units.
 
-Which repair of the data is accepted, and which of several.
-
-A repair leaves a misfit rho' where there was rho, eq. (4) of `repairs`. It is accepted where
+**Acceptance.** A repair leaves a misfit rho' where there was rho, eq. (4) of `repairs`. It is
+accepted where
 
     N (rho'/rho)^nu < alpha,    nu = M (n − r),                                              (1)
 

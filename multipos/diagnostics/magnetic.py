@@ -1,5 +1,9 @@
 """Findings about a magnetic field: its size, directions that are missing, iron near and moving.
 
+`field_size` finds a field of another size than Earth's, `disturbance` part of the sphere that has
+another and `moving_iron` hard iron that changes. `sphere_gap` finds directions that no reading is
+near, which `missing_directions` lists.
+
 Of unknown orientations a reading leaves m = |b| − 1, in the relative field. To first order in an
 error of the calibration it is linear in products of the direction u: the columns u (hard
 iron) and u u' (soft iron), which the fit has taken up. What is left after these, r with the

@@ -1,15 +1,20 @@
 """Findings about the model: a term that the data ask for, and terms that the positions cannot show.
 
+`missing_term` names the terms that the data ask for, `hidden_terms` those that the positions cannot
+show and `not_stated` those of them that the budget lacks, on which `find_hidden` is the note;
+`largest_coefficients` says how large they can be, and `are_better_with` where terms lower the
+errors at rows left out. `zero_per_soak` finds a zero that differs from soak to soak, which
+`judge_soaks` tests; `columns_of` are the columns of kinds of terms.
+
 A term that is missing spoils compensated force by as much as it is large, and no U of the
 parameters holds it: with a linear model and 2 mg of third order, U covers 58 % at 24 positions and
 10 % at 400. Where positions show the term, its test finds it long before that
 (`multipos.diagnostics.score_tests`); where they do not, the budget's [unseen] states how large it
 may be. Terms are named one after the other, each tested beside those that were named.
 
-Does the zero differ from one soak to the next? Rows of one soak are then no readings apart.
-
-A soak is a stay at one temperature, in which several positions are read. Its rows share whatever
-the zero did there beside what the model follows (hysteresis, a switch-on, a chamber that tilts):
+**Soaks.** A soak is a stay at one temperature, in which several positions are read. Its rows share
+whatever the zero did there beside what the model follows (hysteresis, a switch-on, a chamber that
+tilts):
 
     y_k = x_k' p + a_s(k) + e_k,    a_s ~ N(0, σ_a²).                                       (1)
 

@@ -1,5 +1,11 @@
 """What positions show of terms that a model lacks: projections, and what they leave unseen.
 
+`lacking` returns the kinds of terms that a model lacks, `formula_with` its formula with them, and
+`project` what a fit leaves of their columns, which `seen_rows` and `left_of` work out; `hides`
+tells whether a kind is hidden. `values_of` and `terms_of` are the columns of all terms, `sphere`
+the directions that force may have. `is_level` and `level_of` hold the noise of readings, and
+`shown_sizes` is how large terms are that positions show.
+
 With the whitened design X = Q R and columns Z of terms that are not in it, V = Z − QQ'Z is what a
 fit leaves of them. At known orientations V depends on the positions and not on the readings; its
 orthonormal rows are kept from one fit to the next.
@@ -15,9 +21,8 @@ that are 3° to 1° off, infinite at the faces; where it passes `_HIDDEN` terms 
 they are found. Where no positions could show a combination E is zero as well, and little where
 the model does nearly the same: own·|own| beside own and own³.
 
-The terms that a model could have: the standard ones up to third order that it lacks.
-
-Kinds of terms are written for an output of any axis, `own` and `other` standing for components:
+**Kinds.** The terms that a model could have are the standard ones up to third order that it lacks,
+written for an output of any axis, `own` and `other` standing for components:
 
     1, own, other · own², own|own|, own³, own·other · and of every column, the next power of it
     alone and with own, up to the third.                                                    (2)
@@ -25,11 +30,9 @@ Kinds of terms are written for an output of any axis, `own` and `other` standing
 They are those of the standard models (IEEE Std 1293: K0, K1 and misalignment; K2, Koq, K3, Kip and
 Kio). Squares and products of the other components are not among them: x² + y² + z² = 1 at rest.
 
-How large the terms of higher order are that the positions do show, for a guess at the others.
-
-What is hidden can only be stated, in a budget's [unseen]; what nobody knows is guessed from its
-kin. Of a term of second or third order, fitted or tested beside the model, with coefficients c_i
-of standard uncertainty u_i in outputs that respond by |K_i|,
+**Sizes.** What is hidden can only be stated, in a budget's [unseen]; what nobody knows is guessed
+from its kin. Of a term of second or third order, fitted or tested beside the model, with
+coefficients c_i of standard uncertainty u_i in outputs that respond by |K_i|,
 
     size = sqrt(mean over i of (c_i² + u_i²) / |K_i|²)   [g],                                (3)
 

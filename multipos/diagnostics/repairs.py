@@ -1,25 +1,29 @@
 """The one repair that would explain readings which no linear sensor explains.
 
+`look` returns the linear view of a calibration and `listed_reference` the reference that it holds;
+`candidates` are the best repairs of each kind. `explain_failure` names rows in another unit, which
+`rows_in_another_unit` finds, where a fit ends with an error, and `refuse_drowned` refuses readings
+of which one drowns the others.
+
 A row may belong to another position, have been taken upside down, or stand in another unit; a
 converter may have wrapped around; angles may have been radians. Each such repair is tried, on the
 linear view of the readings; `gross_errors` says which one is accepted.
 
-All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ' the
-projector on the residuals, r = M y,
+**Changes.** All changes of readings y' = y + d v' in a few rows have closed forms: with M = I − QQ'
+the projector on the residuals, r = M y,
 
     rss' = rss + 2 d (v·r) + d² v'Mv.                                                       (1)
 
-Rows in another unit, or of another size altogether, where the fit ends with an error.
-
-Wherever a triad at rest points, its readings are of one size, but for bias and scale factors:
+**Another unit.** Wherever a triad at rest points, its readings are of one size, but for bias and
+scale factors:
 
     |y_k| = |b + K f_k|,    a third to three times the median for a bias below half a g.    (2)
 
 A row beyond that by a factor that two units have between them is in another one. Such a row leaves
 no ellipsoid on which the readings could lie, so the estimator fails, and this says why.
 
-The linear view is the plainest picture there is, whatever model was fitted and however uncertain
-the positions were: least squares of
+**The linear view** is the plainest picture there is, whatever model was fitted and however
+uncertain the positions were: least squares of
 
     y_k = b + K u_k,                                                                        (3)
 

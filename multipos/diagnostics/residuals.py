@@ -1,10 +1,16 @@
 """Cautions about what the residuals show, of readings that are no gross error.
 
+`outlier` finds positions that stick out, `outlying_rows` and `outlier_of_rows` rows that do,
+`lack_of_fit` outputs whose repeats agree too well, and `effective_number` rows that count as fewer.
+`rejected_noise` finds a stated noise that residuals reject, `orientation_error` and
+`understated_orientations` orientation errors beyond it, and `unequal_noise` outputs that differ, by
+`judge_equality` and `score_equality`. `residuals_of` are those of a calibration.
+
 - Repeats scatter less than the model misses their means (lack of fit, an F test of the fit).
 - Rows whose correlation U follows from count as fewer. What else residuals show in the order of
   their rows stands in `multipos.diagnostics.row_order`.
 
-Cautions about what was stated of readings and positions, with the cause that the data prefer by
+What was stated of readings and positions is cautioned about with the cause that the data prefer by
 `multipos.diagnostics.variances`. A missing term comes before all of them: it has its own test, and
 looks like any of them.
 

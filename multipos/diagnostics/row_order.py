@@ -1,5 +1,11 @@
 """What the order of the rows shows: drift, a slip, another unit, a filter, a table, slow noise.
 
+`search` returns the causes of time and table that chance rarely passes; `search_units`,
+`search_by_noise` and `search_solutions` do so for many units. `asked` tells whether rows can be
+held against their order, which `time_order` is; `plan_of` is what positions give once and
+`residuals_in_order` what a calibration gives. `fit_sizes` and `estimate` are the sizes of a cause,
+`slow_score` the score of slow noise.
+
 Residuals e of rows in the order of time, whitened, are what a fit left of the readings. A cause
 that the model does not know adds columns Z of q unknown sizes to it; with V = Z − QQ'Z what the
 fit leaves of them, Δ = e'V(V'V)⁻¹V'e and ν degrees of freedom of an output,

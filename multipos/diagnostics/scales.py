@@ -1,15 +1,19 @@
-"""Findings about sizes: the unit of the readings, that of one output, and gravity.
+"""Findings about sizes and directions: the unit of the readings, gravity, and the axes of outputs.
+
+`unit`, `output_unit` and `gravity` find sizes of another unit or place, which `factor_in_words`
+names; `are_of_unit` tells where none need be asked. `turned` and `reversed_or_permuted` find
+outputs that face elsewhere: `facing` is the axis that each output faces, `cosines` how well it
+faces one of `expected_directions`, and `is_triad` tells of three.
 
 A sensor in a unit that is known responds to one g by what that unit says: 1 in g, 9.80665 in
 m/s², 1000 in mg; by half as much again or half, if it was never adjusted. Outputs of one triad
 respond alike within a factor. What is beyond that is another unit, and where the ratio is near
 9.80665, 1000 or pi/180 it says which.
 
-Which way the outputs respond, held against the axes that they are said to have.
-
-A triad responds by K (M, 3), one row an output. Turned as a whole, as a chip soldered sideways is,
-it is K = S R with a rotation R; no turning changes the sign of det K. So a negative determinant
-means that one output is reversed, or two interchanged, and the nearest signed permutation
+**Directions.** A triad responds by K (M, 3), one row an output. Turned as a whole, as a chip
+soldered sideways is, it is K = S R with a rotation R; no turning changes the sign of det K. So a
+negative determinant means that one output is reversed, or two interchanged, and the nearest signed
+permutation
 
     P = argmax sum over i of  s_i K_i,pi(i)/|K_i|                                           (1)
 

@@ -1,5 +1,9 @@
 """Does the model lack a term? Score tests of all that it could have, from one projection.
 
+`judge_model` tests every kind of term that a model lacks and `judge_included` those of higher order
+that it has; `significant` picks the tests beyond chance, and `score_of_term` is S of the best.
+`explained_by` and `ratios_of` are Δ and R of many units.
+
 About a solution the readings have whitened residuals e, the whitened design X of the parameters
 (and of what positions share), and terms that the model lacks would add columns Z. With
 

@@ -1,5 +1,10 @@
 """Likelihood of the variances that residuals at known positions show.
 
+`explain_equal`, `explain_unequal` and `explain_orientations` estimate the variances of (1), and
+`least_deviance` the deviance at a given s². `prefers_unequal` and `prefers_orientations` tell which
+explains more, `hints_at_orientations` whether s² would help at all, and `across_the_force` whether
+R of (4) is beyond chance.
+
 Beside a stated noise Σ the residuals e of a linear fit may have one of three more variances,
 
     V_k = Σ_k + τ² I,    V_k = Σ_k + diag(τ_i²),    V_k = Σ_k + τ² I + s² J_k J_k',         (1)

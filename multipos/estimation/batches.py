@@ -1,5 +1,9 @@
 """What is estimated of many units, and what is left of their readings after compensation.
 
+`rms_of` is what is left after compensation and `compensated` the same by steps;
+`model_coefficients` are those of parameters, and `join_estimates` puts estimates of some units
+after others.
+
 Arrays have a leading axis of B units. What is left of the force, f − f_ref, follows from the
 residuals r alone where the model is linear: A (f − f_ref) = r, A the sensitivities. Otherwise it is
 found by steps of A⁻¹.

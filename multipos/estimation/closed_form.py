@@ -1,5 +1,9 @@
 """The six-position inversion of Song and Qin, equation by equation.
 
+`six_positions` says which row is which face, `closed_form_weights` how each coefficient is made of
+the readings, and `solve_closed_form` fits every output so. `closed_form_gain` is how parameters
+follow the readings, and `closed_form_difference` how far they are from least squares.
+
 With each axis of the case once up and once down, and the model of their eq. (1) for the output
 that senses axis x (the others by exchange of axes),
 
@@ -18,12 +22,9 @@ For the linear model the bias is the mean of all six readings and K_3 is left ou
 
 With a reference of magnitude g instead of 1, S and the K_1, K_2 are divided by g, K_3 by g².
 
-The six-position inversion as an estimator, and how far it is from least squares.
-
 References
 ----------
 Song Lijun, Qin Yongyuan, *Six-position testing of MEMS accelerometer*, 2009, eqs. (1)–(4).
-Song and Qin 2009.
 """
 
 from dataclasses import replace
@@ -107,7 +108,7 @@ def closed_form_weights(
 def solve_closed_form(
     model: Model, reference: Array, readings: Readings, *, pool: bool = False
 ) -> Solution:
-    """Fit every output by the six-position inversion (`multipos.estimation.closed_form`).
+    """Fit every output by the six-position inversion.
 
     The noise is estimated as in `solve_known`; unequal stated noise leaves the inversion unbiased
     but not best, so its covariance is its own: W V W', with W its weights.

@@ -1,5 +1,10 @@
 """Rows of one record in the order of time, whose noise is correlated from row to row.
 
+`are_asked` tells whether rows can show correlation, `find_correlated` whether they do, and
+`spread_correlation` puts it into a solution; `order_in_time` is the order of rows with a time, for
+which `spread_in_time` is how much longer U is. `half_of_mixture` is U of a mixture, and
+`sd_of_rows` what rows scatter.
+
 A record given row by row, many rows a position, has n rows and far less than n independent ones:
 u by the scatter of rows alone is then too small. Where rows repeat positions, the scatter within
 positions tells noise from what the model lacks. Its sums S_b over runs of m rows,

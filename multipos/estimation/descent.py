@@ -1,5 +1,7 @@
 """The minimum of F, eq. (4) of `multipos.estimation.likelihood`, by the search that fits a problem.
 
+`maximise` searches from a state and `resume` from an optimum whose noise has changed.
+
 All go the steps of `multipos.numerics.levenberg_marquardt`, and differ in their normal equations:
 
 - all positions unknown: one number a position (`multipos.estimation.unknown_orientations`);

@@ -1,5 +1,8 @@
 """The excess variance of readings beyond the uncertainty they state, and U of the parameters.
 
+`estimate_excess` returns the excess variance of B units, and `integrate_parts` that of parts that
+share it.
+
 A stated uncertainty is a lower bound: a reading of output i at position k has variance
 
     V_ki = u_ki² + τ²,                                                                      (1)

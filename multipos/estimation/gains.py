@@ -1,5 +1,11 @@
 """How the parameters of a calibration depend on its readings, and the problem that it solved.
 
+`estimator_gain` is G of eqs. (1) and (2), `uncertain_gain` that of uncertain orientations and
+`gravity_effect` eq. (3). `restate` returns the problem of a calibration, `return_to_optimum` its
+optimum, and `about_solution` both. `information_at` returns the sums of eq. (4) at a state and
+`information_at_solution` those of a calibration; `noise_factor` is F/ν where noise is that of
+residuals.
+
 Where orientations are known, with the design X and the covariance V of the readings,
 
     G = d(parameters)/d(readings) = (X'V⁻¹X)⁻¹ X'V⁻¹.                                       (1)
@@ -17,14 +23,14 @@ y = h(f; p) then follow with J = dh/df, so that
 
 which is d p/g, d the degree of the term in force, where all rows are such.
 
-Tests of terms, gains and Monte Carlo need the likelihood after the fit. A calibration carries all
-of its problem: readings, what was known of the positions, and a noise that is either stated with
-the readings or the residual standard deviation. Where the residuals of a robust fit reject a stated
-noise, everything is in units of F/ν instead of one.
+**The problem.** Tests of terms, gains and Monte Carlo need the likelihood after the fit. A
+calibration carries all of its problem: readings, what was known of the positions, and a noise that
+is either stated with the readings or the residual standard deviation. Where the residuals of a
+robust fit reject a stated noise, everything is in units of F/ν instead of one.
 
-Uncertainties, leverages and tests of terms that a model lacks are functions of a few sums at the
-solution. With W_k and S of `multipos.estimation.likelihood`, A_k the slopes of the readings by all
-unknowns, and Z_k those by anything else, they are
+**Sums.** Uncertainties, leverages and tests of terms that a model lacks are functions of a few sums
+at the solution. With W_k and S of `multipos.estimation.likelihood`, A_k the slopes of the readings
+by all unknowns, and Z_k those by anything else, they are
 
     A'WA = S,   Z'WZ,   A'WZ,   A'Σ⁻¹r,   Z'Σ⁻¹r,   diag(W A C A'),   W,   W A.             (4)
 

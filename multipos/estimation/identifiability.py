@@ -1,5 +1,10 @@
 """Parameters that a set of positions cannot determine, in words, and positions that would.
 
+`condition` is that of an information matrix and `require_separable` refuses a singular one.
+`plausible_range` is how large u may be, `formal_only` names parameters beyond it, and
+`least_determined` those left over. `helpful_positions` would help most, and `position_words` says
+where they are.
+
 The information S (p, p) of the parameters is judged with its diagonal scaled to one; directions
 whose eigenvalue is below 1e-12 of the largest are not seen at all, and are named. A parameter
 can also be estimable only formally: at one g its uncertainty exceeds half a scale factor, more

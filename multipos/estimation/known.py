@@ -1,5 +1,9 @@
 """Known orientations: linear least squares of every output, of one unit or of many.
 
+`solve_known` fits one unit and `estimate_known` many, of which `share_design` is what they share,
+`solve_units` the fits and `fit_output` those of one output; `cofactors` are the covariances of
+weighted ones. `overstated` is the warning where residuals are far below the stated noise.
+
 With the reference known, eq. (1) of `multipos.sensor.model` is linear in the coefficients of each
 output. B units that were read at the same positions share its design X = Q R (n, p); with the
 readings of the output as rows, Y (B, n),

@@ -1,5 +1,10 @@
 """The likelihood of readings whose orientations are known, uncertain or unknown.
 
+`evaluate` returns force, residuals and F at a state, `linearise` the normal equations and
+`eliminate` the angles of each position; `assemble` sums over positions, which `weigh` weighs and
+`full` makes matrices of. `respond` solves, `moved` takes the step, and `recentred` begins again
+from there.
+
 A reading at position k, and how the position may differ from where it should be:
 
     y_k = h(theta, f_k) + e_k,                        e_k ~ N(0, Sigma_k)                   (1)

@@ -1,5 +1,9 @@
 """The noise of the readings of one unit, and the uncertainty of its parameters that follows.
 
+`estimate_noise` returns problem, optimum and factor with the noise that was found, and
+`estimate_tied_noise` those of outputs that are tied. `linear_model` is the linear model about an
+optimum, and `with_degrees` gives a solution the degrees of freedom of its outputs.
+
 - **Stated** noise is a lower bound; the excess variance is integrated over.
 - **Unstated** noise, equal in all readings, is F/ν where every position is exact or unknown, F of
   `multipos.estimation.likelihood`, and ν = Σ m_k − (parameters and shared unknowns) the degrees of

@@ -1,5 +1,9 @@
 """The excess variance τ² of readings, and the common factor F on the variances of orientations.
 
+`find_excess` returns τ² of units and `find_both` τ² and F, with the solutions under them.
+`contrasts` counts what no orientation error touches, `least_variance` is a variance that changes
+nothing, and `sum_of_squares` and `harmonic_mean` are of arrays of units.
+
 Near a solution the readings of a unit are linear in its unknowns θ. With e_k the residuals of
 position k at its listed orientation, A_k their slopes by θ, and J_k those by the two angles by
 which the orientation may be wrong, each of standard deviation s_k [rad],

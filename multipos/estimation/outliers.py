@@ -1,5 +1,8 @@
 """Rows that belong to no calibration, found however many of them there are beside each other.
 
+`find_outlying_rows` returns the rows that are outliers of a set of readings, `find_outliers` those
+of regressions, which `view_of` makes.
+
 Several outliers hide each other from studentised residuals, and what they scatter passes for noise.
 So the readings are fitted by least trimmed squares [1]_, the h of n rows that lie best; at most a
 quarter of the rows, and half of the degrees of freedom, are left out. Then a set S of i rows is

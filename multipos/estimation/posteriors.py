@@ -1,5 +1,9 @@
 """Integrals over the posterior of an excess variance, alone or with that of orientation errors.
 
+`integrate` returns the posterior of an excess variance and `integrate_grid` that of both variances;
+`stated_weight` is the weight of τ² = 0. `standard_uncertainty` is u of U, and `dof_of_tails` the
+degrees of freedom of its tails.
+
 With τ² a variance in excess of stated ones of a typical size, the posterior density of
 ln(τ² + size) is known at any nodes. It is integrated by the trapezoidal rule, after the range was
 narrowed to where the density is not negligible; the stated noise may be all there is, so that

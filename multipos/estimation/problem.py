@@ -1,14 +1,19 @@
 """The data of an estimation problem, a point of its search, its end, and what estimators return.
 
+`state_problem` states a problem with its noise and `pose` one with a precision, which
+`precision_of` returns; `start_state`, `put_on_circles` and `standing` are points of its search.
+`over_circle`, `circle_basis`, `mean_latitudes`, `spread_inclinations` and `eliminate_free` are of
+rolls of open angle, and `turn_to_axes` and `turn_about` turn a whole case.
+
 The equations are those of `multipos.estimation.likelihood`. Arrays have one row per position, but
 are laid out with positions running fastest in memory, since a position is two or three numbers and
 there may be many of them.
 
-Rolls of open angle are directions on a circle about a case axis.
-With a the axis, a direction of latitude lambda = asin(u·a) stands over the point c of the circle,
-u = cos(lambda) c + sin(lambda) a. Of the two angles t of `multipos.estimation.likelihood` the first
-then runs along the circle and is free, the second leads towards a: it is tied to the inclination
-beta of the axis by the sd of the position,
+**Rolls of open angle** are directions on a circle about a case axis. With a the axis, a direction
+of latitude lambda = asin(u·a) stands over the point c of the circle, u = cos(lambda) c +
+sin(lambda) a. Of the two angles t of `multipos.estimation.likelihood` the first then runs along the
+circle and is free, the second leads towards a: it is tied to the inclination beta of the axis by
+the sd of the position,
 
     u = E(c, (t_1, beta + t_2)),        t_1 free,    t_2 ~ N(0, s²),                         (1)
 

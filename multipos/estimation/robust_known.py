@@ -1,5 +1,8 @@
 """Robust fits at known orientations, of one unit or of many.
 
+`solve_robust_known` fits one unit and `estimate_robust` many, by `fit_outputs`, of which
+`search_linear` is the search.
+
 Each output goes the way of `multipos.estimation.robustness`: from the plain fit a search under
 Huber's loss, with a noise of any size where none is stated; then one with the noise for which the
 median of q is that of the normal law, repeated until that converges; rows beyond all chance are set

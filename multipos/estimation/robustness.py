@@ -1,5 +1,8 @@
 """Robust fits: noise that a few bad positions do not move, and positions set aside by name.
 
+`judge_robustly` returns problem, optimum and noise under a loss; `set_aside` leaves positions out,
+and `aside_finding` says so. `huber_factors` are eq. (1).
+
 The noise, where it is not stated, is scaled until the median misfit is that of the normal law.
 Beside orientation errors that is the misfit of the readings alone, r'Σ⁻¹r, of which with W of eq.
 (5) of `multipos.estimation.likelihood` and A, S of its eq. (6)

@@ -1,5 +1,9 @@
 """The start of a search where orientations are uncertain or unknown, and whether its end is valid.
 
+`search` returns the best optimum over the starts that `ways` makes, of which `ellipsoid_start` and
+`own_starts` are two. `require_information` and `reduced_information` return the information at the
+end, and `too_few` is the error of too few positions.
+
 No guess is asked for. Least squares at the listed directions, where they are enough, is one start;
 the ellipsoid on which readings at rest lie (`multipos.estimation.unknown_orientations`), turned to
 the listed directions where some are, is the other. It is tried where the first fails, or where

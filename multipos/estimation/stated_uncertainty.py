@@ -1,5 +1,10 @@
 """Stated uncertainties of readings that are themselves uncertain, and forces that are.
 
+`shrink_variances` returns readings whose u are those of eq. (1), `shrunk` those of many units and
+`take_stated` their stated noise, piece by piece `taken_by_blocks`. `with_stated_dof`,
+`combined_dof` and `combined_jointly` give the degrees of freedom of eq. (3), and
+`add_reference_noise` adds eq. (4).
+
 **Few degrees of freedom.** The u_k of the readings of one output are estimates with d_k degrees of
 freedom. Weights 1/u_k² of few of them favour those that came out small by chance, so that each is
 shrunk towards what all of them have in common, a scaled inverse χ² of d_0 degrees of freedom about

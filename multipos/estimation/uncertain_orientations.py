@@ -1,5 +1,7 @@
 """Uncertain orientations, off by a few degrees at most: B units on positions that they share.
 
+`share_orientations` is what units share, and `estimate_uncertain` fits them.
+
 Every unit has the problem of `multipos.estimation.likelihood` at the listed positions,
 
     F = Σ_k r_k'Σ_k⁻¹r_k + |t_k|²/s_k²,     r_k = y_k − h(θ, ±g E(u_k, t_k)),               (1)

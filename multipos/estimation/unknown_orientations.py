@@ -1,5 +1,10 @@
 """Unknown orientations of triads: one number a position, B units at once.
 
+`estimate_unknown` fits B units of which `share_sphere` is what they share; `search` is where their
+searches end, and `fit_ellipsoids` where they start, as `linear_parameters`. `is_along_force` tells
+where all of this holds, `combined` are outputs of coefficients, and `symmetric_root` is a square
+root of M M'.
+
 Where nothing is known of any position and three outputs see it, what is left of a reading after
 its two angles are eliminated is its part along the normal of the surface that the readings of all
 directions form. With the residuals r = y − h(f) of variances Σ, G = dh/df and A = dh/dθ,

@@ -1,5 +1,10 @@
 """User-defined models: where their search starts, their fit at known orientations, their gauge.
 
+`first_guesses` are where searches start, and `nominal_parameters` where positions are assessed.
+`solve_own_known` fits at known orientations where `is_untied`, and `share_expression` and
+`estimate_expression` do so for many units, with their `cofactors`. `rotations_to_hold` is what a
+gauge holds, and `hold_free_rotations` the model with it.
+
 **Start.** No guess is asked for but what is stated. Parameters enter linearly where no second
 derivative joins two of them. Given the others, q, they are those of least squares,
 
