@@ -1,5 +1,6 @@
 """`fit`: weights, covariances, pooling, stated noise, gravity, options, and coverage."""
 
+import inspect
 import math
 from types import SimpleNamespace
 
@@ -548,3 +549,28 @@ def test_outputs_that_leave_or_follow_nothing_are_met(values, up, options):
     if values is DEAD:
         with pytest.raises(MultiposError, match="the output does not respond to force"):
             mp.check(cal, readings, limit_g=0.01)
+
+
+@pytest.mark.parametrize(
+    ("front", "own"),
+    [
+        (mp.calibrate, {"exclude": "auto", "model": None, "label_column": None}),
+        (mp.capture, {"order": None, "target": ()}),
+        (mp.fit_many, {"unit_column": None}),
+        (mp.fleet, {"limits": None}),
+    ],
+    ids=lambda front: getattr(front, "__name__", ""),
+)
+def test_what_calibrates_takes_the_options_of_the_fit(front, own):
+    taken = inspect.signature(front).parameters
+    for name, option in inspect.signature(mp.fit).parameters.items():
+        if option.kind is inspect.Parameter.KEYWORD_ONLY and name not in own:
+            assert taken[name] == option
+    assert {name: taken[name].default for name in own} == own
+    assert not any(each.kind is inspect.Parameter.VAR_KEYWORD for each in taken.values())
+
+
+@pytest.mark.parametrize("front", [mp.calibrate, mp.capture, mp.fit_many, mp.fleet, mp.tumble])
+def test_an_option_that_is_none_is_refused_with_the_nearest(front):
+    with pytest.raises(TypeError, match=r"takes no option 'gravty'; did you mean 'gravity'\?"):
+        front("readings.csv", gravty=9.81)

@@ -23,7 +23,7 @@ from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Unpack
 
 from multipos.capturing.evaluation import SessionPlan, Targets, average_poses, read_targets
 from multipos.capturing.live_rests import RowOptions
@@ -35,12 +35,15 @@ from multipos.files.tables import Source
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text, writing
 from multipos.finding import Finding, Findings, in_order
+from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import FitOptions, takes_options
 from multipos.logs.averages import Averages
+from multipos.logs.averaging import ReadingOptions, average
 from multipos.logs.clock import TimeUnit
 from multipos.logs.samples import read_timing
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
-from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.attitudes import check_convention
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme
 from multipos.results import Result, frozen
@@ -341,24 +344,22 @@ class Captured(Result):
         return {**self.state, "calibration": calibration, "findings": findings}
 
 
+_OF_ROWS = ("time_column", "time_unit", "rate", "min_duration", "threshold")
+
+
+class CaptureOptions(ReadingOptions, FitOptions, total=False):
+    """The options of `capture`: how rows are read, and how the rests are fitted."""
+
+
+@takes_options(CaptureOptions, average, fit, order=None)
 def capture(
     source: str,
     *,
     target: "Targets | Sequence[str]" = (),
     positions: int | None = None,
-    scheme: "Source | Scheme | None" = None,
-    order: Order | None = None,
-    outputs: Names | None = None,
-    columns: Names | None = None,
-    time_column: str | None = None,
-    time_unit: TimeUnit | None = None,
-    rate: float | None = None,
-    min_duration: float | None = None,
-    threshold: float | None = None,
-    convention: Convention = "specific-force",
     log: StrPath | None = None,
     told: Notify | None = None,
-    **fitting: Any,
+    **options: Unpack[CaptureOptions],
 ) -> Captured:
     """Take rests from a live source until it is enough, and calibrate from them.
 
@@ -376,14 +377,13 @@ def capture(
     order : str
         'spread' against drift, 'travel' in short ways, or 'paper' (`multipos.positions.order`);
         'spread' for a name where not given, and else as written.
-    outputs, columns, time_column, time_unit, rate, min_duration, threshold, convention
-        As for `multipos.average`.
     log : path, optional
         Where the rows go as they come.
     told : callable, optional
         Is given each pose as it is taken or refused, a line of ``--headless`` as a mapping.
-    **fitting
-        Options of the fit, as for `multipos.calibrate`.
+    **options
+        How the rows are read: as for `multipos.average`. What is fitted, and how: as for
+        `multipos.fit`.
 
     Returns
     -------
@@ -407,8 +407,12 @@ def capture(
     (6, 'bias_ax')
     """
     opened = open_source(source)
-    plan = make_plan(target, positions, scheme, {**fitting, "convention": convention}, order)
-    reading = make_reading(outputs, time_column, time_unit, rate, min_duration, threshold)
+    given: dict[str, Any] = {**options}
+    scheme, order = given.pop("scheme", None), given.pop("order", None)
+    columns = given.pop("columns", None)
+    rows = {name: given.pop(name, None) for name in ("outputs", *_OF_ROWS)}
+    plan = make_plan(target, positions, scheme, given, order)
+    reading = make_reading(**rows)
     tell = None if told is None else lambda session: told(line_of(session))
     session = Session(plan, reading, tell)
     run_session(session, opened, columns, Kept(log=None if log is None else Path(log)))

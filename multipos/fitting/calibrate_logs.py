@@ -8,35 +8,29 @@ stood, nothing is known of the orientations but that gravity has the same size i
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, RankError
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding, in_order
-from multipos.fitting.fit_readings import FitOptions, fit
+from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import FitOptions, takes_options
 from multipos.logs.averages import Averages
-from multipos.logs.clock import TimeUnit
+from multipos.logs.averaging import RestOptions, average
 from multipos.logs.faults import SaturatedRestsError
 from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.opening import less_copies, open_log
-from multipos.logs.samples import Progress
 from multipos.logs.table import Log
 from multipos.numerics.arrays import COMPONENTS, Array, median
-from multipos.numerics.losses import Loss
 from multipos.numerics.terms import Formula, ModelText
-from multipos.positions.attitudes import Convention
-from multipos.positions.order import Order
 from multipos.positions.readings import Readings
-from multipos.positions.scheme import Scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import Expression
 from multipos.sensor.gravity import FieldKind, field_sensed
-from multipos.sensor.model import Gauge
-from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
+from multipos.uncertainty.budgets import read_budget
 from multipos.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -49,82 +43,32 @@ _NEAR = 0.15
 _EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
 _CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
-# Options of `average`, the first four of the fit as well.
-_AVERAGING = (
-    *("convention", "exclude", "field", "unit", "outputs", "columns", "time_column", "time_unit"),
-    *("rate", "min_duration", "threshold", "sections", "label_column", "only", "signed"),
-    *("drop_bad", "accept_faults", "scheme", "order", "progress"),
-)
 
 
-def calibrate(
-    *logs: "Source | Log",
-    outputs: Names | None = None,
-    columns: Names | None = None,
-    time_column: str | None = None,
-    time_unit: TimeUnit | None = None,
-    rate: float | None = None,
-    min_duration: float | None = None,
-    threshold: float | None = None,
-    sections: Source | None = None,
-    label_column: str | None = None,
-    only: Names | None = None,
-    signed: int | None = None,
-    drop_bad: bool = False,
-    accept_faults: bool = False,
-    scheme: "Source | Scheme | None" = None,
-    order: Order = "paper",
-    model: ModelText | Expression | None = None,
-    convention: Convention = "specific-force",
-    axes: Names | None = None,
-    inputs: Names = COMPONENTS,
-    closed_form: bool = False,
-    unknown_orientation: bool = False,
-    orientation_sd: float | Literal["auto"] | None = None,
-    gauge: Gauge = "lower",
-    robust: Loss | None = None,
-    pool: bool = False,
-    stepwise: bool = False,
-    exclude: Names = "auto",
-    drift: bool = False,
-    reading_sd: ArrayLike | None = None,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    latitude: float | None = None,
-    height: float | None = None,
-    field: FieldKind | None = None,
-    field_size: float | str | None = None,
-    field_size_u: float | str | None = None,
-    level_sd: float = 0.0,
-    budget: BudgetSource | Budget | None = None,
-    unit: str | None = None,
-    range: Sequence[float] | None = None,
-    nominal: Sequence[float] | None = None,
-    confidence: float = 0.95,
-    progress: Progress | None = None,
-) -> Calibration:
+class CalibrateOptions(RestOptions, FitOptions, total=False):
+    """The options of `calibrate`: how logs are averaged, and how the rests are fitted."""
+
+
+@takes_options(CalibrateOptions, average, fit, model=None, exclude="auto")
+def calibrate(*logs: "Source | Log", **options: Unpack[CalibrateOptions]) -> Calibration:
     """Calibrate an accelerometer from raw logs.
 
     Parameters
     ----------
     *logs : path, mapping of columns, data frame, or Log
         One or more, or one list of them.
-    outputs, columns, time_column, time_unit, rate, min_duration, threshold, sections, label_column
-    only, signed, drop_bad, accept_faults, progress
-        How the logs are read and where they stand still: as for `multipos.average`.
+    **options
+        How the logs are read and where they stand still: as for `multipos.average`. What is fitted,
+        and how: as for `multipos.fit`, but for the following.
     scheme : Scheme, name, path, mapping of columns, or data frame, optional
         The positions; otherwise the orientations are unknown.
     order : str
         In which rests that are matched by their order follow the scheme: as for `multipos.fit`.
     model : str or function, optional
-        As for `multipos.fit`. Where none is given it is 'linear', or '1 + own' where the rests are
-        too few for that and see both sides of every axis.
+        Where none is given it is 'linear', or '1 + own' where the rests are too few for that and
+        see both sides of every axis.
     exclude : sequence of str, or comma-separated str
         Labels of the rests that are set aside; 'auto' sets outliers aside, 'none' nothing.
-    convention, axes, inputs, closed_form, unknown_orientation, orientation_sd, gauge, robust
-    pool, stepwise, drift, reading_sd, gravity, gravity_u, latitude, height, field, field_size
-    field_size_u, level_sd, budget, unit, range, nominal, confidence
-        What is fitted, and how: as for `multipos.fit`.
 
     Returns
     -------
@@ -145,10 +89,16 @@ def calibrate(
     >>> print(cal.estimator, len(cal.readings), bool(cal.rms < 1e-3))
     unknown-orientation 26 True
     """
-    given = dict(locals())
-    fitted = FitOptions.__annotations__.keys() - {"model", *_AVERAGING[4:]}
-    found = rests_or_rows(*logs, **{name: given[name] for name in _AVERAGING})
-    return fit_rests(found, model, **{name: given[name] for name in fitted})
+    options.setdefault("exclude", "auto")
+    given: dict[str, Any] = {**options}
+    averaged = RestOptions.__annotations__.keys() | _FOR_BOTH
+    fitted = FitOptions.__annotations__.keys() - {"model", "outputs", "scheme", "order"}
+    found = rests_or_rows(*logs, **{name: given[name] for name in averaged & given.keys()})
+    return fit_rests(found, given.get("model"), **{n: given[n] for n in fitted & given.keys()})
+
+
+# What the averaging of rests and their fit are both told.
+_FOR_BOTH = {"convention", "exclude", "field", "unit", "outputs", "scheme", "order"}
 
 
 def rests_or_rows(
@@ -208,8 +158,6 @@ def _rests_or_rows(
 
 def _averaged(opened: Sequence[Log], *, set_aside: bool, **options: Any) -> Averages:
     """Return the means of rests, where a few saturated ones are set aside by the fit with them."""
-    from multipos.logs.averaging import average  # the search for rests, which waving needs not
-
     try:
         return average(*opened, **options)
     except SaturatedRestsError:

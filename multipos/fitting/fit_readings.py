@@ -16,7 +16,7 @@ Where every output falls as what it is said to sense rises, the other convention
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -182,41 +182,6 @@ def _reflected(calibration: Calibration, down: set[str]) -> Calibration:
 _TIED = "the listed directions fix the orientation of the case"
 _SPARE = 3  # degrees of freedom of a robust fit: at two of six faces U held 6 to 48 %
 _ROLLED = "the rolls of open angle fix the orientation of the case"
-
-
-class FitOptions(TypedDict, total=False):
-    """Options of `multipos.fit`, which the calibration of logs and of fleets hands on."""
-
-    scheme: "Source | Scheme | None"
-    order: Order
-    model: ModelText | Expression
-    convention: Convention
-    outputs: Names | None
-    axes: Names | None
-    inputs: Names
-    closed_form: bool
-    unknown_orientation: bool
-    orientation_sd: float | Literal["auto"] | None
-    gauge: Gauge
-    robust: Loss | None
-    pool: bool
-    stepwise: bool
-    exclude: Names
-    drift: bool
-    reading_sd: ArrayLike | None
-    gravity: float | None
-    gravity_u: float | None
-    latitude: float | None
-    height: float | None
-    field: FieldKind | None
-    field_size: float | str | None
-    field_size_u: float | str | None
-    level_sd: float
-    budget: BudgetSource | Budget | None
-    unit: str | None
-    range: Sequence[float] | None
-    nominal: Sequence[float] | None
-    confidence: float
 
 
 def fit(

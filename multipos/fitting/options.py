@@ -1,18 +1,36 @@
-"""How to fit: what the options say, checked once."""
+"""How to fit: the options, written out once in the signature of `multipos.fit`, and checked once.
+
+`Options` is what the fit passes on of them, checked; `choose_estimator` and `criterion_in_words`
+say what they call for. `takes_options` gives a function that hands its ``**options`` on the
+signature with all of them in it, so that `help`, editors and the reference show them, and refuses
+a name that is none of them.
+"""
 
 import math
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, Literal, TypeVar
+
+from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.spelling import Names, near
+from multipos.files.tables import Source
 from multipos.numerics.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
+from multipos.numerics.terms import ModelText
 from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.order import Order
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
+from multipos.positions.scheme import Scheme
 from multipos.results import frozen
-from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.bench import BenchOptions
+from multipos.sensor.expressions import Expression, ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
+from multipos.uncertainty.budgets import Budget, BudgetSource
 
 _CONTRADICT = {
     "--closed-form": (
@@ -26,6 +44,80 @@ _CONTRADICT = {
     # Where orientations are unknown, outputs have one noise anyway.
     "--unknown-orientation": ("--orientation-sd", "--level-sd", "--pool"),
 }
+
+
+class FitOptions(BenchOptions, total=False):
+    """The options of `multipos.fit`, which whatever calibrates hands on to it."""
+
+    scheme: "Source | Scheme | None"
+    order: Order
+    model: ModelText | Expression
+    convention: Convention
+    outputs: Names | None
+    axes: Names | None
+    inputs: Names
+    closed_form: bool
+    unknown_orientation: bool
+    orientation_sd: float | Literal["auto"] | None
+    gauge: Gauge
+    robust: Loss | None
+    pool: bool
+    stepwise: bool
+    exclude: Names
+    drift: bool
+    reading_sd: ArrayLike | None
+    level_sd: float
+    budget: BudgetSource | Budget | None
+    unit: str | None
+    nominal: Sequence[float] | None
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def takes_options(
+    options: type, *of: Callable[..., Any], **defaults: Any
+) -> Callable[[Function], Function]:
+    """Give a function the keywords that it hands on to others.
+
+    Parameters
+    ----------
+    options : TypedDict
+        Which they are.
+    *of : functions
+        In whose signatures they are written out.
+    **defaults
+        Of keywords that have another default in this function.
+
+    Returns
+    -------
+    function
+        Of a function, the same one with the whole signature, which refuses any other keyword with
+        a `TypeError` that offers the nearest.
+    """
+    taken = options.__annotations__
+
+    def written_out(function: Function) -> Function:
+        own = signature(function)
+        named = {p.name: p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD}
+        for source in of:
+            for each in signature(source).parameters.values():
+                if each.kind is Parameter.KEYWORD_ONLY and each.name in taken:
+                    default = defaults.get(each.name, each.default)
+                    named.setdefault(each.name, each.replace(default=default))
+
+        @wraps(function)
+        def checked(*arguments: Any, **options: Any) -> Any:
+            for name in options.keys() - named.keys():
+                way = near(name, named)
+                raise TypeError(f"{function.__name__}() takes no option '{name}'{way}")
+            return function(*arguments, **options)
+
+        whole = own.replace(parameters=tuple(named.values()))
+        checked.__signature__ = whole  # type: ignore[attr-defined]
+        return checked  # type: ignore[return-value]
+
+    return written_out
 
 
 @frozen(eq=True)

@@ -34,7 +34,8 @@ from multipos.files.csv_columns import Cells, arrange_cells, spread_cells
 from multipos.files.records import LARGEST
 from multipos.files.tables import Column, Source, Table
 from multipos.finding import Findings
-from multipos.fitting.fit_readings import FitOptions
+from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import FitOptions, takes_options
 from multipos.fleets.grouping import Conditions, Grouped, group_rows
 from multipos.fleets.labels import Codes, Labels, joined_labels
 from multipos.fleets.parquet import is_in_file, spread_parquet
@@ -404,6 +405,7 @@ class Piece:
             return np.full(self._grouped.starts[-1], np.nan)
 
 
+@takes_options(FitOptions, fit)
 def fit_many(
     *tables: Source,
     unit_column: str | None = None,

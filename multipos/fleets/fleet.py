@@ -26,7 +26,8 @@ from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order, read_findings
-from multipos.fitting.fit_readings import FitOptions, fit
+from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import FitOptions, takes_options
 from multipos.fleets import fit_many, grouping, line, pictures, quality
 from multipos.fleets.sources import Averaging, read_rows
 from multipos.fleets.stations import describe_stations
@@ -192,6 +193,7 @@ class Fleet(Result, Drawn):
         return Columns(dict(self.calibrations) | beside).to_pandas()
 
 
+@takes_options(FitOptions, fit)
 def fleet(
     *tables: Source,
     unit_column: str | None = None,

@@ -7,6 +7,7 @@ files; the rests of the others follow each other.
 """
 
 from dataclasses import replace
+from typing import TypedDict
 
 import numpy as np
 
@@ -27,6 +28,29 @@ from multipos.positions.attitudes import Convention, check_convention
 from multipos.positions.headers import TEMPERATURE
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, read_scheme
+
+
+class ReadingOptions(TypedDict, total=False):
+    """How the rows of a log are read, and where they are at rest: options of `average`."""
+
+    columns: Names | None
+    time_column: str | None
+    time_unit: TimeUnit | None
+    rate: float | None
+    min_duration: float | None
+    threshold: float | None
+
+
+class RestOptions(ReadingOptions, total=False):
+    """The options of `average` beside those that a fit of its readings has too."""
+
+    sections: Source | None
+    label_column: str | None
+    only: Names | None
+    signed: int | None
+    drop_bad: bool
+    accept_faults: bool
+    progress: Progress | None
 
 
 def average(

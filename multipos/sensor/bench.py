@@ -8,6 +8,7 @@ its unit is read, such as 48.6uT, stands here alone.
 import math
 import re
 from collections.abc import Sequence
+from typing import TypedDict
 
 from multipos.errors import UsageError
 from multipos.numerics.arrays import LARGEST
@@ -24,6 +25,20 @@ from multipos.sensor.gravity import (
     check_field_kind,
 )
 from multipos.units import normal_gravity
+
+
+class BenchOptions(TypedDict, total=False):
+    """The options of `multipos.fit` that state the bench."""
+
+    gravity: float | None
+    gravity_u: float | None
+    latitude: float | None
+    height: float | None
+    field: FieldKind | None
+    field_size: float | str | None
+    field_size_u: float | str | None
+    range: Sequence[float] | None
+    confidence: float
 
 
 @frozen(eq=True)

@@ -29,7 +29,7 @@ off the diagonal delta_o along the pendulous axis of the output and −delta_p a
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +39,7 @@ from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
+from multipos.fitting.options import takes_options
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor
@@ -59,9 +60,9 @@ from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme
 from multipos.results import Drawn, Result, Tabular, frozen, stacked
-from multipos.sensor.bench import StatedBench
+from multipos.sensor.bench import BenchOptions, StatedBench
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.gravity import FieldKind, field_sensed
+from multipos.sensor.gravity import field_sensed
 from multipos.sensor.model import Model, default_axes, stated_facing
 from multipos.sensor.tilt import reading_noise
 from multipos.uncertainty.turntable import BesideTable, TableErrors, find_head, table_errors
@@ -474,6 +475,7 @@ class Tumbles(Result, Drawn, Tabular):
         }
 
 
+@takes_options(BenchOptions, fit)
 def tumble(
     readings: Source | Readings,
     *,
@@ -483,16 +485,8 @@ def tumble(
     model: ModelText | None = None,
     convention: Convention = "specific-force",
     reading_sd: ArrayLike | None = None,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    latitude: float | None = None,
-    height: float | None = None,
-    field: FieldKind | None = None,
-    field_size: float | str | None = None,
-    field_size_u: float | str | None = None,
     unit: str | None = None,
-    range: Sequence[float] | None = None,
-    confidence: float = 0.95,
+    **stated: Unpack[BenchOptions],
 ) -> Tumble | Tumbles:
     """Calibrate accelerometers from rolls in gravity, and from known forces beside them.
 
@@ -505,8 +499,8 @@ def tumble(
     axes : names, optional
         The input axis i of each, p and o following in cyclic order: x of one output, else x, y, z;
         -x faces the other way.
-    scheme, convention, reading_sd, gravity, gravity_u, latitude, height, field, field_size
-    field_size_u, unit, range, confidence
+    scheme, convention, reading_sd, unit, gravity, gravity_u, latitude, height, field, field_size
+    field_size_u, range, confidence
         As in `multipos.fit`.
     model : str, optional
         Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate; a
@@ -541,14 +535,12 @@ def tumble(
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
     refuse_open_rolls(data)
-    if field_sensed(data.outputs, data.unit, field).angle != "tilt":
+    if field_sensed(data.outputs, data.unit, stated.get("field")).angle != "tilt":
         raise UsageError(
             "a tumble is of accelerometers in gravity; `multipos fit` takes the rolls."
         )
     own = _axes(data, axes)
-    bench = StatedBench(
-        gravity, gravity_u, latitude, height, field, field_size, field_size_u, range, confidence
-    )
+    bench = StatedBench(**stated)
     sds = _each(reading_sd, len(own))
     found = {
         name: tumble_output(
