@@ -19,7 +19,7 @@ import numpy as np
 from multipos.files.numbers import number, readable_unit
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.rotations import directions
-from multipos.plots.calibration import compensated_errors, residual_series
+from multipos.plots.calibration import Series, compensated_errors, residual_series
 from multipos.plots.hemispheres import flat
 from multipos.plots.style import COLOURS
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_errors
@@ -164,40 +164,28 @@ def residual_picture(calibration: Calibration) -> str:
     places = _LEFT + (shown + 0.5) * (_WIDTH - _LEFT - 4) / len(c.readings)
     picture = _Picture(len(panels) * _PANEL + _FOOT)
     for i, (name, unit, values, band) in enumerate(panels):
-        head = f"{name} [{{}}]"
-        _draw_panel(picture, i * _PANEL, head, unit, places, values[shown], band[shown], i)
+        _draw_panel(picture, i, places, (name, unit, values[shown], band[shown]))
     _name_positions(picture, len(panels) * _PANEL, [c.readings.labels[k] for k in shown], places)
     picture.write(0.5 * (_LEFT + _WIDTH), len(panels) * _PANEL + _FOOT - 4, "position")
     return str(picture)
 
 
-def _draw_panel(
-    picture: _Picture,
-    top: float,
-    head: str,
-    unit: str,
-    places: Array,
-    values: Array,
-    band: Array,
-    series: int,
-) -> None:
+def _draw_panel(picture: _Picture, place: int, places: Array, found: Series) -> None:
     """Draw the residuals of one output below its name, with three marks along the axis."""
+    name, unit, values, band = found
     known = np.isfinite(band).all()
-    largest = float(
-        np.max(np.abs(np.concatenate([values, band if known else values])), initial=0.0)
-    )
-    mark = _mark(largest)
+    reach = np.concatenate([values, band]) if known else values
+    mark = _mark(float(np.max(np.abs(reach), initial=0.0)))
     factor, shown = readable_unit(mark, unit)
+    top = place * _PANEL
     middle, scale = top + _MIDDLE, _HALF / (mark or 1.0)
-    before, _, after = head.rpartition("{}")  # a name may hold braces
-    picture.write(0.0, top + 12.0, f"{before}{shown}{after}", "start")
+    picture.write(0.0, top + 12.0, f"{name} [{shown}]", "start")
     for at in (-mark, 0.0, mark):
         y = middle - scale * at
         picture.path(f"M{_LEFT} {y:.1f}H{_WIDTH}", COLOURS[6], 0.4 if at else 0.8)
         if at or not mark:
-            picture.write(
-                _LEFT - 4, y + 4, f"{'−' if at < 0.0 else ''}{number(abs(factor * at))}", "end"
-            )
+            sign = "−" if at < 0.0 else ""
+            picture.write(_LEFT - 4, y + 4, f"{sign}{number(abs(factor * at))}", "end")
     if known:
         bars = "".join(
             f"M{x:.1f} {middle - scale * b:.1f}V{middle + scale * b:.1f}"
@@ -205,7 +193,7 @@ def _draw_panel(
         )
         picture.path(bars, COLOURS[5], min(4.0, 0.5 * (_WIDTH - _LEFT) / len(places)))
     for x, value in zip(places.tolist(), values.tolist(), strict=True):
-        picture.circle(x, middle - scale * value, 1.8, COLOURS[series % 5], filled=True)
+        picture.circle(x, middle - scale * value, 1.8, COLOURS[place % 5], filled=True)
 
 
 def _mark(largest: float) -> float:

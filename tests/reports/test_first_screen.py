@@ -214,7 +214,7 @@ def test_dots_of_residuals_stand_where_they_are(cal):
     expected = 102 * np.arange(3) + 59.0 - 36.0 * cal.residuals / marks
     assert np.abs(heights.reshape(3, 26).T - expected).max() < 0.051
     named = _Picture(102)  # an output may be called so
-    _draw_panel(named, 0.0, "{% raw %} [{}]", "V", np.ones(1), np.ones(1), np.ones(1), 0)
+    _draw_panel(named, 0, np.ones(1), ("{% raw %}", "V", np.ones(1), np.ones(1)))
     assert "{% raw %} [V]" in str(named)
 
 
