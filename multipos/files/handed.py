@@ -5,8 +5,10 @@ A table is a path (text, a workbook, JSON, Parquet or Feather, packed or not), a
 [1]_ or the dataframe interchange protocol [2]_, or an array of NumPy, one row a line. Excel
 workbooks are text, row by row.
 
-JSON is a table in three forms: records ``[{"ax": 1.0, "ay": 0.1}, …]``, columns
-``{"ax": [1.0, …], …}``, as pandas and this package write them, and one record a line.
+JSON is a table where it has records ``[{"ax": 1.0, "ay": 0.1}, …]``, rows ``[[1.0, 0.1], …]``,
+columns ``{"ax": [1.0, …], …}``, as pandas and this package write them, or one record a line. They
+may stand at any depth beside anything else, and be nested: the one with most rows is the table, and
+``{"acc": {"x": 1.0}}`` is a column ``acc.x``, ``{"acc": [1.0, …]}`` are ``acc[0]`` and so on.
 
 References
 ----------
@@ -147,7 +149,9 @@ def _cell(value: Any) -> str:
 XZ = b"\xfd7zXZ\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
 ARROW = (b"PAR1", b"ARROW1")  # Parquet, Feather
-_JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{\s*"|\[\s*\{)')
+_JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{\s*"|\[\s*\{|\[\s*\[\s*[-+.\deE]+\s*,)')
+_DEEPEST = 32  # objects in objects
+_VECTOR = 32  # numbers in a list of a record, at most
 
 
 def is_json(head: bytes) -> bool:
@@ -344,7 +348,7 @@ def _zstd(path: StrPath) -> Any:
 
 
 def read_json_columns(path: StrPath, what: str) -> dict[str, Any]:
-    """Return the columns of JSON: records, columns, or one record a line.
+    """Return the columns of JSON: records, rows or columns at any depth, or one record a line.
 
     Raises
     ------
@@ -359,17 +363,74 @@ def read_json_columns(path: StrPath, what: str) -> dict[str, Any]:
             raise
     if isinstance(found, dict) and isinstance(found.get("columns"), dict):
         found = found["columns"]  # as `--json` of a table writes it
-    if isinstance(found, list) and found and all(isinstance(each, dict) for each in found):
-        names = dict.fromkeys(name for each in found for name in each)
-        return {name: _column([each.get(name) for each in found]) for name in names}
-    if isinstance(found, dict) and not {"schema", "findings"} & found.keys():
-        lists = {n: [*c.values()] if isinstance(c, dict) else c for n, c in found.items()}
-        columns = {n: _column(c) for n, c in lists.items() if isinstance(c, list) and c}
-        if columns:
-            return columns
-    raise MultiposError(
-        f"{path}: the JSON is no table; give records, columns by name, or one record a line."
-    )
+    own = isinstance(found, dict) and not {"schema", "findings"}.isdisjoint(found)
+    tables = [] if own else [*_tables_in(found, _DEEPEST)]
+    if not tables:
+        raise MultiposError(
+            f"{path}: the JSON is no table; give records, columns by name, or one record a line."
+        )
+    longest = max(tables, key=_rows)
+    return {name: _column(cells) for name, cells in longest.items()}
+
+
+def _rows(table: Mapping[str, Sequence[Any]]) -> int:
+    return max(map(len, table.values()), default=0)
+
+
+def _tables_in(value: Any, depth: int) -> Iterator[dict[str, list[Any]]]:
+    """Yield the tables in a value: by records, by rows, by columns."""
+    if depth == 0:
+        return
+    if isinstance(value, list):
+        if value and all(isinstance(each, dict) for each in value):
+            yield _of_records(value)
+        elif _are_rows(value):
+            yield {str(i): [*cells] for i, cells in enumerate(zip(*value, strict=True), 1)}
+    elif isinstance(value, dict):
+        lists = {name: cells for name, cells in _leaves(value, depth) if isinstance(cells, list)}
+        longest = _rows(lists)
+        columns = {name: cells for name, cells in lists.items() if len(cells) == longest}
+        if longest and not any(isinstance(cells[0], dict | list) for cells in columns.values()):
+            heads = {name.rpartition(".")[0] for name in columns}
+            shared = os.path.commonprefix([f"{head}." for head in heads]).rpartition(".")[0]
+            yield {name.removeprefix(f"{shared}."): cells for name, cells in columns.items()}
+        for each in value.values():
+            yield from _tables_in(each, depth - 1)
+
+
+def _are_rows(value: Sequence[Any]) -> bool:
+    """Tell whether a list is of lists of as many numbers, or texts, each."""
+    widths = {len(each) if isinstance(each, list) else 0 for each in value}
+    if len(widths) != 1 or widths <= {0}:
+        return False
+    return not any(isinstance(cell, dict | list) for each in value for cell in each)
+
+
+def _of_records(records: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return the columns of records, the parts of a nested one under names of their own."""
+    flat = [dict(_parts(record)) for record in records]
+    names = dict.fromkeys(name for each in flat for name in each)
+    return {name: [each.get(name) for each in flat] for name in names}
+
+
+def _parts(record: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in _leaves(record, _DEEPEST):
+        if isinstance(value, list):
+            if len(value) <= _VECTOR:
+                yield from ((f"{name}[{i}]", each) for i, each in enumerate(value))
+        else:
+            yield name, value
+
+
+def _leaves(value: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Any]]:
+    """Yield what is no object in nested ones; an object of numbered cells is their list."""
+    for name, each in value.items():
+        if not isinstance(each, dict):
+            yield name, each
+        elif each and all(map(str.isdigit, each)):
+            yield name, [*each.values()]
+        elif depth:
+            yield from ((f"{name}.{part}", leaf) for part, leaf in _leaves(each, depth - 1))
 
 
 def _lines(path: StrPath, what: str) -> list[Any] | None:

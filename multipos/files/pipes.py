@@ -27,6 +27,7 @@ import shutil
 import stat
 import sys
 import weakref
+from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -181,17 +182,33 @@ def _remove(path: str) -> None:
 
 
 class Unpacked(os.PathLike[str]):
-    """What was in a packed file, as a path."""
+    """What was in a packed file, as a path.
 
-    def __init__(self, source: str, stream: IO[bytes], suffix: str) -> None:
+    Attributes
+    ----------
+    header : tuple of str or None
+        The names of its columns, where no line of it has them.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        stream: IO[bytes] | Iterable[bytes],
+        suffix: str,
+        header: tuple[str, ...] | None = None,
+    ) -> None:
         import tempfile  # slow to import, and seldom needed
 
         self._source = source
+        self.header = header
         handle, path = tempfile.mkstemp(prefix="multipos-", suffix=suffix)
         self._kept = weakref.finalize(self, _remove, path)
         self._path = path
         with os.fdopen(handle, "wb") as kept:
-            shutil.copyfileobj(stream, kept)
+            if isinstance(stream, Iterable) and not hasattr(stream, "read"):
+                kept.writelines(stream)
+            else:
+                shutil.copyfileobj(stream, kept)
 
     def __str__(self) -> str:
         return self._source

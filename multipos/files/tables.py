@@ -13,6 +13,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from multipos.errors import MultiposError
 from multipos.files import handed, spelling, whole
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
 from multipos.files.csv_columns import Column as Column
+from multipos.files.marks import cleaned_columns, may_have_marks, number_in
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
 from multipos.files.spelling import StrPath
 from multipos.results import frozen
@@ -48,6 +50,7 @@ class Table:
     content: str | None = None  # SHA-256 of what a packed file holds
     first: int = 0  # rows of the source that came before these, where it is read piece by piece
     copies: tuple[str, ...] = ()  # files that are no part of it, as they hold what others do
+    read_as: str = ""  # what was decided of the marks in its numbers, in words
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -279,9 +282,14 @@ def _read_csv(path: StrPath, what: str) -> Table:
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()
     plain = read_plain(raw) if len(raw) > _LONG else None
-    if plain is None:
+    if plain is None or _is_marked(plain):
         return _read_cells(path, raw, sha256, what)
     return _plain_table(path, plain, sha256)
+
+
+def _is_marked(plain: Plain) -> bool:
+    """Tell by the first rows whether the marks in its numbers have to be looked at."""
+    return may_have_marks(zip(*(islice(column, _FEW) for column in plain.columns), strict=True))
 
 
 def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
@@ -306,8 +314,11 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     columns = {
         name: list(map(str.strip, column)) for name, column in zip(header, cells, strict=True)
     }
+    columns, read_as = cleaned_columns(str(path), columns, commas_between=delimiter == ",")
     lines = [record.end for record in found]
-    return Table(str(path), columns, len(found), lines, sha256, delimiter)
+    return Table(
+        str(path), columns, len(found), lines, sha256, delimiter, read_as=read_as
+    )
 
 
 def _decode(path: StrPath, raw: bytes, what: str) -> str:
@@ -425,11 +436,7 @@ def _check_names(source: StrPath, names: Iterable[str]) -> None:
 
 
 def _float(cell: Any) -> float:
-    text = _label(cell)
-    try:
-        return math.nan if "_" in text else float(text)
-    except ValueError:
-        return math.nan
+    return number_in(_label(cell))
 
 
 def _is_nan(cell: Any) -> bool:

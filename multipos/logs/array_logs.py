@@ -38,6 +38,8 @@ from multipos.logs.table import Log, Piece, Wanted
 from multipos.positions.headers import split_unit
 
 _ROWS = 1 << 16  # at a time
+_WIDEST = 12  # rows of an array whose rows are its columns
+_FIRST = 50  # rows that tell whether a column is a time
 
 
 def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:
@@ -59,8 +61,17 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
         text=False,
         pieces=partial(_read_arrays, source, arrays, rows),
         units={name: unit for name, (_, unit) in named_units if unit},
+        rising=named.headless and _rises(next(iter(arrays.values()))),
         dates=frozenset(_of_kind(arrays, "M")),
     )
+
+
+def _rises(column: NDArray[Any]) -> bool:
+    """Tell whether a column goes up in its first rows, and not by ones."""
+    if column.dtype.kind not in "fiu":
+        return False
+    steps = np.diff(column[:_FIRST].astype(np.float64))
+    return bool((steps >= 0.0).all() and steps.any() and (steps != 1.0).any())
 
 
 def _of_kind(arrays: Mapping[str, NDArray[Any]], kinds: str) -> tuple[str, ...]:
@@ -138,6 +149,8 @@ def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
         )
     if array.dtype.names:
         return _legible(path, {name: array[name] for name in array.dtype.names})
+    if array.ndim == 2 and array.shape[0] <= _WIDEST < array.shape[1]:
+        array = array.T  # as NumPy users hold it, a row an output
     columns = [array] if array.ndim == 1 else list(array.T)
     return _legible(path, {str(i): column for i, column in enumerate(columns, 1)})
 

@@ -7,6 +7,7 @@ columns, behind ``#``, ``//`` or ``%`` too, and between the two may stand a line
 """
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -16,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.marks import is_grouped, number_in
+from multipos.files.printed import COMMENTS, DATE
 from multipos.finding import Finding, Findings
 from multipos.positions.headers import split_unit, unit_of
 from multipos.results import frozen
 
-COMMENTS = ("#", "//", "%")
 _LAST = 50  # rows that tell what a row is
 _SHARE = 3  # a column holds numbers where at least one cell in three is one
 _STATED = re.compile(r'"?sep=(.)"?\s*')
@@ -29,12 +31,6 @@ _RATE = re.compile(
     r"|\W*Hz\W+(\d+(?:\.\d+)?))",
     re.IGNORECASE,
 )
-DATE = re.compile(
-    r"((\d{4}[-/]\d\d[-/]\d\d|\d\d?[/.]\d\d?[/.]\d{4})[T ])?"
-    r"\d\d?:\d\d(:\d\d([.,]\d+|:\d{3})?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
-)
-# As a serial monitor shows it: at the beginning of a cell, a number behind it.
-_LABEL = re.compile(r"(?<![^\s,;])([A-Za-z_]\w*)[ \t]*[:=][ \t]*(?=[-+.\d])")
 _UNITLESS = ("", "-", "none", "no_units", "n/a")
 _KNOWN = re.compile(r"(time.*|t|.*acc.*|[a-z_. ]*[xyz])", re.IGNORECASE)
 
@@ -71,8 +67,6 @@ class Layout:
         Whether the first column goes up in the first rows, and not by ones.
     rate : float or None [Hz]
         Sample rate, where a line above the table tells one.
-    labelled : bool
-        Whether a name stands before every number, as in ``ax: 17027``.
     notes : tuple of Finding
     """
 
@@ -87,12 +81,15 @@ class Layout:
     first: int
     rising: bool
     rate: float | None
-    labelled: bool
     notes: Findings
 
 
-def find_layout(source: str, lines: Sequence[str]) -> Layout:
+def find_layout(
+    source: str, lines: Sequence[str], names: Sequence[str] | None = None
+) -> Layout:
     """Return how the rows of a log are laid out, from its first lines.
+
+    Names are given where no line holds them.
 
     Raises
     ------
@@ -100,9 +97,6 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         There is no row, or the header does not fit the rows.
     """
     stated, table = _stated(lines)
-    names = _labels([line.text for line in table[-_LAST:]])
-    if names:
-        table = [line._replace(text=without_labels(line.text)) for line in table]
     rows = [line for line in table if not is_comment(line.text)]
     if not rows:
         raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
@@ -118,7 +112,9 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
     if not body:
         raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
     if names and len(names) == shape.columns:
-        header = header._replace(cells=names)
+        header = header._replace(
+            cells=(*names,), units=tuple(split_unit(name)[1] or "" for name in names)
+        )
     columns = [list(filter(None, column)) for column in zip(*body, strict=True)]
     return Layout(
         delimiter=mark,
@@ -132,21 +128,8 @@ def find_layout(source: str, lines: Sequence[str]) -> Layout:
         first=begin,
         rising=_rises([row[0] for row in body], mark),
         rate=_stated_rate(above),
-        labelled=bool(names),
         notes=_find_begin(above, begin, header),
     )
-
-
-def without_labels(text: str) -> str:
-    """Return lines without the names before their numbers."""
-    return _LABEL.sub("", text)
-
-
-def _labels(lines: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that stand before the numbers of most lines, if two or more do."""
-    found = Counter(tuple(_LABEL.findall(line)) for line in lines)
-    names, count = found.most_common(1)[0] if found else ((), 0)
-    return names if len(set(names)) == len(names) > 1 and 2 * count > len(lines) else ()
 
 
 def _mostly(units_found: Sequence[object]) -> bool:
@@ -200,16 +183,13 @@ def cells_of(line: str, mark: str) -> list[str]:
 
 def number_of(cell: str, mark: str) -> float | None:
     """Return the number in a cell, 'nan' too; with a decimal comma where none separates."""
-    try:
-        value = float(cell if mark == "," else cell.replace(",", "."))
-    except ValueError:
-        return None
-    return None if "_" in cell else value
+    value = number_in(cell, decimal_comma=mark != ",")
+    return None if math.isnan(value) and cell.casefold().strip("+-") != "nan" else value
 
 
 def is_number(cell: str, mark: str) -> bool:
-    """Tell whether a cell is a number."""
-    return number_of(cell, mark) is not None
+    """Tell whether a cell is a number, also one with marks between thousands."""
+    return number_of(cell, mark) is not None or is_grouped(cell)
 
 
 def _separator(rows: Sequence[str]) -> str:

@@ -8,7 +8,7 @@ turned into numbers, in pieces of some megabytes, so that its length does not ma
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -17,14 +17,18 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.csv_columns import unix_lines
 from multipos.files.handed import content_of, find_copies, take_in
-from multipos.files.pipes import is_folder, rereadable, unpack_text
+from multipos.files.marks import Marks, may_have_marks, read_marks
+from multipos.files.pipes import Unpacked, is_folder, rereadable, unpack_text
+from multipos.files.printed import find_printed, unpack_printed
 from multipos.files.spelling import Names, StrPath, split_names
 from multipos.files.tables import Column, Source, read_table
 from multipos.files.whole import reading
 from multipos.finding import Finding, Findings, repeated_files
 from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
 from multipos.logs.extras import Noted
+from multipos.logs.layout import Layout, cells_of, find_layout, is_comment
 from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, open_text
@@ -85,8 +89,66 @@ def open_log(
         if not _is_utf8(head):
             path = unpack_text(path)
             head = _read_head(path)
-        return refuse_without_gravity(open_text(path, head, names))
+        return refuse_without_gravity(_open_text(path, head, names))
     return _with_notes(path, reader.columns(path), names)
+
+
+def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
+    """Return a log of text, of lines that a program printed the records that they hold."""
+    if b"\0" in head:
+        return open_text(path, head, names)  # which refuses it
+    lines = unix_lines(head).decode("utf-8", "replace").split("\n")
+    lines = lines[:-1] if len(head) >= HEAD and len(lines) > 1 else lines
+    printed = find_printed(lines)
+    if printed is None:
+        return _open_marked(path, head, lines, names)
+    path = unpack_printed(path, printed)
+    log = open_text(path, _read_head(path), names)
+    count = len(printed.forms)
+    said = "each line is a record" if count == 1 else f"a record is {count} lines"
+    return _noted(log, "printed-lines", f"{said}, as a program printed it: {printed.forms[0][:60]}")
+
+
+def _open_marked(
+    path: os.PathLike[str], head: bytes, lines: Sequence[str], names: Sequence[str] | None
+) -> Log:
+    """Return a log of rows, whose numbers may have marks between thousands or be registers."""
+    layout = find_layout(str(path), lines)
+    rows = [cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :]]
+    if not may_have_marks(row for row in rows if len(row) == layout.width):
+        return open_text(path, head, names)
+    columns = names or layout.header or [str(i + 1) for i in range(layout.width)]
+    marks = read_marks(
+        str(path),
+        columns,
+        (cells_of(line, layout.delimiter) for line in _lines_of(path)),
+        commas_between=layout.delimiter == ",",
+    )
+    if not marks:
+        return open_text(path, head, names)
+    cleaned = (_cleaned(line, layout, marks) for line in _lines_of(path))
+    path = Unpacked(str(path), cleaned, ".tsv")
+    log = _noted(open_text(path, _read_head(path), names), "number-marks", marks.said(columns))
+    bits = zip(log.columns, marks.bits, strict=True)
+    return replace(log, registers={name: each for name, each in bits if each > 0})
+
+
+def _lines_of(path: os.PathLike[str]) -> Iterator[str]:
+    with Path(path).open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
+        for line in stream:
+            yield line.rstrip("\n")
+
+
+def _cleaned(line: str, layout: Layout, marks: Marks) -> bytes:
+    """Return a line with tabulators between its cells, and without marks in its numbers."""
+    if is_comment(line):
+        return f"{line}\n".encode()
+    cells = marks.clean(cells_of(line, layout.delimiter)[: layout.width])
+    return ("\t".join(cells) + "\n").encode()
+
+
+def _noted(log: Log, code: str, text: str) -> Log:
+    return replace(log, notes=(*log.notes, Finding(code, "note", text)))
 
 
 def _with_notes(path: StrPath, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:

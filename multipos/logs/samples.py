@@ -396,6 +396,8 @@ class Samples(Kept):
         if self.signed is None:
             return values
         whole = 2.0**self.signed
+        if name in self.log.registers:  # as they stood in the log
+            values = np.where(values < 0.0, values + 2.0 ** self.log.registers[name], values)
         bad = np.flatnonzero(~((values >= 0.0) & (values < whole) & (values % 1.0 == 0.0)))
         if len(bad):
             raise MultiposError(

@@ -71,6 +71,8 @@ class Log:
         How the table was found.
     left_out : tuple of Finding
         What of it is not read.
+    registers : mapping of str to int
+        The bits of columns that hold words of two's complement, which are numbers here.
     """
 
     source: str
@@ -88,6 +90,7 @@ class Log:
     rate: float | None = None
     notes: Findings = ()
     left_out: Findings = ()
+    registers: Mapping[str, int] = field(default_factory=dict)
 
     def read(
         self,

@@ -30,19 +30,19 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import unix_lines
+from multipos.files.pipes import Unpacked
+from multipos.files.printed import COMMENTS, Records, find_printed
 from multipos.files.spelling import of_cell
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import read_dates, require_dates
 from multipos.logs.layout import (
-    COMMENTS,
     Layout,
     cells_of,
     find_layout,
     is_comment,
     is_number,
     number_of,
-    without_labels,
 )
 from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
@@ -73,8 +73,6 @@ class Rows(NamedTuple):
 
 def table_text(layout: Layout, content: str, first: int) -> Part:
     """Return lines of the table, the number of whose first is given."""
-    if layout.labelled:
-        content = without_labels(content)
     if layout.decimal_comma and layout.delimiter != ";":
         content = content.replace(",", ".")
     return Part(content, first)
@@ -335,7 +333,7 @@ def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) 
     lines = _decode(path, unix_lines(head)).split("\n")
     if len(head) >= HEAD and len(lines) > 1:
         lines = lines[:-1]  # its last line may be cut
-    layout = find_layout(str(path), lines)
+    layout = find_layout(str(path), lines, path.header if isinstance(path, Unpacked) else None)
     named = name_header(str(path), layout.header, layout.width, given)
     cut = _cut_row(path, layout)
     kept: list[Array | None] | None = [] if named.headless else None
@@ -351,12 +349,14 @@ def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -
     MultiposError, UsageError
         As of a file: no row among the lines, or names that do not fit.
     """
-    layout = find_layout(source, lines)
+    printed = find_printed(lines)
+    rows = lines if printed is None else [*Records(printed).text(lines)]
+    layout = find_layout(source, rows, None if printed is None else printed.names)
     named = name_header(source, layout.header, layout.width, given)
     text = _Text(Path(source), named.columns, layout, 0, 0)
-    head = "\n".join(lines[layout.first - 1 :])
-    log = _log(text, named, partial(_read_head, text, head), ())
-    return LiveText(log, text, head)
+    log = _log(text, named, partial(_read_head, text, "\n".join(rows[layout.first - 1 :])), ())
+    head = lines[layout.first - 1 :] if printed is None else lines
+    return LiveText(log, text, "\n".join(head), None if printed is None else Records(printed))
 
 
 @frozen(eq=True)
@@ -370,15 +370,20 @@ class LiveText:
     text : what is known of the layout
     head : str
         The first lines, without what stands above the table.
+    records : Records or None
+        What makes rows of lines that are printed.
     """
 
     log: Log
     text: _Text
     head: str
+    records: Records | None = None
 
     def rows(self, content: str) -> tuple[Array, list[str]]:
         """Return the numeric columns (k, n) of lines, NaN where a cell is bad, and the rows."""
         layout = self.text.layout
+        if self.records is not None:
+            content = "\n".join(self.records.text(content.removesuffix("\n").split("\n")))
         rows = rows_only(layout, table_text(layout, content, layout.first))
         names = self.log.numeric
         if not rows.lines:
@@ -499,7 +504,7 @@ def _lines(text: _Text, block: _Block) -> list[str]:
 def _plain_table(text: _Text, block: _Block, first: int, wanted: Wanted) -> Table | None:
     """Return the wanted columns of lines that are nothing but rows of numbers, None of others."""
     layout = text.layout
-    if wanted.texts or layout.trailing or layout.labelled or not all(layout.numeric):
+    if wanted.texts or layout.trailing or not all(layout.numeric):
         return None
     values = _numbers(text, block, [text.places[name] for name in wanted.numbers])
     if values is None or not np.isfinite(values).all():

@@ -1,0 +1,400 @@
+"""Lines that a program printed, as the table that they are.
+
+A line is numbers, words and marks. Without its numbers, and the white space around its marks, it is
+a form, ``ax:# ay:# az:#``; lines of one form are rows. A record of several lines is forms that
+follow each other again and again. What stands before a number names it: the word before its colon
+or equal sign, with the word of its group where it is a letter alone (``Accel: x=1 y=2``), or the
+one before a bracket, of which three numbers are x, y, z; a word behind it, before the next mark, is
+its unit. A number that nothing names and that rises is the time.
+
+`find_printed` looks at the first lines and returns how they are printed, or None of a table, whose
+cells are numbers or words and never both. `Records.text` returns the rows of lines as they come,
+`unpack_printed` a file of them: each line of it is a row or empty, so that a row keeps the number
+of its line.
+
+What has a form of its own: Teleplot [1]_, ``>ax:1627551892437:0.12``, whose first number is ms; the
+log of ESP-IDF [2]_, ``I (12345) imu: ax=0.1``, whose first number is ms too; stamps of ROS in
+seconds and nanoseconds, which become one number. Colour codes are left out.
+
+References
+----------
+.. [1] Teleplot, "Telemetry format".
+.. [2] ESP-IDF programming guide, "Logging library".
+"""
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from multipos.files.pipes import Unpacked
+from multipos.results import frozen
+
+DATE = re.compile(
+    r"((\d{4}[-/]\d\d[-/]\d\d|\d\d?[/.]\d\d?[/.]\d{4})[T ])?"
+    r"\d\d?:\d\d(:\d\d([.,]\d+|:\d{3})?)?\s*(Z|UTC|[+-]\d\d:?\d\d)?"
+)
+_PLAIN = r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_COMMA = r"[-+\u2212]?\d+,\d+(?:[eE][-+]?\d+)?"
+_LEFT_OUT = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")  # colour codes
+_INDEX = r"(?<=\w)\[\d\]"  # of a name: accSmooth[0]
+_LAST = 400  # lines that tell what is printed
+_FEW = 8  # lines that tell a table of numbers
+_NUMBERS = re.compile(r"[-+\d\s.,;:eETZ\"/]*")
+_MOST = 40  # lines of a record
+COMMENTS = ("#", "//", "%")
+_OFTEN = 0.8  # of the lines with numbers, that have one of the forms
+_TOGETHER = 1 << 16  # lines that are written at a time
+_MARK = "#"  # of a number in a form
+_TELEPLOT = re.compile(r">\s*([^:#]+):#(:#)?")
+_ESPIDF = re.compile(r"[IWEDV] ?\(#\)")
+_INTEGER = ("i", "u")  # behind whole numbers of a line protocol
+_SECONDS, _NANOSECONDS = ("sec", "secs"), ("nsec", "nsecs", "nanosec", "nanosecs")
+_BETWEEN = re.compile(r"[:=({\[<>|,;)}\]\"'\t]+")
+_XYZ = re.compile(r"[xyz]", re.IGNORECASE)
+
+
+def _tokens(number: str) -> re.Pattern[str]:
+    return re.compile(
+        rf"(?P<index>{_INDEX})|(?P<date>(?<![\w.]){DATE.pattern})"
+        rf"|(?P<number>(?<![\w.^*])(?:0[xX][0-9a-fA-F]+|{number}|nan\b|NaN\b))"
+    )
+
+
+_TOKENS = {",": _tokens(_COMMA), ".": _tokens(_PLAIN)}
+
+
+class _Line(NamedTuple):
+    """A line taken apart: the texts between its numbers, one more than these, and the numbers."""
+
+    texts: tuple[str, ...]
+    cells: tuple[str, ...]
+
+    @property
+    def form(self) -> str:
+        """The line without its numbers and the white space around its marks."""
+        joined = _MARK.join(re.sub(r"\s+", " ", text) for text in self.texts)
+        return re.sub(r"(?<=[^\w#]) | (?=[^\w#])", "", joined.strip())
+
+
+def _taken_apart(line: str, decimal: str) -> _Line:
+    line = _LEFT_OUT.sub("", line).rstrip()
+    texts, cells, begin = [], [], 0
+    for found in _TOKENS[decimal].finditer(line):
+        if found.lastgroup != "index" and not found["index"]:
+            texts.append(line[begin : found.start()])
+            cells.append(found[0].strip())
+            begin = found.end()
+    return _Line((*texts, line[begin:]), tuple(cells))
+
+
+@frozen
+class Printed:
+    """How the records of a text are printed.
+
+    Attributes
+    ----------
+    forms : tuple of str
+        Of the lines of a record that hold numbers, in their order.
+    names : tuple of str
+        Of the numbers of a record that are kept, with their units in brackets; '' names none.
+    kept : tuple of int
+        Which of all numbers of a record these are.
+    stamp : tuple of int
+        The places among all numbers of seconds and of nanoseconds, which become one; empty without.
+    decimal : str
+        The decimal mark.
+    """
+
+    forms: tuple[str, ...]
+    names: tuple[str, ...]
+    kept: tuple[int, ...]
+    stamp: tuple[int, ...]
+    decimal: str
+
+    def row(self, cells: Sequence[str]) -> list[str]:
+        """Return the cells that are kept of all of a record."""
+        cells = [*cells]
+        if self.decimal == ",":
+            cells = [cell.replace(",", ".") for cell in cells]
+        if self.stamp:
+            seconds, rest = self.stamp
+            cells[seconds] = f"{cells[seconds]}.{cells[rest]:0>9}"
+        return [cells[place] for place in self.kept]
+
+
+class Records:
+    """The records of lines that come one after the other."""
+
+    def __init__(self, printed: Printed) -> None:
+        """Begin before the first record."""
+        self._printed = printed
+        self._held: list[str] = []
+        self._due = 0  # line of the record that comes next
+
+    def text(self, lines: Iterable[str]) -> Iterator[str]:
+        """Yield each line as the cells of the record that it ends, empty where it ends none."""
+        for line in lines:
+            comment = line.lstrip().startswith(COMMENTS)
+            yield line.rstrip() if comment else "\t".join(self._taken(line))
+
+    def _taken(self, line: str) -> list[str]:
+        """Take up a line; return the cells of the record that it ends."""
+        forms = self._printed.forms
+        parts = _taken_apart(line, self._printed.decimal)
+        form = parts.form
+        if form not in forms:
+            return []
+        if form != forms[self._due] and form == forms[0]:
+            self._held, self._due = [], 0  # the record before is not whole
+        if form != forms[self._due]:
+            return []
+        self._held += parts.cells
+        self._due += 1
+        if self._due < len(forms):
+            return []
+        cells = self._printed.row(self._held)
+        self._held, self._due = [], 0
+        return cells
+
+
+def find_printed(lines: Sequence[str]) -> Printed | None:
+    """Return how lines are printed; None where they are a table, or nothing that is seen."""
+    sample = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    if all(map(_NUMBERS.fullmatch, sample[-_FEW:])):
+        return None
+    sample = sample[-_LAST:]
+    parts = [_taken_apart(line, ".") for line in sample]
+    decimal = "," if _has_decimal_commas(parts) else "."
+    if decimal == ",":
+        parts = [_taken_apart(line, decimal) for line in sample]
+    record = _record_of(parts)
+    if record is None or not any(_is_printed(line) for line in record):
+        return None
+    return _named(record, parts, decimal)
+
+
+def _has_decimal_commas(parts: Sequence[_Line]) -> bool:
+    """Tell whether every name has two numbers with nothing but a comma between, as in ``x: 0,12``."""
+    numbered = [line for line in parts if line.cells]
+    if not numbered:
+        return False
+    for line in numbered:
+        between = line.texts[1:-1]
+        if len(between) % 2 == 0 or any(text != "," for text in between[::2]):
+            return False
+        if any(not re.search(r"[^\W\d]", text) for text in (line.texts[0], *between[1::2])):
+            return False
+    return True
+
+
+def _record_of(parts: Sequence[_Line]) -> list[_Line] | None:
+    """Return the lines of a whole record, None where lines follow no form."""
+    forms = [line.form for line in parts]
+    numbered = Counter(form for form, line in zip(forms, parts, strict=True) if line.cells)
+    if not numbered:
+        return None
+    usual, most = numbered.most_common(1)[0]
+    if 2 * most > numbered.total():
+        return [parts[len(forms) - 1 - forms[::-1].index(usual)]]
+    often = {form: count for form, count in Counter(forms).items() if count >= max(2, most / 9)}
+    covered = sum(count for form, count in numbered.items() if form in often)
+    return _cycle(parts, forms, often) if covered >= _OFTEN * numbered.total() else None
+
+
+def _cycle(
+    parts: Sequence[_Line], forms: Sequence[str], often: Mapping[str, int]
+) -> list[_Line] | None:
+    """Return the lines of a record, from one line of its rarest form to the next."""
+    rarest = min(often.values())
+    first = next(form for form in forms if often.get(form) == rarest)
+    begins = [place for place, form in enumerate(forms) if form == first]
+    spans = [(*forms[begin:end],) for begin, end in pairwise(begins)]
+    usual = Counter(spans).most_common(1)
+    if not usual or 2 * usual[0][1] < len(spans) or len(usual[0][0]) > _MOST:
+        return None
+    begin = begins[spans.index(usual[0][0])]
+    return [*parts[begin : begin + len(usual[0][0])]]
+
+
+def _is_printed(line: _Line) -> bool:
+    """Tell whether a line is none of a table: a cell of it has a word or bracket and a number."""
+    if _ESPIDF.match(line.form) or line.form.startswith(">"):
+        return bool(line.cells)
+    bare = re.sub(r"[\"']", "", line.form)
+    if re.search(r"->|\|", bare):
+        return bool(line.cells)
+    if re.search(rf"[^\W#][^,;#]*[:=]\s*[(\[{{]*{_MARK}|[(\[{{<]{_MARK}|{_MARK}[^\W#_]", bare):
+        return True
+    if re.search(rf"[,;]{_MARK} [^\W\d_#][^\s,;#]*$", bare):
+        return True  # a unit behind the last
+    words = re.findall(r"[^\W\d#][^\s,;#]*", bare)
+    pairs = re.fullmatch(rf"(?:[^\W\d#][^\s,;#]*[ ,;]{_MARK}[ ,;]?)+", bare)
+    return pairs is not None and len(set(words)) == len(words) > 1
+
+
+def _named(record: Sequence[_Line], parts: Sequence[_Line], decimal: str) -> Printed | None:
+    """Return how a record is printed, with the names of its numbers."""
+    names = _names_of(record)
+    kept, stamp = [*range(len(names))], tuple[int, ...]()
+    last = [name.rpartition(".")[2].casefold() for name in names]
+    seconds = next((i for i, name in enumerate(last) if name in _SECONDS), None)
+    rest = next((i for i, name in enumerate(last) if name in _NANOSECONDS), None)
+    if seconds is not None and rest is not None:
+        stamp = (seconds, rest)
+        names[seconds] = "time [s]"
+        kept.remove(rest)
+    times = [i for i, name in enumerate(names) if name == "time [ms]"]
+    for again in times[1:]:
+        kept.remove(again)
+    forms = tuple(line.form for line in record if line.cells)
+    if len(set(forms)) < len(forms):  # lines without numbers tell where the record begins
+        forms = tuple(line.form for line in record)
+    found = Printed(forms, tuple(names[i] for i in kept), tuple(kept), stamp, decimal)
+    return Printed(forms, _with_time(found, parts), found.kept, stamp, decimal)
+
+
+def _with_time(printed: Printed, parts: Sequence[_Line]) -> tuple[str, ...]:
+    """Return the names, that of the time for a number that nothing names beside some that are."""
+    names = [*printed.names]
+    if not any(names):
+        return ()
+    if not all(names):
+        lines = Records(printed).text(map(_joined, parts))
+        rows = [line.split("\t") for line in lines if line]
+        for place, name in enumerate(names):
+            if not name and _rises([row[place] for row in rows]) and "time" not in names:
+                names[place] = "time"
+    return tuple(_told_apart(names))
+
+
+def _joined(line: _Line) -> str:
+    pairs = zip(line.texts, (*line.cells, ""), strict=True)
+    return "".join(part for pair in pairs for part in pair)
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Tell whether dates, or numbers that go up."""
+    try:
+        values = [*map(float, cells)]
+    except ValueError:
+        return all(DATE.fullmatch(cell) for cell in cells)
+    steps = [after - before for before, after in pairwise(values)]
+    return len(steps) > 1 and min(steps) >= 0.0 and max(steps) > 0.0
+
+
+def _told_apart(names: Sequence[str]) -> list[str]:
+    """Return names, a number behind each that has stood before."""
+    counts: Counter[str] = Counter()
+    told = []
+    for name in names:
+        counts[name] += 1
+        told.append(f"{name} {counts[name]}" if name and counts[name] > 1 else name)
+    return told
+
+
+def _names_of(record: Sequence[_Line]) -> list[str]:
+    """Return the names of all numbers of a record."""
+    pairs: list[tuple[str, str]] = []  # group and name
+    above: list[tuple[int, str]] = []  # lines without numbers that head those farther in
+    for line in record:
+        depth = len(line.texts[0]) - len(line.texts[0].lstrip(" -"))
+        above = [(indent, head) for indent, head in above if indent < depth]
+        if not line.cells:
+            labels = _labels(line.texts[0])
+            above += [(depth, labels[-1])] if labels else []
+            continue
+        head = above[-1][1] if above else ""
+        pairs += [(group, name or head) for group, name in _names_in(line, head)]
+    counts = Counter(name for _, name in pairs)
+    return [
+        f"{group}.{name}" if group and (counts[name] > 1 or _XYZ.fullmatch(_bare(name))) else name
+        for group, name in pairs
+    ]
+
+
+def _bare(name: str) -> str:
+    return name.partition(" [")[0]
+
+
+def _names_in(line: _Line, group: str) -> list[tuple[str, str]]:
+    """Return the group and the name of every number of a line."""
+    if teleplot := _TELEPLOT.match(line.form):
+        time = [("", "time [ms]")] if teleplot[2] else []
+        unit = re.search(r"§([^|]+)", line.texts[-1])
+        return [*time, ("", teleplot[1] + (f" [{unit[1]}]" if unit else ""))]
+    units = _units_in(line)
+    found: list[tuple[str, str]] = []
+    for place, text in enumerate(line.texts[:-1]):
+        if place:
+            text = text.removeprefix(units[place - 1]).removeprefix("i ")
+        labels = _labels(text)
+        if len(labels) > 1:
+            group = labels[-2]
+        found.append((group, labels[-1] if labels else ""))
+        if lettered := re.fullmatch(r"(.*\w)[\s_.](?=[xyzXYZ]$)(.)", found[-1][1]):
+            group = lettered[1]
+            found[-1] = (group, lettered[2])
+    if _ESPIDF.match(line.form):
+        found[0] = ("", "time [ms]")
+    found = _spread(found, line)
+    bare = (unit.strip().strip("()[]") for unit in units)
+    return [
+        (group, f"{name} [{unit}]" if unit and name else name)
+        for (group, name), unit in zip(found, bare, strict=True)
+    ]
+
+
+def _labels(text: str) -> list[str]:
+    """Return the words in a text, those of one name together."""
+    text = re.sub(_INDEX, lambda found: f"\0{found[0][1]}", text.replace("->", "|"))
+    chunks = [chunk.strip(" .*-+§") for chunk in _BETWEEN.split(text)]
+    if text.rstrip(" ([{\"'").endswith("=") and len(chunks) > 1:  # a name before it has no blanks
+        place = max(place for place, chunk in enumerate(chunks) if chunk or not place)
+        chunks[place : place + 1] = chunks[place].split()
+    named = [chunk for chunk in chunks if re.search(r"[^\W\d_]", chunk)]
+    return [re.sub("\0(.)", r"[\1]", chunk) for chunk in named]
+
+
+def _units_in(line: _Line) -> list[str]:
+    """Return the unit behind every number, '' where none stands there."""
+    units = []
+    for text in line.texts[1:]:
+        found = re.match(r"\s*[(\[]?\s*[^\W\d_][\w/^²·*]{0,7}[)\]]?(?=\s*(?:[,;|)\]}\t]|$))", text)
+        glued = re.match(r"[^\W\d_][\w/^²·*]{0,7}(?=[\s,;|)\]]|$)", text)
+        chosen = found or glued
+        units.append(chosen[0] if chosen and chosen[0] not in _INTEGER else "")
+    names = [_labels(text) for text in line.texts[:1]]
+    spaced = all(not re.search(r"[:=(\[]", text) for text in line.texts)
+    return [""] * len(units) if spaced and names[0] else units
+
+
+def _spread(found: Sequence[tuple[str, str]], line: _Line) -> list[tuple[str, str]]:
+    """Return names in which those of a bracket, or behind one name, are its components."""
+    result = [*found]
+    place = 0
+    while place < len(found):
+        end = place + 1
+        while end < len(found) and not found[end][1]:
+            end += 1
+        count = end - place
+        group, name = found[place]
+        if name and count > 1 and not (count == 2 and end == len(found)):
+            ends = "xyz" if count == 3 else [str(i + 1) for i in range(count)]
+            result[place:end] = [(group, f"{name}_{each}") for each in ends]
+        place = end
+    return result
+
+
+def unpack_printed(path: os.PathLike[str], printed: Printed) -> Unpacked:
+    """Return printed lines as a file of cells with tabulators, a line for each of theirs."""
+
+    def lines() -> Iterator[bytes]:
+        with Path(path).open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
+            for text in Records(printed).text(stream):
+                yield f"{text}\n".encode()
+
+    return Unpacked(str(path), lines(), ".tsv", printed.names or None)
