@@ -166,6 +166,8 @@ def find_printed(lines: Sequence[str]) -> Printed | None:
     sample = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     if all(map(_NUMBERS.fullmatch, sample[-_FEW:])):
         return None
+    if _is_table(sample):
+        return None
     sample = sample[-_LAST:]
     parts = [_taken_apart(line, ".") for line in sample]
     decimal = "," if _has_decimal_commas(parts) else "."
@@ -175,6 +177,17 @@ def find_printed(lines: Sequence[str]) -> Printed | None:
     if record is None or not any(_is_printed(line) for line in record):
         return None
     return _named(record, parts, decimal)
+
+
+def _is_table(lines: Sequence[str]) -> bool:
+    """Tell whether the first line names as many columns as all others have cells."""
+    for mark in ",;\t":
+        names = [name.strip() for name in lines[0].split(mark)]
+        width = len(names)
+        rows = lines[1 : 1 + _LAST]
+        if width > 1 and rows and not any(map(_TOKENS["."].search, names)):
+            return all(line.count(mark) + 1 == width for line in rows)
+    return False
 
 
 def _has_decimal_commas(parts: Sequence[_Line]) -> bool:

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files import handed, spelling, whole
-from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, read_plain
+from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, Raw, read_plain
 from multipos.files.csv_columns import Column as Column
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
+from multipos.files.printed import Printed, Records, find_printed
 from multipos.files.spelling import StrPath
 from multipos.results import frozen
 
@@ -237,10 +238,10 @@ def open_table(path: StrPath, *, what: str = "table", head: bytes = b"") -> Tabl
     A file that is shorter than `SHORT` is kept as it was read; `head` is how it begins.
     """
     if 0 < len(head) < SHORT:
-        plain, sha256 = read_plain(head), _sha256(head)
+        plain, sha256 = _plain(head), _sha256(head)
     else:
         raw = FileBytes(path, what)
-        plain, sha256 = read_plain(raw), raw.sha256()
+        plain, sha256 = _plain(raw), raw.sha256()
     return _read_csv(path, what) if plain is None else _plain_table(path, plain, sha256)
 
 
@@ -281,15 +282,23 @@ def _read_csv(path: StrPath, what: str) -> Table:
         raw = handed.workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()
-    plain = read_plain(raw) if len(raw) > _LONG else None
-    if plain is None or _is_marked(plain):
+    plain = _plain(raw) if len(raw) > _LONG else None
+    if plain is None:
         return _read_cells(path, raw, sha256, what)
     return _plain_table(path, plain, sha256)
 
 
-def _is_marked(plain: Plain) -> bool:
-    """Tell by the first rows whether the marks in its numbers have to be looked at."""
-    return may_have_marks(zip(*(islice(column, _FEW) for column in plain.columns), strict=True))
+def _plain(raw: Raw) -> Plain | None:
+    """Return columns that stay in their text; None where cells have to be looked at."""
+    plain = read_plain(raw)
+    if plain is None or _are_numbers(plain.header):
+        return None
+    first = zip(*(islice(column, _FEW) for column in plain.columns), strict=True)
+    return None if may_have_marks(first) else plain
+
+
+def _are_numbers(cells: Iterable[str]) -> bool:
+    return all(math.isfinite(_float(cell)) for cell in cells)
 
 
 def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
@@ -301,11 +310,18 @@ def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
 def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     """Read a table cell by cell, quotes included."""
     numbered = _numbered(_decode(path, raw, what))
+    printed = find_printed([line for _, line in numbered])
+    if printed is not None:
+        return _read_records(path, numbered, printed, sha256)
     if not numbered:
         raise MultiposError(f"{path}: the file is empty; give a header and rows of {what}.")
     delimiter = next((mark for mark in ";\t" if mark in numbered[0][1]), ",")
     records = _records(path, numbered, delimiter)
-    header = [cell.strip() for cell in next(records).cells]
+    first = next(records)
+    header = [cell.strip() for cell in first.cells]
+    if _are_numbers(header):  # nothing names the columns
+        header = [str(i + 1) for i in range(len(header))]
+        records = itertools.chain([first], records)
     _check_header(path, header)
     found = _filled(path, records, header)
     if not found:
@@ -318,6 +334,26 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     lines = [record.end for record in found]
     return Table(
         str(path), columns, len(found), lines, sha256, delimiter, read_as=read_as
+    )
+
+
+def _read_records(
+    path: StrPath, numbered: Sequence[tuple[int, str]], printed: Printed, sha256: str
+) -> Table:
+    """Read lines that a program printed."""
+    lines = Records(printed).text(line for _, line in numbered)
+    pairs = zip((number for number, _ in numbered), lines, strict=True)
+    rows = [(number, text.split("\t")) for number, text in pairs if text]
+    names = printed.names or tuple(str(i + 1) for i in range(len(rows[0][1])))
+    header = [name or str(i + 1) for i, name in enumerate(names)]
+    _check_header(path, header)
+    cells = zip(*(cells for _, cells in rows), strict=True)
+    columns, read_as = cleaned_columns(
+        str(path), {n: [*c] for n, c in zip(header, cells, strict=True)}, commas_between=False
+    )
+    said = "; ".join(filter(None, [f"lines were read as printed: {printed.forms[0][:60]}", read_as]))
+    return Table(
+        str(path), columns, len(rows), [number for number, _ in rows], sha256, read_as=said
     )
 
 
@@ -409,11 +445,6 @@ def _records(
 
 
 def _check_header(path: StrPath, header: list[str]) -> None:
-    if all(math.isfinite(_float(name)) for name in header):
-        raise MultiposError(
-            f"{path}: the first row holds only numbers; put a row of names above, such as "
-            "position,ax,ay,az."
-        )
     seen = set()
     for index, name in enumerate(header):
         if not name:

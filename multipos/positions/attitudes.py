@@ -17,6 +17,7 @@ Exact angles give exact zeros: a stray cos 90° = 6e-17 would pass for a tilt.
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -31,6 +32,7 @@ from multipos.units import cos_deg, sin_deg
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
 CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
 
+_SIGNS = str.maketrans("−–＋－", "--+-")
 _E, _N, _U = np.eye(3)
 _LETTERS = {"E": _E, "N": _N, "U": _U, "W": -_E, "S": -_N, "D": -_U}
 _CHINESE = {"东": "E", "東": "E", "北": "N", "天": "U", "西": "W", "南": "S", "地": "D"}
@@ -216,23 +218,69 @@ def roll(axis: str, angle_deg: ArrayLike) -> Attitudes:
     return from_rotation(np.stack([east, np.cross(up, east) + 0.0, up], axis=2))
 
 
-_AXIS_UP = re.compile(r"([+-]?)([xyz])([+-]?)(?:[ _-]*(up|down|oben|unten|上|下))?", re.IGNORECASE)
+_UPWARD = ("up", "upward", "upwards", "oben", "上", "朝上", "向上")
+_DOWNWARD = ("down", "downward", "downwards", "unten", "下", "朝下", "向下")
+_PLUS = ("+", "p", "pos", "plus", "positive")
+_MINUS = ("-", "n", "m", "neg", "minus", "negative")
+_WORDS = re.compile(r"[+-]|[^\W\d_]+")
 
 
 def parse_axis_up(text: str) -> Array | None:
-    """Return the up vector (3,) of ``+X``, ``-x up``, ``Z+`` or ``y down``, None of other text."""
-    found = _AXIS_UP.fullmatch(text.strip().replace("−", "-"))
-    if found is None or (bool(found[1]) == bool(found[3]) and (found[1] or not found[4])):
+    """Return the up vector (3,) of a label such as ``+X``, ``Z+``, ``y down``, None of other text.
+
+    An axis with a sign, a word for up or down, or both, in any order: ``-x up``, ``pos Z``,
+    ``X_neg``, ``z 朝下``.
+    """
+    plain = text.translate(_SIGNS).casefold()
+    plain = re.sub("[朝向]?[上下]|轴", r" \g<0> ", plain)
+    words = [word for word in _WORDS.findall(plain) if word not in ("axis", "face", "side", "轴")]
+    words = [part for word in words for part in _glued(word)]
+    axes = [word for word in words if word in COMPONENTS]
+    signs = [word for word in words if word in _PLUS + _MINUS]
+    ways = [word for word in words if word in _UPWARD + _DOWNWARD]
+    kinds = (len(axes), len(signs), len(ways))
+    if kinds not in ((1, 1, 0), (1, 0, 1), (1, 1, 1)) or sum(kinds) != len(words):
         return None
-    turned = (found[1] or found[3]) == "-", (found[4] or "").casefold() in ("down", "unten", "下")
+    turned = bool(signs and signs[0] in _MINUS), bool(ways and ways[0] in _DOWNWARD)
     up = np.zeros(3)
-    up["xyz".index(found[2].casefold())] = -1.0 if turned[0] != turned[1] else 1.0
+    up[COMPONENTS.index(axes[0])] = -1.0 if turned[0] != turned[1] else 1.0
     return up
+
+
+def _glued(word: str) -> tuple[str, ...]:
+    """Return a word, or the axis and the word that it is glued from, as in xup or xneg."""
+    known = (*_UPWARD, *_DOWNWARD, *_PLUS, *_MINUS)
+    if len(word) > 1 and word[0] in COMPONENTS and word[1:] in known:
+        return word[0], word[1:]
+    if len(word) > 1 and word[-1] in COMPONENTS and word[:-1] in known:
+        return word[:-1], word[-1]
+    return (word,)
+
+
+def are_directions(cells: Sequence[str]) -> bool:
+    """Tell whether all cells of a column of text say where the case points."""
+    return bool(cells) and all(_is_direction(cell) for cell in dict.fromkeys(_as_axes(cells)))
+
+
+def _as_axes(cells: Sequence[str]) -> Sequence[str]:
+    """Return labels; ``up`` and ``down`` alone are those of z where all are one of them."""
+    alone = {cell.strip().casefold() for cell in cells}
+    return [f"z {cell}" for cell in cells] if alone <= {*_UPWARD, *_DOWNWARD} else cells
+
+
+def _is_direction(text: str) -> bool:
+    if parse_axis_up(text) is not None:
+        return True
+    try:
+        parse_direction(text)
+    except MultiposError:
+        return False
+    return True
 
 
 def _read_direction(table: Table) -> Attitudes:
     found = open_attitudes(table.rows)
-    for row, text in enumerate(table.text("direction")):
+    for row, text in enumerate(_as_axes(table.text("direction"))):
         axis = parse_axis_up(text)
         if axis is not None:
             found.up[row] = axis

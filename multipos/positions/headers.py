@@ -456,6 +456,25 @@ def under_names(table: Table, wanted: Iterable[str]) -> tuple[Table, dict[str, s
     return replace(table, columns=columns), units
 
 
+def with_direction(table: Table) -> Table:
+    """Return a table in which the first column of text whose cells are all directions is one.
+
+    A column ``position`` stays the label of its rows as well.
+    """
+    stated = (*attitudes.COLUMNS, *FORCE)
+    if any(name in table for name in stated):
+        return table
+    for name in table.columns:
+        if component(name).acceleration or not table.is_text(name):
+            continue
+        if attitudes.are_directions(table.unchecked(name)):
+            columns = {"direction" if key == name else key: c for key, c in table.columns.items()}
+            labels = table.columns[name]
+            known = "position" in table and name != "position"
+            return replace(table, columns=columns if known else {"position": labels, **columns})
+    return table
+
+
 def _own_case(names: Sequence[str]) -> dict[str, str]:
     """Return names as they are known here; those that differ in case alone stay as written."""
     known = {name.casefold(): name for name in (*RESERVED, TEMPERATURE, "time")}

@@ -150,6 +150,7 @@ _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
 _ONE_G = 0.01  # within which a known force may pass for gravity
 _ANY = (1.0, 0.0, 0.0)  # a direction, where none is known
 _LOG_ROWS, _LOG_STEP = 100, 0.1  # rows, and their usual step over the spread of all
+_CONTRARY = 5.0  # [degrees], by which directions of a row contradict each other
 _EXACT = 2.0**-52  # [rad], rounding of a unit vector: nearer than that no position is known
 
 
@@ -340,9 +341,9 @@ def orient(
     rows = _match(readings, given)
     findings = readings.findings
     if oriented:
-        text = f"orientation columns are ignored; scheme '{given.name}' is used"
-        action = "Remove the columns, or --scheme."
-        findings += (Finding("orientation-ignored", "warning", text, action),)
+        _refuse_contradiction(readings, given, rows)
+        text = f"orientation columns are ignored; scheme '{given.name}' agrees and is used"
+        findings += (Finding("orientation-ignored", "note", text),)
     positions = readings.positions
     if positions is None and given.labels is not None:
         positions = tuple(given.labels[row] for row in rows)
@@ -355,6 +356,27 @@ def orient(
         positions=positions,
         findings=findings,
     )
+
+
+def _refuse_contradiction(readings: Readings, scheme: Scheme, rows: Sequence[int]) -> None:
+    """Refuse readings whose own directions differ from those of the scheme."""
+    own = _with_up(readings).up
+    assert own is not None
+    off = np.degrees(np.arccos(np.clip((own * scheme.up[rows]).sum(axis=1), -1.0, 1.0)))
+    contrary = np.flatnonzero(off > _CONTRARY)  # a row without direction is NaN
+    if len(contrary):
+        row = int(contrary[0])
+        there = scheme.labels[rows[row]] if scheme.labels else str(rows[row] + 1)
+        raise MultiposError(
+            f"{readings.source or 'the readings'}: row {row + 1}, '{readings.labels[row]}', points "
+            f"{_shown(own[row])} by its own column and {_shown(scheme.up[rows[row]])} as position "
+            f"'{there}' of scheme '{scheme.name}' ({len(contrary)} of {len(rows)} rows differ); "
+            "leave --scheme away, or the column."
+        )
+
+
+def _shown(up: Array) -> str:
+    return f"({', '.join(f'{each:.3g}' for each in (np.round(up, 3) + 0.0).tolist())})"
 
 
 def _columns_for(readings: Readings, estimable: bool) -> str:
@@ -477,6 +499,9 @@ def _with_up(readings: Readings) -> Readings:
 def _match(readings: Readings, scheme: Scheme) -> list[int]:
     """Return the row of the scheme of every reading: by label, or row by row."""
     labels, known = readings.positions, scheme.labels
+    oriented = readings.up is not None or readings.rotation is not None
+    if oriented and len(readings) == len(scheme) and set(labels or ()).isdisjoint(known or ()):
+        return list(range(len(scheme)))
     if labels is not None and known is not None:
         return _match_labels(readings, labels, scheme, known)
     if len(readings) == len(scheme):

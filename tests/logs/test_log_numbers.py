@@ -102,7 +102,8 @@ def test_a_column_that_begins_again_has_so_many_turns():
 
 
 def test_whole_numbers_get_their_sign():
-    state = SimpleNamespace(signed=8, _column=lambda table, name, largest: table)
+    log = SimpleNamespace(registers={})
+    state = SimpleNamespace(signed=8, log=log, _column=lambda table, name, largest: table)
     assert Samples._output(state, np.array([0.0, 127.0, 128.0, 255.0]), "a").tolist() == [
         0.0, 127.0, -128.0, -1.0]  # fmt: skip
     cells = type("Cells", (np.ndarray,), {"where": lambda self, row, name: f"row {row}"})

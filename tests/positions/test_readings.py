@@ -233,10 +233,19 @@ def test_labels_that_match_no_position_are_named(readings, scheme, message):
         orient(readings, scheme)
 
 
-def test_a_scheme_overrules_orientation_columns_and_says_so():
-    found = orient(read_readings({**UP, "ax": [1, 2, 3]}), "tumble-3")
-    assert_array_equal(found.up, read_scheme("tumble-3").up)
-    assert texts(found)[0].startswith("orientation columns are ignored; scheme 'tumble-3' is used")
+def test_a_scheme_that_agrees_takes_the_place_of_orientation_columns():
+    listed = read_scheme("tumble-3").up
+    leaning = listed + 0.03 * np.roll(listed, 1, axis=1)  # by 1.7 degrees
+    columns = dict(zip(("up_x", "up_y", "up_z"), leaning.T, strict=True))
+    found = orient(read_readings({**columns, "ax": [1, 2, 3]}), "tumble-3")
+    assert_array_equal(found.up, listed)
+    assert texts(found)[-1].startswith("orientation columns are ignored; scheme 'tumble-3' agrees")
+
+
+def test_a_scheme_that_contradicts_orientation_columns_is_refused_with_the_first_row():
+    said = r"row 1, '1', points \(.*\) by its own column and \(1, 0, 0\) as position '1'"
+    with pytest.raises(MultiposError, match=said):
+        orient(read_readings({**UP, "ax": [1, 2, 3]}), "tumble-3")
 
 
 def test_a_data_frame_works_wherever_a_file_does():
