@@ -391,11 +391,18 @@ def _tables_in(value: Any, depth: int) -> Iterator[dict[str, list[Any]]]:
         longest = _rows(lists)
         columns = {name: cells for name, cells in lists.items() if len(cells) == longest}
         if longest and not any(isinstance(cells[0], dict | list) for cells in columns.values()):
-            heads = {name.rpartition(".")[0] for name in columns}
-            shared = os.path.commonprefix([f"{head}." for head in heads]).rpartition(".")[0]
-            yield {name.removeprefix(f"{shared}."): cells for name, cells in columns.items()}
+            yield _without_shared(columns)
         for each in value.values():
             yield from _tables_in(each, depth - 1)
+
+
+def _without_shared(columns: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
+    """Return columns without the names of objects that hold all of them."""
+    shared = 0
+    heads = [name.split(".")[:-1] for name in columns]
+    while heads[0][shared : shared + 1] and len({(*head[: shared + 1],) for head in heads}) == 1:
+        shared += 1
+    return {".".join(name.split(".")[shared:]): cells for name, cells in columns.items()}
 
 
 def _are_rows(value: Sequence[Any]) -> bool:

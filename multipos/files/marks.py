@@ -19,8 +19,8 @@ Registers ``0x3F2A`` are whole numbers. Words of one length whose first digit re
 complement of that length.
 
 `may_have_marks` tells by the first rows whether a table has to be looked at, `read_marks` looks at
-all of its rows, and `Marks.clean` writes a row so that `float` reads it. `number_in` is the one rule
-by which a cell of text is a number.
+all of its rows, and `Marks.clean` writes a row so that `float` reads it; `cleaned_columns` does all
+three. `number_in` is the one rule by which a cell of text is a number.
 """
 
 import math
@@ -33,7 +33,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import listed
 from multipos.results import frozen
 
-_SIGNS = str.maketrans("\u2212\u2013\uff0d\uff0b\uff0e\uff0c", "--" "-+.,")
+_SIGNS = str.maketrans("\u2212\u2013\uff0d\uff0b\uff0e\uff0c", "---+.,")
 _REGISTER = re.compile(r"[-+]?0[xX]([0-9a-fA-F]+)")
 _GROUPS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}(\{mark}\d{{3}})+") for mark in ".,"}
 _TWICE = {mark: re.compile(rf"[-+]?\d+\{mark}\d+\{mark}") for mark in ".,"}
@@ -115,7 +115,7 @@ class Marks:
 
 
 def is_grouped(cell: str) -> bool:
-    """Tell whether a cell is a number that can have marks between thousands alone, or a register."""
+    """Tell whether a cell is a register, or a number with marks that only thousands can have."""
     plain = cell.translate(_SIGNS)
     both = "." in plain and "," in plain and _NUMBER.fullmatch(plain) is not None
     twice = any(_TWICE[mark].match(plain) and _GROUPS[mark].fullmatch(plain) for mark in ".,")
@@ -236,9 +236,7 @@ def read_marks(
             f"'{settled[','][0]}' decimal commas; write one of them in all."
         )
     mark = _thousands(source, names, columns, settled, commas_between=commas_between)
-    thousands = tuple(
-        mark if mark and _has_thousands(each, mark) else "" for each in columns
-    )
+    thousands = tuple(mark if mark and _has_thousands(each, mark) else "" for each in columns)
     return Marks(
         thousands,
         tuple(_bits(each) for each in columns),
@@ -284,7 +282,7 @@ def cleaned_columns(
 ) -> tuple[dict[str, list[str]], str]:
     """Return columns whose numbers have no marks but the decimal point, and what is said of it."""
     names = [*columns]
-    sample = zip(*(cells[: _SAMPLE] for cells in columns.values()), strict=True)
+    sample = zip(*(cells[:_SAMPLE] for cells in columns.values()), strict=True)
     if not may_have_marks(sample):
         return columns, ""
     marks = read_marks(

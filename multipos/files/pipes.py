@@ -29,7 +29,7 @@ import sys
 import weakref
 from collections.abc import Iterable
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import BinaryIO
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import StrPath
@@ -193,7 +193,7 @@ class Unpacked(os.PathLike[str]):
     def __init__(
         self,
         source: str,
-        stream: IO[bytes] | Iterable[bytes],
+        stream: Iterable[bytes],
         suffix: str,
         header: tuple[str, ...] | None = None,
     ) -> None:
@@ -205,10 +205,10 @@ class Unpacked(os.PathLike[str]):
         self._kept = weakref.finalize(self, _remove, path)
         self._path = path
         with os.fdopen(handle, "wb") as kept:
-            if isinstance(stream, Iterable) and not hasattr(stream, "read"):
-                kept.writelines(stream)
-            else:
+            if isinstance(stream, io.IOBase):
                 shutil.copyfileobj(stream, kept)
+            else:
+                kept.writelines(stream)
 
     def __str__(self) -> str:
         return self._source

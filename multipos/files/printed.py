@@ -181,17 +181,22 @@ def find_printed(lines: Sequence[str]) -> Printed | None:
 
 def _is_table(lines: Sequence[str]) -> bool:
     """Tell whether the first line names as many columns as all others have cells."""
-    for mark in ",;\t":
-        names = [name.strip() for name in lines[0].split(mark)]
-        width = len(names)
-        rows = lines[1 : 1 + _LAST]
-        if width > 1 and rows and not any(map(_TOKENS["."].search, names)):
-            return all(line.count(mark) + 1 == width for line in rows)
-    return False
+    head, rows = lines[0], lines[1 : 1 + _LAST]
+    if not rows or holds_number(head):
+        return False
+    mark = next((mark for mark in ",;\t" if mark in head), "")
+    if not mark:
+        return not any(re.search(r"[:=,;\t]", line) for line in lines[: 1 + _LAST])
+    return all(line.count(mark) == head.count(mark) for line in rows)
+
+
+def holds_number(line: str) -> bool:
+    """Tell whether a line has a number that is not part of a word."""
+    return _TOKENS["."].search(line) is not None
 
 
 def _has_decimal_commas(parts: Sequence[_Line]) -> bool:
-    """Tell whether every name has two numbers with nothing but a comma between, as in ``x: 0,12``."""
+    """Tell whether every name has two numbers with only a comma between, as in ``x: 0,12``."""
     numbered = [line for line in parts if line.cells]
     if not numbered:
         return False

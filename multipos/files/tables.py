@@ -26,7 +26,7 @@ from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, Raw, read
 from multipos.files.csv_columns import Column as Column
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
-from multipos.files.printed import Printed, Records, find_printed
+from multipos.files.printed import Printed, Records, find_printed, holds_number
 from multipos.files.spelling import StrPath
 from multipos.results import frozen
 
@@ -291,7 +291,7 @@ def _read_csv(path: StrPath, what: str) -> Table:
 def _plain(raw: Raw) -> Plain | None:
     """Return columns that stay in their text; None where cells have to be looked at."""
     plain = read_plain(raw)
-    if plain is None or _are_numbers(plain.header):
+    if plain is None or any(map(holds_number, plain.header)):
         return None
     first = zip(*(islice(column, _FEW) for column in plain.columns), strict=True)
     return None if may_have_marks(first) else plain
@@ -332,9 +332,7 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     }
     columns, read_as = cleaned_columns(str(path), columns, commas_between=delimiter == ",")
     lines = [record.end for record in found]
-    return Table(
-        str(path), columns, len(found), lines, sha256, delimiter, read_as=read_as
-    )
+    return Table(str(path), columns, len(found), lines, sha256, delimiter, read_as=read_as)
 
 
 def _read_records(
@@ -351,7 +349,9 @@ def _read_records(
     columns, read_as = cleaned_columns(
         str(path), {n: [*c] for n, c in zip(header, cells, strict=True)}, commas_between=False
     )
-    said = "; ".join(filter(None, [f"lines were read as printed: {printed.forms[0][:60]}", read_as]))
+    said = "; ".join(
+        filter(None, [f"lines were read as printed: {printed.forms[0][:60]}", read_as])
+    )
     return Table(
         str(path), columns, len(rows), [number for number, _ in rows], sha256, read_as=said
     )

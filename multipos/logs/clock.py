@@ -21,8 +21,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.printed import DATE
 from multipos.files.tables import Table
-from multipos.logs.layout import DATE
 from multipos.logs.table import Log
 from multipos.numerics.arrays import FASTEST, SLOWEST, Array, median
 from multipos.positions.headers import unit_of

@@ -84,9 +84,7 @@ class Layout:
     notes: Findings
 
 
-def find_layout(
-    source: str, lines: Sequence[str], names: Sequence[str] | None = None
-) -> Layout:
+def find_layout(source: str, lines: Sequence[str], names: Sequence[str] | None = None) -> Layout:
     """Return how the rows of a log are laid out, from its first lines.
 
     Names are given where no line holds them.

@@ -97,24 +97,28 @@ def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None)
     """Return a log of text, of lines that a program printed the records that they hold."""
     if b"\0" in head:
         return open_text(path, head, names)  # which refuses it
-    lines = unix_lines(head).decode("utf-8", "replace").split("\n")
-    lines = lines[:-1] if len(head) >= HEAD and len(lines) > 1 else lines
-    printed = find_printed(lines)
+    printed = find_printed(_first_lines(head))
     if printed is None:
-        return _open_marked(path, head, lines, names)
+        return _open_rows(path, head, names)
     path = unpack_printed(path, printed)
-    log = open_text(path, _read_head(path), names)
+    log = _open_rows(path, _read_head(path), names)
     count = len(printed.forms)
     said = "each line is a record" if count == 1 else f"a record is {count} lines"
-    return _noted(log, "printed-lines", f"{said}, as a program printed it: {printed.forms[0][:60]}")
+    return _noted(log, "log-source", f"{said}, as a program printed it: {printed.forms[0][:60]}")
 
 
-def _open_marked(
-    path: os.PathLike[str], head: bytes, lines: Sequence[str], names: Sequence[str] | None
-) -> Log:
+def _first_lines(head: bytes) -> list[str]:
+    """Return the lines of a head, but for a last one that it may cut."""
+    lines = unix_lines(head).decode("utf-8", "replace").split("\n")
+    return lines[:-1] if len(head) >= HEAD and len(lines) > 1 else lines
+
+
+def _open_rows(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
     """Return a log of rows, whose numbers may have marks between thousands or be registers."""
-    layout = find_layout(str(path), lines)
-    rows = [cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :]]
+    lines = _first_lines(head)
+    header = path.header if isinstance(path, Unpacked) else None
+    layout = find_layout(str(path), lines, header)
+    rows = (cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :])
     if not may_have_marks(row for row in rows if len(row) == layout.width):
         return open_text(path, head, names)
     columns = names or layout.header or [str(i + 1) for i in range(layout.width)]
@@ -127,8 +131,8 @@ def _open_marked(
     if not marks:
         return open_text(path, head, names)
     cleaned = (_cleaned(line, layout, marks) for line in _lines_of(path))
-    path = Unpacked(str(path), cleaned, ".tsv")
-    log = _noted(open_text(path, _read_head(path), names), "number-marks", marks.said(columns))
+    path = Unpacked(str(path), cleaned, ".tsv", header)
+    log = _noted(open_text(path, _read_head(path), names), "log-source", marks.said(columns))
     bits = zip(log.columns, marks.bits, strict=True)
     return replace(log, registers={name: each for name, each in bits if each > 0})
 

@@ -70,7 +70,7 @@ def read_readings(
         return _named_otherwise(source, names, unit, environment)
     table, units = headers.plain_names(read_table(source, what="readings", outputs=names))
     table = headers.with_direction(table)
-    findings = [] if not table.read_as else [Finding("number-marks", "note", table.read_as)]
+    findings = [] if not table.read_as else [Finding("log-source", "note", table.read_as)]
     names = None if names is None else tuple(headers.find_column(table, name) for name in names)
     if field != "gravity":
         table, names = _of_magnetic_field(table, names, units, unit, field)
