@@ -286,7 +286,7 @@ def _with_time(printed: Printed, parts: Sequence[_Line]) -> tuple[str, ...]:
         for place, name in enumerate(names):
             if not name and _rises([row[place] for row in rows]) and "time" not in names:
                 names[place] = "time"
-    return tuple(_told_apart(names))
+    return tuple(_separated(names))
 
 
 def _joined(line: _Line) -> str:
@@ -304,14 +304,14 @@ def _rises(cells: Sequence[str]) -> bool:
     return len(steps) > 1 and min(steps) >= 0.0 and max(steps) > 0.0
 
 
-def _told_apart(names: Sequence[str]) -> list[str]:
+def _separated(names: Sequence[str]) -> list[str]:
     """Return names, a number behind each that has stood before."""
     counts: Counter[str] = Counter()
-    told = []
+    separated = []
     for name in names:
         counts[name] += 1
-        told.append(f"{name} {counts[name]}" if name and counts[name] > 1 else name)
-    return told
+        separated.append(f"{name} {counts[name]}" if name and counts[name] > 1 else name)
+    return separated
 
 
 def _names_of(record: Sequence[_Line]) -> list[str]:

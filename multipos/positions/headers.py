@@ -384,6 +384,7 @@ TEMPERATURE = "temperature"
 RESERVED = attitudes.COLUMNS | {"position", "n", "orientation_sd_deg", "group", *REFERENCE_U}
 OF_SURROUNDINGS = frozenset({"K", "°C", "s", "ms", "us", "ns", "hPa", "Pa", "Hz", "%"})
 _PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
+_WITH_LABEL = 4  # columns of a table without names: a label or time, and three outputs
 _NOTED = 12  # columns not used that have a note each
 _KELVIN = "K"
 _ZERO = 273.15  # [K] at 0 °C
@@ -454,6 +455,17 @@ def under_names(table: Table, wanted: Iterable[str]) -> tuple[Table, dict[str, s
             if unit is not None:
                 units[name] = unit
     return replace(table, columns=columns), units
+
+
+def with_first_named(table: Table) -> Table:
+    """Return a table without names whose first of four columns counts rows, or goes up, as such."""
+    if [*table.columns] != [str(i + 1) for i in range(_WITH_LABEL)]:
+        return table
+    steps = np.diff(table.numbers("1"))
+    if not len(steps) or not (steps > 0.0).all():
+        return table
+    name = "position" if (steps == 1.0).all() else "time"
+    return replace(table, columns={name if n == "1" else n: c for n, c in table.columns.items()})
 
 
 def with_direction(table: Table) -> Table:

@@ -339,11 +339,8 @@ def orient(
         )
     given = read_scheme(scheme, order=order)
     rows = _match(readings, given)
-    findings = readings.findings
     if oriented:
         _refuse_contradiction(readings, given, rows)
-        text = f"orientation columns are ignored; scheme '{given.name}' agrees and is used"
-        findings += (Finding("orientation-ignored", "note", text),)
     positions = readings.positions
     if positions is None and given.labels is not None:
         positions = tuple(given.labels[row] for row in rows)
@@ -354,7 +351,6 @@ def orient(
         force=None if given.force is None else given.force[rows],
         open_roll=None,
         positions=positions,
-        findings=findings,
     )
 
 

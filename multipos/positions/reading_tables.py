@@ -69,7 +69,7 @@ def read_readings(
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
     table, units = headers.plain_names(read_table(source, what="readings", outputs=names))
-    table = headers.with_direction(table)
+    table = headers.with_direction(headers.with_first_named(table))
     findings = [] if not table.read_as else [Finding("log-source", "note", table.read_as)]
     names = None if names is None else tuple(headers.find_column(table, name) for name in names)
     if field != "gravity":

@@ -87,7 +87,7 @@ def test_a_calibration_that_does_not_respond_is_refused(
 
 @pytest.mark.parametrize("name", ["direktion", "directon", "directions"])
 def test_a_column_that_was_meant_to_be_direction_is_named(capsys, tmp_path, name):
-    faces = ("N-U-E", "N-D-W", "U-S-E", "D-N-E", "N-E-D", "E-N-U")
+    faces = ("N-U-E", "N-D-W", "U-S-E", "D-N-E", "N-E-D", "up there")
     rows = [f"{face},{0.1 * i},{0.2 + i},{i}" for i, face in enumerate(faces)]
     path = tmp_path / "r.csv"
     path.write_text("\n".join([f"{name},ax,ay,az", *rows]) + "\n")

@@ -175,6 +175,7 @@ SILENT = [
         FIT.format(f"{name}.csv")
         for name in ("names", "semicolon", "deccomma", "tabs", "bom", "crlf", "utf16", "units")
     ),
+    FIT.format("noheader.csv"),
     *(FIT.format(f"{name}.csv") for name in ("german", "chinese", "gyro")),
     "fit deg.csv --unit g",
     "fit dirnames.csv --unit g",
@@ -209,7 +210,6 @@ SAID = [
         "--convention gravity",
         f"{FIT_G} --convention gravity".format("upside.csv"),
     ),
-    (FIT_G.format("noheader.csv"), "such as position,ax,ay,az", FIT_G.format("named.csv")),
     ("fit rad.csv --unit g", "Convert the angles to degrees", "fit deg.csv --unit g"),
     ("calibrate six.csv", "bias and scale factor of each output are fitted", None),
     ("calibrate notime.csv", "Add --rate", "calibrate notime.csv --rate 100"),

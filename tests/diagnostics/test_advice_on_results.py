@@ -277,13 +277,6 @@ def _model_file(text):
     return "own.toml"
 
 
-@follows("orientation-ignored", "Remove the columns, or --scheme")
-def columns_and_a_scheme(rng):
-    columns = ups(UP) | named(sense(rng))
-    yield mp.fit(columns, scheme="fibonacci-24", unit="g")
-    yield mp.fit(columns, unit="g")
-
-
 @follows("orientation-ignored", "Remove the columns, or --unknown")
 def columns_and_unknown_orientation(rng):
     columns = ups(UP) | named(sense(rng))
