@@ -1,14 +1,14 @@
 """``multipos compare``."""
 
 import argparse
-from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 from multipos.commands.answers import Answer, Output, answer_of
 from multipos.commands.options import options_of
 from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
-from multipos.verification import comparison
+from multipos.verification.comparison import Comparison, compare
+from multipos.verification.comparison_text import changes_text, comparison_sentence, runs_text
 from multipos.verification.regressions import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
@@ -17,22 +17,20 @@ OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "fi
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    found = comparison.compare(*arguments.calibrations, **options_of(arguments, "compare"))
-    forms: dict[str, Callable[[], Any]] = {}
+    found = compare(*arguments.calibrations, **options_of(arguments, "compare"))
     if isinstance(found, RegressionComparison):
-        forms["figure"] = lambda: terms_figure(found)
-        return answer_of(found, _sentence, str, forms=forms, negative=lambda _: False)
-    forms["figure"] = lambda: runs_figure(found)
+        figure = {"figure": partial(terms_figure, found)}
+        return answer_of(found, _sentence, str, forms=figure, negative=lambda _: False)
     return answer_of(
         found,
         _sentence,
-        lambda found: comparison.changes_text(found) or comparison.runs_text(found),
-        detail=lambda: comparison.runs_text(found) if comparison.changes_text(found) else "",
-        forms=forms,
+        lambda found: changes_text(found) or runs_text(found),
+        detail=lambda: runs_text(found) if changes_text(found) else "",
+        forms={"figure": partial(runs_figure, found)},
         # errors are of calibrations made before
         negative=lambda _: any(each.within is False for each in found.changes),
     )
 
 
-def _sentence(found: comparison.Comparison | RegressionComparison) -> str:
-    return comparison.comparison_sentence(plain(found.to_dict()))
+def _sentence(found: Comparison | RegressionComparison) -> str:
+    return comparison_sentence(plain(found.to_dict()))

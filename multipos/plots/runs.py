@@ -21,9 +21,10 @@ from multipos.plots.style import (
     new_figure,
     write_title,
 )
-from multipos.verification.comparison import Comparison, since_1970
+from multipos.verification.comparison import Comparison
 from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
 from multipos.verification.regressions import RegressionComparison
+from multipos.verification.repeat_drift import since_1970
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

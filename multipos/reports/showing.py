@@ -52,7 +52,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.turntable import TableErrors
-from multipos.verification import comparison
+from multipos.verification import comparison_text
+from multipos.verification.comparison import Comparison
 from multipos.verification.regressions import RegressionComparison
 from multipos.verification.tumbling import Tumble, Tumbles
 from multipos.verification.verdicts import Check
@@ -65,7 +66,7 @@ _PAPER = "background:#ffffff;color:#000000;max-width:46rem"  # also where the no
 _TEXTS: dict[type, Callable[[Any], str]] = {
     Averages: averages_text,
     Check: check_text,
-    comparison.Comparison: comparison.comparison_text,
+    Comparison: comparison_text.comparison_text,
     Design: design_text,
     Regression: regression_text,
     Regressions: regression_text,
@@ -82,7 +83,7 @@ _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,
     Calibration: calibration_sentence,
     Check: check_sentence,
-    comparison.Comparison | RegressionComparison: lambda found: comparison.comparison_sentence(
+    Comparison | RegressionComparison: lambda found: comparison_text.comparison_sentence(
         plain(found.to_dict())
     ),
     Design: design_sentence,
@@ -175,7 +176,7 @@ def _panels(found: Result) -> list[Callable[[Any], None]]:
 
 
 _ONE_PANEL: dict[type, Callable[[Any, Any], None]] = {
-    comparison.Comparison: runs.draw_runs,
+    Comparison: runs.draw_runs,
     Curve: curves.draw_curve,
     Evaluation: calibration.draw_budget,
     RegressionComparison: runs.draw_terms,
@@ -203,8 +204,8 @@ def _body(found: Result) -> str:
         sheet = check_sheets(found)[0]
         said = "".join(f"<p>{_text(line)}</p>" for line in run_conclusions(found))
         return _table(sheet.header, sheet.rows) + said
-    if isinstance(found, comparison.Comparison) and found.changes:
-        return f"<pre>{_text(comparison.changes_text(found))}</pre>"
+    if isinstance(found, Comparison) and found.changes:
+        return f"<pre>{_text(comparison_text.changes_text(found))}</pre>"
     if isinstance(found, Schemes):
         return _table(*scheme_rows(found.schemes))
     if (

@@ -1,5 +1,11 @@
 """Does a run agree with the calibration? One test of all its errors, and what has moved.
 
+- `judge_run` returns the `Agreement` of a run and what has moved, as findings.
+- `no_agreement` is what is said of a run that nothing can be tested of, `agreement_in_words` the
+  test as a sentence.
+- `stated_orientation_sd` is how well the positions of a run are known, `root_of` a square root of a
+  covariance.
+
 The run reads y at known references f; the calibration expects h(p, f). With X = dh/dp,
 J = dh/df and C the covariance of the parameters, r = y − h has the covariance
 

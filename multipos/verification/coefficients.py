@@ -1,5 +1,12 @@
 """The coefficients of a tumble, as the standard has them and as a model's parameters give them.
 
+- `formula_of` and `kept_coefficients` say which coefficients a tumble has, `fitted_coefficients`
+  their values, `coefficients_beside` those that were taken from elsewhere.
+- `ratios_to_k1` makes of a model's parameters each a `TumbleCoefficient`, eq. (2).
+- `roles` and `applied_forces` say which axis is which, `those_that_hold` and `poorly_separated`
+  which coefficients the positions determine.
+- `find_without_u` and `find_hidden_table` are findings: no U, and what the table may hide.
+
 With a = (a_i, a_p, a_o) the specific force [g] on the three axes, the output E is modelled by
 
     E/K1 = K0 + a_i + K2 a_i² + K3 a_i³ + Koq a_i|a_i|

@@ -1,19 +1,12 @@
 """Repeated calibrations of one unit: spread, drift, and agreement within U.
 
+- `compare` returns a `Comparison` of calibrations, or of regressions what
+  `multipos.verification.regressions` says of them.
+
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
-stability of the biases, and the drift (`multipos.verification.comparison`): the slope of the
-straight line through the repeats, per second where their times are absolute or ordered and else per
-run in the order given, judged by Student's t on R − 2 degrees of freedom.
-
-Several methods on the same readings share their noise, so no test of spread applies: they agree
-where no parameter differs by more than its expanded uncertainty.
-
-Drift of repeated calibrations: the straight line through the repeats, and what it is against.
-
-The times of readings tell when a calibration was made only if they share a clock. They do where
-they are absolute, seconds since an epoch, or where they are ordered: no calibration begins before
-another has ended. Four logs that each start at 0 s have a clock of their own each, and only the
-order is left in which the calibrations were given. The slope has n − 2 degrees of freedom.
+stability of the biases and the drift (`multipos.verification.repeat_drift`). Several methods on the
+same readings share their noise, so no test of spread applies: they agree where no parameter differs
+by more than its expanded uncertainty.
 
 References
 ----------
@@ -21,19 +14,18 @@ Song and Qin 2009, section 3.2 and figure 1: at least four runs.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files import numbers, spelling, trees
+from multipos.files import spelling, trees
 from multipos.files.spelling import StrPath
 from multipos.finding import Finding, in_order
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import check_confidence, t_tail
+from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.regression_file import SCHEMA, load_regression
@@ -43,83 +35,11 @@ from multipos.sensor.calibration_file import load
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.recalibration import Change, LimitsSource, find_changes
 from multipos.verification.regressions import RegressionComparison, compare_regressions
+from multipos.verification.repeat_drift import find_drift, since_1970
 from multipos.verification.repeat_findings import find_repeats
-
-ABSOLUTE, ORDERED, GIVEN = "absolute", "ordered", "as given"
-_EPOCH = 1e8  # s: three years, longer than any log; seconds since 1970 are beyond it
-
-
-class Drift(NamedTuple):
-    """Slope of each parameter per second or per run, its u and p; NaN where nothing is left.
-
-    Attributes
-    ----------
-    drift, drift_u, drift_p : (p,) arrays
-    per : str
-        'time', in seconds, or 'run'.
-    times : str
-        'absolute', 'ordered' or, per run, 'as given'.
-    """
-
-    drift: Array
-    drift_u: Array
-    drift_p: Array
-    per: str
-    times: str
-
-
-def find_drift(calibrations: Sequence[Calibration], values: Array) -> Drift:
-    """Return the slopes of the parameters (R, p) of R calibrations."""
-    at, times = _clock(calibrations)
-    per = "run" if times == GIVEN else "time"
-    centred = at - at.mean()
-    square = float(centred @ centred)
-    slope = centred @ values / square
-    dof = len(values) - 2
-    if dof <= 0:
-        unknown = np.full(values.shape[1], math.nan)
-        return Drift(slope, unknown, unknown.copy(), per, times)
-    left = values - values.mean(axis=0) - centred[:, None] * slope
-    u = np.sqrt(np.sum(left**2, axis=0) / dof / square)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = slope / u
-    p = np.array([t_tail(value, dof) if math.isfinite(value) else math.nan for value in t.tolist()])
-    return Drift(slope, u, p, per, times)
-
-
-def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
-    """Return when each calibration was made, and by what clock."""
-    nothing = np.array([math.nan])
-    known = [c.readings.environment.get("time", nothing) for c in calibrations]
-    at = np.array([time.mean() for time in known])
-    if np.isfinite(at).all() and np.ptp(at) > 0.0:
-        if min(float(time.min()) for time in known) >= _EPOCH:
-            return at, ABSOLUTE
-        if _are_apart(known):
-            return at, ORDERED
-    return np.arange(1.0, len(known) + 1.0), GIVEN
-
-
-def since_1970(calibrations: Sequence[Calibration]) -> Array | None:
-    """Return when the readings were taken [s since 1970], where their times say it."""
-    at, times = _clock(calibrations)
-    return at if times == ABSOLUTE else None
-
-
-def _are_apart(times: Sequence[Array]) -> bool:
-    """Tell whether none begins before another has ended."""
-    spans = sorted((float(time.min()), float(time.max())) for time in times)
-    return all(end < begin for (_, end), (begin, _) in pairwise(spans))
-
 
 Run = Calibration | Regression | Regressions | StrPath
 
-_DAY = 86400.0  # s
-_TIMES = {
-    ABSOLUTE: "against the absolute times of the readings",
-    ORDERED: "against the times of the readings, which follow one another",
-    GIVEN: "per run, in the order given; the readings have no common clock",
-}
 _LEAST = 4  # repeats that the six-position paper asks for
 
 
@@ -373,153 +293,3 @@ def _loaded(run: Run) -> Calibration | Regression | Regressions:
     if isinstance(run, Calibration | Regression | Regressions):
         return run
     return load_regression(run) if trees.read_schema(run) == SCHEMA else load(run)
-
-
-def comparison_text(found: Comparison) -> str:
-    """Return a comparison as text: what changed, then run by run."""
-    return "\n\n".join(filter(None, (changes_text(found), runs_text(found)))) + "\n"
-
-
-def runs_text(found: Comparison) -> str:
-    """Return the parameters run by run, and how stable the biases are."""
-    lines = [
-        f"{i}  {file}  ({c.created})"
-        for i, (file, c) in enumerate(zip(found.files, found.calibrations, strict=True), start=1)
-    ]
-    model = found.calibrations[0].model
-    stability = [[output, numbers.number(sd, 3)] for output, sd in found.bias_stability.items()]
-    parts = [
-        "\n".join(lines),
-        _parameter_table(found),
-        *([] if math.isnan(found.p_total) else [f"drift: {_TIMES[found.times]}"]),
-        "bias stability\n" + numbers.table(["output", f"sd [{model.unit}]"], stability),
-        _verdict(found),
-    ]
-    return "\n\n".join(parts)
-
-
-def changes_text(found: Comparison) -> str:
-    """Return the table of changes between the first and the last; nothing where there is none."""
-    header, rows = change_rows(plain(found.to_dict()))
-    return numbers.table(header, rows, left=2) if rows else ""
-
-
-def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of the changes that the JSON of `compare` has; empty without any."""
-    header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
-    rows, changes = [], found.get("changes") or ()
-    units = {each["name"]: each["unit"] for each in found["parameters"]}
-    largest: dict[str, float] = {}  # rows of one unit keep one
-    for each in changes:
-        unit = units.get(each["name"], "")
-        size = max(abs(or_nan(each["change"])), or_nan(each["U"]))
-        largest[unit] = max(largest.get(unit, 0.0), size)
-    for each in changes:
-        rate, unit = each["per_year"], units.get(each["name"], "")
-        factor, shown = numbers.readable_unit(largest[unit], unit)
-        rows.append(
-            [
-                each["name"],
-                shown,
-                *_beside(factor, each["change"], each["U"]),
-                numbers.plain_number(each["En"] and numbers.beyond_rounding(each["En"]), 2),
-                *(("", "") if rate is None else _beside(factor, rate["value"], rate["U"])),
-                _limit_in_words(each["limit"], factor),
-                {True: "yes", False: "NO", None: ""}[each["within"]],
-                each["due"] or "",
-            ]
-        )
-    kept = [i for i in range(len(header)) if i < 5 or any(row[i] for row in rows)]
-    return [header[i] for i in kept], [[row[i] for i in kept] for row in rows]
-
-
-def or_nan(value: float | None) -> float:
-    """Return a number of JSON, which has null for NaN."""
-    return math.nan if value is None else value
-
-
-def _beside(factor: float, value: float | None, U: float | None) -> tuple[str, str]:
-    """Return a value and its U times a factor, to the two digits of U."""
-    size = factor * or_nan(U)
-    return numbers.beside(factor * or_nan(value), size, size)
-
-
-def _limit_in_words(limit: float | Sequence[float | None] | None, factor: float) -> str:
-    if isinstance(limit, Sequence):
-        low, high = ("" if side is None else numbers.plain_number(factor * side) for side in limit)
-        return f"{low} … {high}"
-    return "" if limit is None else numbers.plain_number(factor * limit)
-
-
-def _parameter_table(found: Comparison) -> str:
-    """Return every parameter in every run, their mean and drift."""
-    model = found.calibrations[0].model
-    runs = [str(i) for i in range(1, len(found.files) + 1)]
-    per, factor = ("day", _DAY) if found.per == "time" else ("run", 1.0)
-    header = ["parameter", "unit", *runs, "mean(sd)", f"drift per {per}", "its p", "p", ""]
-    rows = []
-    for i, name in enumerate(model.names):
-        mean, sd = float(found.mean[i]), float(found.sd[i])
-        rounding = 1e-12 * float(np.abs(found.values).max())
-        varies = sd > rounding
-        rows.append(
-            [
-                name,
-                model.units[i],
-                *(f"{value:.7g}" for value in found.values[:, i].tolist()),
-                numbers.uncertain(mean, sd if varies else 0.0),
-                numbers.number(factor * float(found.drift[i]) if varies else 0.0, 2),
-                numbers.chance(float(found.drift_p[i])),
-                numbers.chance(float(found.p[i])),
-                "moved" if name in found.moved else "",
-            ]
-        )
-    return numbers.table(header, rows, left=2)
-
-
-def _verdict(found: Comparison) -> str:
-    """Return whether the runs are consistent, and the test that says so."""
-    verdict = "consistent" if found.consistent else "NOT consistent"
-    if math.isnan(found.p_total):
-        return f"{verdict}: {found.test}"
-    dof = found.dof_total
-    shown = ", ".join(map(numbers.number, dof)) if isinstance(dof, list) else numbers.number(dof)
-    return (
-        f"{verdict}: {found.test}: {numbers.number(found.statistic)} on {shown} degrees of "
-        f"freedom, {numbers.p_in_words(found.p_total)}"
-    )
-
-
-def comparison_sentence(found: Mapping[str, Any]) -> str:
-    """Return whether runs agree and what has moved, from the JSON of `compare`."""
-    said = _agreement(found)
-    unfit = any(each["level"] == "error" for each in found.get("findings", ()))
-    return f"Not fit for use: {said}" if unfit else said
-
-
-def _agreement(found: Mapping[str, Any]) -> str:
-    """Return whether runs agree."""
-    verdict = "agree" if found["consistent"] else "do not agree"
-    if "terms" in found:
-        least = min((t["p"] for t in found["terms"] if t["p"] is not None), default=None)
-        smallest = "" if least is None else f"; smallest p of a term {numbers.chance(least)}"
-        return f"{len(found['regressions'])} regressions {verdict}{smallest}."
-    given = "" if found["p"] is None else f" ({numbers.p_in_words(found['p'])})"
-    together = f"{len(found['calibrations'])} calibrations {verdict}{given}"
-    changes, largest = found.get("changes") or (), found.get("largest")
-    if largest is None or largest["En"] is None:
-        moved = [each["name"] for each in found["parameters"] if each["moved"]]
-        return f"{together}; moved: {', '.join(moved)}." if moved else f"{together}."
-    agree = sum(each["En"] is not None and each["En"] <= 1.0 for each in changes)
-    said = (
-        f"{agree} of {len(changes)} parameters agree with the first calibration's within U "
-        f"(largest E_n {numbers.plain_number(largest['En'])}, {largest['name']})."
-    )
-    limited = [each for each in changes if each["within"] is not None]
-    if limited:
-        beyond = [each["name"] for each in limited if not each["within"]]
-        said += f" {len(limited) - len(beyond)} of {len(limited)} are within their limits"
-        said += f"; beyond: {', '.join(beyond)}." if beyond else "."
-        due = min((each["due"] for each in limited if each["due"]), default=None)
-        said += f" Next calibration due {due}." if due else ""
-    return said if found["consistent"] else f"{said} Together {together}."

@@ -1,5 +1,9 @@
 """Agreement of repeated calibrations within their uncertainties: exact tests for few degrees.
 
+- `judge_repeats` returns the `Judgement` of repeats.
+- `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3).
+- `is_apart` says whether outputs have no noise in common.
+
 R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
 independent between the repeats (gravity, the level of the table and other quantities common to
 all are left out). If nothing moved, all estimate one p, and with the weighted mean p̄

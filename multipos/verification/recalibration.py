@@ -1,5 +1,8 @@
 """Is it still the same instrument? Changes of a recalibration, their rate, and the next due date.
 
+- `find_changes` returns the `Change` of each parameter, with its `Rate`.
+- `dates_of` returns when calibrations were made, `expanded_apart` the U of what they do not share.
+
 Of a parameter p with values p₁ of the first calibration and p_R of the last, each with the expanded
 uncertainty U of what they do not share (budget and gravity taken out),
 

@@ -1,5 +1,8 @@
 """Findings about repeats: two sensors taken for one, and one run taken twice.
 
+- `find_repeats` returns what is found of repeated calibrations.
+- `find_repeated_regressions` returns it of regressions.
+
 A sensor drifts. Its zero moves by some hundredths of a g over years and its scale factors by a
 percent, but its axes, etched or glued, keep their angles to each other, and how it is mounted
 changes none of them. Two runs r and s with responses K_i (M, 3), zeros b_i and standard

@@ -18,7 +18,7 @@ from multipos.finding import serious
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.fit_diagnostics import ModelTest
-from multipos.verification.comparison import comparison_text
+from multipos.verification.comparison_text import comparison_text
 from multipos.verification.consistency import judge_together
 from multipos.verification.repeat_findings import _apart, _different_sensors
 

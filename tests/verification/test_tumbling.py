@@ -21,7 +21,7 @@ from multipos.verification.coefficients import (
     find_without_u,
     fitted_coefficients,
 )
-from multipos.verification.tumbling import passes
+from multipos.verification.hysteresis import passes
 
 
 @pytest.mark.parametrize("steps", [8, 12])
@@ -51,7 +51,7 @@ def test_several_outputs_are_what_each_is_alone():
 
 
 def test_misalignment_is_a_matrix():
-    # eq. (2) of verification.tumbling
+    # eq. (1) of verification.tumbling
     scheme = "roll-z-12+roll-y-12+roll-x-12"
     found = mp.tumble(triad(read_scheme(scheme).up, sd=1e-9), scheme=scheme)
     o, p = TRUTH["delta_o"], -TRUTH["delta_p"]
@@ -116,7 +116,7 @@ def test_uncertainty_of_hysteresis_is_the_spread_over_angles():
     ],
 )
 def test_passes_by_hand(degrees, way):
-    # eq. (1) of verification.tumbling
+    # eq. (1) of verification.hysteresis
     assert passes(np.radians(np.array(degrees, dtype=float))).tolist() == way
 
 

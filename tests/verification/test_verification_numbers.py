@@ -18,20 +18,21 @@ from multipos.sensor.tilt import ZerosOfForce
 from multipos.verification import (
     agreement,
     checks,
-    comparison,
     consistency,
     error_columns,
     regressions,
+    repeat_drift,
     repeat_findings,
     verdicts,
 )
 from multipos.verification.agreement import _orientation_error, _taken
 from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt_errors
 from multipos.verification.coefficients import ratios_to_k1
-from multipos.verification.comparison import _clock, change_rows
+from multipos.verification.comparison_text import change_rows
 from multipos.verification.consistency import _quadratic, _scatter, is_apart
 from multipos.verification.recalibration import _in_unit
 from multipos.verification.regressions import _family_factor, compare_regressions
+from multipos.verification.repeat_drift import _clock
 from multipos.verification.repeat_findings import _apart, _unsure
 from multipos.verification.verdicts import Check
 
@@ -544,16 +545,16 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
 def test_drift_of_repeats_is_the_slope_of_a_line(monkeypatch):
     at = np.array([2.0, 3.5, 9.0, 11.0])
     values = np.random.default_rng(4).normal(size=(4, 2)) + np.outer(at, [0.4, -3.0])
-    monkeypatch.setattr(comparison, "_clock", lambda found: (at, comparison.GIVEN))
-    found = comparison.find_drift([], values)
+    monkeypatch.setattr(repeat_drift, "_clock", lambda found: (at, repeat_drift.GIVEN))
+    found = repeat_drift.find_drift([], values)
     lines = [linregress(at, column) for column in values.T]
     assert_allclose(found.drift, [line.slope for line in lines])
     assert_allclose(found.drift_u, [line.stderr for line in lines])
     assert_allclose(found.drift_p, [line.pvalue for line in lines], rtol=1e-6)
     assert found.per == "run"
     at = at[:2]
-    found = comparison.find_drift([], values[:2])
+    found = repeat_drift.find_drift([], values[:2])
     assert_allclose(found.drift, (values[1] - values[0]) / 1.5)
     assert np.isnan([found.drift_u, found.drift_p]).all()
     at = np.array([2.0, 3.5, 9.0])
-    assert np.isfinite(comparison.find_drift([], values[:3]).drift_p).all()
+    assert np.isfinite(repeat_drift.find_drift([], values[:3]).drift_p).all()
