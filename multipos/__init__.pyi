@@ -38,7 +38,7 @@ if TYPE_CHECKING:  # mypy takes these last, as every module imports the version
     from multipos.positions.scheme import read_scheme as read_scheme
     from multipos.regression.regression import Regression as Regression
     from multipos.regression.regression import Regressions as Regressions
-    from multipos.regression.regression_file import load_regression as load_regression
+    from multipos.regression.regression import load_regression as load_regression
     from multipos.reports.documents import report as report
     from multipos.sensor.calibration import Calibration as Calibration
     from multipos.sensor.calibration_file import load as load

@@ -14,7 +14,7 @@ from multipos.files.trees import json_table, read_schema
 from multipos.files.whole import Content
 from multipos.finding import Findings, in_order
 from multipos.logs.opening import open_log
-from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.regression import Regression, load_regression
 from multipos.sensor.calibration_file import load
 
 INPUTS = ("calibration", "data", "beside")
@@ -23,7 +23,7 @@ OUTPUT = Output("OUT.csv", "file to write instead of stdout", "table", ("parquet
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    if read_schema(arguments.calibration) == SCHEMA:
+    if read_schema(arguments.calibration) == Regression.schema:
         return _correct(arguments)
     if arguments.correct is not None:
         raise UsageError("--correct goes with a regression; a calibration gives forces.")

@@ -9,8 +9,7 @@ from multipos.files.tables import format_csv, read_table
 from multipos.files.trees import read_schema
 from multipos.finding import Findings, errors_of
 from multipos.plots.checks import check_figure
-from multipos.regression.regression import Regression, Regressions
-from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.regression import Regression, Regressions, load_regression
 from multipos.reports.check_text import check_sentence, check_text, run_conclusions
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
@@ -29,7 +28,7 @@ OUTPUT = Output(
 
 def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
-    fitted = read_schema(arguments.calibration) == SCHEMA
+    fitted = read_schema(arguments.calibration) == Regression.schema
     calibration = (load_regression if fitted else load)(arguments.calibration)
     found = check(calibration, arguments.readings, **options_of(arguments, "check"))
     forms = {

@@ -14,9 +14,7 @@ from multipos.files.trees import read_json_value, read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
 from multipos.fleets.fleet import fit_unit
 from multipos.fleets.folder import read_summary
-from multipos.regression.regression import all_of
-from multipos.regression.regression_file import SCHEMA as REGRESSION
-from multipos.regression.regression_file import load_regression
+from multipos.regression.regression import Regression, all_of, load_regression
 from multipos.reports import documents, regressions
 from multipos.reports.certificate import Content, build_content
 from multipos.reports.fleet_report import fleet_content
@@ -76,7 +74,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         return _of_fleet(arguments) if arguments.unit is None else _of_unit(arguments)
     if arguments.unit is not None or arguments.station is not None:
         raise UsageError("--unit and --station are of a fleet.")
-    if schema == REGRESSION:
+    if schema == Regression.schema:
         return _of_regression(arguments)
     if schema is None and _is_comparison(arguments.calibration):
         raise UsageError(

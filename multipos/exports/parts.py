@@ -7,8 +7,7 @@ from multipos.errors import UsageError
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_schema
 from multipos.numerics.arrays import COMPONENTS
-from multipos.regression.regression import Regression, Regressions, all_of
-from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.regression import Regression, Regressions, all_of, load_regression
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
@@ -79,7 +78,8 @@ def load_parts(paths: Sequence[StrPath]) -> tuple[Part, ...]:
         A file is missing, damaged, or neither.
     """
     return tuple(
-        load_regression(path) if read_schema(path) == SCHEMA else load(path) for path in paths
+        load_regression(path) if read_schema(path) == Regression.schema else load(path)
+        for path in paths
     )
 
 

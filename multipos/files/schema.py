@@ -171,8 +171,11 @@ class _Part(NamedTuple):
             return {}
         if self.stored.flat:
             schema = _schema_within(self.kind)
-            there = not isinstance(self.kind, Maybe) or schema.keys & content.keys()
-            return {self.name: schema.read(content) if there else None}
+            there = [key for key in schema.fields.needed if key in content]
+            lacking = [key for key in schema.fields.needed if key not in content]
+            if there and lacking:
+                raise ValueError(f"an object with '{there[0]}' lacks '{lacking[0]}'")
+            return {self.name: None if lacking else schema.read(content)}
         if self.key not in content:
             return {}
         value = content[self.key]

@@ -17,7 +17,7 @@ import numpy as np
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.observations import Data, Rows
-from multipos.regression.segment import Segment, combined_variance
+from multipos.regression.segment import Branch, Segment, Size, combined_variance
 from multipos.results import Result, frozen
 
 _NEAR = 0.05  # of the rows
@@ -38,9 +38,9 @@ class Junction(Result):
 
     edge: float
     jump: float
-    u: float
-    U: float
-    branch: str | None = None
+    u: Size
+    U: Size
+    branch: Branch | None = None
 
     @property
     def clear(self) -> bool:

@@ -42,7 +42,7 @@ from multipos.regression.observations import Data, Rows
 from multipos.regression.region import Region, largest_leverage, region_factor
 from multipos.regression.robust import RobustFit, robust_fit, robust_test
 from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
-from multipos.regression.segment import LeftOut, Segment
+from multipos.regression.segment import LeftOut, RunnerUp, Segment
 from multipos.regression.segmentation import Hinge, hinges, segment_of
 from multipos.regression.variation import LEAST, Contributions, by_degree, varying
 from multipos.regression.whitening import whitening_of
@@ -419,10 +419,14 @@ def _segment(
             for name in plan.variables
         },
         path=selection.path,
-        runner_up=selection.runner_up,
-        F_to_enter=selection.F_to_enter,
+        runner_up=_runner_up(selection),
         collinear=tuple(
             name for name in selection.collinear if name in names and name not in map(str, terms)
         ),
         robust=robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
     )
+
+
+def _runner_up(selection: Selection) -> RunnerUp | None:
+    best = selection.runner_up
+    return None if best is None else RunnerUp(best.term, best.F, best.p, selection.F_to_enter)

@@ -26,15 +26,35 @@ out, by Python and by the exported C, so that both flag the same rows.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 import numpy as np
 
+from multipos.files.records import (
+    ANY_TEXT,
+    AnyOf,
+    Entries,
+    Flag,
+    Listed,
+    NotNegative,
+    Numbers,
+    Whole,
+)
+from multipos.files.schema import As
 from multipos.numerics.arrays import Array
+from multipos.numerics.factors import factor_from_list, factor_to_list
 from multipos.numerics.selection import compress
 from multipos.numerics.terms import Term
 from multipos.results import Result, frozen
 
 _SAME = 1e-9  # what a processor that rounds otherwise may add
+_FUNCTION = AnyOf((ANY_TEXT, Flag()))  # which are known is said in `numerics.factors`
+_POWER = Whole(0, 300)  # a power is so many multiplications in every row
+TERM = As(
+    Listed(Entries((ANY_TEXT, _POWER, _FUNCTION))),
+    lambda factors: Term(tuple(map(factor_from_list, factors))),
+    lambda term: list(map(factor_to_list, term.factors)),
+)
 _ROWS = 4096  # that are taken at a time: their columns stay in the cache
 
 
@@ -52,9 +72,17 @@ class Region(Result):
         The largest leverage of the rows of the fit.
     """
 
-    terms: tuple[Term, ...]
-    factor: Array
-    limit: float
+    terms: Annotated[tuple[Term, ...], Listed(TERM, 1)]
+    factor: Annotated[Array, Numbers(2)]
+    limit: NotNegative
+
+    @classmethod
+    def _from_file(cls, **values: Any) -> "Region":
+        """Return the region that a file describes, its rows as long as it has terms."""
+        found = cls(**values)
+        if found.factor.shape[1] != len(found.terms) or not found.factor.any(axis=1).all():
+            raise ValueError("the factor of a segment's region does not fit its terms")
+        return found
 
     def leverage(self, columns: Mapping[str, Array], n: int) -> Array:
         """Return h (n,) of eq. (1) at the rows of columns."""

@@ -2,23 +2,39 @@
 
 The rows are cut into segments, ranges of one variable; each has a model of its own
 (`multipos.regression.segment`). The result is complete when it is made and never changes.
-`predict_rows` returns what it predicts of rows whose segments are known, `all_of` the regressions
-of one result or of several responses; `require_same_data` refuses rows that are not those of a fit.
+What its fields declare is its file, which `load_regression` reads; what every key means is in
+`docs/reference/formats`. `predict_rows` returns what it predicts of rows whose segments are known,
+`all_of` the regressions of one result or of several responses; `require_same_data` refuses rows
+that are not those of a fit.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
-from typing import Any
+from itertools import pairwise
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from multipos.errors import MultiposError
+from multipos.files.records import (
+    FIGURE,
+    NAME,
+    NAMES,
+    POSITIVE,
+    AnyOf,
+    Flag,
+    Listed,
+    Maybe,
+    Named,
+    Share,
+    Whole,
+)
+from multipos.files.schema import As, Saved, Stored, restore, schema_of
 from multipos.files.spelling import StrPath
-from multipos.files.trees import to_json
-from multipos.files.whole import write_text
-from multipos.finding import Findings, about, in_order
+from multipos.files.trees import read_json
+from multipos.finding import Findings, about, findings_upgraded, in_order
 from multipos.numerics.arrays import Array, Environment, Mask, Places
-from multipos.regression.branches import branch_of
+from multipos.regression.branches import BRANCHES, branch_of
 from multipos.regression.junctions import Junction
 from multipos.regression.segment import Segment
 from multipos.regression.segmentation import segment_of
@@ -52,8 +68,24 @@ class Balance(Result):
         return [dict(zip(names, point, strict=True)) for point in points]
 
 
+def _balance(points: Sequence[Mapping[str, Any]]) -> Balance:
+    """Return predictions in thermal balance, held to being of one variable."""
+    names = {name for point in points for name in point} - {"predicted", "U", "outside"}
+    if len(names) != 1 or any(len(point) != 4 for point in points):
+        raise ValueError("'balance' is not of one variable")
+    (variable,) = names
+    at, predicted, U = (
+        np.array([FIGURE.read(point[name]) for point in points])
+        for name in (variable, "predicted", "U")
+    )
+    return Balance(variable, at, predicted, U, np.array([bool(p["outside"]) for p in points]))
+
+
+_BALANCE = As(Listed(Named(AnyOf((FIGURE, Flag()))), 1), _balance, Balance.rows)
+
+
 @frozen
-class Regression(Result, Tabular):
+class Regression(Saved, Tabular):
     """Piecewise regression of one column on others, with its tests.
 
     Attributes
@@ -100,30 +132,68 @@ class Regression(Result, Tabular):
     True
     """
 
-    response: str
-    variables: tuple[str, ...]
+    schema = "multipos/regression/1"
+    called = "regression"
+    again = "run regress again"
+
+    source: Annotated[str | None, Stored("input.file")] = field(compare=False)
+    sha256: Annotated[str | None, Stored("input.sha256")]
+    version: Annotated[str, Stored("multipos_version")]
+    created: str = field(compare=False)
+    response: Annotated[str, NAME]
+    variables: Annotated[tuple[str, ...], NAMES]
     candidates: tuple[str, ...]
-    method: str
-    segments: tuple[Segment, ...]
-    segment_variable: str | None
+    method: Literal["full", "stepwise", "backward", "subsets"]
+    thresholds: Mapping[str, float]
+    confidence: Share
+    n: Annotated[int, Whole(1)]
+    dropped: int
+    segment_variable: Annotated[str | None, Maybe(NAME)]
     edges: tuple[float, ...]
     continuous: bool
-    time: str | None
-    rates: Mapping[str, float]
-    confidence: float
-    n: int
-    dropped: int
-    source: str | None = field(compare=False)
-    sha256: str | None
-    created: str = field(compare=False)
-    version: str
-    thresholds: Mapping[str, float] = field(default_factory=dict)
+    time: Annotated[str | None, Maybe(NAME)]
+    rates: Annotated[Mapping[str, float], Named(POSITIVE)]
+    segments: Annotated[tuple[Segment, ...], Listed(schema_of(Segment), 1)]
     causal: bool = False
-    run: str | None = None
-    branch_column: str | None = None
-    junctions: tuple[Junction, ...] = ()
+    run: Annotated[str | None, Maybe(NAME)] = None
+    branch_column: Annotated[str | None, Maybe(NAME)] = None
+    junctions: Annotated[tuple[Junction, ...], Stored("jumps")] = ()
     findings: Findings = ()
-    balance: Balance | None = None
+    balance: Annotated[Balance | None, _BALANCE, Stored(optional=True)] = None
+
+    @classmethod
+    def _upgraded(cls, content: Mapping[str, Any]) -> Any:
+        """Return what a file says, with what version 0.1 did not write."""
+        return findings_upgraded({"causal": False, "run": None, "jumps": [], **content})
+
+    @classmethod
+    def _from_file(cls, **values: Any) -> "Regression":
+        """Return the regression that a file describes.
+
+        Raises
+        ------
+        ValueError
+            Its segments, edges, branches, variables and rates do not fit each other.
+        """
+        found = cls(**values)
+        found._require_cuts()
+        if found.segment_variable is None and not found.variables:
+            raise ValueError("it has no variables")
+        formed = all(name.endswith("_rate") for name in found.rates)
+        if found.rates and (found.time is None or not formed):
+            raise ValueError("it has rates, but no time or column that they are of")
+        return found
+
+    def _require_cuts(self) -> None:
+        """Hold segments, edges and branches to each other."""
+        branches = (None,) if self.branch_column is None else BRANCHES
+        if any(low >= high for low, high in pairwise(self.edges)):
+            raise ValueError("its edges do not ascend")
+        if self.edges and self.segment_variable is None:
+            raise ValueError("it has edges, but no variable that they are of")
+        expected = [branch for branch in branches for _ in range(len(self.edges) + 1)]
+        if [segment.branch for segment in self.segments] != expected:
+            raise ValueError("its segments do not fit its edges and branches")
 
     def segment_of(self, columns: Mapping[str, Array], run: Places | None = None) -> Places:
         """Return the number of the segment of every row of columns (n,), of numbered runs."""
@@ -168,17 +238,6 @@ class Regression(Result, Tabular):
         listed = {key: [getattr(c, key) for _, c in terms] for key in names}
         return {"segment": [i for i, _ in terms], **listed}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as what JSON can carry, keys as in the formats reference."""
-        # Imported here, for the file's module makes regressions and so imports this one.
-        from multipos.regression.regression_file import regression_dict
-
-        return regression_dict(self)
-
-    def save(self, path: StrPath) -> None:
-        """Write the regression as JSON, whole or not at all."""
-        write_text(path, to_json(self.to_dict()))
-
 
 def predict_rows(regression: Regression, columns: Mapping[str, Array], place: Places) -> Array:
     """Return what the regression predicts of every row."""
@@ -199,7 +258,7 @@ def require_same_data(r: Regression, source: str, sha256: str | None) -> None:
 
 
 @frozen
-class Regressions(Result, Tabular, Mapping[str, Regression]):
+class Regressions(Saved, Tabular, Mapping[str, Regression]):
     """Regressions by the response that each describes: ``found["error_x"]``.
 
     Attributes
@@ -217,6 +276,9 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
     >>> list(found.responses), found["zero_x"].response
     (['zero_x', 'zero_y'], 'zero_x')
     """
+
+    schema = Regression.schema
+    called, again = Regression.called, Regression.again
 
     responses: Mapping[str, Regression]
 
@@ -240,20 +302,50 @@ class Regressions(Result, Tabular, Mapping[str, Regression]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry, keys as in the formats reference."""
-        # Imported here, for the file's module makes regressions and so imports this one.
-        from multipos.regression.regression_file import SCHEMA
-
         return {
-            "schema": SCHEMA,
+            "schema": self.schema,
             "responses": {name: r.to_dict() for name, r in self.items()},
             "findings": [each.to_dict() for each in self.findings],
         }
-
-    def save(self, path: StrPath) -> None:
-        """Write the regressions as JSON, whole or not at all."""
-        write_text(path, to_json(self.to_dict()))
 
 
 def all_of(regression: Regression | Regressions) -> tuple[Regression, ...]:
     """Return the regressions, one or several."""
     return (regression,) if isinstance(regression, Regression) else tuple(regression.values())
+
+
+def load_regression(path: StrPath) -> Regression | Regressions:
+    """Read a regression written by `Regression.save`, or those of several responses.
+
+    Raises
+    ------
+    MultiposError
+        The file is missing, truncated, of another schema, or holds what no regression does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import multipos as mp
+    >>> T = np.linspace(-20.0, 60.0, 81)
+    >>> table = {"T": T, "error": 0.01 + 5e-4 * T + 1e-4 * np.sin(7.0 * T)}
+    >>> found = mp.regress(table, response="error", variables="T")
+    >>> found.save("model.json")
+    >>> mp.load_regression("model.json") == found
+    True
+    """
+    content = read_json(path, Regression.schema)
+    if "responses" not in content:
+        return restore(Regression, content, str(path))
+    responses = content["responses"]
+    if not isinstance(responses, dict) or not responses:
+        raise MultiposError(
+            f"{path}: 'responses' holds no regressions; the file is damaged, run regress again."
+        )
+    found = {name: restore(Regression, one, f"{path}: {name}") for name, one in responses.items()}
+    wrong = [name for name, r in found.items() if r.response != name]
+    if wrong:
+        raise MultiposError(
+            f"{path}: '{wrong[0]}' holds the regression of another response; the file is damaged, "
+            "run regress again."
+        )
+    return Regressions(found)

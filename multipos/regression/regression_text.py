@@ -158,7 +158,7 @@ def _path_text(s: Segment) -> list[str]:
     if s.runner_up is not None:
         lines.append(
             f"next: {s.runner_up.term}, F = {number(s.runner_up.F)} where "
-            f"{number(s.F_to_enter)} is needed, {p_in_words(s.runner_up.p)}"
+            f"{number(s.runner_up.F_to_enter)} is needed, {p_in_words(s.runner_up.p)}"
         )
     return lines
 

@@ -15,18 +15,38 @@ against the F that chance exceeds with probability 1 − confidence. Without a c
 mean to compare with: ȳ = 0 and n − k.
 """
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from multipos.files.numbers import number
+from multipos.files.records import (
+    ANY_NUMBER,
+    FIGURE,
+    NOT_NEGATIVE,
+    P_VALUE,
+    VARIANCES,
+    Entries,
+    Figure,
+    Flag,
+    Kind,
+    Listed,
+    Maybe,
+    Record,
+    Text,
+    Whole,
+    require_covariance,
+)
+from multipos.files.schema import Stored, schema_of
 from multipos.numerics.arrays import Array, Places, quadratic
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms, linear_term
-from multipos.regression.region import Region
+from multipos.regression.region import TERM, Region
 from multipos.results import Result, frozen
 
 
@@ -36,21 +56,43 @@ def combined_variance(X: Array, covariance: Array) -> Array:
     return np.maximum(quadratic(X, covariance), np.finfo(np.float64).eps * sums**2)
 
 
+Range = Annotated[tuple[float, float], Entries((ANY_NUMBER, ANY_NUMBER))]
+Size = Annotated[float, Maybe(NOT_NEGATIVE, math.nan)]
+Branch = Literal["heating", "cooling"]
+_Chance = Annotated[float, Maybe(P_VALUE.kind, math.nan)]
+_Optional = Annotated[float | None, FIGURE, Stored(optional=True)]
+_F = Maybe(FIGURE.kind, math.inf)  # of a term that leaves no residual
+_TESTED: dict[str, Kind] = {"action": Text(("add", "remove")), "F": _F, "p": P_VALUE}
+_TESTS = Listed(Record.of(Tested, _TESTED))
+_STEP = Record.of(Step, {**_TESTED, "runner_up": Maybe(_TESTS.kind), "tested": _TESTS})
+
+
 class Coefficient(NamedTuple):
     """One term with its coefficient.
 
-    The robust figures are None where rows are independent; `dof` is None without runs.
+    The robust figures are None where rows are independent; `dof` is None without runs. `factors` is
+    the term itself, by which a file knows it.
     """
 
     term: str
     value: float
-    u: float
-    t: float
-    p: float
-    u_robust: float | None = None
-    t_robust: float | None = None
-    p_robust: float | None = None
-    dof: float | None = None
+    u: Size
+    t: Figure
+    p: Figure
+    u_robust: _Optional = None
+    t_robust: _Optional = None
+    p_robust: _Optional = None
+    dof: _Optional = None
+    factors: Annotated[Term, TERM] = CONSTANT
+
+
+class RunnerUp(NamedTuple):
+    """The strongest term left outside, and the F that it would have needed."""
+
+    term: str
+    F: Annotated[float, _F]
+    p: Figure
+    F_to_enter: Figure
 
 
 @frozen
@@ -71,12 +113,12 @@ class Robust(Result):
         How many independent rows these are equivalent to; correlation of neighbouring residuals.
     """
 
-    kind: str
-    covariance: Array
-    F: float
-    p: float
-    dof: tuple[float, float]
-    t_dof: float
+    kind: Annotated[Literal["hac", "cluster", "effective"], Stored("robust")]
+    covariance: Annotated[Array, VARIANCES, Stored("covariance_robust")]
+    F: Annotated[float, FIGURE, Stored("F_robust")]
+    p: Annotated[float, Maybe(P_VALUE.kind, math.nan), Stored("p_robust")]
+    dof: Annotated[tuple[float, float], Entries((FIGURE, FIGURE)), Stored("dof_robust")]
+    t_dof: Annotated[float, FIGURE, Stored("t_dof_robust")]
     n_effective: float
     lag_one: float
 
@@ -96,23 +138,23 @@ class Between(Result):
         Ψ, of the constant at v̄ and the slope.
     """
 
-    runs: int
+    runs: Annotated[int, Whole(2)]
     variable: str | None
     centre: float
-    covariance: Array
+    covariance: Annotated[Array, VARIANCES]
 
     @property
-    def dof(self) -> int:
+    def dof(self) -> Annotated[int, Stored(after="covariance")]:
         """Degrees of freedom of Ψ."""
         return self.runs - 1
 
     @property
-    def sd(self) -> float:
+    def sd(self) -> Annotated[float, Stored(after="covariance")]:
         """Standard deviation of the constant from run to run."""
         return float(np.sqrt(self.covariance[0, 0]))
 
     @property
-    def slope_sd(self) -> float | None:
+    def slope_sd(self) -> Annotated[float | None, Stored(after="covariance")]:
         """Standard deviation of the slope, where it can be identified."""
         return None if self.variable is None else float(np.sqrt(self.covariance[1, 1]))
 
@@ -167,8 +209,7 @@ class Segment(Result):
     limits : mapping of variable to (low, high)
         What the segment's rows cover.
     path : tuple of Step
-    runner_up : Tested or None
-    F_to_enter : float
+    runner_up : RunnerUp or None
     collinear : tuple of str
     robust : Robust or None
     between : Between or None
@@ -176,33 +217,86 @@ class Segment(Result):
         has it too.
     """
 
-    range: tuple[float, float]
+    range: Range
     n: int
-    terms: tuple[Term, ...]
-    values: Array
-    covariance: Array
-    dof: tuple[int, int]
-    r2: float
-    adjusted_r2: float
-    rms: float
-    aicc: float
-    press: float
-    F: float
-    F_critical: float
-    p: float
-    limits: Mapping[str, tuple[float, float]]
-    path: tuple[Step, ...] = ()
-    runner_up: Tested | None = None
-    F_to_enter: float = float("nan")
+    terms: Annotated[tuple[Term, ...], Stored(nowhere=True)]
+    values: Annotated[Array, Stored(nowhere=True)]
+    covariance: Annotated[Array, VARIANCES]
+    dof: Annotated[tuple[int, int], Entries((Whole(), Whole()))]
+    r2: Figure
+    adjusted_r2: Figure
+    rms: Size
+    aicc: Figure
+    press: Size
+    F: Figure
+    F_critical: Figure
+    p: _Chance
+    limits: Mapping[str, Range]
+    path: Annotated[tuple[Step, ...], Listed(_STEP)] = ()
+    runner_up: RunnerUp | None = None
     collinear: tuple[str, ...] = ()
-    robust: Robust | None = None
-    between: Between | None = None
+    robust: Annotated[Robust | None, Stored(flat=True)] = None
+    between: Annotated[
+        Between | None, Maybe(schema_of(Between)), Stored("between_runs", optional=True)
+    ] = None
     left_out: tuple[LeftOut, ...] = ()
-    region: Region | None = None
-    branch: str | None = None
+    region: Annotated[Region | None, Stored(optional=True)] = None
+    branch: Branch | None = None
+
+    @classmethod
+    def _upgraded(cls, content: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return what a file says, with what version 0.1 did not write."""
+        return {"left_out": [], **content}
+
+    @classmethod
+    def _from_file(
+        cls,
+        *,
+        terms: tuple[Coefficient, ...],
+        covariance: Array,
+        F: float,
+        significant: bool,
+        robust: Robust | None,
+        **values: Any,
+    ) -> "Segment":
+        """Return the segment that a file describes.
+
+        Raises
+        ------
+        ValueError
+            Coefficients, covariances and limits that do not fit each other.
+        """
+        found = cls(
+            terms=tuple(each.factors for each in terms),
+            values=np.array([each.value for each in terms]),
+            covariance=_square(covariance, len(terms), "covariance"),
+            F=math.inf if significant and F != F else F,
+            robust=None if robust is None else _robust(robust, len(terms)),
+            **values,
+        )
+        require_covariance(found.covariance, np.array([each.u for each in terms]))
+        found._require_whole()
+        return found
+
+    def _require_whole(self) -> None:
+        """Hold a segment's parts to each other."""
+        region, between = self.region, self.between
+        terms = self.terms if region is None else (*self.terms, *region.terms)
+        if not {f.variable for term in terms for f in term.factors}.issubset(self.limits):
+            raise ValueError("a segment lacks the limits of a variable of its terms")
+        if region is not None and region.terms[: len(self.terms)] != self.terms:
+            raise ValueError("the terms of a segment's region do not begin with its own")
+        if any(low > high for low, high in (self.range, *self.limits.values())):
+            raise ValueError("a segment's range or limits end before they begin")
+        if between is not None:
+            size = 1 if between.variable is None else 2
+            known = size == 1 or linear_term(between.variable or "") in self.terms
+            if between.covariance.shape != (size, size) or CONSTANT not in self.terms or not known:
+                raise ValueError("'between_runs' of a segment does not fit its terms")
+            require_covariance(between.covariance, np.sqrt(np.diag(between.covariance)))
 
     @property
-    def significant(self) -> bool:
+    def significant(self) -> Annotated[bool, Flag(), Stored(after="F")]:
         """Whether F passes its critical value."""
         return bool(self.F_critical < self.F)
 
@@ -213,7 +307,11 @@ class Segment(Result):
         return tuple(dict.fromkeys(f.variable for term in terms for f in term.factors))
 
     @cached_property
-    def coefficients(self) -> tuple[Coefficient, ...]:
+    def coefficients(
+        self,
+    ) -> Annotated[
+        tuple[Coefficient, ...], Listed(schema_of(Coefficient)), Stored("terms", after="n")
+    ]:
         """The terms with their coefficients, u, t and p."""
         u = np.sqrt(np.diag(self.covariance)).tolist()
         robust = self.robust
@@ -221,7 +319,7 @@ class Segment(Result):
         found: list[Coefficient] = []
         for term, b, s, w in zip(self.terms, self.values.tolist(), u, wide, strict=True):
             t = b / s if s > 0.0 else np.nan if s != s or b == 0.0 else np.copysign(np.inf, b)
-            row = Coefficient(str(term), b, s, t, t_tail(t, self.dof[1]))
+            row = Coefficient(str(term), b, s, t, t_tail(t, self.dof[1]), factors=term)
             if robust is not None and w is not None:
                 t = b / w if w > 0.0 else np.nan
                 row = row._replace(u_robust=w, t_robust=t, p_robust=t_tail(t, robust.t_dof))
@@ -250,3 +348,19 @@ def format_span(variable: str, span: tuple[float, float], branch: str | None) ->
     """Return a segment in words."""
     text = f"{variable} {number(span[0], 5)} to {number(span[1], 5)}"
     return text if branch is None else f"{text}, {branch}"
+
+
+def _robust(found: Robust, size: int) -> Robust:
+    """Return what a file says of rows that depend on each other, held to its segment's terms."""
+    covariance = _square(found.covariance, size, "covariance_robust")
+    with np.errstate(invalid="ignore"):
+        require_covariance(covariance, np.sqrt(np.diag(covariance)))
+    return replace(found, covariance=covariance)
+
+
+def _square(array: Array, size: int, key: str) -> Array:
+    """Return a covariance of the segment's terms."""
+    array = array if size else array.reshape(0, 0)
+    if array.shape != (size, size):
+        raise ValueError(f"'{key}' of a segment has shape {array.shape} for {size} terms")
+    return array

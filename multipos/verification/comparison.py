@@ -27,8 +27,7 @@ from multipos.finding import Finding, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
-from multipos.regression.regression import Regression, Regressions, all_of
-from multipos.regression.regression_file import SCHEMA, load_regression
+from multipos.regression.regression import Regression, Regressions, all_of, load_regression
 from multipos.results import Drawn, Result, data_frame, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
@@ -292,4 +291,4 @@ def _loaded(run: Run) -> Calibration | Regression | Regressions:
     """Return what a path holds, by its schema."""
     if isinstance(run, Calibration | Regression | Regressions):
         return run
-    return load_regression(run) if trees.read_schema(run) == SCHEMA else load(run)
+    return load_regression(run) if trees.read_schema(run) == Regression.schema else load(run)

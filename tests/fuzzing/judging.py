@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
 
 from multipos.errors import MultiposError
-from multipos.regression import regression_file
+from multipos.regression.regression import Regression, load_regression
 from multipos.sensor import calibration_file
 from multipos.verification import verdicts
 
@@ -28,8 +28,8 @@ _NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MUL
 # What is written is read again by other commands.
 _READERS = {
     calibration_file.SCHEMA: calibration_file.load,
-    regression_file.SCHEMA: regression_file.load_regression,
-    verdicts.SCHEMA: verdicts.load_check,
+    Regression.schema: load_regression,
+    verdicts.Check.schema: verdicts.load_check,
 }
 _FOLDERS = {"demo": "multipos-demo", visits.VISIT: visits.FOLDER}  # that they write by themselves
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\x80-\x9f]")

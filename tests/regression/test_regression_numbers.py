@@ -22,8 +22,7 @@ from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
 from multipos.regression.prediction import hold_inside
 from multipos.regression.rates import default_window, rows_of_runs
 from multipos.regression.region import Region
-from multipos.regression.regression import Regression
-from multipos.regression.regression_file import _balance
+from multipos.regression.regression import Regression, _balance
 from multipos.regression.regression_text import _segment_text
 from multipos.regression.robust import _by_law, _general, _tested, robust_fit
 from multipos.regression.runs import within_runs
@@ -186,7 +185,7 @@ def test_numbers_of_a_segment_by_their_definitions():
     H = X @ np.linalg.pinv(X)
     e = y - H @ y
     terms = parse_terms("1 + t")
-    selection = SimpleNamespace(path=(), runner_up=None, F_to_enter=None, collinear=())
+    selection = SimpleNamespace(path=(), runner_up=None, collinear=())
     fit = SimpleNamespace(
         residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection
     )
