@@ -13,7 +13,8 @@ from pathlib import Path
 
 from benchmarks.timing import Ratio
 from multipos.page import runtime
-from multipos.page.site import NAME, make_site, write_site
+from multipos.page.site import make_site, write_site
+from multipos.page.wheel import NAME
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 import multipos as mp
 from multipos.capturing.evaluation import FEWEST_DOF
-from multipos.capturing.poses import best_pose
+from multipos.capturing.next_pose import best_pose
 from multipos.designs.information import make_setting
 from multipos.designs.prospects import information_of
 from multipos.numerics.quantiles import coverage_factor

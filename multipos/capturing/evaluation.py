@@ -1,31 +1,26 @@
 """What the poses taken determine together: the fit, its parameters against targets, the next pose.
 
 An evaluation is a function of the poses and of what was asked for, and of nothing else: a pose that
-is taken back leaves no trace. The linear model comes first; the model that was asked for as soon as
-the poses can tell it. Whether a target is met is decided here:
+is taken back leaves no trace. `evaluate` fits them, `average_poses` gives their means, `model_of`
+the model: the linear one first, the one that was asked for as soon as the poses determine it;
+`next_pose` chooses what to take next. Whether a target is met is decided here:
 
     met_j = U_j ≤ T_j at these poses and at all but the last of them, both with ν ≥ 6,         (1)
 
-with U by the noise that the fit finds, which is never less than the rests' own u.
-
-Targets: how small the expanded uncertainty U of each parameter shall become.
-
-A target names a parameter, ``bias_ax=0.001``, or a kind of parameters, ``bias=0.001``, in the unit
-of the parameter. It is met when the fit says so with at least six degrees of freedom, and still
-does after one more pose: stopping where the residuals are small by luck would leave U too small.
+with U by the noise that the fit finds, which is never less than the rests' own u. After one more
+pose it must still hold: stopping where the residuals are small by luck would leave U too small.
 """
 
-import math
 import warnings
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from multipos.capturing.poses import Frame, NextPose, Pose, best_pose, expected, find_frame, gain_at
+from multipos.capturing.next_pose import NextPose, best_pose, expected, gain_at
+from multipos.capturing.poses import Frame, Pose, find_frame
+from multipos.capturing.targets import spread_targets
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
-from multipos.files.spelling import near
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import Averages
@@ -42,60 +37,6 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import Model, build_model
 
 FEWEST_DOF = 6
-KINDS = ("bias", "scale", "cross", "quad")
-
-Targets = Mapping[str, float]
-
-
-def read_targets(given: "Targets | Sequence[str]") -> dict[str, float]:
-    """Return targets from texts TERM=U, or as they are.
-
-    Raises
-    ------
-    UsageError
-        A text is no target, or U is not above 0.
-    """
-    pairs = given.items() if isinstance(given, Mapping) else map(_split, given)
-    targets = {}
-    for name, value in pairs:
-        if not 0.0 < value < math.inf:
-            raise UsageError(f"--target {name}: U must be above 0, got {value:g}.")
-        targets[name] = float(value)
-    return targets
-
-
-def _split(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise UsageError(
-            f"--target takes TERM=U, as in bias=0.001 or scale_ax=1e-4, got '{text}'."
-        ) from None
-
-
-def spread_targets(targets: Targets, model: Model) -> dict[str, float]:
-    """Return the target of each parameter that has one; that of a name goes before a kind's.
-
-    Raises
-    ------
-    UsageError
-        The model has no such parameter.
-    """
-    found: dict[str, float] = {}
-    kinds = {name: name.partition("_")[0] for name in model.names}
-    for name in targets:
-        if name not in model.names and name not in kinds.values():
-            known = [*KINDS, *model.names]
-            raise UsageError(
-                f"--target '{name}' is no parameter of the model{near(name, known)} They are "
-                f"{', '.join(model.names)}, and kinds of them {', '.join(KINDS)}."
-            )
-    for name in model.names:
-        value = targets.get(name) or targets.get(kinds[name])
-        if value is not None:
-            found[name] = value
-    return found
 
 
 @frozen(eq=True)

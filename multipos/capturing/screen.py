@@ -1,7 +1,8 @@
 """The text screen: the state of a session on a terminal, for who has no browser at hand.
 
-It shows what `multipos.capturing.session` says and nothing of its own. A line on the keyboard is a
-command: ``u`` takes the newest pose back, ``r LABEL`` takes one again, ``f`` finishes.
+`text_screen` shows it, `picture_of` gives its lines: what `multipos.capturing.state` has and
+nothing of its own. A line on the keyboard is a command, which `obey` does: ``u`` takes the newest
+pose back, ``r LABEL`` takes one again, ``f`` finishes.
 """
 
 import shutil
@@ -11,7 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from multipos.capturing.session import Session, state_of
+from multipos.capturing.session import Session
+from multipos.capturing.state import state_of
 from multipos.files.numbers import number, table
 
 _OFTEN = 0.25  # [s] from one picture to the next

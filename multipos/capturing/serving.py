@@ -1,8 +1,9 @@
 """The page: served from loopback by the standard library, and nobody else is let in.
 
-``GET /`` is the page, one file; ``GET /state`` what there is to show; ``GET /events`` the same as a
-stream of server-sent events, whole after each change and the live values in between;
-``POST /undo``, ``/redo/LABEL``, ``/finish`` change the session and answer with the state.
+`serve` serves it while a session runs, and `bind` takes a free port. ``GET /`` is the page, one
+file; ``GET /state`` what there is to show; ``GET /events`` the same as a stream of server-sent
+events, whole after each change and the live values in between; ``POST /undo``, ``/redo/LABEL``,
+``/finish`` change the session and answer with the state.
 
 A page of another site can make a browser send requests here, and a name that its owner points to
 127.0.0.1 can make it read the answers. So every request must name this host, and, where the browser
@@ -24,7 +25,8 @@ from pathlib import Path
 from typing import TypeVar
 from urllib.parse import unquote
 
-from multipos.capturing.session import Session, live_of, state_of
+from multipos.capturing.session import Session
+from multipos.capturing.state import live_of, state_of
 from multipos.errors import MultiposError, UsageError
 
 Server = TypeVar("Server", bound=ThreadingHTTPServer)

@@ -2,32 +2,27 @@
 
     rests → poses (taken, or refused with a reason) → evaluation → next pose → enough?
 
-It changes by four things only: rows that come, `undo`, `redo` of a pose, and `finish`. Whoever
-looks at it from another thread holds `changed`, its lock.
-
-What is shown of a session is the same by page, text screen, JSON lines and ``/state``.
+A `Session` changes by four things only: rows that come, `undo`, `redo` of a pose, and `finish`.
+Whoever looks at it from another thread holds `changed`, its lock. What is shown of it is in
+`multipos.capturing.state`.
 """
 
-import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from multipos.capturing import evaluation, poses
-from multipos.capturing.live_rests import LiveRests, LiveRows, Motion, RowOptions
-from multipos.diagnostics.magnetic import missing_directions
+from multipos.capturing.live_rests import LiveRests
+from multipos.capturing.live_rows import LiveRows, RowOptions
+from multipos.capturing.next_pose import NextPose
 from multipos.errors import UsageError
 from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
-from multipos.positions.attitudes import pose_words
 from multipos.positions.headers import named_axes
-from multipos.results import plain_dict
-from multipos.sensor.calibration import force_residuals
 from multipos.sensor.gravity import GRAVITY, Field, field_sensed
 from multipos.sensor.model import Model
 
@@ -86,7 +81,7 @@ class Session:
         self.model: Model | None = None
         self.field: Field = GRAVITY
         self._known: dict[tuple[str, ...], evaluation.PosesGain] = {(): evaluation.NOTHING}
-        self.next: poses.NextPose | None = None
+        self.next: NextPose | None = None
         self._is_fixed = reading.threshold is not None
         self._again = ""  # the pose that is to be taken again
         self.newest: Array | None = None
@@ -391,7 +386,7 @@ class Session:
         if again is not None and self._again:
             up = self.direction(again.still.found.mean)
             if up is not None:
-                self.next = poses.NextPose(up, None, self._again)
+                self.next = NextPose(up, None, self._again)
                 return
         self.next = evaluation.next_pose(
             self.plan, self.model, self.evaluation, self._frame(), self.accepted, under_way
@@ -432,144 +427,3 @@ class Session:
             threshold=rests.threshold,
             findings=rows.findings,
         )
-
-
-def state_of(session: Session) -> dict[str, Any]:
-    """Return what there is to show, as JSON can carry it; keys as in the reference."""
-    live, found = live_of(session), session.evaluation
-    return plain_dict(
-        {
-            "live": live,
-            "taken": _entries(session),
-            "next": _next(session),
-            "parameters": found.parameters,
-            "finished": session.finished,
-            "enough": session.is_enough,
-            "outputs": () if session.rows is None else session.rows.outputs,
-            "unit": _unit(session),
-            "field": session.field.kind,
-            "missing": _missing(session),
-            **{name: live[name] for name in ("rows", "bad_rows", "gaps")},
-            "rate": session.rate,
-            "threshold": session.threshold,
-            "connected": session.connected,
-            "positions": session.plan.positions,
-            "targets": session.plan.targets,
-            "problem": found.problem,
-            "findings": [each.to_dict() for each in found.findings],
-        }
-    )
-
-
-def live_of(session: Session) -> dict[str, Any]:
-    """Return what the sensor reads now, where it points, and whether it is still."""
-    rows, rests, under_way = session.rows, session.rests, session.under_way
-    motion = Motion(None, False, 0) if rests is None else rests.motion()
-    refused = None if under_way is None else under_way.reason
-    return plain_dict(
-        {
-            "values": session.newest,
-            "direction": session.direction(session.newest),
-            "still": motion.still,
-            "seconds_left": None if session.rate is None else motion.samples_left / session.rate,
-            "motion": motion.size,
-            "threshold": None if rests is None else rests.limit,
-            "enough": under_way is not None and refused is None,
-            "refused": refused,
-            "rows": 0 if rows is None else rows.rows,
-            "bad_rows": 0 if rows is None else rows.bad,
-            "gaps": 0 if rows is None else rows.gaps,
-        }
-    )
-
-
-def line_of(session: Session) -> dict[str, Any]:
-    """Return the newest pose, with what follows from all of them: a line of ``--headless``."""
-    return plain_dict(
-        {
-            **_entries(session)[-1],
-            "next": _next(session),
-            "parameters": session.evaluation.parameters,
-            "missing": _missing(session),
-            "threshold": session.threshold,
-            "rate": session.rate,
-        }
-    )
-
-
-def _missing(session: Session) -> Array | None:
-    """Return the directions (k, 3) of a magnetic field that no pose is near, None of gravity."""
-    if session.field.angle == "tilt":  # which shows by itself where it has been
-        return None
-    shown = [
-        up
-        for pose, up in zip(session.poses, session.directions(), strict=True)
-        if pose.accepted and up is not None
-    ]
-    return missing_directions(np.array(shown).reshape(-1, 3))[0]
-
-
-def _entries(session: Session) -> list[dict[str, Any]]:
-    """Return `taken`."""
-    residuals = _residuals(session)
-    directions = session.directions()
-    entries = []
-    for pose, direction in zip(session.poses, directions, strict=True):
-        residual, u = residuals.get(session.key(pose), (None, None))
-        found = pose.still.found
-        entries.append(
-            {
-                "position": pose.position,
-                "direction": direction,
-                "residual": residual,
-                "residual_u": u,
-                "residual_text": _shown(session, residual),
-                "accepted": pose.accepted,
-                "reason": pose.reason,
-                "provisional": session.threshold is None,
-                "mean": found.mean,
-                "u": found.u,
-                "n": found.n,
-                "start": pose.still.rows.start,
-                "end": pose.still.rows.end,
-            }
-        )
-    return entries
-
-
-def _residuals(session: Session) -> dict[str, tuple[float, float]]:
-    """Return the residual [g] of each pose that counts, and the standard uncertainty of one."""
-    calibration = session.evaluation.calibration
-    if calibration is None:
-        return {}
-    off, u = force_residuals(calibration)
-    keys = [session.key(pose) for pose in session.accepted]
-    return dict(zip(keys, zip(off.tolist(), u.tolist(), strict=True), strict=True))
-
-
-def _shown(session: Session, residual: float | None) -> str | None:
-    """Return a residual as people read it, where there is one."""
-    if residual is None or not math.isfinite(residual):  # no force is found by such a model
-        return None
-    calibration = session.evaluation.calibration
-    field = session.field if calibration is None else calibration.field
-    return field.shown(residual, "+.0f", "µg")
-
-
-def _next(session: Session) -> dict[str, Any] | None:
-    found = session.next
-    if found is None or session.finished:
-        return None
-    return {
-        "direction": found.direction,
-        "gain": found.gain,
-        "label": found.label or None,
-        "words": pose_words(found.direction, session.field.towards),
-    }
-
-
-def _unit(session: Session) -> str | None:
-    calibration = session.evaluation.calibration
-    if calibration is not None:
-        return calibration.model.unit
-    return None if session.model is None else session.model.unit

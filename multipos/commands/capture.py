@@ -6,12 +6,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from multipos.capturing import running
+from multipos.capturing import keeping, running
 from multipos.capturing.evaluation import SessionPlan
-from multipos.capturing.live_rests import RowOptions
+from multipos.capturing.live_rows import RowOptions
 from multipos.capturing.running import captured
-from multipos.capturing.session import Session, line_of
-from multipos.capturing.streams import open_source
+from multipos.capturing.session import Session
+from multipos.capturing.sources import open_source
+from multipos.capturing.state import line_of
 from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
 from multipos.commands.options import declare, options_of, say
@@ -34,7 +35,7 @@ def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
     if arguments.output == STDOUT:
         return ()
     calibration = _calibration_path(arguments.output)
-    kept = running.files_kept(open_source(arguments.source), Path(arguments.output))
+    kept = keeping.files_kept(open_source(arguments.source), Path(arguments.output))
     exports = files_beside(arguments.to, calibration)
     return (calibration, calibration.with_suffix(".html"), *kept, *exports)
 
@@ -75,7 +76,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         **options_of(given, "reading", ["columns", "drop_bad"]),
     )
     with ExitStack() as stack:
-        kept = stack.enter_context(running.keep(source, path, resume=arguments.resume))
+        kept = stack.enter_context(keeping.keep(source, path, resume=arguments.resume))
         session = _begin(plan, reading, kept, headless=arguments.headless)
         if not arguments.headless:
             from multipos.capturing.screen import text_screen
@@ -94,7 +95,7 @@ def run(arguments: argparse.Namespace) -> Answer:
 
 
 def _begin(
-    plan: SessionPlan, reading: RowOptions, kept: running.Kept, *, headless: bool
+    plan: SessionPlan, reading: RowOptions, kept: keeping.Kept, *, headless: bool
 ) -> Session:
     for said in kept.said:
         say(said)

@@ -1,9 +1,10 @@
 """The runtime of the page: Pyodide in one version, every file known by its hash.
 
-Pyodide is CPython for WebAssembly. Its lock file holds the hash of the NumPy wheel; those of the
-other files are of the release itself, as npm's package ``pyodide`` carries it. A file with another
-hash is refused: by name here, where a folder is copied, and by the service worker, where the
-runtime comes from an address.
+`read_runtime` reads it from a folder; `is_address` and `origin_of` are of one that stands
+elsewhere, `sha256` and `integrity` write a hash. Pyodide is CPython for WebAssembly. Its lock file
+holds the hash of the NumPy wheel; those of the other files are of the release itself, as npm's
+package ``pyodide`` carries it. A file with another hash is refused: by name here, where a folder is
+copied, and by the service worker, where the runtime comes from an address.
 """
 
 import base64

@@ -185,14 +185,8 @@ def xml_report(calibration: Calibration, content: Content) -> str:
 
 # Between the lines of an entry of a list.
 _BREAK, _MARKDOWN_BREAK = "\n  ", "\\\n  "
-
-
 _LONG_TABLE = 40  # rows: beyond, a table may break over pages
-
-
 _CERTIFICATE = ".xml"
-
-
 _FORMS: dict[str, Callable[[Content], str | bytes]] = {
     ".html": html_report,
     ".pdf": pdf_report,

@@ -45,8 +45,6 @@ LAB_FIELDS = {
         "remarks": "Remarks",
     },
 }
-
-
 EQUIPMENT = {
     "name": "Equipment",
     "type": "Type",
@@ -55,8 +53,6 @@ EQUIPMENT = {
     "due": "Due",
     "certificate": "Certificate",
 }
-
-
 _LINE = "________________"  # to be written on by hand
 
 

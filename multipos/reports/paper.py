@@ -19,14 +19,8 @@ from multipos.errors import MultiposError
 from multipos.plots.style import COLOURS
 
 _LIBRARY = "weasyprint"
-
-
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "msedge")
-
-
 _LONGEST = 300.0  # seconds that a browser may print
-
-
 _OFTEN = 0.2  # seconds between two words of progress
 
 

@@ -11,26 +11,12 @@ from multipos.files import numbers
 from multipos.reports.sections import PageTable
 
 _FIGURE, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
-
-
 _PLAIN = re.compile(r"[-+]?\d+(?P<rest>(?:\.\d+)?)(?:\(\d+\))?")
-
-
 _POWER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:\(\d+\))?)e([-+]?\d+)(?!\w|\.\w)")
-
-
 _UNIT = re.compile(r"(/[A-Za-z]+)\^(\d)(?!\d)")  # of a unit; a formula stays as it is typed
-
-
 _MINUS = re.compile(r"(^|[\[( ])-(?=\d)")  # elsewhere it may be a date or a name
-
-
 _ZERO = re.compile(r"(^|[\[( ])-(?=0(?:\.0+)?(?![\d.]))")  # what rounds to it has no sign
-
-
 _CELSIUS = re.compile(r"(?<=[/\[])degC\b")
-
-
 _DEGREES = re.compile(r"(?<=\[)deg(?=\])|^deg$")
 
 

@@ -77,8 +77,6 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     Tumbles: tumbles_text,
     Worth: worth_text,
 }
-
-
 _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,
     Calibration: calibration_sentence,

@@ -13,7 +13,7 @@ import pytest
 from multipos.capturing.running import make_plan, make_reading, run_session
 from multipos.capturing.serving import serve
 from multipos.capturing.session import Session
-from multipos.capturing.streams import open_source
+from multipos.capturing.sources import open_source
 
 
 class Live:

@@ -11,9 +11,20 @@ from numpy.testing import assert_allclose
 from scipy.stats import t
 
 import multipos as mp
-from multipos.capturing import evaluation, live_rests, poses, running, screen, serving, streams
+from multipos.capturing import (
+    arrivals,
+    evaluation,
+    keeping,
+    live_rests,
+    live_rows,
+    poses,
+    screen,
+    serving,
+    sources,
+)
+from multipos.capturing import next_pose as next_pose_module
 from multipos.capturing import session as session_module
-from multipos.capturing.poses import _ratios, _score, _State, best_pose, gain_of
+from multipos.capturing.next_pose import _ratios, _score, _State, best_pose, gain_of
 from multipos.designs.information import Setting
 from multipos.logs.rests import Rest
 from multipos.sensor.model import build_model
@@ -68,7 +79,7 @@ def test_an_easy_direction_is_taken_where_it_is_nearly_the_best(share, fine, mon
         seen.append(up)
         return np.linspace(0.1, share if len(up) < 26 else 1.0, len(up))
 
-    monkeypatch.setattr(poses, "_score", scored)
+    monkeypatch.setattr(next_pose_module, "_score", scored)
     found = best_pose(MODEL, None, TAKEN, {})
     assert_allclose(found.direction, seen[1][-1] if fine else seen[0][-1])
     for up in seen:
@@ -222,21 +233,21 @@ def test_a_stream_that_begins_has_seen_no_version():
 def test_rows_are_counted_for_their_rate_from_the_first_look_on(monkeypatch):
     """Eleven lines waited; 31 more in 3.1 s are ten a second, and before 3 s nothing is said."""
     clock = iter([100.0, 102.99, 103.1])
-    monkeypatch.setattr(streams.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(arrivals.time, "monotonic", lambda: next(clock))
     head = SimpleNamespace(_begun=None, _lines=["x"] * 11, _rate=None)
-    assert not streams._Head._is_counted(head)
+    assert not arrivals._Head._is_counted(head)
     head._lines = ["x"] * 42
-    assert not streams._Head._is_counted(head)
+    assert not arrivals._Head._is_counted(head)
     assert head._rate is None
-    assert streams._Head._is_counted(head)
+    assert arrivals._Head._is_counted(head)
     assert head._rate == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("untimed", [True, False])
 def test_rows_without_a_time_wait_for_their_rate(monkeypatch, untimed):
     clock = iter([100.0, 103.0])
-    monkeypatch.setattr(streams.time, "monotonic", lambda: next(clock))
-    head = streams._Head(SimpleNamespace(name="serial", untimed=untimed), None)
+    monkeypatch.setattr(arrivals.time, "monotonic", lambda: next(clock))
+    head = arrivals._Head(SimpleNamespace(name="serial", untimed=untimed), None)
     rows = "0.01,0.02,1.0\n" * 60
     assert head.take(rows) is not untimed
     assert not untimed or head.take(rows)
@@ -249,13 +260,13 @@ def test_rows_without_a_time_wait_for_their_rate(monkeypatch, untimed):
 def test_a_replay_sends_rows_when_they_would_have_come(speed, rate, rows, monkeypatch):
     """So many in .05 s, at least one; the clock of the test goes as far as it is slept."""
     clock, table = [50.0], np.arange(33.0)
-    monkeypatch.setattr(streams.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(streams.time, "sleep", lambda s: clock.__setitem__(0, clock[0] + s))
+    monkeypatch.setattr(sources.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(sources.time, "sleep", lambda s: clock.__setitem__(0, clock[0] + s))
     piece = SimpleNamespace(table=SimpleNamespace(columns={"a": table, "b": -table}))
     log = SimpleNamespace(numeric=("a", "b"), source="log", read=lambda *a, **k: iter([piece]))
-    monkeypatch.setattr(streams, "open_log", lambda path, columns: log)
+    monkeypatch.setattr(sources, "open_log", lambda path, columns: log)
     source = SimpleNamespace(path="log", rate=rate)
-    head, *arrivals = streams._replay(source, None, speed)
+    head, *arrivals = sources._replay(source, None, speed)
     assert head.columns.shape == (2, 33)
     sent, waits = 0, 0
     for arrival in arrivals:
@@ -272,9 +283,9 @@ def test_a_replay_sends_rows_when_they_would_have_come(speed, rate, rows, monkey
 def test_rows_of_the_log_that_a_rest_is_count_those_left_out():
     """Five are bad, of which two are forgotten; of the others 40 and 41 come before the rest."""
     rows = SimpleNamespace(bad=5, _left_out=[40, 41, 57], rate=8.0)
-    found = live_rests.LiveRows.in_log(rows, Rest(41, 58))
+    found = live_rows.LiveRows.in_log(rows, Rest(41, 58))
     assert (found.start, found.end) == (41 + 4, 58 + 5)
-    assert live_rests.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
+    assert live_rows.LiveRows.time(rows, Rest(41, 58)) == (5.125, 7.125)
 
 
 def test_a_terminal_shows_the_state_again_and_again(monkeypatch):
@@ -370,17 +381,17 @@ def test_poses_are_offered_anew_where_rests_moved_or_the_threshold_is_fixed():
 
 def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypatch):
     rested = []
-    monkeypatch.setattr(streams.time, "sleep", rested.append)
+    monkeypatch.setattr(sources.time, "sleep", rested.append)
     log = tmp_path / "log.csv"
     log.write_bytes(b"ax,ay,az\n1,2,3\n")
-    chunks = streams._growing(log)
+    chunks = sources._growing(log)
     assert [next(chunks), next(chunks)] == [b"ax,ay,az\n1,2,3\n", b""]
     with log.open("ab") as stream:
         stream.write(b"4,5,6\n")
     assert next(chunks) == b"4,5,6\n"
     log.write_bytes(b"7,8,9\n")
     assert [next(chunks), next(chunks), next(chunks)] == [None, b"", b"7,8,9\n"]
-    assert rested == [streams._TICK] * 2  # where there was nothing to read
+    assert rested == [sources._TICK] * 2  # where there was nothing to read
     chunks.close()
 
 
@@ -390,8 +401,8 @@ def test_a_log_that_is_begun_anew_is_read_from_its_beginning(tmp_path, monkeypat
 )
 def test_a_session_of_other_kinds_is_refused(part, value, monkeypatch):
     found = {"threshold": 0.1, "rate_by_arrival": None, "taken_back": {"1": "p"}}
-    monkeypatch.setattr(running, "read_json", lambda path, schema: found)
-    assert running._read("s.json") == found
+    monkeypatch.setattr(keeping, "read_json", lambda path, schema: found)
+    assert keeping._read("s.json") == found
     found = found | {part: value}
     with pytest.raises(mp.MultiposError, match="is of another kind; begin a new session"):
-        running._read("s.json")
+        keeping._read("s.json")

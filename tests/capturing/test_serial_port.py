@@ -9,9 +9,12 @@ import log_bench
 import numpy as np
 import pytest
 
-from multipos.capturing.running import Kept, make_plan, make_reading, run_session
-from multipos.capturing.session import Session, state_of
-from multipos.capturing.streams import open_source, read_port, split_port
+from multipos.capturing.keeping import Kept
+from multipos.capturing.running import make_plan, make_reading, run_session
+from multipos.capturing.serial_port import read_port, split_port
+from multipos.capturing.session import Session
+from multipos.capturing.sources import open_source
+from multipos.capturing.state import state_of
 from multipos.cli import main
 
 serial = pytest.importorskip("serial", reason="pyserial is an extra")
@@ -131,7 +134,7 @@ def test_what_is_left_of_a_row_is_none(tmp_path, first, kept):
 
 
 def test_it_is_none_each_time_the_port_is_plugged_in(tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.capturing.streams._RETRY", 0.01)
+    monkeypatch.setattr("multipos.capturing.serial_port._RETRY", 0.01)
     device = Device(tmp_path)
     with closing(read_port(str(device.path), 115200)) as chunks:
         for cut in (b"12,0.1,0.2,0.9\n", b"0.2", b"2,0.9\n"):
@@ -150,7 +153,7 @@ def test_it_is_none_each_time_the_port_is_plugged_in(tmp_path, monkeypatch):
 
 
 def test_a_line_that_never_ends_is_not_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("multipos.capturing.streams._LONGEST", 1000)
+    monkeypatch.setattr("multipos.capturing.serial_port._LONGEST", 1000)
     device = Device(tmp_path)
     with closing(read_port(str(device.path), 115200)) as chunks:
         next(chunks)
@@ -166,7 +169,7 @@ def test_another_baud_rate_is_thought_of_where_no_rows_come(tmp_path, monkeypatc
     def chunks(*_):
         yield noise
 
-    monkeypatch.setattr("multipos.capturing.streams.read_port", chunks)
+    monkeypatch.setattr("multipos.capturing.serial_port.read_port", chunks)
     monkeypatch.chdir(tmp_path)
     assert main(["capture", "serial:/dev/ttyS0:9600", "--headless"]) == 1
     said = capsys.readouterr().err.splitlines()[-1]
@@ -207,7 +210,7 @@ def test_a_first_row_that_is_cut_off_leaves_the_time_alone(log, tmp_path, opened
 
 
 def test_a_serial_port_may_be_unplugged(log, tmp_path, monkeypatch, opened):
-    monkeypatch.setattr("multipos.capturing.streams._RETRY", 0.05)
+    monkeypatch.setattr("multipos.capturing.serial_port._RETRY", 0.05)
     rows = log.read_bytes().splitlines(keepends=True)
     device = Device(tmp_path)
     session = Session(make_plan((), 5, None, {}), make_reading(None, None, None, None, None, 3e-3))

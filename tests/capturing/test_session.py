@@ -16,30 +16,24 @@ from amounts import rest_slow
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.capturing import poses
-from multipos.capturing.evaluation import (
-    NOTHING,
-    SessionPlan,
-    _small,
-    next_pose,
-    read_targets,
-    spread_targets,
-)
-from multipos.capturing.live_rests import LiveRests, LiveRows
+from multipos.capturing import next_pose as next_pose_module
+from multipos.capturing.arrivals import _whole_lines
+from multipos.capturing.evaluation import NOTHING, SessionPlan, _small, next_pose
+from multipos.capturing.keeping import Kept
+from multipos.capturing.live_rests import LiveRests
+from multipos.capturing.live_rows import LiveRows
+from multipos.capturing.next_pose import _score, _State, _state, gain_of
 from multipos.capturing.poses import (
     Frame,
     _centre,
-    _score,
-    _State,
-    _state,
     find_frame,
     find_turn,
-    gain_of,
     refuse_repeat,
     refuse_rest,
     refuse_unit,
 )
-from multipos.capturing.running import Kept, _goes_on, make_plan, make_reading, run_session
+from multipos.capturing.read_ahead import read_ahead
+from multipos.capturing.running import _goes_on, make_plan, make_reading, run_session
 from multipos.capturing.screen import (
     _SHOWN,
     _draw,
@@ -47,8 +41,10 @@ from multipos.capturing.screen import (
     obey,
     picture_of,
 )
-from multipos.capturing.session import Session, state_of
-from multipos.capturing.streams import _whole_lines, open_source, read_ahead
+from multipos.capturing.session import Session
+from multipos.capturing.sources import open_source
+from multipos.capturing.state import state_of
+from multipos.capturing.targets import read_targets, spread_targets
 from multipos.cli import main
 from multipos.logs import samples
 from multipos.logs.opening import open_log
@@ -684,7 +680,7 @@ def test_the_text_screen_shows_the_state(log):
 
 def test_u_and_targets_of_a_direction_by_hand():
     """N = diag(4, 16), c = 4 and 1, f = 0 and 1/16, ν = 5: U = 2.5706 (1, √(1/8))."""
-    # eqs. (2), (3) of capturing.poses
+    # eqs. (1), (2) of capturing.next_pose
     model = SimpleNamespace(names=("a", "b"))
     parts = {"scale": np.array([4.0, 1.0]), "fixed": np.array([0.0, 1 / 16]), "dof": 5.0}
     state = _State(SimpleNamespace(model=model), np.diag([4.0, 16.0]), **parts)
@@ -696,11 +692,12 @@ def test_u_and_targets_of_a_direction_by_hand():
 
 def test_the_gain_of_a_direction_by_hand(monkeypatch):
     """The state above, and a pose that adds diag(12, 0): ν = 6, U = 2.4469 (1/2, √(1/8))."""
-    # eqs. (2), (3) of capturing.poses
+    # eqs. (1), (2) of capturing.next_pose
     model = SimpleNamespace(names=("a", "b"))
     parts = {"scale": np.array([4.0, 1.0]), "fixed": np.array([0.0, 1 / 16]), "dof": 5.0}
     state = _State(SimpleNamespace(model=model), np.diag([4.0, 16.0]), **parts)
-    monkeypatch.setattr(poses, "information_of", lambda *_: np.diag([12.0, 0.0])[np.newaxis])
+    one = np.diag([12.0, 0.0])[np.newaxis]
+    monkeypatch.setattr(next_pose_module, "information_of", lambda *_: one)
     gain = gain_of(state, np.zeros(3), {"a": 2.0, "b": 0.5})
     assert gain == pytest.approx((2.5706 - 2.4469) * np.sqrt(1 / 8) / 0.5, abs=3e-4)
     assert gain_of(state, np.zeros(3), {}) == pytest.approx(np.log(4.0), rel=1e-12)
@@ -889,7 +886,7 @@ def test_how_long_to_hold_still_yet():
 
 def test_what_is_known_before_a_fit_of_the_same_terms(monkeypatch):
     """A prior of .3 g on each parameter, until a fit of these parameters is there."""
-    monkeypatch.setattr(poses, "_known_state", lambda calibration, taken: "known")
+    monkeypatch.setattr(next_pose_module, "_known_state", lambda calibration, taken: "known")
     up = mp.read_scheme("fibonacci-24").up
     cal = mp.fit(mp.Readings(up + 1e-3 * np.random.default_rng(2).normal(size=up.shape), up=up))
     other = mp.fit(cal.readings, model="own-quadratic")
