@@ -72,10 +72,6 @@ def warmed():
     return mp.fit(columns, model="1 + x + y + z + temperature + temperature*x")
 
 
-def saturating(own, bias, scale, limit=0.0):
-    return bias + scale * own / (1.0 + limit * own * own)
-
-
 @cache
 def regressed():
     rng = np.random.default_rng(2)
@@ -512,8 +508,8 @@ def test_a_result_has_no_hash_and_a_model_has():
         sensor().parameters = np.zeros(12)
 
 
-def test_a_model_given_as_a_function_travels_once_it_has_been_used():
-    cal = mp.fit(session(), scheme=TWICE["scheme"], model=saturating)
+def test_a_user_defined_model_travels_once_it_has_been_used():
+    cal = mp.fit(session(), scheme=TWICE["scheme"], model="each = b + s*own*(1 + k*own^2)")
     force = cal.compensate(session().values)  # compiles what cannot be pickled
     again = pickle.loads(pickle.dumps(cal))
     assert again == cal

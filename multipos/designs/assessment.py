@@ -53,8 +53,8 @@ from multipos.numerics.terms import ModelText
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, named_schemes
 from multipos.results import Keyed, data_frame, frozen
-from multipos.sensor.formulas import ParsedModel, read_model
 from multipos.sensor.model import Model, build_model, default_axes
+from multipos.sensor.model_text import ParsedModel, read_model
 from multipos.sensor.own_models import build_parsed
 
 _LEAST = 1e-6  # singular value, whose square information has few digits for

@@ -28,7 +28,6 @@ from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import Expression
 from multipos.sensor.gravity import FieldKind, field_sensed
 from multipos.uncertainty.budgets import read_budget
 from multipos.units import STANDARD_GRAVITY
@@ -177,7 +176,7 @@ def _with_outputs(
 
 def fit_rests(
     found: "Averages | Waved",
-    model: ModelText | Expression | None = None,
+    model: ModelText | None = None,
     /,
     **options: Unpack[FitOptions],
 ) -> Calibration:

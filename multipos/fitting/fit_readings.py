@@ -48,8 +48,7 @@ from multipos.positions.readings import Readings, require_range, select_rows, sp
 from multipos.positions.scheme import Scheme
 from multipos.sensor.bench import StatedBench
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import Expression, ExpressionModel
-from multipos.sensor.formulas import ParsedModel, read_model
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.gravity import (
     Field,
@@ -68,6 +67,7 @@ from multipos.sensor.model import (
     default_axes,
     stated_facing,
 )
+from multipos.sensor.model_text import ParsedModel, read_model
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 
@@ -189,7 +189,7 @@ def fit(
     *,
     scheme: "Source | Scheme | None" = None,
     order: Order = "paper",
-    model: ModelText | Expression = "linear",
+    model: ModelText = "linear",
     convention: Convention = "specific-force",
     outputs: Names | None = None,
     axes: Names | None = None,
@@ -228,9 +228,9 @@ def fit(
     order : str
         'paper', 'spread' or 'travel': in which the rows of readings without labels follow the
         scheme (`multipos.positions.order`).
-    model : name, Formula, path, or function
-        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a Python
-        function of the components and the parameters (see `multipos.sensor.expressions`).
+    model : name, Formula, or path
+        'linear', 'own-quadratic', … or a formula such as '1 + x + y + z + own^2', or a
+        user-defined model (see `multipos.sensor.model_text`).
     convention : str
         'specific-force': the axis that points up reads +1; 'gravity': the one that points down.
     outputs, axes, inputs : sequences of str, or comma-separated str, optional
@@ -326,7 +326,7 @@ def fit(
     before = None if nominal is None else read_nominal(nominal)
     local = _gravity_of(stated, bench.local_gravity())
     check_field_kind(field)
-    written = model if callable(model) else read_model(model)
+    written = read_model(model)
     used = _columns_named(written)
     data = read_readings(readings, outputs=outputs, unit=unit, environment=used, field=field)
     sensed, free = bench.field_of(data.outputs, data.unit, local), unknown_orientation
@@ -680,11 +680,11 @@ def _with_rolls(calibration: Calibration) -> Calibration:
     return add_findings(calibration, *find_in_rolls(calibration))
 
 
-def _columns_named(model: str | Expression | ParsedModel) -> tuple[str, ...]:
+def _columns_named(model: str | ParsedModel) -> tuple[str, ...]:
     """Return the names in a model that are columns, where the readings have such."""
     if isinstance(model, ParsedModel):
         return model.possible_columns
-    return formula_columns(model) if isinstance(model, str) else ()
+    return formula_columns(model)
 
 
 _HOUR = 3600.0  # [s]
@@ -712,7 +712,7 @@ def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
 
 
 def _build(
-    model: str | Expression | ParsedModel,
+    model: str | ParsedModel,
     readings: Readings,
     axes: Names | None,
     inputs: Names,
@@ -726,10 +726,6 @@ def _build(
         from multipos.sensor.own_models import build_parsed
 
         return build_parsed(model, readings.outputs, own, seen, readings.unit, used)
-    if not isinstance(model, str):
-        from multipos.sensor.own_models import build_expression
-
-        return build_expression(model, readings.outputs, own, readings.unit, columns)
     return build_model(model, readings.outputs, own, seen, readings.unit, columns)
 
 

@@ -27,7 +27,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.results import frozen
 from multipos.sensor.bench import BenchOptions
-from multipos.sensor.expressions import Expression, ExpressionModel
+from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
 from multipos.uncertainty.budgets import Budget, BudgetSource
@@ -51,7 +51,7 @@ class FitOptions(BenchOptions, total=False):
 
     scheme: "Source | Scheme | None"
     order: Order
-    model: ModelText | Expression
+    model: ModelText
     convention: Convention
     outputs: Names | None
     axes: Names | None

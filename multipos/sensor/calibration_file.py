@@ -69,7 +69,7 @@ from multipos.sensor.found import (
 )
 from multipos.sensor.gravity import KINDS, field_of_file
 from multipos.sensor.model import GAUGES, ROLL_GAUGES, Model, build_model
-from multipos.sensor.own_models import expression_dict, load_expression, load_parsed
+from multipos.sensor.own_models import expression_dict, load_parsed
 
 SCHEMA = "multipos/calibration/1"
 # Null is infinite, 0 none; less than a millionth of one is neither.
@@ -248,13 +248,6 @@ CALIBRATION = Fields(
                 ),
             }
         ),
-        "expression": Fields(
-            {
-                "functions": Listed(Listed(Listed(AnyOf((ANY_TEXT, ANY_NUMBER)), 2), 1), 1),
-                "columns": TEXTS,
-                "parameters": Listed(ANY_TEXT, 1),
-            }
-        ),
     },
 )
 
@@ -344,9 +337,14 @@ def from_dict(content: Mapping[str, Any], where: str = "the calibration") -> Cal
     Raises
     ------
     MultiposError
-        A key is missing or not as `CALIBRATION` has it, or the parts contradict each
-        other.
+        A key is missing or not as `CALIBRATION` has it, the parts contradict each other, or the
+        model is a Python function.
     """
+    if "expression" in content:  # written by version 0.1 or 0.2
+        raise MultiposError(
+            f"{where}: its model is a Python function, which is no longer read; fit again with "
+            "the model as a formula, such as --model 'each = b + s*own'."
+        )
     content = {**content, "diagnostics": findings_upgraded(content.get("diagnostics"))}
     require(content, CALIBRATION, where, "fit again")
     try:
@@ -398,19 +396,16 @@ def _from_dict(content: Mapping[str, Any]) -> Calibration:
 def _model(content: Mapping[str, Any]) -> Model:
     if "own_model" in content:
         return load_parsed(content)
-    if "expression" in content:
-        model: Model = load_expression(content)
-    else:
-        model = build_model(
-            content["model"],
-            tuple(content["outputs"]),
-            tuple(content["axes"]),
-            tuple(content["inputs"]),
-            str(content["unit"]),
-            tuple(content.get("environment", ())),
-        )
-        if "drift_per" in content:
-            model = model.with_drift(content["drift_per"])
+    model = build_model(
+        content["model"],
+        tuple(content["outputs"]),
+        tuple(content["axes"]),
+        tuple(content["inputs"]),
+        str(content["unit"]),
+        tuple(content.get("environment", ())),
+    )
+    if "drift_per" in content:
+        model = model.with_drift(content["drift_per"])
     if content["gauge"] is not None:
         model = model.with_gauge(content["gauge"])
     chosen = content.get("selection")

@@ -1,18 +1,13 @@
-"""Models of one's own: what a Python function or a formula says that each output reads.
+"""User-defined models: what a formula says that each output reads.
 
     y_i = h_i(f, e, p),    f the reference [g], e other columns of the readings, p parameters (1)
 
-A formula comes as a line of text or a file (`multipos.sensor.formulas`); a Python function is
-called once with CasADi symbols, its arguments say which is which:
+An `ExpressionModel` answers what every `Model` does; `at_bounds` names the parameters that ended
+at a bound.
 
-    def saturating(own, x, y, z, bias, scale, limit=0.0):
-        linear = bias + scale * own
-        return linear / (1 + limit * linear**2)
-
-`own`, `x`, `y`, `z` and columns of the readings are variables, every other argument is a
-parameter, which each output has for itself; a default is where the search for it starts. Exact
-derivatives (`multipos.sensor.compiled`) take either through the same likelihood as every other
-model. A parameter with bounds is searched for as t, without bounds,
+Formulas come as a line of text or a file (`multipos.sensor.model_text`). Exact derivatives
+(`multipos.sensor.compiled`) take them through the same likelihood as every other model. A parameter
+with bounds is searched for as t, without bounds,
 
     p = low + (high - low)(1 + sin t)/2,    p = low - 1 + sqrt(t^2 + 1)  or its mirror,     (2)
 
@@ -21,10 +16,9 @@ and one with a prior N(start, sd^2) adds ((p - start)/sd)^2 to what the search m
 Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, section 1.3.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,25 +27,12 @@ from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, Environment, Places
 from multipos.numerics.terms import Term
 from multipos.results import frozen
-from multipos.sensor.formulas import SHARED, ParsedModel, StatedParameter
+from multipos.sensor.compiled import Compiled, OutputFormula, compile_model
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
+from multipos.sensor.model_text import SHARED, ParsedModel, StatedParameter
 from multipos.units import unit_per
 
-if TYPE_CHECKING:
-    from multipos.sensor.compiled import Compiled, Instruction
-
-Expression = Callable[..., Any]
-
 _INSIDE = 1e-6  # of the way between bounds that a start keeps from them, where (2) has no slope
-
-
-def load_casadi() -> Any:
-    """Return CasADi, with symbols that take ``abs``: by themselves they do from 3.8 on."""
-    import casadi
-
-    if not hasattr(casadi.SX, "__abs__"):
-        casadi.SX.__abs__ = casadi.SX.fabs  # type: ignore[method-assign]
-    return casadi
 
 
 @frozen(eq=True)
@@ -70,9 +51,10 @@ class ExpressionModel(Model):
 
     Attributes
     ----------
-    functions : tuple of M tuples
-        Instructions (`multipos.sensor.compiled`) of y(f, e, p), p the output's own parameters
-        and then those that it shares.
+    parsed : ParsedModel
+        The formulas as they were written.
+    functions : tuple of M OutputFormula
+        y(f, e, p) of eq. (1), p the output's own parameters and then those that it shares.
     columns_used : tuple of str
         Columns of the readings, e.
     shared : tuple of Symbol
@@ -81,20 +63,19 @@ class ExpressionModel(Model):
         Which of these each output uses.
     quantities : tuple of p StatedParameter
         What is known of each parameter.
-    parsed : ParsedModel or None
-        The formulas as they were written; None for a Python function.
     fixed : mapping of (output, name) to float
         Parameters that are held at a value, and so are none.
     inner : bool
         Whether parameters are the t of eq. (2).
     """
 
-    functions: "tuple[tuple[Instruction, ...], ...]" = ()
+    _: KW_ONLY
+    parsed: ParsedModel
+    functions: tuple[OutputFormula, ...]
     columns_used: tuple[str, ...] = ()
     shared: tuple[Symbol, ...] = ()
     shared_by: tuple[tuple[int, ...], ...] = ()
     quantities: tuple[StatedParameter, ...] = ()
-    parsed: ParsedModel | None = None
     fixed: tuple[tuple[str, str, float], ...] = ()
     inner: bool = False
 
@@ -161,10 +142,8 @@ class ExpressionModel(Model):
         )
 
     @cached_property
-    def compiled(self) -> "Compiled":
-        """The compiled function of all outputs."""
-        from multipos.sensor.compiled import compile_model
-
+    def compiled(self) -> Compiled:
+        """The compiled functions of all outputs."""
         places = tuple(tuple(own.tolist()) for own in self.places)
         return compile_model(self.functions, places, len(self.columns_used), len(self.keys))
 

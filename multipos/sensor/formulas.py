@@ -1,4 +1,6 @@
-"""Formulas of a model of one's own: from a line of text to elementary instructions.
+"""Formulas of a user-defined model: from a line of text to the steps that compute it.
+
+`parse_formula` reads one line; the `Formula` that it returns names what stands in it.
 
     sum     = product (('+' | '-') product)*
     product = sign (('*' | '/') sign)*
@@ -6,48 +8,23 @@
     power   = atom ['^' sign]                    from the right: -x^2 is -(x^2)             (1)
     atom    = number | name | function '(' sum (',' sum)* ')' | '(' sum ')' | '|' sum '|'
 
-A formula is parsed, never evaluated: what comes out are the instructions of
-`multipos.sensor.compiled`, of which CasADi makes values and derivatives. Every error names
-the character at which it stands.
-
-Models of one's own as they are written: a line of text, or a file with parameters and outputs.
-
-A line names outputs and says what each reads, ``each = b + s*own/(1 + k*own^2)``; lines of one
-text stand apart by ``;``. A TOML file has the same lines and what is known of the parameters:
-
-    [parameters]
-    k = 0.01                                            # where the search starts
-    common_t = { start = 20, sd = 5, unit = "degC" }    # sd: of a normal prior about the start
-    c = { low = 0, high = 1 }                           # bounds
-
-    [outputs]
-    each = "b + s*own/(1 + k*own^2)"
-
-Every output has its own copy of a parameter, unless its name begins ``common_``. Names are x, y, z,
-own, columns of the readings and parameters; a parameter need not be listed in the file.
+A formula is parsed, never evaluated. What comes out is its postfix form, ``b + s*own`` as
+``b s own mul add``: numbers, names and operations, each after its operands, so that a sum of any
+length is computed without recursion. Parentheses within each other have a limit, 60, and a line
+has one, 4000 characters. Every error names the character at which it stands.
 """
 
 import math
-import os
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import field, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NoReturn
+from collections.abc import Callable, Mapping
+from typing import NoReturn
 
-from multipos.errors import MultiposError, UsageError
-from multipos.files.records import is_number
-from multipos.files.spelling import StrPath, near
-from multipos.files.trees import read_toml
-from multipos.numerics.arrays import COMPONENTS, LARGEST, LARGEST_SAMPLE, SMALLEST
-from multipos.positions.headers import is_environment
-from multipos.results import Result, frozen
-
-if TYPE_CHECKING:
-    from multipos.sensor.compiled import Instruction
+from multipos.errors import UsageError
+from multipos.files.spelling import near
+from multipos.results import frozen
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
-# How each function is called among the instructions; min and max take two arguments or more.
+# CasADi's name of each function; min and max take two arguments or more.
 UNARY = {
     **{name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "sqrt")},
     "abs": "fabs",
@@ -63,9 +40,9 @@ _TOKEN = re.compile(
     r"|(?P<mark>\*\*|[-+*/^(),|]))"
 )
 _DEEPEST = 60  # parentheses and signs within each other
-_LONGEST = 4000  # characters
+LONGEST_LINE = 4000  # characters
 
-Tree = tuple[str, tuple[Any, ...]] | float | str  # operation and operands, a number, a name
+Step = tuple[str, int] | float | str  # operation and how many operands, a number, a name
 
 
 @frozen(eq=True)
@@ -76,8 +53,8 @@ class Formula:
     ----------
     text : str
         As it was written, without the name before the '='.
-    tree : nested tuples
-        (operation, operands), a number, or a name.
+    steps : tuple of Step
+        Its postfix form.
     names : mapping of str to int
         Names in the order in which they first stand, with their character, from 1.
     where, fault : str, type of error
@@ -85,7 +62,7 @@ class Formula:
     """
 
     text: str
-    tree: Tree
+    steps: tuple[Step, ...]
     names: Mapping[str, int]
     where: str
     fault: type[ValueError]
@@ -116,70 +93,23 @@ def parse_formula(
         It is none; the message names the character and what was expected there.
     """
     reader = _Reader(text, where, offset, fault)
-    tree = reader.sum(0)
+    reader.sum(0)
     if reader.kind != "end":
         reader.fail("expected an operator")
-    return Formula(text.strip(), tree, reader.names, where, fault)
-
-
-def instruct(
-    formula: Formula, inputs: Mapping[str, tuple[int, int] | float]
-) -> "list[Instruction]":
-    """Return the instructions of a formula.
-
-    Parameters
-    ----------
-    formula : Formula
-    inputs : mapping of name to (argument, component), or to a number
-        Every name of the formula that is no constant.
-    """
-    program: list[Instruction] = []
-    known: dict[Tree, int] = {}  # what was written already stands at one place
-
-    def write(tree: Tree) -> int:
-        if tree not in known:
-            known[tree] = _write(tree, inputs, program, write)
-        return known[tree]
-
-    program.append(("output", write(formula.tree)))
-    return program
-
-
-def _write(
-    tree: Tree,
-    inputs: Mapping[str, tuple[int, int] | float],
-    program: "list[Instruction]",
-    write: Callable[[Tree], int],
-) -> int:
-    """Add what a tree computes to a program, and return the place where it stands."""
-    if isinstance(tree, str):
-        source = inputs.get(tree, CONSTANTS.get(tree, 0.0))
-        if isinstance(source, tuple):
-            place = len(program)
-            program.append(("input", place, *source))
-            return place
-        tree = float(source)
-    if isinstance(tree, float):
-        place = len(program)
-        program.append(("const", place, tree))
-        return place
-    name, operands = tree
-    places = [write(operand) for operand in operands]
-    place = len(program)
-    program.append((name, place, *places))
-    return place
+    return Formula(text.strip(), tuple(reader.steps), reader.names, where, fault)
 
 
 class _Reader:
-    """The tokens of a line, and the rules of (1)."""
+    """The tokens of a line, and the rules of (1), which add steps."""
 
     def __init__(self, text: str, where: str, offset: int, fault: type[ValueError]) -> None:
         self.text, self.where, self.offset, self.fault = text, where, offset, fault
         self.names: dict[str, int] = {}
+        self.steps: list[Step] = []
         self.at = self.end = 0
         self.kind, self.token = "", ""
-        if len(text) > _LONGEST:
-            self.fail_at(_LONGEST, f"a line has at most {_LONGEST} characters")
+        if len(text) > LONGEST_LINE:
+            self.fail_at(LONGEST_LINE, f"a line has at most {LONGEST_LINE} characters")
         self.next()
 
     def fail_at(self, at: int, said: str) -> NoReturn:
@@ -203,90 +133,96 @@ class _Reader:
         self.at, self.end = match.start(self.kind), match.end()
         self.token = "^" if self.token == "**" else self.token
 
-    def sum(self, depth: int) -> Tree:
+    def sum(self, depth: int) -> None:
         if depth > _DEEPEST:
             self.fail(f"at most {_DEEPEST} parentheses within each other")
-        return self._chain("+-", self._product, depth)
+        self._chain("+-", self._product, depth)
 
-    def _product(self, depth: int) -> Tree:
-        return self._chain("*/", self._sign, depth)
+    def _product(self, depth: int) -> None:
+        self._chain("*/", self._sign, depth)
 
-    def _chain(self, marks: str, inner: Callable[[int], Tree], depth: int) -> Tree:
-        left = inner(depth)
+    def _chain(self, marks: str, inner: Callable[[int], None], depth: int) -> None:
+        inner(depth)
         while self.kind == "mark" and self.token in marks:
             operation = _OPERATORS[self.token]
             self.next()
-            left = (operation, (left, inner(depth)))
-        return left
+            inner(depth)
+            self.steps.append((operation, 2))
 
-    def _sign(self, depth: int) -> Tree:
+    def _sign(self, depth: int) -> None:
         if depth > _DEEPEST:
             self.fail(f"at most {_DEEPEST} signs within each other")
         if self.kind == "mark" and self.token in "+-":
             minus = self.token == "-"
             self.next()
-            inner = self._sign(depth + 1)
-            return ("neg", (inner,)) if minus else inner
-        base = self._atom(depth)
+            self._sign(depth + 1)
+            if minus:
+                self.steps.append(("neg", 1))
+            return
+        self._atom(depth)
         if self.kind == "mark" and self.token == "^":
             self.next()
-            return ("pow", (base, self._sign(depth + 1)))
-        return base
+            self._sign(depth + 1)
+            self.steps.append(("pow", 2))
 
-    def _atom(self, depth: int) -> Tree:
+    def _atom(self, depth: int) -> None:
         kind, token, at = self.kind, self.token, self.at
         if kind == "number":
+            self._number(token, at)
+        elif kind == "name":
+            self._named(token, at, depth)
+        elif kind == "mark" and token in "(|":
             self.next()
-            value = float(token)
-            if math.isinf(value):
-                self.fail_at(at, f"{token} is larger than a number can be")
-            return value
-        if kind == "name":
-            return self._named(token, at, depth)
-        if kind == "mark" and token in "(|":
-            self.next()
-            inner = self.sum(depth + 1)
+            self.sum(depth + 1)
             self._close(")" if token == "(" else "|", token, at)
-            return inner if token == "(" else ("fabs", (inner,))
-        return self.fail("expected a number, a name or '('")
+            if token == "|":
+                self.steps.append(("fabs", 1))
+        else:
+            self.fail("expected a number, a name or '('")
 
-    def _named(self, name: str, at: int, depth: int) -> Tree:
+    def _number(self, token: str, at: int) -> None:
+        self.next()
+        value = float(token)
+        if math.isinf(value):
+            self.fail_at(at, f"{token} is larger than a number can be")
+        self.steps.append(value)
+
+    def _named(self, name: str, at: int, depth: int) -> None:
         self.next()
         if self.kind == "mark" and self.token == "(":
-            return self._call(name, at, depth)
+            self._call(name, at, depth)
+            return
         if name in FUNCTIONS:
             self.fail(f"expected '(' after {name}")
         if name not in CONSTANTS:
             self.names.setdefault(name, self.offset + at + 1)
-        return name
+        self.steps.append(name)
 
     def _close(self, mark: str, opened: str, at: int) -> None:
         if self.kind != "mark" or self.token != mark:
             self.fail(f"expected '{mark}' for the '{opened}' at character {self.offset + at + 1}")
         self.next()
 
-    def _call(self, name: str, at: int, depth: int) -> Tree:
+    def _call(self, name: str, at: int, depth: int) -> None:
         if name not in FUNCTIONS:
             self.fail_at(
                 at,
                 f"unknown function '{name}'{near(name, FUNCTIONS)} "
                 f"There are {', '.join(FUNCTIONS)}; a product is written with '*'",
             )
-        opened = self.at
+        opened, count = self.at, 1
         self.next()
-        given = [self.sum(depth + 1)]
+        self.sum(depth + 1)
         while self.kind == "mark" and self.token == ",":
             self.next()
-            given.append(self.sum(depth + 1))
+            self.sum(depth + 1)
+            count += 1
+            if name not in UNARY:  # the result so far with each further argument
+                self.steps.append((BINARY.get(name) or FOLDED[name], 2))
         self._close(")", "(", opened)
-        self._check_count(name, at, len(given))
+        self._check_count(name, at, count)
         if name in UNARY:
-            return (UNARY[name], (given[0],))
-        operation = BINARY.get(name) or FOLDED[name]
-        folded = given[0]
-        for other in given[1:]:
-            folded = (operation, (folded, other))
-        return folded
+            self.steps.append((UNARY[name], 1))
 
     def _check_count(self, name: str, at: int, given: int) -> None:
         needs = 1 if name in UNARY else 2
@@ -294,282 +230,3 @@ class _Reader:
             more = " or more" if name in FOLDED else ""
             said = f"{name} takes {needs}{more} argument{'s' * (needs > 1)}, got {given}"
             self.fail_at(at, said)
-
-
-SHARED = "common"  # the output of what all outputs share, and how such a name begins
-EACH = "each"
-_NAME = re.compile(r"[^\W\d]\w*")
-_TAKEN = (*COMPONENTS, "own", *CONSTANTS, *FUNCTIONS)
-_SAID = ("start", "sd", "unit", "low", "high")  # of a parameter
-_TELLING = 4  # characters of a name that can be a misspelt column
-_KEPT = 64  # lines
-_FAR = 1e9  # of a start: a bound beyond which bounds nothing, and takes its digits
-_ALIKE = 0.8  # of two names, from which one is the other misspelt
-
-
-@frozen(eq=True)
-class StatedParameter(Result):
-    """What is known of a parameter before any reading; see the module for `start`, `sd`, bounds."""
-
-    name: str
-    start: float | None = None
-    sd: float | None = None
-    unit: str | None = None
-    low: float = -math.inf
-    high: float = math.inf
-
-    @property
-    def bounded(self) -> bool:
-        """Whether there is a bound."""
-        return math.isfinite(self.low) or math.isfinite(self.high)
-
-
-@frozen(eq=True)
-class ParsedModel(Result):
-    """A model of one's own as it was written.
-
-    Attributes
-    ----------
-    lines : tuple of (output or 'each', formula)
-    quantities : tuple of StatedParameter
-        The parameters of which something is stated.
-    where : str
-        The file or the text, for messages.
-    starts : tuple of int
-        Characters before the formula of each line, in the text.
-    """
-
-    lines: tuple[tuple[str, str], ...]
-    quantities: tuple[StatedParameter, ...]
-    where: str = field(compare=False)
-    starts: tuple[int, ...] = field(compare=False)
-
-    @property
-    def text(self) -> str:
-        """The lines as one."""
-        return "; ".join(f"{name} = {formula}" for name, formula in self.lines)
-
-    @property
-    def in_line(self) -> bool:
-        """Whether it was given as a line of text, not in a file."""
-        return self.where.startswith("model '")
-
-    @property
-    def fault(self) -> type[ValueError]:
-        """The error of a line that is wrong: of the command line, or of a file."""
-        return UsageError if self.in_line else MultiposError
-
-    @cached_property
-    def formulas(self) -> dict[str, Formula]:
-        """The parsed lines by the output that each is of."""
-        found = {}
-        for (name, formula), start in zip(self.lines, self.starts, strict=True):
-            where = self.where if self.in_line else f"{self.where}: [outputs] {name}"
-            found[name] = parse_formula(formula, where, start, self.fault)
-        return found
-
-    @cached_property
-    def built(self) -> dict[tuple[Any, ...], Any]:
-        """Models that were built of it, by what each is for."""
-        return {}
-
-    @cached_property
-    def stated(self) -> dict[str, StatedParameter]:
-        """What is stated of parameters, by their names."""
-        return {quantity.name: quantity for quantity in self.quantities}
-
-    @cached_property
-    def possible_columns(self) -> tuple[str, ...]:
-        """Names that are columns if the readings have such: no component, no listed parameter."""
-        names = (name for formula in self.formulas.values() for name in formula.names)
-        taken = (*COMPONENTS, "own", *self.stated)
-        return tuple(
-            dict.fromkeys(n for n in names if n not in taken and not n.startswith(f"{SHARED}_"))
-        )
-
-    def columns_among(self, known: Iterable[str]) -> tuple[str, ...]:
-        """Return the columns that the formulas use, of those known or columns by their name."""
-        columns = set(known)
-        return tuple(n for n in self.possible_columns if n in columns or is_environment(n))
-
-    def require_no_near_miss(
-        self, columns: tuple[str, ...], known: Sequence[str], outputs: Sequence[str] = ()
-    ) -> None:
-        """Refuse a name that is an output, or no column but nearly one: neither is a parameter.
-
-        Raises
-        ------
-        UsageError
-            With the column that was meant.
-        """
-        words = {word.casefold(): word for word in (*known, "temperature", "own")}
-        for formula in self.formulas.values():
-            for name, character in formula.names.items():
-                if name in outputs and name not in self.stated:
-                    formula.fail(
-                        character,
-                        f"'{name}' is an output of the readings, which a formula does not use; "
-                        "give the parameter another name, or the outputs with --outputs",
-                    )
-                if name not in self.possible_columns or name in columns or name in known:
-                    continue
-                meant = _meant(name.casefold(), words)
-                if meant:
-                    formula.fail(
-                        character,
-                        f"'{name}' is no column; did you mean '{words[meant]}'? A parameter of "
-                        "this name is listed in [parameters] of a TOML file",
-                    )
-
-
-def _meant(name: str, words: Collection[str]) -> str:
-    """Return the word that a name nearly is, or ''; of short names only the letters' order errs."""
-    from difflib import get_close_matches
-
-    swapped = (w for w in words if w == name or (len(w) > 2 and sorted(w) == sorted(name)))
-    close = get_close_matches(name, words, 1, _ALIKE) if len(name) >= _TELLING else []
-    return next(swapped, "") or "".join(close)
-
-
-def read_model(model: StrPath) -> "str | ParsedModel":
-    """Return a model of one's own from its line or from a TOML file; any other text as it is.
-
-    Only a text with '=' is a line of one's own, so that a misspelt name never becomes one.
-
-    Raises
-    ------
-    UsageError
-        A line that cannot be read; the message names the character.
-    MultiposError
-        A file that cannot be read, or says what no model does.
-    """
-    if isinstance(model, str) and "=" in model:
-        return _from_line(model)
-    if isinstance(model, str) and not model.strip().lower().endswith(".toml"):
-        return model
-    path = os.fspath(model).strip()
-    return _checked(_from_tables(read_toml(path, "model"), path))
-
-
-@lru_cache(maxsize=_KEPT)
-def _from_line(text: str) -> ParsedModel:
-    where = f"model '{' '.join(text.split())}'"
-    lines, starts, at = [], [], 0
-    for part in re.split(r"[;\n]", text):
-        name, mark, formula = part.partition("=")
-        if part.strip():
-            if not mark or not _NAME.fullmatch(name.strip()):
-                raise UsageError(
-                    f"{where}, character {at + 1}: '{part.strip()}' is no line of a model; write "
-                    "'each = …', or an output, '=' and what it reads."
-                )
-            lines.append((name.strip(), formula.strip()))
-            starts.append(
-                at + len(name) + 1 + len(formula) - len(formula.lstrip()) if formula.strip() else at
-            )
-        at += len(part) + 1
-    return _checked(ParsedModel(tuple(lines), (), where, tuple(starts)))
-
-
-def _from_tables(tables: Mapping[str, Any], path: str) -> ParsedModel:
-    for name, table in tables.items():
-        if name not in ("parameters", "outputs") or not isinstance(table, Mapping):
-            raise MultiposError(
-                f"{path}: '{name}' is no table of a model; it has [parameters] and [outputs]."
-            )
-    outputs = tables.get("outputs", {})
-    if not outputs:
-        raise MultiposError(f'{path}: no [outputs]; add one with each = "b + s*own".')
-    for name, formula in outputs.items():
-        if not isinstance(formula, str):
-            raise MultiposError(f"{path}: [outputs] {name} must be text, a formula in quotes.")
-    found = [_quantity(path, name, said) for name, said in tables.get("parameters", {}).items()]
-    lines = tuple((name, formula.strip()) for name, formula in outputs.items())
-    starts = tuple(len(text) - len(text.lstrip()) for text in outputs.values())
-    return ParsedModel(lines, tuple(found), path, starts)
-
-
-def _quantity(path: str, name: str, said: Any) -> StatedParameter:
-    where = f"{path}: [parameters] {name}"
-    if not _NAME.fullmatch(name) or name in _TAKEN:
-        raise MultiposError(f"{where}: this is no name for a parameter; use another.")
-    given = said if isinstance(said, Mapping) else {"start": said}
-    for key, value in given.items():
-        _check_entry(where, key, value)
-    numbers: dict[str, Any] = {k: v if k == "unit" else float(v) for k, v in given.items()}
-    quantity = StatedParameter(name, **numbers)
-    _check_quantity(quantity, where)
-    low, high = quantity.low, quantity.high
-    far = _FAR * max(1.0, abs(quantity.start or 0.0), low, -high)
-    return replace(
-        quantity, low=-math.inf if low < -far else low, high=math.inf if high > far else high
-    )
-
-
-def _check_entry(where: str, key: str, value: Any) -> None:
-    if key not in _SAID:
-        raise MultiposError(
-            f"{where}: unknown '{key}'{near(key, _SAID)} It takes {', '.join(_SAID)}."
-        )
-    if key == "unit":
-        if not isinstance(value, str):
-            raise MultiposError(f"{where}: unit must be text in quotes, got {value!r}.")
-        if len(value) > _LONGEST:
-            raise MultiposError(f"{where}: unit has {len(value)} characters, above {_LONGEST}.")
-        return
-    number = is_number(value)
-    infinite = number and key in ("low", "high") and math.isinf(value)
-    largest = LARGEST_SAMPLE if key == "start" else LARGEST
-    if not infinite and not (number and abs(value) <= largest):
-        raise MultiposError(
-            f"{where}: {key} must be a number of at most {largest:g} in size, got {value!r}."
-        )
-
-
-def _check_quantity(quantity: StatedParameter, where: str) -> None:
-    start, sd, low, high = quantity.start, quantity.sd, quantity.low, quantity.high
-    if not low < high:
-        raise MultiposError(f"{where}: low {low:g} must be below high {high:g}.")
-    if start is not None and not low <= start <= high:
-        raise MultiposError(f"{where}: start {start:g} is not from {low:g} to {high:g}.")
-    if sd is not None and not sd >= SMALLEST:
-        raise MultiposError(f"{where}: sd must be at least {SMALLEST:g}, got {sd:g}.")
-    if sd is not None and start is None:
-        raise MultiposError(f"{where}: sd is that of a prior about start; give start as well.")
-
-
-def _checked(parsed: ParsedModel) -> ParsedModel:
-    """Return a parsed model whose lines can be read, and whose listed parameters are all used."""
-    names = [name for name, _ in parsed.lines]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise parsed.fault(f"{parsed.where}: '{twice[0]}' has two lines; give one.")
-    used = {name for formula in parsed.formulas.values() for name in formula.names}
-    for quantity in parsed.quantities:
-        if quantity.name not in used:
-            raise MultiposError(
-                f"{parsed.where}: [parameters] {quantity.name} stands in no formula"
-                f"{near(quantity.name, used)} Use it, or leave it out."
-            )
-    return parsed
-
-
-def parsed_dict(parsed: ParsedModel) -> dict[str, Any]:
-    """Return a parsed model as what JSON can carry."""
-    unsaid = (None, -math.inf, math.inf)
-    quantities = {
-        q.name: {key: getattr(q, key) for key in _SAID if getattr(q, key) not in unsaid}
-        for q in parsed.quantities
-    }
-    return {"parameters": quantities, "outputs": dict(parsed.lines)}
-
-
-def parsed_from_dict(content: Mapping[str, Any]) -> ParsedModel:
-    """Return the parsed model that `parsed_dict` described.
-
-    Raises
-    ------
-    MultiposError
-        It says what no model does.
-    """
-    return _checked(_from_tables(content, "its model"))

@@ -8,7 +8,7 @@ import pytest
 
 import multipos as mp
 from multipos.positions.scheme import read_scheme
-from multipos.sensor.formulas import read_model
+from multipos.sensor.model_text import read_model
 from multipos.sensor.own_models import build_parsed
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "howto" / "own-model.md"

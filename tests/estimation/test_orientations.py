@@ -1,5 +1,6 @@
 """One fit from a perfect table to a hand-held sensor: its limits, its figures and what it says."""
 
+import json
 import math
 import re
 import time
@@ -797,44 +798,35 @@ def test_robust_outputs_are_fitted_alone_unless_pooled_or_correlated():
     assert joint.correlation[at[0], at[1]] == pytest.approx(0.9, abs=1e-6)
 
 
-# --- expressions
+# --- user-defined models
 
-
-def as_linear(x, y, z, bias=0.0, cx=0.5, cy=0.5, cz=0.5):
-    return bias + cx * x + cy * y + cz * z
+AS_LINEAR = "each = bias + cx*x + cy*y + cz*z"
+SATURATING = "each = (bias + scale*own)/(1 + limit*(bias + scale*own)^2)"
+TWO_SLOPES = "each = bias + scale*own*(1 + asymmetry*sign(own))"
+DRIFTING = "each = bias + scale*own + drift*temperature"
 
 
 @pytest.mark.parametrize("how", [{}, {"orientation_sd": 0.02}, {"orientation_sd": "auto"}])
 def test_an_expression_is_the_polynomial_that_it_writes(how):
     readings = readings_of(SENSOR, UP, rng(), sd=1e-4, off_deg=0.02 * bool(how))
     known = mp.fit(readings, model="linear", **how)
-    found = mp.fit(readings, model=as_linear, **how)
+    found = mp.fit(readings, model=AS_LINEAR, **how)
     assert_allclose(found.parameters, known.parameters, rtol=0, atol=1e-9)
     assert_allclose(found.u, known.u, rtol=1e-5)
     assert found.names[:4] == ("bias_ax", "cx_ax", "cy_ax", "cz_ax")
 
 
-def saturating(own, x, y, z, bias, scale, limit=0.0):
+def saturating(own, bias, scale, limit):
     linear = bias + scale * own
     return linear / (1 + limit * linear**2)
-
-
-def two_slopes(own, bias, scale, asymmetry=0.0):
-    import casadi
-
-    return bias + casadi.if_else(own > 0, (1 + asymmetry) * scale, (1 - asymmetry) * scale) * own
-
-
-def drifting(own, temperature, bias, scale, drift=0.0):
-    return bias + scale * own + drift * temperature
 
 
 @pytest.mark.parametrize(
     ("model", "truth", "columns"),
     [
-        (saturating, (0.02, 1.01, 0.03), ()),
-        (two_slopes, (0.02, 1.01, 0.004), ()),
-        (drifting, (0.02, 1.01, 5e-4), ("temperature",)),
+        (SATURATING, (0.02, 1.01, 0.03), ()),
+        (TWO_SLOPES, (0.02, 1.01, 0.004), ()),
+        (DRIFTING, (0.02, 1.01, 5e-4), ("temperature",)),
     ],
 )
 @pytest.mark.parametrize("how", [{}, {"orientation_sd": 0.01, "reading_sd": 1e-5}])
@@ -844,12 +836,12 @@ def test_expressions_find_their_truth_and_survive_the_file(model, truth, columns
     t = generator.uniform(10.0, 40.0, 24)
 
     def output(own):
-        if model is two_slopes:
+        if model == TWO_SLOPES:
             slope = np.where(own > 0, 1 + truth[2], 1 - truth[2])
             return truth[0] + truth[1] * slope * own
-        if model is drifting:
-            return drifting(own, t, *truth)
-        return saturating(own, None, None, None, *truth)
+        if model == DRIFTING:
+            return truth[0] + truth[1] * own + truth[2] * t
+        return saturating(own, *truth)
 
     values = np.column_stack([output(force[:, i]) for i in range(3)])
     readings = mp.Readings(
@@ -872,10 +864,10 @@ def test_expressions_find_their_truth_and_survive_the_file(model, truth, columns
 
 
 def test_an_expression_survives_bad_readings():
-    values = saturating(UP, None, None, None, 0.02, 1.01, 0.03)
+    values = saturating(UP, 0.02, 1.01, 0.03)
     values = values + 1e-5 * rng().standard_normal(values.shape)
     values[5, 0] += 0.3
-    cal = mp.fit(mp.Readings(values, up=UP), model=saturating, robust="soft-l1")
+    cal = mp.fit(mp.Readings(values, up=UP), model=SATURATING, robust="soft-l1")
     assert close(cal, np.tile((0.02, 1.01, 0.03), 3))
 
 
@@ -883,38 +875,34 @@ def test_an_expression_with_a_few_unknown_positions():
     sd = np.full(24, np.radians(0.01))
     sd[4:7] = np.nan
     generator = rng()
-    values = saturating(scatter(UP, 0.01, generator), None, None, None, 0.02, 1.01, 0.03)
+    values = saturating(scatter(UP, 0.01, generator), 0.02, 1.01, 0.03)
     values = values + 1e-5 * generator.standard_normal(values.shape)
-    cal = mp.fit(mp.Readings(values, up=UP, orientation_sd=sd), model=saturating, reading_sd=1e-5)
+    cal = mp.fit(mp.Readings(values, up=UP, orientation_sd=sd), model=SATURATING, reading_sd=1e-5)
     assert close(cal, np.tile((0.02, 1.01, 0.03), 3))
 
 
-def test_a_file_with_another_instruction_is_refused(tmp_path):
-    readings = readings_of(SENSOR, UP, rng())
-    cal = mp.fit(readings, model=as_linear)
+def test_a_file_with_a_python_function_is_refused_in_one_line(tmp_path):
+    content = mp.fit(readings_of(SENSOR, UP, rng())).to_dict()
+    steps = [["input", 0, 2, 0], ["output", 0]]  # as version 0.2 wrote them
+    content["expression"] = {"functions": [steps] * 3, "columns": [], "parameters": ["bias"]}
     path = tmp_path / "cal.json"
-    cal.save(path)
-    path.write_text(path.read_text().replace('"mul"', '"call"', 1))
-    with pytest.raises(mp.MultiposError, match="unknown instruction 'call'"):
+    path.write_text(json.dumps(content))
+    with pytest.raises(mp.MultiposError) as caught:
         mp.load(path)
+    assert str(caught.value) == (
+        f"{path}: its model is a Python function, which is no longer read; fit again with the "
+        "model as a formula, such as --model 'each = b + s*own'."
+    )
 
 
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        (lambda own, *rest: own, "must name each of its arguments"),
-        (lambda own, x: own + x, "has no parameter to fit"),
-        (lambda own, bias: [own, bias], "must return one value"),
-    ],
-)
-def test_expressions_that_are_none(model, message):
-    with pytest.raises(mp.UsageError, match=message):
-        mp.fit(readings_of(SENSOR, UP, rng()), model=model)
+def test_a_python_function_is_no_model():
+    with pytest.raises(mp.UsageError, match="a formula or a TOML file, got function; write what"):
+        mp.fit(readings_of(SENSOR, UP, rng()), model=saturating)
 
 
 def test_an_expression_without_cross_terms_says_itself_where_its_axes_lie():
-    values = saturating(UP, None, None, None, 0.02, 1.01, 0.03)
-    cal = mp.fit(mp.Readings(values), model=saturating, unknown_orientation=True)
+    values = saturating(UP, 0.02, 1.01, 0.03)
+    cal = mp.fit(mp.Readings(values), model=SATURATING, unknown_orientation=True)
     assert_allclose(cal.parameters, np.tile((0.02, 1.01, 0.03), 3), rtol=0, atol=1e-7)
     assert any("no rotation of the case is free" in said for said in texts(cal))
 

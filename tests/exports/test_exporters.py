@@ -180,8 +180,12 @@ def test_compiled_c_agrees_with_python(case, single, compiler, tmp_path):
         assert off.max() < 1e-9
 
 
-def saturating(own, x, y, z, temperature, bias, scale, limit=0.01, slope=0.0):
-    linear = bias + scale * own + slope * (temperature - 20.0) + 0.01 * (x + y + z)
+LINEAR_PART = "(bias + scale*own + slope*(temperature - 20) + 0.01*(x + y + z))"
+SATURATING = f"each = {LINEAR_PART}/(1 + limit*{LINEAR_PART}^2)^0.5 + 1e-4*abs(own)"
+
+
+def saturating(own, force, temperature, bias, scale, limit, slope):
+    linear = bias + scale * own + slope * (temperature - 20.0) + 0.01 * force.sum(axis=1)
     return linear / (1.0 + limit * linear**2) ** 0.5 + 1e-4 * abs(own)
 
 
@@ -197,11 +201,11 @@ def test_a_model_written_as_an_expression(single, compiler, tmp_path):
     up = mp.read_scheme("fibonacci-80").up
     temperature = rng.uniform(10.0, 40.0, size=80)
     values = np.column_stack(
-        [saturating(up[:, i], *up.T, temperature, 0.05 * i, 1.0, 0.01, 1e-3) for i in range(3)]
+        [saturating(up[:, i], up, temperature, 0.05 * i, 1.0, 0.01, 1e-3) for i in range(3)]
     )
     values += 1e-6 * rng.normal(size=values.shape)
     readings = mp.Readings(values, up=up, environment={"temperature": temperature})
-    cal = mp.fit(readings, model=saturating)
+    cal = mp.fit(readings, model=SATURATING)
     rows = random_readings(cal).astype(np.float32 if single else np.float64)
     exported = export(cal, "c", name="imu", float=single)
     found = run_c(compiler, cal, exported, rows, tmp_path)

@@ -25,7 +25,6 @@ from multipos.files.records import (
     restore,
 )
 from multipos.files.spelling import visible
-from multipos.sensor.compiled import require_instructions
 
 
 @pytest.mark.parametrize(
@@ -100,39 +99,6 @@ def test_covariances_that_are():
     require_covariance(np.zeros((2, 2)), np.zeros(2))
     require_covariance(1e-200 * np.eye(2), np.array([1e-100, 1e-100]))
     require_covariance(np.zeros((0, 0)), np.zeros(0))
-
-
-GOOD = [["input", 0, 0, 2], ["const", 1, 2.0], ["mul", 2, 0, 1], ["output", 2]]
-
-
-@pytest.mark.parametrize(
-    ("line", "new", "message"),
-    [
-        (2, ["call", 2, 0, 1], "unknown instruction 'call'"),
-        (2, [7, 2, 0, 1], "unknown instruction 7"),
-        (2, ["mul", 2, 0, 3], "instruction 3 of the expression, 'mul', has operands amiss"),
-        (2, ["mul", 2, 0], "'mul', has operands amiss"),
-        (2, ["mul", 2, 0, 1.0], "'mul', has operands amiss"),
-        (2, ["mul", 10**6, 0, 1], "'mul', has operands amiss"),
-        (0, ["input", 0, 0, 3], "'input', has operands amiss"),
-        (0, ["input", 0, -1, 0], "'input', has operands amiss"),
-        (0, ["input", 0, 1, 0], "'input', has operands amiss"),
-        (0, ["input", 0, 2, 0], "'input', has operands amiss"),
-        (1, ["const", 1, "2"], "'const', has operands amiss"),
-        (1, ["const", 1, float("inf")], "'const', has operands amiss"),
-        (3, ["output", 5], "'output', has operands amiss"),
-        (3, ["neg", 3, 2], "the expression has no output"),
-    ],
-)
-def test_instructions_that_cannot_be_read(line, new, message):
-    require_instructions(GOOD, (3, 0))
-    with pytest.raises(ValueError, match=message):
-        require_instructions([*GOOD[:line], new, *GOOD[line + 1 :]], (3, 0))
-
-
-def test_a_program_without_end_is_refused():
-    with pytest.raises(ValueError, match="10001 instructions, 10000 are the most"):
-        require_instructions([GOOD[0]] * 10_001, (3, 0))
 
 
 def test_what_contradicts_itself_is_named_with_the_way_out():

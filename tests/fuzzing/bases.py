@@ -12,10 +12,8 @@ import math
 import os
 import random
 import shlex
-import warnings
 from pathlib import Path
 
-import multipos as mp
 from multipos import cli
 
 from .hostile import listed
@@ -167,7 +165,6 @@ check lin.json r26.csv --limit-g 0.01 -o force-check.json
 check lin.json r26.csv --tilt --limit-deg 0.5 --within-deg 80 -o tilt-check.json
 export lin.json --to c --name imu -o imu.c
 export warm.json --to c --float -o warm.c
-export expression.json --to c -o expression.c
 export lin.json --to px4 --allow-lossy -o lin.params
 export lin.json --to ardupilot --allow-lossy -o lin.parm
 export lin.json --to ros-imu-calib --allow-lossy -o lin.yaml
@@ -198,7 +195,7 @@ CALIBRATIONS = listed(
     """
     lin.json closed.json grav.json level.json ieee.json stepwise.json unknown.json uncertain.json
     auto.json robust.json budget.json one.json two.json averaged.json shared.json grouped.json
-    redundant.json warm.json expression.json own.json mag.json waved.json incl.json
+    redundant.json warm.json own.json mag.json waved.json incl.json
     """
 )
 REGRESSIONS = listed(
@@ -210,7 +207,7 @@ LABORATORIES = ("laboratory.toml",)
 SECTIONS = ("sections.csv", "sections.json")
 EXPORTS = listed(
     """
-    imu.c warm.c expression.c own.c causal.c incl.c lin.params lin.parm lin.yaml mag.params
+    imu.c warm.c own.c causal.c incl.c lin.params lin.parm lin.yaml mag.params
     mag.parm mag.yaml
     """
 )
@@ -237,8 +234,6 @@ def make(folder: Path) -> dict[str, bytes]:
         _run(FIRST)
         for name, text in _derived().items():
             Path(name).write_text(text, encoding="utf-8")
-        with warnings.catch_warnings(action="ignore"):
-            mp.fit("r26.csv", unit="g", model=_saturating).save("expression.json")
         _run(THEN)
         return {name: Path(name).read_bytes() for name in NAMES}
     finally:
@@ -262,12 +257,6 @@ def _set_moment(path: Path) -> None:
     if "created" in document:
         document["created"] = "2024-01-01T00:00:00+00:00"
         path.write_text(json.dumps(document, ensure_ascii=False, indent=1), encoding="utf-8")
-
-
-def _saturating(own, x, y, z, bias, scale, limit=0.0):
-    """A model given as a function: a sensor that saturates softly."""
-    signal = bias + scale * own
-    return signal / (1 + limit * signal**2)
 
 
 def _written() -> dict[str, str]:

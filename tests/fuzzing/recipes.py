@@ -51,7 +51,6 @@ TEXT = """
  5 apply redundant.json redundant.csv --uncertainty
  5 apply one.json r26.csv --tilt
  3 apply two.json r26.csv --tilt --json
- 3 apply expression.json r26.csv --uncertainty
  5 apply unknown.json r26.csv --outside refuse
  5 apply uncertain.json six.csv --uncertainty --json
  5 apply grav.json semicolon.csv -o o.csv
@@ -97,13 +96,11 @@ TEXT = """
  5 export ieee.json --to c --float --name imu -o o.c --json
  3 export warm.json --to c -o o.c
  3 export redundant.json --to c --float -o o.c
- 2 export expression.json --to c -o o.c
  4 export closed.json --to px4 --allow-lossy -o o.params
  4 export lin.json --to ardupilot --allow-lossy -o o.parm
  4 export averaged.json --to ros-imu-calib --allow-lossy -o o.yaml
  1 verify-export imu.c lin.json
 .5 verify-export warm.c warm.json
-.5 verify-export expression.c expression.json
  5 verify-export lin.params lin.json
  5 verify-export lin.parm lin.json --json
  5 verify-export lin.yaml lin.json -o o.txt

@@ -32,16 +32,13 @@ def test_without_temperature_terms_there_is_no_section(warmed):
     assert "Over temperature" not in titles
 
 
-def test_a_model_that_is_an_expression_has_no_section(warmed):
-    def drifting(own, temperature, bias, scale, change=0.0):
-        return bias + scale * own + change * temperature
-
+def test_a_user_defined_model_has_no_section(warmed):
     readings = mp.Readings(
         np.column_stack([warmed["ax"]]),
         up=np.tile(mp.read_scheme("faces-6").up, (3, 1)),
         unit="g",
         environment={"temperature": warmed["temperature"]},
     )
-    c = mp.fit(readings, model=drifting, axes="x")
+    c = mp.fit(readings, model="each = bias + scale*own + change*temperature", axes="x")
     assert c.model.environment == ("temperature",)
     assert temperature_sections(c) == ()

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.sensor.compiled import write_instructions
-from multipos.sensor.formulas import ParsedModel, parsed_dict, parsed_from_dict, read_model
+from multipos.sensor.formulas import parse_formula
+from multipos.sensor.model_text import ParsedModel, parsed_dict, parsed_from_dict, read_model
 from multipos.sensor.own_models import build_parsed
 
 
@@ -200,28 +200,23 @@ def test_a_file_that_is_no_model_says_where(tmp_path, text, said):
     assert said in str(caught.value)
 
 
-def test_instructions_compute_what_the_formula_says():
-    """An interpreter of a dozen lines, by `math`."""
-    # eq. (2) of sensor.compiled
-    cs = pytest.importorskip("casadi")
-    x, p = cs.SX.sym("x", 3), cs.SX.sym("p", 2)
-    y = p[0] * cs.sin(x[1]) / (1 + x[2] ** 2) - p[1] * cs.exp(-x[0])
-    program = write_instructions(cs.Function("f", [x, p], [y]))
-    given = [[0.3, -0.7, 1.1], [1.5, 0.25]]
-    two = {"add": float.__add__, "sub": float.__sub__, "mul": float.__mul__}
-    two["div"] = float.__truediv__
-    one = {"sin": math.sin, "exp": math.exp, "neg": float.__neg__, "sq": lambda v: v * v}
-    places, result = {}, None
-    for name, place, *rest in program:
-        if name == "input":
-            places[place] = float(given[rest[0]][rest[1]])
-        elif name == "const":
-            places[place] = float(rest[0])
-        elif name == "output":
-            result = places[place]
-        else:
-            how = two.get(name) or one[name]
-            places[place] = how(*(places[each] for each in rest))
-    expected = 1.5 * math.sin(-0.7) / (1 + 1.1**2) - 0.25 * math.exp(-0.3)
-    assert result == pytest.approx(expected, rel=1e-14)
-    assert set(places) <= set(range(len(program)))
+def test_steps_stand_after_their_operands():
+    # by hand: b s own * + -k 2 ^ /
+    found = parse_formula("(b + s*own)/-k^2 - min(1, |k|, 3)", "model")
+    assert found.steps == (
+        *("b", "s", "own", ("mul", 2), ("add", 2), "k", 2.0, ("pow", 2), ("neg", 1), ("div", 2)),
+        *(1.0, "k", ("fabs", 1), ("fmin", 2), 3.0, ("fmin", 2), ("sub", 2)),
+    )
+    assert found.names == {"b": 2, "s": 6, "own": 8, "k": 14}
+
+
+def test_a_sum_of_any_length_is_computed():
+    """A line of 4000 characters is the limit, not the depth of its tree."""
+    terms = [f"a{i}*own" for i in range(330)]
+    model = build("each = " + " + ".join(terms))
+    theta = np.arange(330.0)
+    outputs, blocks = model.respond(theta, np.array([[0.5, 0.0, 0.0]]), {})
+    assert_allclose(outputs, [[0.5 * theta.sum()]], rtol=1e-14)
+    assert_allclose(blocks[0][1], np.full((1, 330), 0.5), rtol=1e-15)
+    many = build("each = b" + "+own" * 998)
+    assert_allclose(many.predict(np.array([2.0]), np.array([[0.5, 0.0, 0.0]]), {}), [[501.0]])

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from multipos.errors import UsageError
 from multipos.numerics.terms import NAMED, formula_columns
-from multipos.sensor.expressions import load_casadi
 from multipos.sensor.model import build_model, paper_symbol, parameter_label
 
 OUTPUTS, AXES = ("ax", "ay", "az"), ("x", "y", "z")
@@ -227,18 +226,6 @@ def test_terms_against_their_arithmetic_and_finite_differences(force, temperatur
         step[i] = 1e-5  # keeps every sign
         rise = model.predict(parameters, f + step, t) - model.predict(parameters, f - step, t)
         assert_allclose(gradient[i], rise[0, 0] / 2e-5, atol=1e-7)
-
-
-def test_terms_take_casadi_symbols():
-    casadi = load_casadi()
-    model = build("ieee-odd", ("a",), ("x",))
-    symbols = dict(zip("xyz", casadi.vertsplit(casadi.SX.sym("f", 3)), strict=True))
-    row = casadi.vertcat(*[term.evaluate(symbols) for term in model.basis_terms])
-    function = casadi.Function("phi", list(symbols.values()), [row])
-    force = (-0.3, 0.8, 0.5)
-    assert_allclose(
-        function(*force).full().ravel(), model.basis(np.array([force]), {})[0], rtol=1e-15
-    )
 
 
 def test_coefficients_put_parameters_in_their_place():

@@ -537,16 +537,11 @@ def test_gravity_of_the_budget_is_used(tmp_path, capsys):
 
 
 def test_a_file_whose_parameters_nothing_determines_is_refused(tmp_path):
-    def saturating(own, bias, scale, limit=0.0):
-        return bias + scale * own / (1.0 + limit * own**2)
-
     up = read_scheme("all-26").up
     noise = 1e-4 * np.random.default_rng(2).standard_normal(up.shape)
-    found = mp.fit(mp.Readings(up + noise, up=up), model=saturating)
+    found = mp.fit(mp.Readings(up + noise, up=up), model="each = b + s*own/(1 + k*own^2)")
     content = found.to_dict()
-    steps = content["expression"]["functions"][0]
-    assert steps[0][0] == "input"
-    steps[0] = ["const", steps[0][1], 0.0]  # the bias of ax is in no reading
+    content["own_model"]["outputs"]["each"] = "0*b + s*own/(1 + k*own^2)"  # b is in no reading
     path = tmp_path / "cal.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(mp.MultiposError, match="do not determine its parameters"):
