@@ -1,4 +1,6 @@
-"""The inverse of a model written as an expression, as lines of C.
+"""The inverse of a user-defined model, as lines of C.
+
+`expression_body` writes it, `unseen_part` what the component that no output senses adds to it.
 
 CasADi takes the expressions of all outputs apart into elementary operations. They are written out
 one by one inside the same fixed number of steps as for every other model,
@@ -33,9 +35,10 @@ from multipos.sensor.expressions import ExpressionModel
 _BEYOND = 4.0 / 3.0  # times the largest calibrated force, up to which Newton's steps settle
 _SETTLED = {False: 1e-10, True: 1e-5}  # [g], the last step, by single precision
 _MOST = 30
-# CasADi's operations as C, and those that are functions of the library.
+# CasADi's operations as C: those of formulas, and those that slopes and Newton's steps are made of,
+# with those that CasADi 3.6 takes for them (lt, not, if_else_zero, constpow). The suffix f of the
+# functions of the C library is that of single precision.
 _OPERATIONS = {
-    "assign": "{0}",
     "neg": "-{0}",
     "sq": "{0} * {0}",
     "twice": "{0} + {0}",
@@ -54,27 +57,18 @@ _OPERATIONS = {
     "pow": "pow{f}({0}, {1})",
     "constpow": "pow{f}({0}, {1})",
     "atan2": "atan2{f}({0}, {1})",
+    "exp": "exp{f}({0})",
+    "log": "log{f}({0})",
+    "sqrt": "sqrt{f}({0})",
+    "sin": "sin{f}({0})",
+    "cos": "cos{f}({0})",
+    "tan": "tan{f}({0})",
+    "asin": "asin{f}({0})",
+    "acos": "acos{f}({0})",
+    "atan": "atan{f}({0})",
+    "tanh": "tanh{f}({0})",
+    "fabs": "fabs{f}({0})",
 }
-_FUNCTIONS = (
-    "exp",
-    "log",
-    "sqrt",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "sinh",
-    "cosh",
-    "tanh",
-    "asinh",
-    "acosh",
-    "atanh",
-    "fabs",
-    "floor",
-    "ceil",
-)
 
 
 def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str, bool]:
@@ -83,7 +77,7 @@ def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str
     Raises
     ------
     MultiposError
-        The steps would not converge, or an operation has no counterpart in C.
+        The steps would not converge.
     """
     model = calibration.model
     sensed = list(model.sensed_axes)
@@ -124,11 +118,6 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
     (lines, parts)
         Lines of C from the components and `env`, and for each output what they add to it, '' for
         nothing.
-
-    Raises
-    ------
-    MultiposError
-        An operation has no counterpart in C.
     """
     import casadi
 
@@ -253,7 +242,7 @@ def _write(
         if code == "output":
             results.append((ends[into[1]], held[operands[0]]))
             continue
-        template = _template(code)
+        template = _OPERATIONS[code]
         library |= "{f}" in template
         text = template.format(*(held[i] for i in operands), **words)
         lines.append(f"const {kind} v{k} = {text};")
@@ -268,21 +257,3 @@ def _codes() -> dict[int, str]:
     import casadi
 
     return {getattr(casadi, name): name[3:].lower() for name in dir(casadi) if name[:3] == "OP_"}
-
-
-def _template(code: str) -> str:
-    """Return an operation in C; {f} stands behind the name of a function of the C library.
-
-    Raises
-    ------
-    MultiposError
-        It has no counterpart in C.
-    """
-    if code in _FUNCTIONS:
-        return f"{code}{{f}}({{0}})"
-    if code in _OPERATIONS:
-        return _OPERATIONS[code]
-    raise MultiposError(
-        f"the expression uses CasADi's {code}, which has no counterpart in "
-        "the C file; write it with other operations."
-    )

@@ -1,5 +1,6 @@
 """Models of one's own in C: compiled, and held to what Python finds."""
 
+import casadi
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,6 +9,9 @@ import multipos as mp
 from multipos.exports import c_expression
 from multipos.exports.target_c import c_source
 from multipos.positions.scheme import read_scheme
+from multipos.sensor.formulas import UNARY
+from multipos.sensor.model_text import read_model
+from multipos.sensor.own_models import build_parsed
 
 UP = read_scheme("all-26").up
 
@@ -92,3 +96,20 @@ def test_newtons_steps_are_counted_from_no_force(single, settled):
     bent = mp.fit(mp.Readings(0.01 + up + 0.4 * up**2, up=up), model="each = b + s*own + k*own^2")
     with pytest.raises(mp.MultiposError, match=r"up to 1\.33 g"):
         c_expression._newton_steps(bent, single)
+
+
+FORMS = [*(f"{name}(x + y)" for name in UNARY), "atan2(x, y)", "min(x, y)", "max(x, y)"]
+
+
+@pytest.mark.parametrize("formula", [*FORMS, "(x + y)^y", "(x + y)^3", "x/y"])
+def test_every_operation_of_a_formula_and_its_newton_step_has_c(formula):
+    model = build_parsed(
+        read_model(f"u = p + {formula}; v = p + own"), ("u", "v"), ("x", "y"), tuple("xyz"), "V", ()
+    )
+    y, (f, e, p) = casadi.vertcat(*model.compiled.outputs), model.compiled.symbols
+    slope = casadi.jacobian(y, f[:2])
+    step = casadi.vertcat(y, casadi.inv_minor(slope) @ y)
+    function = casadi.Function("step", [f, e, p], [casadi.densify(step)], {"cse": True})
+    codes = c_expression._codes()
+    used = {codes[function.instruction_id(k)] for k in range(function.n_instructions())}
+    assert used <= {"input", "const", "output", *c_expression._OPERATIONS}
