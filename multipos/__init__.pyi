@@ -50,9 +50,9 @@ if TYPE_CHECKING:  # mypy takes these last, as every module imports the version
     from multipos.uncertainty.monte_carlo import simulate_budget as simulate_budget
     from multipos.uncertainty.propagation import evaluate_budget as evaluate_budget
     from multipos.uncertainty.propagation import state_budget as state_budget
+    from multipos.uncertainty.sphere import evaluate_sphere as evaluate_sphere
     from multipos.uncertainty.turntable import state_bench as state_bench
     from multipos.uncertainty.turntable import table_errors as table_errors
-    from multipos.uncertainty.validity import evaluate_sphere as evaluate_sphere
     from multipos.units import normal_gravity as normal_gravity
     from multipos.verification.checks import check as check
     from multipos.verification.comparison import compare as compare

@@ -67,7 +67,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import has_other_solutions, require_response, sensitivities
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt, zeros_of_force
-from multipos.uncertainty.validity import applied, unseen_covariance
+from multipos.uncertainty.unseen_terms import unseen_covariance
+from multipos.uncertainty.validity import applied
 
 _TOGETHER = 1 << 12  # rows, whose arrays stay in the processor's cache
 _PLAIN = 8 * _TOGETHER  # without uncertainties, whose arrays are the larger ones

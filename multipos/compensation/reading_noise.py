@@ -1,6 +1,6 @@
 """Uncertainty of the force of one reading: parameters, budget and the reading's own noise together.
 
-With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.validity`)
+With the covariance C of the parameters, what unseen terms add (`multipos.uncertainty.unseen_terms`)
 and the noise s of one reading, at the force f,
 
     cov f = (df/dp) C (df/dp)' + cov unseen + J⁺ diag(s²) J⁺'.                              (1)
@@ -45,7 +45,7 @@ from multipos.uncertainty.propagation import (
     row_dof,
     welch_satterthwaite,
 )
-from multipos.uncertainty.validity import unseen_covariance
+from multipos.uncertainty.unseen_terms import unseen_covariance
 
 _ENOUGH = 20  # rows that tell samples from positions
 _NEIGHBOURS = 0.05  # [g], by which samples that follow each other differ at most, mostly

@@ -44,7 +44,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
-from multipos.uncertainty.validity import unseen_sizes
+from multipos.uncertainty.unseen_terms import unseen_sizes
 
 _LEVEL = 0.01
 _CURVED = 4  # soaks, from which on a curve and zeros of their own are separate

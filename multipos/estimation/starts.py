@@ -28,7 +28,6 @@ import numpy as np
 
 from multipos.errors import ConvergenceError, MultiposError, RankError
 from multipos.estimation import descent, uncertain_orientations, unknown_orientations
-from multipos.estimation.gains import FisherInformation, information_at
 from multipos.estimation.identifiability import (
     CANDIDATES,
     UNSEEN,
@@ -39,6 +38,7 @@ from multipos.estimation.identifiability import (
     position_words,
     require_separable,
 )
+from multipos.estimation.information import FisherInformation, information_at
 from multipos.estimation.known import ZERO_NORM
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import (

@@ -26,8 +26,8 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.estimation.gains import FisherInformation
 from multipos.estimation.identifiability import condition, formal_only
+from multipos.estimation.information import FisherInformation
 from multipos.estimation.noise import (
     NoiseEstimate,
     estimate_noise,

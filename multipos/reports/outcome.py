@@ -37,7 +37,9 @@ from multipos.reports.sections import LONG_TABLE, Figure, PageTable, Section
 from multipos.sensor.calibration import Calibration, has_nominal
 from multipos.uncertainty.budgets import KINDS
 from multipos.uncertainty.propagation import Evaluation
-from multipos.uncertainty.validity import applied, evaluate_sphere, unseen_sizes
+from multipos.uncertainty.sphere import evaluate_sphere
+from multipos.uncertainty.unseen_terms import unseen_sizes
+from multipos.uncertainty.validity import applied
 
 
 def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Section:

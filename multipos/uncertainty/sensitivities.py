@@ -80,7 +80,7 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, zero_moves
-from multipos.uncertainty.validity import term_moves
+from multipos.uncertainty.unseen_terms import term_moves
 
 _DEGREE = 1e-2  # [degC] of central differences: exact for terms up to the second degree
 

@@ -68,7 +68,7 @@ from multipos.results import Keyed, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.temperature import zeros_of_soaks
-from multipos.uncertainty.validity import unseen_moves
+from multipos.uncertainty.unseen_terms import unseen_moves
 from multipos.verification.consistency import Words, is_apart, judge_together
 
 RATE = 0.01  # of runs that agree, the share that is said to disagree: half by each test

@@ -67,7 +67,7 @@ from multipos.sensor.tilt import (
     true_tilt,
     zeros_of_force,
 )
-from multipos.uncertainty.validity import unseen_covariance
+from multipos.uncertainty.unseen_terms import unseen_covariance
 from multipos.verification.agreement import judge_run, stated_orientation_sd
 from multipos.verification.regressions import check_regression, check_regressions
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit

@@ -31,8 +31,8 @@ from multipos.estimation import (
     user_models,
 )
 from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
-from multipos.estimation.gains import information_at
 from multipos.estimation.identifiability import CANDIDATES, least_determined
+from multipos.estimation.information import information_at
 from multipos.estimation.known import REJECTED, fit_output
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of

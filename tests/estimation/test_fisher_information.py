@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from multipos.estimation.descent import maximise
-from multipos.estimation.gains import information_at
+from multipos.estimation.information import information_at
 from multipos.estimation.likelihood import evaluate, linearise
 from multipos.estimation.problem import Problem, start_state
 from multipos.estimation.unknown_orientations import UnknownSearch
@@ -69,7 +69,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_told_is_what_dense_matrices_tell(case):
-    # eq. (4) of estimation.gains
+    # eq. (1) of estimation.information
     problem, found = a_solution(**CASES[case])
     assert UnknownSearch.fits(problem) == (case in ("unknown", "symmetric", "robust"))
     told = information_at(problem, found.state, found.point)

@@ -25,7 +25,7 @@ from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
 from multipos.uncertainty.monte_carlo import Draws, numerical_tolerance, simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
-from multipos.uncertainty.validity import evaluate_sphere
+from multipos.uncertainty.sphere import evaluate_sphere
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])

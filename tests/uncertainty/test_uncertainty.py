@@ -17,12 +17,13 @@ from multipos.estimation.gains import estimator_gain, gravity_effect
 from multipos.files.trees import read_json
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.simulation import turned
-from multipos.uncertainty import validity
+from multipos.uncertainty import sphere
 from multipos.uncertainty.budgets import read_budget
 from multipos.uncertainty.monte_carlo import _BLOCK, _until_stable
 from multipos.uncertainty.propagation import evaluate_budget, state_budget, welch_satterthwaite
 from multipos.uncertainty.sensitivities import parameter_effects, reading_moves
-from multipos.uncertainty.validity import evaluate_sphere, unseen_covariance
+from multipos.uncertainty.sphere import evaluate_sphere
+from multipos.uncertainty.unseen_terms import unseen_covariance
 
 M = np.array([[1.02, 0.03, -0.02], [0.01, 0.97, 0.04], [-0.03, 0.02, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.015])
@@ -379,7 +380,7 @@ def test_an_unseen_third_order_term_grows_beyond_what_was_applied():
 
 def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
     """At 2 g 6 κ is added to u, known for certain: ν = 2 ((u² + 36 κ²)/u²)²."""
-    # eq. (2) of uncertainty.validity
+    # eq. (1) of uncertainty.unseen_terms
     up = read_scheme("faces-6").up
     values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
     how = {"scheme": "faces-6", "model": "linear"}
@@ -566,9 +567,9 @@ def test_a_stated_resolution_is_the_least_noise_of_readings():
 
 
 def test_tilt_follows_force_as_differences_say():
-    # eq. (1) of uncertainty.validity
+    # eq. (1) of uncertainty.sphere
     force = np.random.default_rng(7).standard_normal((6, 3))
-    found = validity._tilt_gradient(force)
+    found = sphere._tilt_gradient(force)
     for i in range(3):
         others = [k for k in range(3) if k != i]
 

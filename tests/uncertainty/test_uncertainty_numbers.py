@@ -12,7 +12,14 @@ from scipy.stats import t
 import multipos as mp
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
-from multipos.uncertainty import monte_carlo, propagation, sensitivities, turntable, validity
+from multipos.uncertainty import (
+    monte_carlo,
+    propagation,
+    sensitivities,
+    sphere,
+    turntable,
+    validity,
+)
 from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
 from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
@@ -293,7 +300,7 @@ def test_forces_that_were_seen_are_in_the_unit_of_the_field(unit, said):
         readings=SimpleNamespace(forced=np.array([False, False, True])),
         reference=np.array([[0.0, 0.6, 0.8], [-1.0, 0.0, 0.0], [0.0, 3.0, -4.0]]),
         rms=0.0,
-        field=SimpleNamespace(magnetic=False, unit=unit),
+        field=SimpleNamespace(same_everywhere=True, unit=unit),
     )
     seen = validity.applied(c)
     assert (seen.sphere, seen.largest, seen.unit) == (1.0, 5.0, said)
@@ -391,8 +398,8 @@ def test_how_force_follows_parameters_at_the_mean_temperature():
     )  # fmt: skip
     asked = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(validity, "unseen_covariance", lambda *given: asked.append(given) or "unseen")
-        slopes, unseen = validity._sensitivity(c, np.array([[0.6, -0.8], [0.1, 0.2]]))
+        patch.setattr(sphere, "unseen_covariance", lambda *given: asked.append(given) or "unseen")
+        slopes, unseen = sphere._sensitivity(c, np.array([[0.6, -0.8], [0.1, 0.2]]))
     assert unseen == "unseen"
     assert asked[0][2]["temperature"].tolist() == [20.0, 20.0]
     K = theta.reshape(2, 4)[:, 1:3]
