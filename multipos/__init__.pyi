@@ -12,7 +12,6 @@ if TYPE_CHECKING:  # mypy takes these last, as every module imports the version
     from multipos.compensation.correction import correct as correct
     from multipos.designs.assessment import schemes as schemes
     from multipos.designs.designing import design as design
-    from multipos.designs.prospects import worth as worth
     from multipos.errors import CalibrationWarning as CalibrationWarning
     from multipos.errors import ConvergenceError as ConvergenceError
     from multipos.errors import MultiposError as MultiposError

@@ -328,8 +328,8 @@ PLAIN_WORDS = {
     "absurdities": "gross errors",
     "absurdity": "gross error",
 }
-# What users have these names of: `mp.capture(told=)`, `Worth.floor`, and a third party's functions.
-PUBLIC = {"capturing/running.py": {"told"}, "designs/prospects.py": {"floor"}}
+# What users have these names of: `mp.capture(told=)`, and a third party's functions.
+PUBLIC = {"capturing/running.py": {"told"}}
 THIRD_PARTY = {"plots/svg.py": {"floor"}, "plots/style.py": {"floor"}}
 
 

@@ -22,6 +22,8 @@ import pytest
 from amounts import slow_where
 
 import multipos as mp
+from multipos.designs.prospects import begin, information_of
+from multipos.positions.scheme import read_bench
 
 GOLDEN = Path(__file__).with_name("golden.json")
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
@@ -621,9 +623,17 @@ def used_searched():
     yield "check", checked(turned_, data, limit_g=1e-3)
     yield "check tilt", checked(turned_, data, tilt=True, limit_deg=0.1)
     for name, cal in (("stated", turned_), ("free", many[0])):
-        found = mp.worth(cal, parameter="ax:1", target=2e-5)
-        yield f"worth {name}", {"u": found.u}
-        yield f"worth {name} best", {"fall": found.candidates[0].fall, "u": found.candidates[0].u}
+        begun = begin(cal)
+        keys = [f"{output}:{term}" for output, term in cal.model.keys]
+        now = begun.u(np.zeros_like(begun.present))
+        then = begun.u(information_of(begun.setting, read_bench("all-26")))
+        best = then[np.argmin(then[:, 0])]
+        yield f"prospects {name}", {"u": dict(zip(keys, now, strict=True))}
+        fall = 1.0 - best[0] / now[0]
+        yield (
+            f"prospects {name} best",
+            {"fall": fall, "u": dict(zip(keys, best, strict=True))},
+        )
 
 
 @case()

@@ -198,7 +198,6 @@ RESULTS = {
     "simulate": lambda: mp.simulate(sensor(), "faces-6", seed=1),
     "simulate_log": lambda: mp.simulate_log(sensor(), "faces-6", rate=10.0, rest=1.0, seed=1),
     "table_errors": lambda: tumbled().table_errors,
-    "worth": lambda: mp.worth(calibrated(), parameter="ax:x", target=1e-4),
 }
 # Of what public functions return, who has a table, a figure, and correlated numbers. What has none
 # is no table, or needs the rows that a regression does not hold.
@@ -233,7 +232,6 @@ METHODS = {
     "Tumble": {"plot", "to_pandas"},
     "Tumbles": {"plot", "to_pandas"},
     "Verification": set(),
-    "Worth": {"to_pandas"},
 }
 every_result = pytest.mark.parametrize("name", RESULTS)
 
@@ -404,7 +402,7 @@ def test_nan_equals_nan_and_shapes_count():
     assert Frozen({"a": np.array([1.0])}) != np.array([1.0]).tolist()
 
 
-keyed = pytest.mark.parametrize("name", ["schemes", "design", "worth"])
+keyed = pytest.mark.parametrize("name", ["schemes", "design"])
 tables = pytest.mark.parametrize("name", ["apply", "correct", "simulate", "simulate_log"])
 
 
@@ -466,16 +464,11 @@ def test_what_is_a_table_in_a_result_becomes_a_frame():
     frame = best.to_pandas()
     assert list(frame) == ["position", "up_x", "up_y", "up_z"]
     np.testing.assert_array_equal(frame[["up_x", "up_y", "up_z"]], best.positions)
-    next_ = result_of("worth")
-    frame = next_.to_pandas()
-    assert frame["up_z"].tolist() == [candidate.up[2] for candidate in next_.candidates]
-    assert frame["fall"].is_monotonic_decreasing
-    assert frame["u ax:x"][3] == next_.candidates[3].u["ax:x"]
 
 
 def test_without_pandas_a_frame_is_refused_in_words(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    for name in ("schemes", "design", "worth", "simulate"):
+    for name in ("schemes", "design", "simulate"):
         with pytest.raises(mp.MultiposError, match="needs pandas, which is not installed"):
             result_of(name).to_pandas()
 
@@ -548,7 +541,6 @@ def test_an_error_comes_back_from_a_pool_of_processes_with_all_that_it_says():
         lambda path: mp.state_bench(path, reading_sd=1e-4),
         lambda path: mp.state_budget(path, {}),
         mp.table_errors,
-        mp.worth,
     ],
 )
 def test_the_path_of_a_result_is_refused_with_the_way_to_read_it(call):

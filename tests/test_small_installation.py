@@ -46,7 +46,7 @@ WORKING = [
     "export cal.json --to c --fixed -o imu.c",
     "schemes --model own-quadratic",
     "design --model own-quadratic --positions 14",
-    "worth cal.json",
+    "design --include cal.json --positions 30",
     "simulate cal.json --scheme all-26 --seed 1 -o simulated.csv",
     "tumble run.csv --json",
     "compare cal.json again.json",

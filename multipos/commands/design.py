@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from multipos.commands.answers import Answer, Output, answer_of
-from multipos.commands.options import options_of, progress_bar, setting_of
+from multipos.commands.options import declare, options_of, progress_bar, setting_of
 from multipos.designs import designing
 from multipos.errors import UsageError
 
@@ -13,6 +13,12 @@ INPUTS = ("candidates", "include", "region")
 OUTPUT = Output(
     "SCHEME.csv", "write the positions to SCHEME.csv", "table", ("json", "figure", "text")
 )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    declare(parser, "design")
+    parser.set_defaults(model=None, inputs=None, reading_sd=None)  # an included calibration has its
 
 
 def run(arguments: argparse.Namespace) -> Answer:
@@ -23,8 +29,6 @@ def run(arguments: argparse.Namespace) -> Answer:
     if arguments.seed < 0:
         raise UsageError(f"--seed must be 0 or more, got {arguments.seed}.")
     options = options_of(arguments, "design")
-    axes = options["axes"] = options["axes"] or ("x", "y", "z")
-    setting = setting_of(arguments)
 
     def make(positions: int) -> designing.Design:
         return designing.design(**options | {"positions": positions})
@@ -33,13 +37,14 @@ def run(arguments: argparse.Namespace) -> Answer:
         found = make(arguments.positions)
     forms = {
         "table": lambda: designing.design_csv(found),
-        "figure": lambda: _figure(designing.smaller_designs(make, found), sensed=axes, **setting),
+        "figure": lambda: _figure(designing.smaller_designs(make, found), arguments),
     }
     return answer_of(found, designing.design_sentence, designing.design_text, forms=forms)
 
 
-def _figure(designs: Sequence[designing.Design], **setting: Any) -> Any:
+def _figure(designs: Sequence[designing.Design], arguments: argparse.Namespace) -> Any:
     # Imported here, for who asks for no figure shall not wait for all of them to be imported.
     from multipos.plots.schemes import design_figure
 
-    return design_figure(designs, **setting)
+    stated = {"include": arguments.include, "sensed": arguments.axes}
+    return design_figure(designs, **stated, **setting_of(arguments))

@@ -34,7 +34,6 @@ COMMANDS = {
     "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
     "schemes": "list schemes and which parameters of a model they determine",
     "design": "find the best positions for a model, with proof",
-    "worth": "expected gain of one more position of a calibration",
     "page": "write or serve a page that calibrates in the browser, with nothing to install",
 }
 

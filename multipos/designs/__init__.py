@@ -1,4 +1,4 @@
-"""Which positions to take: their information, the best schemes with proof, the next position.
+"""Which positions to take: their information, the best schemes with proof, what more bring.
 
 Open `information` first.
 """

@@ -72,7 +72,8 @@ def _column_of(setting: Setting, up: Array, output: int, term: Term) -> Array:
     variables = {axis: setting.size * up[:, i] for i, axis in enumerate(COMPONENTS)}
     X = np.zeros((len(up), len(setting.model.outputs), 1))
     X[:, output, 0] = term.evaluate(variables)
-    return X[:, output] if len(setting.blocks) > 1 else setting.whiten(up, X).reshape(-1, 1)
+    whitened = setting.whiten(up, X)
+    return whitened[:, output] if len(setting.blocks) > 1 else whitened.reshape(-1, 1)
 
 
 def _share_left(column: Array, explained: Array) -> float:

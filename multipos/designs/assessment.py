@@ -227,8 +227,13 @@ def read_setting(
     unknown_orientation: bool,
     orientation_sd: float | None,
     reading_sd: float,
+    outputs: tuple[str, ...] = (),
+    unit: str = "reading",
 ) -> Setting:
-    """Return the setting of options as `schemes` takes them; a calibration's model has its own."""
+    """Return the setting of options as `schemes` takes them; a calibration's model has its own.
+
+    Outputs are named after their axes where they are not given.
+    """
     text: StrPath
     if isinstance(model, Model):
         text, axes, inputs = model.text, model.axes, model.inputs
@@ -238,16 +243,16 @@ def read_setting(
     seen = split_names(inputs, "--inputs")
     written = read_model(text)
     # a second output on an axis is ax2
-    outputs = tuple(
+    outputs = outputs or tuple(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
         for i, axis in enumerate(names)
     )
     if isinstance(written, ParsedModel):
         used = written.columns_among(())
         written.require_no_near_miss(used, ())
-        built: Model = build_parsed(written, outputs, names, seen, "reading", used)
+        built: Model = build_parsed(written, outputs, names, seen, unit, used)
     else:
-        built = build_model(written, outputs, names, seen, known=())
+        built = build_model(written, outputs, names, seen, unit, known=())
     return make_setting(
         built,
         unknown_orientation=unknown_orientation,
@@ -356,7 +361,9 @@ _COLUMN = 24  # positions that stand below each other; of more, several columns
 
 
 def positions_table(
-    positions: Iterable[tuple[str, Sequence[float]]], remarks: Sequence[str] = ()
+    positions: Iterable[tuple[str, Sequence[float]]],
+    remarks: Sequence[str] = (),
+    towards: str = "up",
 ) -> str:
     """Return positions by label with what points up, many in three columns and several tables."""
     given = list(positions)
@@ -365,7 +372,7 @@ def positions_table(
         [label, *(f"{value + 0.0:.{digits}f}" for value in up), *remarks[i : i + 1]]
         for i, (label, up) in enumerate(given)
     ]
-    header = ["position", "up x", "up y", "up z", ""][: len(rows[0])]
+    header = ["position", *(f"{towards} {axis}" for axis in COMPONENTS), ""][: len(rows[0])]
     most = 3 * _COLUMN
     pages = (rows[first : first + most] for first in range(0, len(rows), most))
     return "\n\n".join(_in_columns(header, page) for page in pages)

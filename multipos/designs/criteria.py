@@ -104,7 +104,7 @@ def _mean_prediction(setting: Setting, *, region: Array | None) -> Array:
     """Return the mean of X'X over a region, or over the sphere."""
     if region is not None:
         return _average(setting, region)
-    if isinstance(setting.model, ExpressionModel):
+    if isinstance(setting.model, ExpressionModel) or abs(setting.size) != 1.0:
         return _average(setting, read_scheme("fibonacci-1000").up)
     return _moments(setting.model)
 
@@ -173,7 +173,7 @@ def sensitivity(rows: Blocks, kernel: Blocks) -> Array:
 
 
 def _average(setting: Setting, region: Array) -> Array:
-    X = setting.design(region)
+    X = setting.design(setting.size * region)
     return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(region))
 
 

@@ -2,6 +2,8 @@
 
 `design` makes a `Design`, and `smaller_designs` those of fewer positions beside one. `design_text`
 prints it, `design_csv` writes it as a scheme file, and `design_sentence` says how good it is.
+`begin_design` returns the setting of its options: where a calibration is included, that has u of
+its parameters before and after (`multipos.designs.prospects`).
 
 The continuous optimum (`multipos.designs.optimum`) says what N positions could tell at most, its
 certificate how sure that is; exchange and polish (`multipos.designs.exchange`) find N positions
@@ -10,7 +12,9 @@ on a bench with few positions it also says what the bench costs.
 """
 
 import math
+import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,10 +30,12 @@ from multipos.designs.optimum import (
     optimise_candidates,
     optimise_sphere,
 )
+from multipos.designs.prospects import Begun, begin_otherwise, information_of
 from multipos.errors import MultiposError, RankError, UsageError
-from multipos.files.numbers import table
+from multipos.files.numbers import number, table
 from multipos.files.spelling import Names
 from multipos.files.tables import Source, format_csv
+from multipos.files.trees import read_schema
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.separability import join_combinations
@@ -37,6 +43,8 @@ from multipos.numerics.terms import ModelText
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
 from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme
 from multipos.results import Drawn, Keyed, Tabular, frozen
+from multipos.sensor.calibration import Calibration
+from multipos.sensor.calibration_file import SCHEMA, load
 from multipos.sensor.model import Model
 
 
@@ -50,6 +58,12 @@ class Design(Keyed, Drawn, Tabular):
     positions : (n, 3) array
         Unit vectors pointing up: included ones first, the others as they are laid out.
     included : int
+    u : tuple of mappings
+        {output, term, name, unit, before, after} of each parameter, where a calibration is
+        included: its standard uncertainty with the included positions, and with all. `before` is
+        None where a model that is stated otherwise is not determined by the included positions.
+    towards : str
+        What the positions point along: 'up', or 'field' of a magnetometer.
     log_det, optimum_log_det : float
         Of these positions, and of the D-optimum on the sphere.
     efficiency : float
@@ -85,6 +99,8 @@ class Design(Keyed, Drawn, Tabular):
     time_s: float | None
     scheme: assessment.Assessment
     settings: tuple[Mapping[str, Any], ...] = ()
+    u: tuple[Mapping[str, Any], ...] = ()
+    towards: str = "up"
     findings: Findings = ()
 
     @property
@@ -123,10 +139,22 @@ def design_text(found: Design) -> str:
         f"criterion {found.criterion}, {count} positions"
     )
     sheet = [_operators_sheet(found)] if found.settings else []
-    positions = [assessment.positions_table(labelled, given)]
+    positions = [assessment.positions_table(labelled, given, found.towards)]
+    before = [_before_and_after(found)] if found.u else []
     first = [*sheet, _summary(found), *positions] if sheet else [*positions, _summary(found)]
-    parts = [heading, *first, *assessment.scheme_details(found.scheme)]
+    parts = [heading, *before, *first, *assessment.scheme_details(found.scheme)]
     return "\n\n".join(parts) + "\n"
+
+
+def _before_and_after(found: Design) -> str:
+    """Return u of each parameter with the included positions, and with all."""
+    rows = []
+    for entry in found.u:
+        before, after = entry["before"], entry["after"]
+        fall = "" if before is None else f"{100.0 * (1.0 - after / before):.1f}"
+        known = "" if before is None else number(before)
+        rows.append([entry["name"], known, number(after), entry["unit"], fall])
+    return table(["parameter", "u before", "u after", "unit", "falls by %"], rows)
 
 
 def _operators_sheet(found: Design) -> str:
@@ -183,18 +211,18 @@ _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
 def design(
-    model: ModelText | Model = "linear",
+    model: ModelText | Model | None = None,
     positions: int = 6,
     *,
     criterion: str = "D",
-    axes: Names = COMPONENTS,
-    inputs: Names = COMPONENTS,
+    axes: Names | None = None,
+    inputs: Names | None = None,
     candidates: "Source | Scheme | None" = None,
-    include: "Source | Scheme | None" = None,
+    include: "Source | Scheme | Calibration | None" = None,
     region: "Source | Scheme | None" = None,
     unknown_orientation: bool = False,
     orientation_sd: float | None = None,
-    reading_sd: float = 1.0,
+    reading_sd: float | None = None,
     move_time: tuple[float, float] | None = None,
     seed: int = 0,
     order: Order = "spread",
@@ -203,9 +231,10 @@ def design(
 
     Parameters
     ----------
-    model : str or Model
+    model : str or Model, optional
         Name, formula, that of a calibration, or a model of one's own: judged at the parameters
-        that it states, and where these have a prior, by the mean of the criterion over it.
+        that it states, and where these have a prior, by the mean of the criterion over it;
+        'linear' where not given.
     positions : int
         How many, the included ones counted.
     criterion : str
@@ -215,8 +244,11 @@ def design(
         or 'force:±0.5' (of force over that range of g).
     candidates : bench, scheme, path or columns, optional
         What can be reached (`multipos.positions.scheme`); any direction where not given.
-    include : scheme, path or columns, optional
-        Positions already measured, which stay: the others are the next best ones.
+    include : scheme, path, columns or Calibration, optional
+        Positions already measured, which stay: the others are the next best ones. Of a
+        calibration, or the path of its file, model, axes, sensor and noise hold as well where they
+        are not stated, and the result has u before and after; `reading_sd` is then in the unit of
+        the readings.
     region : as `candidates`, optional
         Directions over which I averages.
     move_time : (s, s/degree), optional
@@ -237,6 +269,8 @@ def design(
     ------
     UsageError
         Too few positions, an unknown criterion or bench, options that contradict each other.
+    MultiposError
+        An included calibration that states no noise, or whose model has other columns.
     RankError
         The candidates cannot separate the parameters, which are named.
 
@@ -248,14 +282,20 @@ def design(
     (1.0, 15)
     """
     check_order(order)
-    setting = assessment.read_setting(
-        model, axes, inputs, unknown_orientation, orientation_sd, reading_sd
+    candidates = read_once(candidates)
+    include = include if isinstance(include, Calibration) else read_once(include)
+    setting, given, begun = begin_design(
+        include,
+        model=model,
+        axes=axes,
+        inputs=inputs,
+        unknown_orientation=unknown_orientation,
+        orientation_sd=orientation_sd,
+        reading_sd=reading_sd,
     )
     wanted = make_criterion(criterion, setting, None if region is None else read_bench(region))
     if region is not None and criterion != "I":
         raise UsageError(f"--region is what criterion I averages over; got criterion {criterion}.")
-    include, candidates = read_once(include), read_once(candidates)
-    given = np.empty((0, 3)) if include is None else read_scheme(include).up
     _check_count(setting, positions, len(given))
     bench = None if candidates is None else read_bench(candidates)
     assessor = assessment.Assessor(setting.stated)
@@ -273,6 +313,11 @@ def design(
     up = np.concatenate([given, up[_order(setting, up, given, order)]])
     described = assessor.describe(Scheme("design", up, np.full((len(up), 3, 3), np.nan), None))
     _require_separated(described.identifiable, positions)  # what many candidates barely show
+    u = () if begun is None else _u_of(begun, up[len(given) :])
+    if u:
+        keys = [f"{entry['output']}:{entry['term']}" for entry in u]
+        after = [entry["after"] for entry in u]
+        described = replace(described, u=dict(zip(keys, after, strict=True)))
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     turned = travel_deg(up)
     return Design(
@@ -294,7 +339,73 @@ def design(
         time_s=_time_s(move_time, len(up), turned),
         scheme=described,
         findings=nothing_to_weigh(setting),
-        settings=_settings(up, len(given), candidates, include),
+        settings=_settings(up, len(given), candidates, include if begun is None else None),
+        u=u,
+        towards="up" if begun is None else begun.towards,
+    )
+
+
+def begin_design(
+    include: "Source | Scheme | Calibration | None",
+    *,
+    model: ModelText | Model | None = None,
+    axes: Names | None = None,
+    inputs: Names | None = None,
+    unknown_orientation: bool = False,
+    orientation_sd: float | None = None,
+    reading_sd: float | None = None,
+) -> tuple[Setting, Array, Begun | None]:
+    """Return the setting, the included up vectors (n, 3), and what an included calibration brings.
+
+    The options are those of `design`.
+    """
+    calibration = _calibration_of(include)
+    if calibration is not None:
+        begun = begin_otherwise(
+            calibration,
+            model=model,
+            axes=axes,
+            inputs=inputs,
+            unknown_orientation=unknown_orientation,
+            orientation_sd=orientation_sd,
+            reading_sd=reading_sd,
+        )
+        return begun.setting, begun.up, begun
+    setting = assessment.read_setting(
+        "linear" if model is None else model,
+        COMPONENTS if axes is None else axes,
+        COMPONENTS if inputs is None else inputs,
+        unknown_orientation,
+        orientation_sd,
+        1.0 if reading_sd is None else reading_sd,
+    )
+    return setting, np.empty((0, 3)) if include is None else read_scheme(include).up, None
+
+
+def _calibration_of(include: "Source | Scheme | Calibration | None") -> Calibration | None:
+    """Return the calibration that is included, None where it is a scheme or nothing."""
+    if isinstance(include, str | os.PathLike) and read_schema(include) == SCHEMA:
+        return load(include)
+    return include if isinstance(include, Calibration) else None
+
+
+def _u_of(begun: Begun, further: Array) -> tuple[dict[str, Any], ...]:
+    """Return u of each parameter before further positions (n, 3), and after."""
+    model = begun.setting.model
+    pieces = information_of(begun.setting, further).sum(axis=0)
+    after = begun.u(pieces).tolist()
+    before = begun.u(np.zeros_like(pieces)).tolist() if begun.identifiable else [None] * len(after)
+    columns = zip(model.keys, model.names, model.units, before, after, strict=True)
+    return tuple(
+        {
+            "output": output,
+            "term": str(term),
+            "name": name,
+            "unit": unit,
+            "before": then,
+            "after": now,
+        }
+        for (output, term), name, unit, then, now in columns
     )
 
 
@@ -481,7 +592,12 @@ def smaller_designs(make: Callable[[int], Design], found: Design) -> tuple[Desig
 
 def design_sentence(found: Design) -> str:
     """Return how good the positions are against the best that there could be."""
-    return (
+    text = (
         f"{len(found.positions)} positions reach {100.0 * found.efficiency:.1f} % of the best "
-        f"{found.criterion} efficiency per position on the sphere."
+        f"{found.criterion} efficiency per position on the sphere"
     )
+    falls = [math.log(e["after"] / e["before"]) for e in found.u if e["before"] is not None]
+    if not falls:
+        return f"{text}."
+    fall = 100.0 * (1.0 - math.exp(sum(falls) / len(falls)))
+    return f"{text}; {len(found.positions) - found.included} more lower u by {fall:.2g} %."

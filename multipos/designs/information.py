@@ -263,7 +263,8 @@ def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
 
 def nothing_to_weigh(setting: Setting) -> Findings:
     """Return a warning where an orientation sd stands beside a reading sd of a whole g."""
-    if setting.orientation_sd in (0.0, math.inf) or setting.reading_sd != 1.0:
+    stated = setting.reading_sd != 1.0 or setting.sd is not None
+    if stated or setting.orientation_sd in (0.0, math.inf):
         return ()
     text = (
         f"the standard uncertainty of a reading is taken as 1 g, so --orientation-sd "

@@ -1,40 +1,37 @@
-"""Prospects: what one more position would bring to a calibration, and when enough are measured.
+"""Prospects: what more positions bring to a calibration.
 
-`worth` returns how far each candidate lowers the uncertainties; `worth_text` prints it and
-`worth_sentence` names the best. `measured` is the information of the readings, `information_of`
-that of positions.
+`begin` returns what a calibration brings to the design of further positions, `begin_otherwise` the
+same where some of it is stated otherwise, `rank_positions` the best next ones; `measured` and
+`information_of` are the parts of which `capture` makes its next pose.
 
-With the information N of the positions measured and I(u) of one more at u, both of
+With the information N of the positions measured and I(u) of each further one at u, both of
 `multipos.designs.information` with the sensor's own parameters and reading noise, the covariance
 
-    C = N⁻¹      becomes      C(u) = (N + I(u))⁻¹,      u_j(u)² = [C(u)]_jj + c_j²,          (1)
+    C = N⁻¹      becomes      C' = (N + Σ I(u))⁻¹,      u_j'² = [C']_jj + c_j²,              (1)
 
 where c_j² is what the calibration's uncertainty has beyond C and no position lowers, such as that
-of gravity. The expected gain of a position is how far the u_j fall; taking the most worthy again
-and again until u_j is small enough says how many more are needed.
+of gravity.
 """
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from multipos.designs.information import Setting
+from multipos.designs.assessment import read_setting
+from multipos.designs.information import Setting, log_det
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.correlated_rows import order_in_time
-from multipos.files.numbers import number, table
-from multipos.files.tables import Source
-from multipos.finding import Findings, errors_of
-from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array
+from multipos.files.spelling import Names
+from multipos.numerics.arrays import SMALLEST, Array, Mask
+from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme, read_bench
-from multipos.results import Keyed, data_frame, frozen, require
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
+from multipos.sensor.model import Model
 
-_SHOWN = 10  # positions listed as text
-_MOST = 1000  # further positions looked ahead for a target
 _OPEN = (
     "the positions of this calibration leave a parameter open, so nothing can be predicted from "
     "them; add positions that differ more, and fit again."
@@ -42,190 +39,140 @@ _OPEN = (
 
 
 @frozen
-class Candidate(Keyed):
-    """A position that could be measured next.
+class Begun:
+    """What a calibration brings to the design of further positions.
 
     Attributes
     ----------
-    up : (3,) array
-    fall : float
-        Share by which u of the parameter falls, or u on geometric average.
-    u : mapping of 'output:term' to float
-        What each would be.
+    setting : Setting
+        Its model, sensor and noise, but for what was stated otherwise.
+    up : (n, 3) array
+        Of the positions measured.
+    present : (p, p) array
+        Their information N, with what is known beforehand.
+    covered, fixed : (p,) arrays
+        What scales N⁻¹, and c² of eq. (1).
+    towards : str
+        What the positions point along: 'up', or 'field' of a magnetometer.
     """
 
+    setting: Setting
     up: Array
-    fall: float
-    u: Mapping[str, float]
+    present: Array
+    covered: Array
+    fixed: Array
+    towards: str
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the positions measured separate the parameters by themselves."""
+        return log_det((self.present,)) > -math.inf
+
+    def u(self, further: Array) -> Array:
+        """Return u (…, p) with the information (…, p, p) of further positions, eq. (1)."""
+        return np.asarray(np.sqrt(_variances(self.present + further) * self.covered + self.fixed))
 
 
-@frozen
-class Worth(Keyed):
-    """What one more position would bring to a calibration, and how many a target takes.
-
-    Attributes
-    ----------
-    parameter : str or None
-        'OUTPUT:TERM', or None where all count.
-    target : float or None
-    u : mapping of 'output:term' to float
-        As it is now.
-    candidates : tuple of Candidate
-        Best first.
-    further_positions : int or None
-        Until the target; None without one, or beyond reach.
-    path : (further_positions, 3) array or None
-        Up vectors of these, in the order of their expected gain.
-    floor : float or None
-        The part of u of the parameter that no position lowers.
-    drift_absorbed : float
-        Share of the variance of the row number that the model absorbs, as the rows stand.
-    findings : tuple of Finding
-        Errors of the calibration.
-    """
-
-    parameter: str | None
-    target: float | None
-    u: Mapping[str, float]
-    candidates: tuple[Candidate, ...]
-    further_positions: int | None
-    path: Array | None
-    floor: float | None
-    drift_absorbed: float
-    findings: Findings = ()
-
-    def to_pandas(self) -> Any:
-        """Return the candidates as a data frame: up_x, up_y, up_z, fall, u of each parameter.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
-        up = np.array([candidate.up for candidate in self.candidates])
-        columns = {f"up_{axis}": up[:, i] for i, axis in enumerate(COMPONENTS)}
-        columns["fall"] = np.array([candidate.fall for candidate in self.candidates])
-        for key in self.u:
-            columns[f"u {key}"] = np.array([candidate.u[key] for candidate in self.candidates])
-        return data_frame(columns)
-
-
-def worth(
-    calibration: Calibration,
-    *,
-    candidates: "Source | Scheme" = "all-26",
-    parameter: str | None = None,
-    target: float | None = None,
-) -> Worth:
-    """Return how far each candidate position would lower the uncertainties of a calibration.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    candidates : bench, scheme, path or columns
-        Positions that could be measured next (`multipos.positions.scheme`).
-    parameter : str, optional
-        'OUTPUT:TERM', the one that counts; all of them together (mean of ln u) where not given.
-    target : float, optional
-        Standard uncertainty that `parameter` shall have.
-
-    Returns
-    -------
-    Worth
+def begin(calibration: Calibration) -> Begun:
+    """Return what a calibration brings to the design of further positions.
 
     Raises
     ------
     MultiposError
-        The calibration states no noise to predict from, or a model with other columns.
-    UsageError
-        No such parameter, or a target without one.
-
-    Examples
-    --------
-    >>> import multipos as mp
-    >>> sensor = mp.demo().calibration
-    >>> run = mp.simulate(sensor, "fibonacci-12", reading_sd=1e-4, seed=1)
-    >>> cal = mp.fit(run, convention="gravity", reading_sd=1e-4)
-    >>> found = mp.worth(cal, parameter="ax:1", target=3e-5)
-    >>> best = found.candidates[0]
-    >>> bool(best.u["ax:1"] < found.u["ax:1"])
-    True
+        It states no noise to predict from, or its model has other columns.
     """
-    require(calibration, Calibration)
-    keys = [f"{output}:{term}" for output, term in calibration.model.keys]
-    _check_target(keys, parameter, target)
-    index = None if parameter is None else keys.index(parameter)
     setting, present, covered = measured(calibration)
-    up = read_bench(candidates)
-    pieces = information_of(setting, up)
-    now = _variances(present)
-    fixed = np.maximum(calibration.u**2 - now * covered, 0.0)
-    then = np.sqrt(_variances(present + pieces) * covered + fixed)
-    before = np.sqrt(now * covered + fixed)
-    fall = 1.0 - (then / before)[:, index] if index is not None else _mean_fall(then, before)
+    fixed = np.maximum(calibration.u**2 - _variances(present) * covered, 0.0)
+    towards = calibration.field.towards
+    begun = Begun(setting, _up(calibration), present, covered, fixed, towards)
+    kept = ~_of_session(setting.model)
+    return begun if kept.all() else _without_drift(begun, kept)
+
+
+def begin_otherwise(
+    calibration: Calibration,
+    *,
+    model: ModelText | Model | None = None,
+    axes: Names | None = None,
+    inputs: Names | None = None,
+    unknown_orientation: bool = False,
+    orientation_sd: float | None = None,
+    reading_sd: float | None = None,
+) -> Begun:
+    """Return what a calibration brings to a design where some of it is stated otherwise.
+
+    Of another model parameters that the calibration has not are zero, and N is that of its
+    positions alone; by another noise N⁻¹ is the covariance as it stands. `orientation_sd` is in
+    degrees, `reading_sd` in the unit of the readings.
+    """
+    begun = begin(calibration)
+    own, setting = begun.setting.model, begun.setting
+    unknown = math.isinf(setting.orientation_sd)
+    others = model is not None or axes is not None or inputs is not None
+    others = others or (unknown_orientation and not unknown)
+    noises = orientation_sd is not None or reading_sd is not None
+    if not others and not noises:
+        return begun
+    taken = own if model is None else model
+    stated = read_setting(
+        Formula(taken.text) if isinstance(taken, Model) else taken,
+        axes or own.axes,
+        inputs or own.inputs,
+        unknown_orientation or (unknown and orientation_sd is None),
+        orientation_sd,
+        1.0,
+        outputs=own.outputs,
+        unit=own.unit,
+    ).stated
+    if others:
+        setting = replace(setting, model=stated.model, parameters=_shared(stated, setting))
+    if others or orientation_sd is not None:
+        keep = orientation_sd is None and not unknown_orientation
+        spread = setting.orientation_sd if keep else stated.orientation_sd
+        setting = replace(setting, orientation_sd=spread)
+    if reading_sd is not None:
+        if not reading_sd > 0.0:
+            raise UsageError(f"--reading-sd must be above 0, got {reading_sd}.")
+        setting = replace(setting, sd=np.full(len(own.outputs), reading_sd))
+    p = len(setting.model.keys)
+    present = information_of(setting, begun.up).sum(axis=0) + np.diag(setting.model.beliefs)
+    fixed = np.zeros(p) if others else begun.fixed
+    return Begun(setting, begun.up, present, np.ones(p), fixed, begun.towards)
+
+
+def _shared(stated: Setting, own: Setting) -> Array:
+    """Return the parameters of another model, those of the calibration where it has them."""
+    assert own.parameters is not None
+    known = dict(zip(own.model.keys, own.parameters.tolist(), strict=True))
+    keys = stated.model.keys
+    nominal = np.zeros(len(keys)) if stated.parameters is None else stated.parameters
+    pairs = zip(keys, nominal.tolist(), strict=True)
+    return np.array([known.get(key, value) for key, value in pairs])
+
+
+def _without_drift(begun: Begun, kept: Mask) -> Begun:
+    """Return what is left of a calibration whose session, and with it its drift, has ended."""
+    assert begun.setting.parameters is not None
+    setting = replace(
+        begun.setting,
+        model=begun.setting.model.without_drift(),
+        parameters=begun.setting.parameters[kept],
+    )
+    present = begun.present[np.ix_(kept, kept)]
+    covered, fixed = begun.covered[kept], begun.fixed[kept]
+    return Begun(setting, begun.up, present, covered, fixed, begun.towards)
+
+
+def rank_positions(
+    calibration: Calibration, candidates: "str | Scheme" = "all-26"
+) -> tuple[Array, Array]:
+    """Return candidates (n, 3), best first, and how far u falls on geometric average."""
+    begun, up = begin(calibration), read_bench(candidates)
+    then = begun.u(information_of(begun.setting, up))
+    ratios = then / begun.u(np.zeros_like(begun.present))
+    fall = 1.0 - np.exp(np.log(ratios).mean(axis=1))
     order = np.argsort(-fall, kind="stable")
-    path = None
-    if target is not None and index is not None:
-        path = _ahead(present, pieces, covered[index], fixed[index], index, target)
-    ranked = [
-        Candidate(up[row], float(fall[row]), dict(zip(keys, then[row].tolist(), strict=True)))
-        for row in order.tolist()
-    ]
-    return Worth(
-        findings=errors_of(calibration.findings),
-        parameter=parameter,
-        target=target,
-        u=dict(zip(keys, before.tolist(), strict=True)),
-        candidates=tuple(ranked),
-        further_positions=None if path is None else len(path),
-        path=None if path is None else up[path],
-        floor=None if index is None else math.sqrt(fixed[index]),
-        drift_absorbed=setting.drift_absorbed(calibration.reference / calibration.sign),
-    )
-
-
-def _check_target(keys: list[str], parameter: str | None, target: float | None) -> None:
-    if parameter is not None and parameter not in keys:
-        raise UsageError(f"unknown parameter '{parameter}'; give one of {', '.join(keys)}.")
-    if target is not None and (parameter is None or not target > 0.0):
-        raise UsageError("a target must be above 0 and name its parameter, as in ax:x=0.001.")
-
-
-def worth_text(found: Worth, towards: str = "up") -> str:
-    """Return `worth` as text: the best next positions, and how many the target takes."""
-    parameter = found.parameter
-    rows = [
-        [*(f"{value:.6f}" for value in entry.up), f"{100.0 * entry.fall:.2f}"]
-        + ([] if parameter is None else [number(entry.u[parameter])])
-        for entry in found.candidates[:_SHOWN]
-    ]
-    header = [*(f"{towards} {axis}" for axis in COMPONENTS), "u falls by %"]
-    if parameter is not None:
-        header.append("to")
-    drift = f"the model absorbs {100.0 * found.drift_absorbed:.0f} % of a drift along the rows"
-    return "\n\n".join([table(header, rows, left=0), drift, *_way_to_target(found, towards)]) + "\n"
-
-
-def _way_to_target(found: Worth, towards: str) -> list[str]:
-    """Say how many positions the target takes, where there is one."""
-    if found.target is None:
-        return []
-    if found.path is None:
-        missed = (
-            f"the target of {number(found.target)} is out of reach: u stays above "
-            f"{number(found.floor)}, whatever is measured, or falls too slowly"
-        )
-        return [missed]
-    reached = (
-        f"{found.further_positions} further positions reach the target; the next ones, "
-        "in the order of their gain:"
-    )
-    steps = [
-        [str(i + 1), *(f"{value:.6f}" for value in row)]
-        for i, row in enumerate(found.path[:_SHOWN].tolist())
-    ]
-    header = ["next", *(f"{towards} {axis}" for axis in COMPONENTS)]
-    return [reached, table(header, steps)] if steps else [reached]
+    return up[order], fall[order]
 
 
 def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
@@ -253,14 +200,12 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
     if calibration.estimator is Estimator.UNCERTAIN and readings.orientation_sd is not None:
         stated = readings.orientation_sd[np.isfinite(readings.orientation_sd)]
         spread = float(np.sqrt(np.mean(stated**2)))
-    sign = calibration.sign
-    size = np.linalg.norm(calibration.reference, axis=1)
-    setting = Setting(model, spread, sd, calibration.parameters, sign * float(size.mean()))
-    up = sign * calibration.reference / size[:, np.newaxis]
+    size = calibration.sign * float(np.linalg.norm(calibration.reference, axis=1).mean())
+    setting = Setting(model, spread, sd, calibration.parameters, size)
     # A drift ends with its session: one position more would say nothing of it.
-    of_session = np.isin([str(term) for _, term in model.keys], model.of_session)
-    known = model.beliefs + np.where(of_session, 1.0 / calibration.u**2, 0.0)
-    present = np.asarray(information_of(setting, up).sum(axis=0) + np.diag(known))
+    known = model.beliefs + np.where(_of_session(model), 1.0 / calibration.u**2, 0.0)
+    measured_ = information_of(setting, _up(calibration)).sum(axis=0)
+    present = np.asarray(measured_ + np.diag(known))
     ratio = calibration.u**2 / _variances(present)
     covered = np.empty(len(ratio))
     for part in setting.blocks:
@@ -271,6 +216,17 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
         biases = [str(term) == "1" for _, term in model.keys]
         covered[biases] = ratio[biases]
     return setting, present, covered
+
+
+def _up(calibration: Calibration) -> Array:
+    """Return the up vectors (n, 3) of the positions measured."""
+    size = np.linalg.norm(calibration.reference, axis=1)
+    return np.asarray(calibration.sign * calibration.reference / size[:, np.newaxis])
+
+
+def _of_session(model: Model) -> Mask:
+    """Return which parameters (p,) are those of the session."""
+    return np.isin([str(term) for _, term in model.keys], model.of_session)
 
 
 def information_of(setting: Setting, up: Array) -> Array:
@@ -291,36 +247,3 @@ def _variances(information: Array) -> Array:
     if not (variances > 0.0).all():  # a position tells so much more that no digit of others is left
         raise MultiposError(_OPEN)
     return np.asarray(variances)
-
-
-def _mean_fall(then: Array, before: Array) -> Array:
-    return np.asarray(1.0 - np.exp(np.log(then / before).mean(axis=1)))
-
-
-def _ahead(
-    present: Array, pieces: Array, scale: float, fixed: float, index: int, target: float
-) -> list[int] | None:
-    """Return the candidates to take until u is at most the target, or None beyond reach."""
-    path: list[int] = []
-    while len(path) < _MOST:
-        now = float(_variances(present)[index])
-        if math.sqrt(now * scale + fixed) <= target:
-            return path
-        then = _variances(present + pieces)[:, index]
-        best = int(np.round(then / then.min(), 9).argmin())  # the first of equal ones
-        path.append(best)
-        present = present + pieces[best]
-    return None
-
-
-def worth_sentence(found: Worth, towards: str = "up") -> str:
-    """Return the best next position, and what it gains."""
-    best = found.candidates[0]
-    up = ", ".join(f"{value + 0.0:.3g}" for value in best.up)
-    what = found.parameter or "all parameters"
-    text = f"Best next position: {towards} ({up}), u of {what} falls by {100.0 * best.fall:.2g} %"
-    if found.target is None:
-        return f"{text}."
-    if found.path is None:
-        return f"{text}; the target of {number(found.target)} is out of reach."
-    return f"{text}; {found.further_positions} more positions reach {number(found.target)}."

@@ -20,7 +20,7 @@ import numpy as np
 from multipos import __version__
 from multipos.compensation.applying import apply
 from multipos.designs.designing import design
-from multipos.designs.prospects import worth
+from multipos.designs.prospects import rank_positions
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.targets import TargetName, export
 from multipos.files.tables import write_table
@@ -311,14 +311,14 @@ def _positions(calibration: Calibration) -> list[dict[str, Any]]:
 def _next(calibration: Calibration) -> list[dict[str, Any]]:
     """Return the positions that would lower u most; none where nothing predicts it."""
     try:
-        best = worth(calibration).candidates[:_NEXT]
+        best, fall = rank_positions(calibration)
     except MultiposError:
         return []
     return [
         {
-            "direction": each.up,
-            "fall": each.fall,
-            "words": pose_words(each.up, calibration.field.towards),
+            "direction": best[i],
+            "fall": fall[i],
+            "words": pose_words(best[i], calibration.field.towards),
         }
-        for each in best
+        for i in range(_NEXT)
     ]

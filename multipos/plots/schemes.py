@@ -12,8 +12,8 @@ import numpy as np
 
 from multipos.designs.assessment import Schemes, read_setting
 from multipos.designs.criteria import Criterion, kernels, sensitivity
-from multipos.designs.designing import Design
-from multipos.designs.information import inform, log_det
+from multipos.designs.designing import Design, begin_design
+from multipos.designs.information import Setting, inform, log_det
 from multipos.files.spelling import Names
 from multipos.files.tables import Source
 from multipos.numerics.arrays import COMPONENTS, Array
@@ -22,6 +22,7 @@ from multipos.plots.hemispheres import draw_directions, draw_frame, draw_map, ev
 from multipos.plots.marks import draw_points
 from multipos.plots.style import name_series, new_figure, write_title
 from multipos.positions.scheme import Scheme, read_scheme
+from multipos.sensor.calibration import Calibration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,8 +47,12 @@ def draw_scheme(
     prediction, of which the best scheme has nowhere more than 1; a scheme that cannot separate the
     parameters has none. A number counts repeats. `sensed` are the axes of `multipos.schemes`.
     """
-    up = read_scheme(scheme).up
     setting = read_setting(model, sensed, inputs, unknown_orientation, orientation_sd, reading_sd)
+    _draw_positions(read_scheme(scheme).up, setting, axes)
+
+
+def _draw_positions(up: Array, setting: Setting, axes: "Axes") -> None:
+    """Draw up vectors (n, 3), and the variance function of a setting behind them."""
     information = inform(setting.rows(up))
     if log_det(information) > -np.inf:
         kernel = kernels(information, Criterion("D"))
@@ -83,11 +88,21 @@ def schemes_figure(found: Schemes, **setting: Any) -> "Figure":
     return figure
 
 
-def design_figure(designs: Sequence[Design], **setting: Any) -> "Figure":
-    """Return the map of the last design, and below it the efficiency of all against their size."""
+def design_figure(
+    designs: Sequence[Design],
+    *,
+    include: "Source | Scheme | Calibration | None" = None,
+    sensed: Names | None = None,
+    **setting: Any,
+) -> "Figure":
+    """Return the map of the last design, and below it the efficiency of all against their size.
+
+    `include` is that of `multipos.design`, `sensed` and `setting` are what `draw_scheme` takes.
+    """
+    stated, _, _ = begin_design(include, axes=sensed, **setting)
     best = designs[-1]
     figure, axes = new_figure(2)
-    draw_scheme(_table(best.positions), axes[0], **setting)
+    _draw_positions(best.positions, stated, axes[0])
     write_title(axes[0], f"{len(best.positions)} positions, efficiency {best.efficiency:.3f}")
     draw_efficiency({f"{best.model}, criterion {best.criterion}": designs}, axes[1])
     return figure

@@ -20,7 +20,6 @@ from multipos.bias_stability.stability_result import Stability
 from multipos.bias_stability.stability_text import stability_sentence, stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_sentence, schemes_text
 from multipos.designs.designing import Design, design_sentence, design_text
-from multipos.designs.prospects import Worth, worth_sentence, worth_text
 from multipos.errors import UsageError
 from multipos.files.numbers import number
 from multipos.files.spelling import visible
@@ -75,7 +74,6 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     TableErrors: table_errors_text,
     Tumble: tumble_text,
     Tumbles: tumbles_text,
-    Worth: worth_text,
 }
 _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,
@@ -90,7 +88,6 @@ _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Schemes: schemes_sentence,
     Stability: stability_sentence,
     Tumble | Tumbles: tumble_sentence,
-    Worth: worth_sentence,
 }
 
 

@@ -72,7 +72,7 @@ ANSWERS = {
     "stability still.csv": r"ax, ay, az over 1 record: white noise up to .*",
     "regress rows.csv --response y --variables t": r"y by t: R² 0\.99\d+, residual sd .*",
     "tumble roll.csv": r"ax: K1 = 1\.2\S+ reading/g, K0 = .*",
-    "worth a.json": r"Best next position: up .*falls by .*",
+    "design --include a.json --positions 26": r"26 positions .*; 2 more lower u by .* %\.",
     "design --positions 12": r"12 positions reach [\d.]+ % of the best D efficiency .*",
     "design --positions 24 --model cross-quadratic": r"24 positions reach .*",
     "schemes": r"Best of \d+ schemes for linear: .*",

@@ -113,7 +113,6 @@ COMMANDS = {
         ],
         ["six.csv", "log.csv", "tumble.csv"],
     ),
-    "worth": (["cal.json", "--candidates", "six.csv"], ["cal.json", "six.csv"]),
 }
 
 
@@ -176,7 +175,6 @@ WRITTEN = {
     "verify-export": {".json", ".txt"},
     "schemes": {".json", ".txt", ".csv", ".svg", ".png", ".pdf"},
     "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
-    "worth": {".json", ".txt"},
     "demo": set(),
     "fleet": set(),
 }

@@ -93,7 +93,7 @@ INPUTS = [
     "export #cal.json --to c -o out.c",
     "schemes #six.csv --json",
     "design --positions 7 --include #six.csv",
-    "worth #cal.json",
+    "design --positions 8 --include #cal.json",
 ]
 
 

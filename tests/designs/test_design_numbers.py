@@ -38,7 +38,7 @@ from multipos.designs.designing import (
 from multipos.designs.exchange import _roughly, _tidy, polish
 from multipos.designs.information import Setting, tangents
 from multipos.designs.optimum import _apart, _length, _spread
-from multipos.designs.prospects import information_of, measured, worth_sentence, worth_text
+from multipos.designs.prospects import begin, information_of, measured, rank_positions
 from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
@@ -237,10 +237,12 @@ def test_drift_that_a_model_absorbs_of_one_output():
 def test_what_all_parameters_gain_is_a_geometric_mean():
     up = read_scheme("all-26").up
     values = 1.1 * up + 0.02 + 1e-3 * away_from_zero((26, 3))
-    found = mp.worth(mp.fit(mp.Readings(values, up=up, unit="g")))
-    best = found.candidates[0]
-    ratios = [best.u[key] / found.u[key] for key in found.u]
-    assert best.fall == pytest.approx(1.0 - math.prod(ratios) ** (1.0 / 12.0), rel=1e-9)
+    cal = mp.fit(mp.Readings(values, up=up, unit="g"))
+    best, fall = rank_positions(cal)
+    begun = begin(cal)
+    then = begun.u(information_of(begun.setting, best[:1]))[0]
+    assert fall[0] == pytest.approx(1.0 - math.prod(then / cal.u) ** (1.0 / 12.0), rel=1e-9)
+    assert (np.diff(fall) <= 0.0).all()
 
 
 def test_the_drift_of_a_session_is_as_well_known_as_it_is():
@@ -414,7 +416,13 @@ def test_numbers_of_schemes_and_designs_as_text():
     assert lines[2][2:] == ["-9.900000", "at", "most", "-9.500000"]
     assert lines[4][2:] == ["123", "s"]
     assert "12.5 of the best on these candidates for 12 parameters" in _summary(found)
-    assert design_sentence(found).startswith("8 positions reach 98.7 % of the best A efficiency")
+    found.u = ()
+    said = "8 positions reach 98.7 % of the best A efficiency per position on the sphere"
+    assert design_sentence(found) == f"{said}."
+    falls = [(4.0, 2.0), (3.0, 1.5), (None, 1.0)]  # what has no u before counts in no mean
+    found.u = [{"before": before, "after": after} for before, after in falls]
+    found.included = 5
+    assert design_sentence(found) == f"{said}; 3 more lower u by 50 %."
     found.certificate["over"], found.time_s = "sphere", None
     assert len(_summary(found).splitlines()) == 5
     assert "on the whole sphere for 12" in _summary(found)
@@ -443,20 +451,6 @@ def test_sentences_count_schemes_and_positions():
     said = schemes_sentence(SimpleNamespace(schemes=three, model="linear"))
     assert said.startswith("Best of 4 schemes for linear: c, 80.0 %")
     assert said.endswith("; 2 cannot determine it.")
-    path = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
-    entry = SimpleNamespace(up=path[0], fall=0.123, u={"ax:1": 2e-4})
-    found = SimpleNamespace(
-        candidates=[entry], parameter="ax:1", target=1e-4, path=path, further_positions=2,
-        floor=5e-5, drift_absorbed=0.25,
-    )  # fmt: skip
-    text = worth_text(found)
-    assert "25 % of a drift" in text
-    assert "2 further positions reach the target" in text
-    rows = [line.split() for line in text.splitlines() if line.split()[-1:] == ["0.000000"]]
-    assert rows == [["2", "0.000000", "1.000000", "0.000000"]]
-    assert worth_sentence(found).startswith("Best next position: up (0.6, 0, 0.8), u of ax:1 falls")
-    found.parameter = None
-    assert "u of all parameters falls by 12 %" in worth_sentence(found)
 
 
 def test_positions_that_nothing_improves_stay_as_they_were():

@@ -18,6 +18,7 @@ from multipos.cli import main
 from multipos.designs import exchange
 from multipos.designs.assessment import schemes_text
 from multipos.designs.criteria import Criterion, kernels, make_criterion, objective, sensitivity
+from multipos.designs.designing import design_text
 from multipos.designs.exchange import _Bordered, _descend, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
@@ -29,7 +30,7 @@ from multipos.designs.optimum import (
     optimise_sphere,
     solve_definite,
 )
-from multipos.designs.prospects import _ahead, _mean_fall, _variances
+from multipos.designs.prospects import _variances, rank_positions
 from multipos.designs.ranges import range_directions
 from multipos.positions.scheme import read_bench, read_scheme
 from multipos.sensor.model import build_model
@@ -569,7 +570,7 @@ def test_benches_reach_what_they_say():
     assert read_bench("tilt-30-x")[:, 0].min() == pytest.approx(math.cos(math.radians(30)))
 
 
-# --- worth of a position
+# --- what further positions bring to a calibration
 
 
 def readings(scheme, rng, sd=0.001):
@@ -579,49 +580,127 @@ def readings(scheme, rng, sd=0.001):
     return table | dict(zip(OUTPUTS, values.T, strict=True))
 
 
-def test_worth_is_what_a_calibration_with_the_position_states():
+def after(found):
+    return np.array([entry["after"] for entry in found.u])
+
+
+def before(found):
+    return np.array([entry["before"] for entry in found.u])
+
+
+def measured_at(up, scale=1.0):
+    """Readings at the positions of a design, without noise."""
+    columns = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    return columns | dict(zip(OUTPUTS, (scale * (up + 0.01)).T, strict=True))
+
+
+def test_u_after_is_what_a_calibration_with_the_positions_states():
     # eq. (1) of designs.prospects
     rng = np.random.default_rng(8)
-    table = readings("faces-corners-14", rng)
-    cal = with_known_noise(mp.fit(table, model="own-quadratic", reading_sd=0.001))
-    found = mp.worth(cal, candidates="all-26", parameter="ay:y^2")
-    assert found["u"] == pytest.approx(dict(zip(found["u"], cal.u, strict=True)), rel=1e-9)
-    best = found["candidates"][0]
-    more = {name: np.append(table[name], best["up"][i]) for i, name in enumerate(list(table)[:3])}
-    more |= {name: np.append(table[name], best["up"][i] + 0.01) for i, name in enumerate(OUTPUTS)}
-    then = with_known_noise(mp.fit(more, model="own-quadratic", reading_sd=0.001))
-    assert then["ay", "y^2"].u == pytest.approx(best["u"]["ay:y^2"], rel=1e-9)
-    assert best["fall"] == pytest.approx(1 - best["u"]["ay:y^2"] / cal["ay", "y^2"].u)
+    options = {"model": "own-quadratic", "reading_sd": 0.001}
+    cal = with_known_noise(mp.fit(readings("faces-corners-14", rng), **options))
+    found = mp.design(positions=17, include=cal, criterion="u:ay:y^2")
+    assert (found.model, found.included) == ("own-quadratic", 14)
+    assert_allclose(found.positions[:14], read_scheme("faces-corners-14").up, atol=1e-12)
+    assert [(entry["output"], entry["term"]) for entry in found.u] == [
+        (output, str(term)) for output, term in cal.model.keys
+    ]
+    assert [(entry["name"], entry["unit"]) for entry in found.u] == [
+        (p.name, p.unit) for p in cal.entries
+    ]
+    assert_allclose(before(found), cal.u, rtol=1e-9)
+    then = with_known_noise(mp.fit(measured_at(found.positions), **options))
+    assert_allclose(after(found), then.u, rtol=1e-9)
+    assert list(found.scheme.u.values()) == after(found).tolist()
+    nothing = mp.design("own-quadratic", 9, include="faces-6")
+    assert nothing.u == ()
 
 
 @pytest.mark.parametrize(
-    "options", [{"unknown_orientation": True, "gauge": "symmetric"}, {"orientation_sd": 0.05}]
+    "options",
+    [
+        {"unknown_orientation": True, "gauge": "symmetric"},
+        {"unknown_orientation": True, "convention": "gravity"},
+        {"orientation_sd": 0.05},
+        {"model": "each = b + s*own + c*x*y"},
+    ],
 )
-def test_worth_of_a_position_whose_orientation_is_not_exact(options):
+def test_u_after_where_orientations_are_not_exact_or_the_model_is_ones_own(options):
     rng = np.random.default_rng(11)
-    more = readings("faces-corners-14", rng, 1e-4)
-    less = {name: column[:-1] for name, column in more.items()}
-    cal = mp.fit(less, reading_sd=1e-4, **options)
-    last = {name: column[-1:] for name, column in more.items() if name.startswith("up")}
-    (entry,) = mp.worth(cal, candidates=last)["candidates"]
-    then = mp.fit(more, reading_sd=1e-4, **options)
-    # the further reading tells of the noise as well, which was not foreseen
-    assert_allclose(list(entry["u"].values()), then.u, rtol=0.03)
+    rows = readings("all-26", rng, 1e-4)
+    if "convention" in options:
+        rows |= {name: -rows[name] for name in OUTPUTS}
+    cal = mp.fit(rows, reading_sd=1e-4, **options)
+    found = mp.design(positions=30, include=cal)
+    assert_allclose(before(found), cal.u, rtol=1e-9)
+    up = found.positions
+    more = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    values = up + 0.01 + 1e-4 * rng.standard_normal(up.shape)
+    values *= -1.0 if "convention" in options else 1.0
+    then = mp.fit(more | dict(zip(OUTPUTS, values.T, strict=True)), reading_sd=1e-4, **options)
+    # the further readings determine the noise as well, which was not foreseen
+    assert_allclose(after(found), then.u, rtol=0.2)
+    assert (after(found) <= (1.0 + 1e-12) * before(found)).all()
+    assert after(found).sum() < 0.99 * before(found).sum()
 
 
-def test_worth_says_when_to_stop():
-    cal = with_known_noise(mp.fit(readings("faces-6", np.random.default_rng(9)), reading_sd=0.001))
-    target = cal["ax", "x"].u / 2
-    found = mp.worth(cal, parameter="ax:x", target=target)
-    # u² of scale is σ²/Σx²: from 2 to 8 takes six more faces
-    assert found["further_positions"] == 6
-    assert_allclose(np.abs(found["path"][:, 0]), 1.0)
-    floor = mp.fit(
-        readings("faces-6", np.random.default_rng(9)), reading_sd=0.001, gravity=9.8, gravity_u=0.01
-    )
-    out = mp.worth(floor, parameter="ax:x", target=1e-4)
-    assert out["further_positions"] is None
-    assert out["floor"] == pytest.approx(0.01 / 9.8 * floor["ax", "x"].value, rel=1e-6)
+def test_what_positions_share_no_position_lowers():
+    options = {"reading_sd": 0.001, "gravity": 9.8, "gravity_u": 0.01}
+    cal = mp.fit(readings("faces-6", np.random.default_rng(9)), **options)
+    found = mp.design(positions=200, include=cal)
+    shared = 0.01 / 9.8 * cal["ax", "x"].value
+    entry = found.u[cal.model.index("ax", "x")]
+    assert shared < entry["after"] < 1.02 * shared
+
+
+def test_a_drift_ends_with_its_session():
+    up = np.tile(read_scheme("all-26").up, (2, 1))
+    noise = 1e-4 * np.random.default_rng(4).standard_normal(up.shape)
+    values = up + noise + 1e-4 * np.arange(len(up))[:, np.newaxis]
+    cal = mp.fit(mp.Readings(values, up=up), drift=True)
+    found = mp.design(positions=60, include=cal)
+    kept = [i for i, (_, term) in enumerate(cal.model.keys) if str(term) != "drift"]
+    assert_allclose(before(found), cal.u[kept], rtol=1e-9)
+    assert all("drift" not in entry["name"] for entry in found.u)
+
+
+def test_what_is_stated_beside_a_calibration_wins():
+    cal = mp.fit(readings("faces-corners-14", np.random.default_rng(9)), reading_sd=0.001)
+    noisy = mp.design(positions=20, include=cal, reading_sd=0.01)
+    assert_allclose(before(noisy), 10.0 * before(mp.design(positions=20, include=cal)), rtol=0.4)
+    quadratic = mp.design("own-quadratic", 20, include=cal, reading_sd=0.01)
+    then = mp.fit(measured_at(quadratic.positions), model="own-quadratic", reading_sd=0.01)
+    assert_allclose(after(quadratic), with_known_noise(then).u, rtol=0.03)
+    six = mp.fit(readings("faces-6", np.random.default_rng(9)), reading_sd=0.001)
+    cross = mp.design("cross-quadratic", 20, include=six)
+    assert before(cross).tolist() == [None] * len(cross.u)
+    assert len(design_text(cross).splitlines()) > len(cross.u)
+    turned = mp.design(positions=20, include=cal, orientation_sd=1.0)
+    free = mp.design(positions=20, include=cal, unknown_orientation=True)
+    assert (turned.scheme.parameters, free.scheme.parameters) == (12, 9)
+    assert turned.orientation == "uncertain"
+    one = mp.design(positions=20, include=cal, inputs="x,y,z", axes="x,y,z")
+    assert_allclose(after(one), after(mp.design(positions=20, include=cal)), rtol=0.4)
+    with pytest.raises(mp.UsageError, match="--reading-sd must be above 0, got 0"):
+        mp.design(positions=20, include=cal, reading_sd=0.0)
+
+
+def test_a_calibration_is_included_by_the_path_of_its_file(tmp_path):
+    cal = mp.fit(readings("faces-corners-14", np.random.default_rng(9)), reading_sd=0.001)
+    path = tmp_path / "cal.json"
+    cal.save(path)
+    found = mp.design(positions=20, include=cal)
+    assert mp.design(positions=20, include=path) == found
+    status, out, err = command("design", "--include", str(path), "--positions", "20")
+    assert (status, err) == (0, "")
+    assert "20 positions reach" in out.splitlines()[0]
+    assert "6 more lower u by" in out.splitlines()[0]
+    assert "u before" in out
+    status, out, _ = command("design", "--include", str(path), "--positions", "20", "--json")
+    assert json.loads(out)["u"] == json.loads(json.dumps(found.to_dict()))["u"]
+    figure = tmp_path / "design.svg"
+    assert command("design", "--include", str(path), "--positions", "16", "-o", str(figure))[0] == 0
+    assert "<svg" in figure.read_text(encoding="utf-8")
 
 
 # --- the command line, and what it refuses
@@ -675,7 +754,7 @@ def test_design_writes_a_scheme_that_schemes_reads(tmp_path):
         ("schemes faces-6 --reading-sd 1e308", 2, "--reading-sd must be above 0, from 1e-40"),
         ("schemes faces-6 --orientation-sd 1e308", 2, "give --unknown-orientation"),
         ("schemes faces-6 --orientation-sd 1 --reading-sd 1e-20", 2, "below 1e-11, got 1.0"),
-        ("worth gone.json", 1, "no such file"),
+        ("design --include gone.json --positions 8", 1, "no such file"),
     ],
 )
 def test_bad_input_is_one_clear_line(arguments, status, message):
@@ -686,15 +765,16 @@ def test_bad_input_is_one_clear_line(arguments, status, message):
     assert message in line
 
 
-def test_worth_refuses_what_it_cannot_tell():
-    cal = mp.fit(readings("faces-6", np.random.default_rng(9)))
-    with pytest.raises(mp.UsageError, match="unknown parameter 'ax:y\\^3'"):
-        mp.worth(cal, parameter="ax:y^3")
-    with pytest.raises(mp.UsageError, match="name its parameter"):
-        mp.worth(cal, target=0.1)
-    saturated = mp.fit(readings("faces-6", np.random.default_rng(9)), model="1+x+y+z+own^2+y^2")
-    with pytest.raises(mp.MultiposError, match="--reading-sd"):
-        mp.worth(saturated)
+def test_what_no_prediction_comes_from_is_refused():
+    rows = readings("faces-6", np.random.default_rng(9))
+    saturated = mp.fit(rows, model="1+x+y+z+own^2+y^2")
+    for predict in (rank_positions, lambda cal: mp.design(positions=20, include=cal)):
+        with pytest.raises(mp.MultiposError, match="--reading-sd"):
+            predict(saturated)
+    rows = readings("all-26", np.random.default_rng(9))
+    warm = mp.fit(rows | {"temperature": np.arange(26.0)}, model="1 + x + y + z + temperature")
+    with pytest.raises(mp.MultiposError, match="column 'temperature', which a position does not"):
+        mp.design(positions=30, include=warm)
     for other in (2.0, 1.0):  # −1/3 of a variance, and none at all
         with pytest.raises(mp.MultiposError, match="leave a parameter open"):
             _variances(np.array([[[1.0, other], [other, 1.0]]]))
@@ -857,15 +937,7 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
         assert [fall(x)[0] for fall in seen] == [np.inf] * 3
 
 
-def test_positions_to_a_target_by_hand():
-    """Information of 4 and pieces of 0, 5, 12, 12: u is 1/2, and falls by the first of the best."""
-    pieces, present = np.array([0.0, 5.0, 12.0, 12.0]).reshape(4, 1, 1), np.full((1, 1), 4.0)
-    for target, path in ((0.5, []), (0.25, [2]), (0.2, [2, 2]), (0.189, [2, 2])):
-        assert _ahead(present, pieces, 1.0, 0.0, 0, target) == path
-    # twice the variance, and .01 that stays: sqrt(2/28 + .01) = .285
-    assert _ahead(present, pieces, 2.0, 0.01, 0, 0.286) == [2, 2]
-    assert _ahead(present, pieces, 2.0, 0.01, 0, 0.1) is None
-    assert _mean_fall(np.array([[0.5, 0.125]]), np.ones(2)) == pytest.approx(0.75)
+def test_pivots_of_rows_by_hand():
     assert _pivots(np.array([[1.0, 0.0], [0.0, 3.0], [2.0, 0.0]])) == [1, 2]
 
 

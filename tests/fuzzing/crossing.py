@@ -70,7 +70,7 @@ export made.json --to ros -o o.yaml
 export made.json --to imucal -o o.json
 simulate made.json --scheme faces-6+corners-8 --reading-sd 0.001 --seed 1 -o o.csv
 simulate made.json --log --scheme faces-6 --rest 1 --turn 0.2 --rate 50 --seed 1 -o o.csv
-worth made.json
+design --include made.json --positions 30
 stability log.csv --calibration made.json -o o.json
 """.strip().splitlines()
 )

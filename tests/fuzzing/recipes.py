@@ -110,10 +110,10 @@ TEXT = """
  5 simulate two.json --scheme quaternions.csv --orientation-sd 0.1 --seed 3
  3 simulate robust.json --scheme roll-pitch.csv --seed 4 --json
  4 simulate lin.json --scheme faces-6 --log --rest 1 --turn 0.2 --rate 50 --seed 1
- 5 worth lin.json
- 5 worth uncertain.json --candidates scheme.csv --json
-1.5 worth budget.json --parameter ax:x --target 0.0001
- 2 worth unknown.json --candidates rolls.csv
+ 5 design --include lin.json --positions 30
+ 5 design --include uncertain.json --positions 30 --candidates scheme.csv --json
+1.5 design --include budget.json --positions 30 --criterion u:ax:x
+ 2 design --include unknown.json --positions 30 --candidates rolls.csv
  2 schemes scheme.csv
  2 schemes rolls.csv --json
  3 schemes quaternions.csv --model own-quadratic --unknown-orientation
@@ -211,7 +211,7 @@ TEXT = """
  2 verify-export mag.parm mag.json --json
  2 verify-export mag.yaml mag.json
 .3 verify-export incl.c incl.json
- 2 worth mag.json
+ 2 design --include mag.json --positions 30
  2 simulate mag.json --scheme all-26 --reading-sd 0.1 --seed 1 -o o.csv
 10 fit incl.csv --inputs x,y --unit V --range 0,5
  4 fit incl.csv --unit V --model own-cubic --json

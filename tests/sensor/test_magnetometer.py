@@ -693,9 +693,11 @@ def test_what_other_commands_print_of_a_magnetometer(tmp_path, capsys):
     assert row.split("|")[4:6] == [" 100 ", " nT "]
     assert "Up vector" not in report
     assert "Valid for fields up to 48.6 µT" in report
-    assert main(["worth", str(cal)]) == 0
+    more = str(len(columns) + 4)
+    assert main(["design", "--include", str(cal), "--positions", more, "-v"]) == 0
     out = capsys.readouterr().out
-    assert "Best next position: field (" in out
+    assert "4 more lower u by" in out
+    assert "field x" in out
     assert "up x" not in out
     run = tmp_path / "run.csv"
     assert main(["simulate", str(cal), "--scheme", "all-26", "-o", str(run)]) == 0
