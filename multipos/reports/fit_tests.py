@@ -82,11 +82,7 @@ def _simulated(c: Calibration, found: MonteCarlo) -> PageTable:
         *("Parameter", "u", "Symmetric interval", "Shortest interval", "Tolerance", "Unit"),
         "U valid",
     )
-    return PageTable(
-        f"Monte Carlo, {found.trials} trials",
-        header,
-        tuple(rows),
-    )
+    return PageTable(f"Monte Carlo, {found.trials} trials", header, tuple(rows))
 
 
 def _simulated_cells(

@@ -118,14 +118,7 @@ def _parameter_table(c: Calibration) -> PageTable:
     entries = [c[output, str(term)] for output, term in c.model.keys]
     cells = parameter_cells(entries)
     rows = [
-        (
-            p.name,
-            p.symbol or "",
-            p.label,
-            *row,
-            plain_number(p.k, 3),
-            number(p.dof),
-        )
+        (p.name, p.symbol or "", p.label, *row, plain_number(p.k, 3), number(p.dof))
         for p, row in zip(entries, cells, strict=True)
     ]
     header = ("Parameter", "Symbol", "Meaning", "Value", "u", "U", "Unit", "k", "dof")
@@ -278,14 +271,7 @@ def sphere_section(c: Calibration) -> Section:
     return Section(
         "Compensated force and tilt",
         tuple(paragraphs),
-        tables=(
-            PageTable(
-                "Worst case and rms over the sphere",
-                header,
-                tuple(rows),
-                left=2,
-            ),
-        ),
+        tables=(PageTable("Worst case and rms over the sphere", header, tuple(rows), left=2),),
     )
 
 

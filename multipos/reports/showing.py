@@ -67,6 +67,7 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     Check: check_text,
     Comparison: comparison_text.comparison_text,
     Design: design_text,
+    Fleet: lambda found: f"{fleet_sentence(found.summary)}\n\n{fleet_text(found.summary)}",
     Regression: regression_text,
     Regressions: regression_text,
     Schemes: schemes_text,
@@ -93,8 +94,6 @@ _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
 
 def show_text(found: Result) -> str:
     """Return a result as its command prints it; one that no command prints as a line a field."""
-    if isinstance(found, Fleet):
-        return f"{fleet_sentence(found.summary)}\n\n{fleet_text(found.summary)}"
     write = _TEXTS.get(type(found))
     if write is not None:
         return write(found).rstrip("\n")
@@ -203,11 +202,7 @@ def _body(found: Result) -> str:
         return f"<pre>{_text(comparison_text.changes_text(found))}</pre>"
     if isinstance(found, Schemes):
         return _table(*scheme_rows(found.schemes))
-    if (
-        type(found) in _TEXTS
-        or isinstance(found, Fleet)
-        or type(found).__str__ is not (Result.__str__)
-    ):
+    if type(found) in _TEXTS or type(found).__str__ is not Result.__str__:
         lines = str(found).splitlines()
         more = ["…"] if len(lines) > _LINES else []
         return f"<pre>{_text(chr(10).join([*lines[:_LINES], *more]))}</pre>"
