@@ -25,7 +25,7 @@ from multipos.fleets.folder import (
     progress_folder,
     write_fleet,
 )
-from multipos.fleets.quality import PASS
+from multipos.fleets.verdicts import PASS
 from multipos.fleets.workers import ENGINES
 from multipos.reports.documents import html_report, markdown_report
 from multipos.reports.fleet_report import fleet_content

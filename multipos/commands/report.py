@@ -12,8 +12,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.pipes import is_folder
 from multipos.files.trees import read_json_value, read_schema, to_json
 from multipos.fleets.fleet import SCHEMA as FLEET
-from multipos.fleets.fleet import fit_unit
 from multipos.fleets.folder import read_summary
+from multipos.fleets.one_unit import fit_unit
 from multipos.regression.regression import Regression, all_of, load_regression
 from multipos.reports import documents, regressions
 from multipos.reports.certificate import Content, build_content

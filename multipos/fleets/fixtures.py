@@ -1,5 +1,7 @@
 """The true angle of every position of a station's fixture, from residuals within units.
 
+- `sum_fixtures` returns what the units of a batch say of their fixtures, `FixtureSums`.
+
 A fixture holds unit after unit at position k in the same wrong attitude, off by a small rotation
 δ_k: the reference is f_k + δ_k × f_k for all of them. A unit's fit takes up what a change of its
 own parameters explains and leaves the rest in the residuals. With A_u the unit's sensitivities and

@@ -1,16 +1,13 @@
-"""The result `Fleet`, and the front door `fleet`: many units, and what all of them tell.
+"""The result `Fleet`, and the front door `fleet`: many units, and what all of them show.
+
+- `fleet` calibrates units and judges them; `assemble` makes a `Fleet` of units that are solved.
 
 Numbers of the line are those of units that count: fitted, and fit for use. What is left out of
 them is counted and listed.
-
-One unit of a fleet by itself, as `fit` finds it: what its own page is made of.
-
-`fleet.json` names the tables and says with what options units were fitted; the readings stay in
-the tables. Of Parquet only the rows of the unit are read.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import field
 from pathlib import Path, PurePath
@@ -19,118 +16,21 @@ from typing import Any, Unpack
 import numpy as np
 
 from multipos import __version__
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import UsageError
 from multipos.files.limits import Limit, LimitsSource, read_limits
-from multipos.files.pipes import is_there
-from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source
 from multipos.files.whole import now
 from multipos.finding import Finding, Findings, in_order, read_findings
 from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import FitOptions, takes_options
-from multipos.fleets import fit_many, grouping, line, pictures, quality
-from multipos.fleets.sources import Averaging, read_rows
+from multipos.fleets import fit_many, line, pictures, quality
+from multipos.fleets.one_unit import asked
+from multipos.fleets.outlying_units import find_outliers
 from multipos.fleets.stations import describe_stations
 from multipos.fleets.unit_results import Units
+from multipos.fleets.verdicts import PASS, VERDICTS, column, judge_units
 from multipos.fleets.workers import Engine, open_engine
 from multipos.results import Columns, Drawn, Result, frozen, plain_dict
-from multipos.sensor.calibration import Calibration
-
-
-def asked(
-    unit_column: str | None, station_column: str | None, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return what `fleet.json` keeps of how units were fitted; options None where no file can."""
-    given = {name: value for name, value in options.items() if value is not None}
-    kept = given if all(map(_is_plain, given.values())) else None
-    return {"unit_column": unit_column, "station_column": station_column, "options": kept}
-
-
-def _is_plain(value: Any) -> bool:
-    if isinstance(value, list | tuple):
-        return all(map(_is_plain, value))
-    return isinstance(value, str | int | float)
-
-
-def fit_unit(
-    found: Mapping[str, Any],
-    unit: str,
-    *,
-    station: str | None = None,
-    data: Sequence[Source] = (),
-    beside: Path = Path(),
-) -> Calibration:
-    """Return the calibration of one unit of a fleet.
-
-    Parameters
-    ----------
-    found : mapping
-        As `fleet.json` holds it.
-    unit, station : str
-        The station where the unit was at several.
-    data : paths, optional
-        The tables of the fleet; otherwise those that it names, in `beside` or this folder.
-    beside : path
-
-    Raises
-    ------
-    MultiposError
-        There is no such unit or table, or the unit cannot be fitted.
-    """
-    how = found["asked"]
-    if how["options"] is None:
-        raise MultiposError(
-            "this fleet was fitted from Python with options that no file holds; fit the rows of "
-            "the unit there."
-        )
-    given, tables = how["options"], data or _named(found, beside)
-    if how.get("raw", False):
-        given = fit_many.with_rests(given)
-        with ThreadPoolExecutor() as executor:
-            raw = Averaging(fit_many.averaging_options(given), executor)
-            rows, owners = read_rows(tables, None, None, unit, raw=raw)
-    else:
-        rows, owners = read_rows(tables, how["unit_column"], how["station_column"], unit)
-    known = {each["sha256"] for each in found["input"]}
-    for table in rows.tables:
-        if table.sha256 not in known:
-            raise MultiposError(
-                f"{table.source} is not the table that this fleet was fitted from, or has changed "
-                "since; give that with --data, or run multipos fleet again."
-            )
-    units = grouping.group_rows(owners)
-    here = {units.station[i]: i for i, name in enumerate(units.unit) if name == unit}
-    if not here:
-        raise MultiposError(f"no unit '{unit}'{near(unit, owners.unit.names)} Look at units.csv.")
-    place = here[_station_of(unit, list(here), station)]
-    return fit(rows.select(units.rows(place).tolist()), **given)
-
-
-def _station_of(unit: str, stations: list[str], wanted: str | None) -> str:
-    if wanted is None and len(stations) == 1:
-        return stations[0]
-    if wanted is None:
-        raise MultiposError(
-            f"unit '{unit}' was at stations {quoted(stations)}; choose one with --station."
-        )
-    if wanted not in stations:
-        raise MultiposError(f"unit '{unit}' was at {quoted(stations)}, not at '{wanted}'.")
-    return wanted
-
-
-def _named(found: Mapping[str, Any], beside: Path) -> list[Source]:
-    """Return the tables that a fleet names, where they lie."""
-    tables: list[Source] = []
-    for each in found["input"]:
-        places = [folder / each["file"] for folder in (beside, Path())]
-        there = next((path for path in places if is_there(path)), None)
-        if there is None:
-            raise MultiposError(
-                f"the table {each['file']} of this fleet is not in its folder; give it with --data."
-            )
-        tables.append(there)
-    return tables
-
 
 SCHEMA = "multipos/fleet/1"
 
@@ -217,7 +117,7 @@ def fleet(
         The tables are raw logs, one a unit: each is averaged first, and of unknown orientation
         unless a scheme is given.
     limits : path or mapping of name to (lsl, usl), optional
-        Of the numbers of a unit (`multipos.fleets.quality`).
+        Of the numbers of a unit (`multipos.fleets.verdicts`).
     engine, scheduler : str
         'threads', 'processes', or 'dask' with the address of its scheduler.
     executor : concurrent.futures.Executor, optional
@@ -275,10 +175,10 @@ def fleet(
 def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) -> Fleet:
     """Return the fleet of solved units; `how` is what `asked` tells of the options."""
     unfit = units.unfit
-    judged = quality.judge_units(units, limits, unfit)
+    judged = judge_units(units, limits, unfit)
     counted = ~units.failed & ~unfit
     failed = int(units.failed.sum())
-    passed = int(np.sum(judged.verdict == quality.PASS))
+    passed = int(np.sum(judged.verdict == PASS))
     total, verdicts = len(units), judged.verdict.tolist()
     stations = describe_stations(units, counted)
     summary = {
@@ -291,14 +191,14 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "failed": failed,
         "counted": int(counted.sum()),
         "yield": quality.proportion(passed, total)._asdict(),
-        "verdicts": {name: count for name in quality.VERDICTS if (count := verdicts.count(name))},
+        "verdicts": {name: count for name in VERDICTS if (count := verdicts.count(name))},
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
         "unfit": [
             {"unit": units.unit[i], "station": units.station[i], "reason": units.why_unfit[i]}
             for i in np.flatnonzero(unfit).tolist()
         ],
         "parameters": _parameters(units, limits, counted),
-        "outliers": line.find_outliers(units, counted),
+        "outliers": find_outliers(units, counted),
         "stations": stations,
         "drift": line.find_drift(units, counted),
     }
@@ -349,7 +249,7 @@ def _parameters(
         said = quality.describe(name, unit, values, own, stations, limit, units.confidence)
         described.append(said | {"histogram": pictures.histogram(values), "chart": lines[place]})
     for name, limit in by_name.items():
-        values = quality.column(units, name)[counted]
+        values = column(units, name)[counted]
         said = quality.describe(name, "", values, None, stations, limit, units.confidence)
         described.append(said | {"histogram": pictures.histogram(values), "chart": []})
     return described

@@ -1,4 +1,9 @@
-"""A fleet as the command prints it."""
+"""A fleet as the command prints it.
+
+- `fleet_sentence` returns yield and verdicts as a sentence, `fleet_text` the tables.
+- `parameter_rows`, `station_rows`, `cause_rows`, `outlier_rows`, `drift_rows` are their rows, of
+  which the page is made as well; `percent` writes a share.
+"""
 
 import re
 from collections.abc import Mapping, Sequence

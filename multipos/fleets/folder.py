@@ -1,5 +1,9 @@
 """The folder that `multipos fleet` writes: its files, and where a run that was stopped left off.
 
+- `write_fleet` writes the folder, `read_summary` reads `fleet.json`, `file_names` names the files.
+- `progress_folder` is where finished tasks are kept until a run has ended.
+- `has_page`, `has_parquet` and `has_corrections` say which files there are.
+
 Where the angles of a station's fixture are identifiable, `stations` in it has two files of the
 station's name: the positions where they are, as a scheme (.csv), and how well that is known, as a
 budget (.toml).

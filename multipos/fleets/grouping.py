@@ -1,5 +1,7 @@
 """Units out of rows: which rows are whose, and which units were read under the same conditions.
 
+- `group_rows` returns the units of rows, `Grouped`; `Conditions` what each was read under.
+
 The conditions of a unit are what a fit reads beside its outputs: labels, orientations, stated
 uncertainties, columns of the model. Units with the same share one design and are solved together.
 They are found by a sum of products modulo 2⁶⁴ of every unit's cells with random odd numbers, which

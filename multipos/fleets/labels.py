@@ -1,4 +1,7 @@
-"""Columns of labels as numbers: a text that comes a million times is kept once."""
+"""Columns of labels as numbers: a text that comes a million times is kept once.
+
+- `labels_of` numbers a column, `Labels`; `joined_labels` and `joined_columns` put several together.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, overload

@@ -1,5 +1,8 @@
 """Parquet files of a fleet, read as far as they are needed.
 
+- `is_parquet` says whether a source is such a file, `read_parquet` opens it, `spread_parquet`
+  copies rows of it; `is_in_file` says whether a column is still there, a `FileColumn`.
+
 They are read in this process, other than a log (`multipos.logs.extras`): texts stay what they
 are in the file, a dictionary and numbers. A column stays in its file until rows of it are asked
 for; what a file gives only together is a row group.

@@ -1,5 +1,9 @@
 """Quality figures of a line: yield, capability, spread without the measurement, wrong verdicts.
 
+- `describe` returns what is said of one number of all units.
+- `proportion` is a share with its interval, a `CoveredFigure`; `spread_of` the `UnitSpread` of
+  values, `capability` its Cpk or Ppk, `wrong_verdicts` the two risks.
+
 For x of n units with mean m, limits L and U, and σ a standard deviation,
 
     C = min(m − L, U − m) / 3σ,                                                             (1)
@@ -21,32 +25,14 @@ they are outside (consumer's risk) and that fail although they are inside (produ
 
 Sources: A. F. Bissell, Applied Statistics 39, 1990, 331–340. NIST/SEMATECH e-Handbook of
 Statistical Methods, section 6.1.6. JCGM 106:2012, section 9.5 (global risk).
-
-Limits of a fleet's numbers, from a file, and the verdict of every unit.
-
-A limit is on a column of the table of calibrations (a parameter, ``u_…``, ``rms``, …) or, as
-``U:name``, on the expanded uncertainty of a parameter. A value on a limit is within it.
-
-- `failed`: there is no calibration, with the reason;
-- `unfit`: there is one, but it is not fit for use, so that what it says of the unit is not known;
-- `fail`: a value is outside its limits, or is none;
-- `pass`: none of these.
 """
 
-import math
-from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.errors import MultiposError
-from multipos.files.limits import Limit
-from multipos.files.spelling import near
-from multipos.fleets.unit_results import Texts, Units
-from multipos.numerics.arrays import Array, Mask, Places
-from multipos.numerics.quantiles import beta_quantile, coverage_factors, erf, normal_quantile
-from multipos.results import frozen
+from multipos.numerics.arrays import Array, Places
+from multipos.numerics.quantiles import beta_quantile, erf, normal_quantile
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 _GRID = 2001  # of eq. (3): its error is below 1e-6
@@ -185,91 +171,3 @@ def _against_limits(
     limited = said["lsl"] is not None or said["usl"] is not None
     said["risk"] = wrong_verdicts(spread, u, lsl, usl) if limited else None
     return said
-
-
-PASS, FAIL, UNFIT, FAILED = "pass", "fail", "unfit", "failed"
-VERDICTS = (PASS, FAIL, UNFIT, FAILED)
-
-
-@frozen
-class Verdicts:
-    """The verdict of every unit (B,), the reasons, and how often each kind of reason came."""
-
-    verdict: NDArray[np.str_]
-    reasons: Texts
-    causes: Mapping[str, int]
-
-
-def judge_units(units: Units, limits: Sequence[Limit], unfit: Mask) -> Verdicts:
-    """Return the verdicts of units.
-
-    Parameters
-    ----------
-    units : Units
-    limits : sequence of Limit
-    unfit : (B,) array of bool
-        Whose calibration is not fit for use.
-
-    Raises
-    ------
-    MultiposError
-        A limit is on a name that there is not.
-    """
-    failed = units.failed
-    reasons = units.reasons.copy()
-    causes: dict[str, int] = {}
-    outside = np.zeros(len(units), dtype=np.bool_)
-    for limit in limits:
-        value = column(units, limit.name)
-        beyond = ~failed & ~((value >= limit.lsl) & (value <= limit.usl))
-        outside |= beyond
-        if beyond.any():
-            causes[f"{limit.name} outside its limits"] = int(beyond.sum())
-        for unit in np.flatnonzero(beyond).tolist():
-            _add(reasons, unit, _said(limit, float(value[unit])))
-    for unit in np.flatnonzero(unfit).tolist():
-        _add(reasons, unit, units.why_unfit[unit])
-        for code in units.findings[unit].split(";"):
-            causes[code] = causes.get(code, 0) + 1
-    if failed.any():
-        causes["no calibration"] = int(failed.sum())
-    verdict = np.select([failed, unfit, outside], [FAILED, UNFIT, FAIL], PASS)
-    return Verdicts(verdict, reasons, causes)
-
-
-def _add(reasons: Texts, unit: int, text: str) -> None:
-    reasons[unit] = f"{reasons[unit]}; {text}" if reasons[unit] else text
-
-
-def _said(limit: Limit, value: float) -> str:
-    if math.isnan(value):
-        return f"{limit.name} has no value"
-    side = f"below {limit.lsl:g}" if value < limit.lsl else f"above {limit.usl:g}"
-    return f"{limit.name} = {value:.6g} is {side}"
-
-
-def column(units: Units, name: str) -> Array:
-    """Return a number of every unit (B,) by its name, ``U:…`` included.
-
-    Raises
-    ------
-    MultiposError
-        There is none of that name; one that is like it is offered.
-    """
-    if name == "rms":
-        return units.rms
-    for prefix, table in (("", units.parameters), ("u_", units.u), ("dof_", units.dof)):
-        if name.startswith(prefix) and name.removeprefix(prefix) in units.names:
-            return np.asarray(table[:, units.names.index(name.removeprefix(prefix))])
-    if name.startswith("U:") and name[2:] in units.names:
-        place = units.names.index(name[2:])
-        return np.asarray(
-            coverage_factors(units.confidence, units.dof[:, place]) * units.u[:, place]
-        )
-    if not units.names:  # no unit could be fitted, so nothing is known of any name
-        return np.full(len(units), np.nan)
-    known = [*units.names, *(f"U:{each}" for each in units.names), "rms"]
-    raise MultiposError(
-        f"the limits name '{name}', which no unit has{near(name, known)} There are "
-        f"{', '.join(units.names)}, U:NAME of each, u_NAME and rms."
-    )

@@ -1,5 +1,8 @@
 """Findings of units at uncertain or unknown orientations, about the solution of each.
 
+- `lacking_in_units` returns which terms the units' models lack, `find_about_solutions` what is
+  found of each.
+
 Each unit has weights and slopes of its own there, about which its missing terms
 (`multipos.diagnostics.score_tests`) and unequal outputs (`multipos.diagnostics.residuals`) are
 tested. A unit in which a position sticks out is left to the fit of one.

@@ -1,28 +1,15 @@
 """One task of a fleet: some units to their numbers, in one batch or one by one.
 
+- `find_pattern` returns the `Pattern` that units read under the same conditions share.
+- `solve_task` returns what is `Solved` of a `Task`.
+- `fit_one` fits one unit by itself, `gather` puts such fits together.
+
 A task is all that a worker needs and can be sent to another process. Units that were read under the
-same conditions are solved together where a batch can do what `fit` does with
-them; all others, and whatever unit a batch does not answer for, by `fit` itself, so that nothing
-depends on which way was taken.
-
-Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
-
-Errors of `multipos.diagnostics` need something to begin with, and each bound here is
-passed by far less than any of them needs:
-
-- residuals of half a percent of a g, or one of eight tenths (rows interchanged, flipped, in another
-  unit, saturated; they need two percent, or one);
-- an output that leans more than 14° from its axis, or is reversed (permuted, turned, reversed);
-- a sensitivity that is not within a fifth of that of the other units (units mixed up), or one of
-  the others that is not what the stated unit says (all in another unit);
-- two rows that are the same in all outputs (copied).
-
-At uncertain orientations residuals are small wherever positions take up what is wrong, so that an
-output that has one end of its range twice, or in common with another (saturated), is asked as well;
-positions that stick out are left to the fit of one unit by the batch itself.
-
-What is a caution alone is found by `multipos.fleets.unit_findings`; at uncertain and unknown
-orientations outliers are asked only of units that are fitted one by one.
+same conditions are solved together where a batch can do what `fit` does with them; all others, and
+whatever unit a batch does not answer for, by `fit` itself, so that nothing depends on which way was
+taken. Those that may not be fit for use (`multipos.fleets.suspects`) are fitted alone; what is a
+caution alone is found by `multipos.fleets.unit_findings`; at uncertain and unknown orientations
+outliers are looked for only in units that are fitted one by one.
 """
 
 import warnings
@@ -35,7 +22,6 @@ import numpy as np
 
 from multipos.diagnostics.examination import are_open, are_poorly_known
 from multipos.diagnostics.projections import Kind
-from multipos.diagnostics.scales import are_of_unit
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation import (
     correlated_rows,
@@ -52,8 +38,9 @@ from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import Options
 from multipos.fleets import solution_findings, unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
+from multipos.fleets.suspects import find_suspects
 from multipos.fleets.unit_findings import UnitFindings
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, coarse_steps, median
+from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.headers import TEMPERATURE
 from multipos.positions.orientations import orient, place
@@ -63,77 +50,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Field
-from multipos.sensor.model import Model
 
-_RMS = 0.005  # [g]
-_LARGEST = 0.008  # [g]
-_LEANS = 0.97  # cosine
-_OTHER = 1.2  # times the sensitivity of the units beside it
 _ROWS_NAMED = 6  # of a finding, in a cell
-_WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
-
-
-def find_suspects(
-    model: Model,
-    values: tuple[Array, ...],
-    found: Estimates,
-    *,
-    uncertain_orientation: bool = False,
-) -> Mask:
-    """Tell which units (B,) are to be looked at in full.
-
-    Parameters
-    ----------
-    model : Model
-    values : M arrays (B, n)
-    found : Estimates
-    uncertain_orientation : bool
-        Orientations are uncertain.
-    """
-    matrix = found.sensitivity
-    length = np.asarray(np.linalg.norm(matrix, axis=2))
-    usual = median(length, axis=0).tolist()
-    suspect = ~(found.rms <= _RMS) | _repeats(values) | _leans(model, matrix, length)
-    if uncertain_orientation:
-        suspect |= _ends_repeat(values)
-    for i, residuals in enumerate(found.residuals):
-        size = length[:, i]
-        suspect |= coarse_steps(values[i].T, np.sqrt(np.mean(residuals**2, axis=1))) > 0.0
-        suspect |= ~((size < _OTHER * usual[i]) & (size > usual[i] / _OTHER))
-        suspect |= np.abs(residuals).max(axis=1) > _LARGEST * size
-    if not are_of_unit([min(usual) / _OTHER, max(usual) * _OTHER], model.unit):
-        suspect[:] = True
-    return suspect
-
-
-def _leans(model: Model, matrix: Array, length: Array) -> Mask:
-    """Tell of which units an output leans from its axis; `matrix` are their sensitivities."""
-    sensed = model.sensed_axes
-    leans = np.zeros(len(matrix), dtype=np.bool_)
-    for i, axis in enumerate(model.axes):
-        own = matrix[:, i, sensed.index(COMPONENTS.index(axis))]
-        leans |= ~(own > _LEANS * length[:, i])
-    return leans
-
-
-def _ends_repeat(values: tuple[Array, ...]) -> Mask:
-    """Tell which units have an end of the range of an output twice, or in two outputs."""
-    repeat = np.zeros(len(values[0]), dtype=np.bool_)
-    for ends in (np.max, np.min):
-        found = np.stack([ends(column, axis=1) for column in values])
-        for column, end in zip(values, found, strict=True):
-            repeat |= (column == end[:, None]).sum(axis=1) > 1
-        repeat |= (np.diff(np.sort(found, axis=0), axis=0) == 0.0).any(axis=0)
-    return np.asarray(repeat)
-
-
-def _repeats(values: tuple[Array, ...]) -> Mask:
-    """Tell which units have two rows that are alike."""
-    number = np.zeros_like(values[0])
-    for i, column in enumerate(values):
-        number += _WEIGHTS[i % 3] * column
-    number.sort(axis=1)
-    return np.asarray((np.diff(number, axis=1) == 0.0).any(axis=1))
 
 
 Shared = (

@@ -1,5 +1,8 @@
 """The rows of a fleet: tables in files, folders and patterns, one row per unit and position.
 
+- `read_rows` returns the `Rows` of tables and whose they are, `Owners`.
+- `average_logs` returns the means of raw logs, by how `Averaging` says.
+
 A file is CSV or JSON, packed or not, or Parquet by the extra ``parquet``; a folder stands for all
 such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
 the columns of unit and station are read at once, the others piece by piece. Where no column names

@@ -1,5 +1,10 @@
 """What stations do to their units: level, zero, and how well that can be identified.
 
+- `describe_stations` returns what is said of every station, `find_off` its findings.
+- `station_effects` returns θ of eq. (1) with its covariance, `linear_parts` the sensitivities that
+  eq. (2) takes, `near_median` the units that are near enough to count.
+- `is_off` says whether the angle of a position is beyond what it is known to.
+
 Units are allotted to stations at random; that is what these figures rest on. A number y of unit j
 at station s is
 
@@ -23,24 +28,9 @@ a fleet shows what these have in common.
 
 All levels and shifts of all stations, m in number, are one test at 1 %: one is off where
 
-    |value| > u t_{1 − .01/2m}(ν),    ν units less stations,                                (5)
+    |value| > u t_{1 − .01/2m}(ν),    ν units less stations,                                (3)
 
 and where it matters: a level from 0.02°, a shift from a tenth of what units differ by.
-
-Fixtures of stations: the angle of every position, and the correction that it asks for.
-
-A fixture's angles δ_k come from `multipos.fleets.fixtures`, their mean over the units of a station.
-The correction lists each position where it was,
-
-    u_k = R(δ_k) u_k,listed,                                                                 (3)
-
-as the columns of a scheme, and what is left of doubt about it as a budget: `orientation`, of which
-the standard uncertainty is
-
-    u² = mean over positions of (u_x² + u_y² + u_z²)/2,                                      (4)
-
-half, because a turn about what is up does not show. A rotation that all positions share is not in
-it: units take it for cross terms, and no fleet can tell it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,81 +39,16 @@ from typing import Any
 import numpy as np
 
 from multipos.finding import Finding, Findings
-from multipos.fleets.fixtures import FixtureSums
+from multipos.fleets.station_fixtures import describe_fixtures
 from multipos.fleets.unit_results import Units
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.quantiles import coverage_factor
-from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.sensor.model import Model
 
 _OFF = 0.1  # [deg] from which a station is said to be off,
 _CLEAR = 5.0  # where it is so many times its u
-_ALARM, _LEVEL, _OF_UNITS = 0.01, 0.02, 0.1  # of eq. (5); [deg], and of what units differ by
-_VERTICAL = 1e-9  # 1 − cosine, nearer than which an axis is the vertical
-FEWEST = 10  # units that a correction rests on: of fewer it adds as much doubt as it takes away
-
-
-def describe_fixtures(fixtures: Sequence[FixtureSums]) -> dict[int, dict[str, Any]]:
-    """Return `positions_deg` and `correction` of every station, of its commonest positions."""
-    joined: dict[tuple[int, tuple[str, ...], bytes], list[FixtureSums]] = {}
-    for each in fixtures:
-        key = (each.station, each.labels, each.identifiable.tobytes())
-        joined.setdefault(key, []).append(each)
-    most: dict[int, list[FixtureSums]] = {}
-    for (station, _, _), parts in joined.items():
-        known = most.get(station, [])
-        if sum(p.units for p in parts) > sum(p.units for p in known):
-            most[station] = parts
-    return {station: _described(parts) for station, parts in most.items()}
-
-
-def _described(parts: Sequence[FixtureSums]) -> dict[str, Any]:
-    count = sum(part.units for part in parts)
-    mean = np.asarray(sum(part.total for part in parts) / count)
-    square = sum(part.square for part in parts) / count
-    u = np.sqrt(np.maximum(square - mean**2, 0.0) / max(count - 1, 1))
-    return {
-        "positions_deg": _angles(parts[0], np.degrees(mean), np.degrees(u), count),
-        "correction": _correction(parts, mean, u, count),
-    }
-
-
-def _angles(fixture: FixtureSums, value: Array, u: Array, count: int) -> list[dict[str, Any]]:
-    """Return the angles of positions, none about the vertical: such a turn changes no reading."""
-    seen = fixture.identifiable[:, None] & (np.abs(fixture.up) < 1.0 - _VERTICAL) & (count > 1)
-    return [
-        {"position": label}
-        | {
-            axis: {"value": float(value[row, i]), "u": float(u[row, i])} if seen[row, i] else None
-            for i, axis in enumerate(COMPONENTS)
-        }
-        for row, label in enumerate(fixture.labels)
-    ]
-
-
-def _correction(
-    parts: Sequence[FixtureSums], mean: Array, u: Array, count: int
-) -> dict[str, Any] | None:
-    """Return eqs. (3) and (4) as a scheme and a budget; None where an angle is not identifiable."""
-    first = parts[0]
-    alike = all(np.array_equal(part.up, first.up) for part in parts)
-    if count < FEWEST or not first.identifiable.all() or not alike:
-        return None
-    labels = list(dict.fromkeys(first.labels))
-    member = np.array([labels.index(label) for label in first.labels])
-    heads = np.array([first.labels.index(label) for label in labels])
-    if not np.array_equal(first.up, first.up[heads][member]):
-        return None  # one label, two positions
-    # rows that repeat a position share its angle
-    angle = np.array([mean[member == place].mean(axis=0) for place in range(len(labels))])
-    up = np.array([rotation_matrix(a) @ f for a, f in zip(angle, first.up[heads], strict=True)])
-    size = float(np.degrees(np.sqrt(np.sum(u**2) / (2 * len(u)))))
-    columns = {f"up_{axis}": up[:, i].tolist() for i, axis in enumerate(COMPONENTS)}
-    return {
-        "scheme": {"position": labels, **columns},
-        "budget": {"orientation": {"u_deg": size, "dof": float(count - 1)}},
-    }
+_ALARM, _LEVEL, _OF_UNITS = 0.01, 0.02, 0.1  # of eq. (3); [deg], and of what units differ by
 
 
 _FAR = 6.0  # robust standard deviations beyond which a unit tells nothing of its station
@@ -173,7 +98,7 @@ def describe_stations(units: Units, counted: Mask) -> list[dict[str, Any]]:
 
 
 def _beyond(described: Sequence[Mapping[str, Any]], k: float) -> list[set[tuple[str, str]]]:
-    """Return the figures of each station, by kind and name, that are off, eq. (5).
+    """Return the figures of each station, by kind and name, that are off, eq. (3).
 
     One that is off moves the mean of all, and with it the others: it is left out before they are
     looked at, where there are three stations or more.
@@ -198,7 +123,7 @@ def _beyond(described: Sequence[Mapping[str, Any]], k: float) -> list[set[tuple[
 
 
 def _figures(station: Mapping[str, Any]) -> list[tuple[str, str, Mapping[str, float] | None]]:
-    """Return what is compared of a station, eq. (5): kind, axis or output, value and u."""
+    """Return what is compared of a station, eq. (3): kind, axis or output, value and u."""
     return [
         (kind, name, figure)
         for kind in ("level_deg", "shift")
@@ -214,7 +139,7 @@ def find_off(station: Mapping[str, Any], beyond: set[tuple[str, str]], unit: str
     station : mapping
         As of `describe_stations`.
     beyond : set of (kind, name)
-        The levels and shifts that are off, eq. (5).
+        The levels and shifts that are off, eq. (3).
     unit : str
         Of the readings.
     """

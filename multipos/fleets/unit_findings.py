@@ -1,5 +1,9 @@
 """Findings about the residuals of many units, as `fit` finds them of each.
 
+- `unit_tests` returns what is worked out once, `UnitTests`; `find_in_units` what is found of each
+  unit, `UnitFindings`, `find_in_expressions` of user-defined models.
+- `lacking_in_batch`, `may_lack_terms`, `find_aside` and `beyond_limit` are parts of it.
+
 What known positions alone decide is worked out once for all units: projections on missing terms,
 leverages, quantiles. The tests are then contractions over units:
 

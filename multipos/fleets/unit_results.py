@@ -1,4 +1,7 @@
-"""The numbers of all units, and where they are gathered while tasks come in."""
+"""The numbers of all units, and where they are gathered while tasks come in.
+
+- `Units` holds the numbers, `UnitsFound` takes them up task by task.
+"""
 
 from functools import cached_property
 from typing import Any

@@ -1,5 +1,7 @@
 """All tasks of a fleet, by whatever engine, and where a run that was stopped goes on.
 
+- `open_engine` opens what runs tasks, `solve_all` yields what they find.
+
 A task is some thousand units, so that memory does not grow with their number beyond the table and
 the result. Its content has a name, the SHA-256 of all that its numbers depend on; what it found is
 kept under that name until the run has ended, and a task that is found there is not solved again.

@@ -5,7 +5,7 @@ import pytest
 from fleet_bench import line
 
 import multipos as mp
-from multipos.fleets.pictures import ewma, ewma_limits, individual_limits, judge_control
+from multipos.fleets.control_charts import ewma, ewma_limits, individual_limits, judge_control
 
 # NIST/SEMATECH e-Handbook, 6.3.2.2: flow rates of ten batches, and what is printed of them
 FLOW = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
@@ -18,7 +18,7 @@ PRINTED = [
 
 
 def test_individual_limits_are_those_of_the_handbook():
-    # eq. (1) of fleets.pictures
+    # eq. (1) of fleets.control_charts
     found = individual_limits(np.array(FLOW))
     assert found.centre == pytest.approx(50.81, abs=1e-10)
     # printed with d2 rounded to 1.128: 55.8041 and 45.8159
@@ -27,7 +27,7 @@ def test_individual_limits_are_those_of_the_handbook():
 
 
 def test_the_ewma_is_that_of_the_handbook():
-    # eq. (2) of fleets.pictures
+    # eq. (2) of fleets.control_charts
     found = ewma(np.array(VALUES), 50.0, 0.3)
     # two decimals are printed, carried on from rounded values
     np.testing.assert_allclose(found, PRINTED, atol=0.0101)

@@ -40,7 +40,7 @@ def turned_nest(scheme, sd_deg, seed):
 
 @pytest.mark.parametrize("convention", ["specific-force", "gravity"])
 def test_positions_are_listed_where_they_are_with_their_uncertainty(convention):
-    # eqs. (3), (4) of fleets.stations
+    # eqs. (1), (2) of fleets.station_fixtures
     up, turned, true = turned_nest("fibonacci-24", 0.2, 4)
     table = line(200, turned=turned[None], noise=2e-4)
     if convention == "gravity":
@@ -192,7 +192,7 @@ def test_what_is_off_leaves_the_mean_of_the_others_by_hand():
 
     k u = 1.5 names the first alone, .5 none but it, and 2.5 none.
     """
-    # eq. (5) of fleets.stations
+    # eq. (3) of fleets.stations
     figures = [{"shift": {"ax": {"value": v, "u": 0.5}}, "level_deg": {}} for v in (2.0, -1, -1)]
     for k, named in ((3.0, [1, 0, 0]), (1.0, [1, 0, 0]), (5.0, [0, 0, 0])):
         assert [len(each) for each in _beyond(figures, k)] == named

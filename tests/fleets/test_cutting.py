@@ -24,7 +24,7 @@ from multipos.errors import MultiposError
 from multipos.files import csv_columns as columns
 from multipos.files import tables
 from multipos.files.csv_columns import arrange_cells, spread_cells
-from multipos.fleets import fit_many as cutting
+from multipos.fleets import cutting
 from multipos.fleets import workers as running
 from multipos.fleets.grouping import group_rows
 from multipos.fleets.sources import read_rows
@@ -174,7 +174,7 @@ def test_a_bad_cell_of_rows_apart_names_its_line(tmp_path, monkeypatch):
 def test_a_stopped_run_goes_on_in_pieces(tmp_path, monkeypatch, arranged):
     lots = write(tmp_path / "lots", arranged(line(6, scheme="faces-corners-14")), "csv")
     in_pieces(monkeypatch, 3 * N)
-    monkeypatch.setattr("multipos.fleets.fit_many._READINGS", 2 * N)
+    monkeypatch.setattr("multipos.fleets.pieces._READINGS", 2 * N)
     kept = tmp_path / "out" / ".progress"
     solve, solved = running.solve_task, []
 
@@ -226,7 +226,7 @@ def test_a_signal_leaves_no_copy_of_rows(tmp_path):
     code = (
         "import os, signal, sys\n"
         "from multipos import cli\n"
-        "from multipos.fleets import fit_many as cutting\n"
+        "from multipos.fleets import cutting\n"
         "cutting._PIECE = 100\n"
         "def stop(columns, rows):\n"
         "    assert len(os.listdir('out/.progress')) == 1\n"

@@ -131,7 +131,7 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
     from multipos.fleets import workers as running
 
     table = line(6, scheme="faces-corners-14")
-    monkeypatch.setattr("multipos.fleets.fit_many._READINGS", 2 * 14)
+    monkeypatch.setattr("multipos.fleets.pieces._READINGS", 2 * 14)
     kept = tmp_path / ".progress"
     options = {"unit_column": "unit", "station_column": "station", "progress_folder": kept}
     solve = running.solve_task

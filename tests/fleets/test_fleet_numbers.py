@@ -13,19 +13,20 @@ from multipos.diagnostics.examination import are_open
 from multipos.diagnostics.model_error import columns_of
 from multipos.estimation.known import share_design
 from multipos.files.tables import Table
-from multipos.fleets import fleet_text, line, stations, unit_findings
+from multipos.fleets import (
+    fleet_text,
+    line,
+    outlying_units,
+    station_fixtures,
+    stations,
+    unit_findings,
+)
 from multipos.fleets.fixtures import FixtureSums
 from multipos.fleets.grouping import Conditions, group_rows
 from multipos.fleets.labels import Labels
-from multipos.fleets.solving import (
-    _chi2_findings,
-    _ends_repeat,
-    _findings,
-    _with_gravity,
-    find_pattern,
-    find_suspects,
-)
+from multipos.fleets.solving import _chi2_findings, _findings, _with_gravity, find_pattern
 from multipos.fleets.sources import Rows, _labelled
+from multipos.fleets.suspects import _ends_repeat, find_suspects
 from multipos.fleets.unit_findings import (
     _explained_by_temperature,
     _lack_of_fit,
@@ -115,7 +116,7 @@ def test_a_fixture_is_corrected_by_its_mean_angles():
     part = SimpleNamespace(up=up, labels=("p", "q", "p"), identifiable=np.ones(3, dtype=bool))
     mean = np.array([[0.0, 0.02, 0.0], [0.01, 0.0, 0.03], [0.0, 0.04, 0.02]])
     u = np.array([[0.001, 0.002, 0.0], [0.003, 0.0, 0.001], [0.002, 0.002, 0.0]])
-    found = stations._correction([part, part], mean, u, 12)
+    found = station_fixtures._correction([part, part], mean, u, 12)
     angles = [(mean[0] + mean[2]) / 2.0, mean[1]]
     wanted = [rotation_matrix(a) @ f for a, f in zip(angles, up, strict=False)]
     assert found["scheme"]["position"] == ["p", "q"]
@@ -124,10 +125,10 @@ def test_a_fixture_is_corrected_by_its_mean_angles():
     orientation = found["budget"]["orientation"]
     assert orientation["u_deg"] == pytest.approx(math.degrees(math.sqrt(np.sum(u**2) / 6)))
     assert orientation["dof"] == 11.0
-    assert stations._correction([part], mean, u, stations.FEWEST - 1) is None
-    assert stations._correction([part], mean, u, stations.FEWEST) is not None
+    assert station_fixtures._correction([part], mean, u, station_fixtures.FEWEST - 1) is None
+    assert station_fixtures._correction([part], mean, u, station_fixtures.FEWEST) is not None
     other = SimpleNamespace(**{**vars(part), "up": -up})
-    assert stations._correction([part, other], mean, u, 12) is None
+    assert station_fixtures._correction([part, other], mean, u, 12) is None
 
 
 LINEAR = build_model("linear", ("a", "b", "c"), ("x", "y", "z"), unit="g")
@@ -185,7 +186,7 @@ def test_a_unit_that_is_far_in_a_number_of_few(times, named):
     theta[[3, 6], 1] = others.mean() + np.sqrt(t2 * variance) * [1.0, -1.0]
     excess = np.zeros((9, 2))
     excess[[3, 6], 1] = added
-    found, distance, p_values, sd = line._each_alone(theta, lambda rows: excess[rows])
+    found, distance, p_values, sd = outlying_units._each_alone(theta, lambda rows: excess[rows])
     kept = others if named else np.delete(theta[:, 1], 3)
     if not named:
         variance = kept.var(ddof=1) * (1 + 1 / 8) + added
@@ -202,7 +203,7 @@ def test_what_a_unit_was_measured_worse_than_others():
     u = np.array([[0.3, 9.0], [0.4, 2.0], [0.9, 4.0], [0.2, 7.0], [0.5, 5.0]])
     mine, rows = np.array([0, 1, 2, 4]), np.array([2, 3])
     scale = np.array([2.0, 0.5, 3.0])
-    found = line._excess(SimpleNamespace(u=u), mine, rows, scale)
+    found = outlying_units._excess(SimpleNamespace(u=u), mine, rows, scale)
     own = u[mine] ** 2 / scale[:2] ** 2
     wanted = np.maximum(own[rows] - np.median(own, axis=0), 0.0)
     np.testing.assert_allclose(found, np.column_stack([wanted, [0.0, 0.0]]))
@@ -211,9 +212,9 @@ def test_what_a_unit_was_measured_worse_than_others():
     theta[4], theta[7] = [6.0, -3.0], [4.0, 3.5]
     line_of = pytest.MonkeyPatch()
     with line_of.context() as patch:
-        patch.setattr(line, "_concentrated", lambda theta: covariance.copy())
+        patch.setattr(outlying_units, "_concentrated", lambda theta: covariance.copy())
         worse = np.where(np.arange(30)[:, None] == 7, [[9.0, 4.0]], 0.0)
-        found, distance, p_values, sd = line._together(theta, lambda rows: worse[rows])
+        found, distance, p_values, sd = outlying_units._together(theta, lambda rows: worse[rows])
     for unit, added in ((4, 0.0), (7, np.diag([9.0, 4.0])), (0, 0.0)):
         t2 = theta[unit] @ np.linalg.inv(covariance + added) @ theta[unit]
         assert distance[unit] == pytest.approx(t2)
@@ -416,7 +417,7 @@ def test_angles_of_a_fixture_over_its_units():
         for some in (angles[:3], angles[3:])
     ]  # fmt: skip
     other = FixtureSums(0, ("r",), np.eye(3)[:1], np.array([True]), 6, np.ones((1, 3)), np.ones(1))
-    found = stations.describe_fixtures([other, *parts, other._replace(station=2, units=1)])
+    found = station_fixtures.describe_fixtures([other, *parts, other._replace(station=2, units=1)])
     first, second = found[0]["positions_deg"]
     assert (first["position"], second["position"], second["x"]) == ("p", "q", None)
     mean = np.degrees(angles.mean(axis=0)[0])

@@ -9,16 +9,14 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import multipos as mp
-from multipos.fleets.line import (
+from multipos.fleets.line import find_drift, find_step, normal_scores
+from multipos.fleets.outlying_units import (
     _concentrated,
     _covariance,
     _squared,
     _tail,
     discoveries,
-    find_drift,
     find_outliers,
-    find_step,
-    normal_scores,
 )
 from multipos.fleets.stations import (
     _CLEAR,
@@ -159,7 +157,7 @@ def test_units_that_do_not_belong():
 
 def test_how_far_a_unit_is_by_hand():
     """T² of 40 units, two numbers each, on F(2, 38); against SciPy's and by simulation."""
-    # eq. (3) of fleets.line
+    # eq. (1) of fleets.outlying_units
     rng = np.random.default_rng(5)
     covariance = np.array([[4.0, 1.2], [1.2, 1.0]])
     theta = rng.multivariate_normal([0.0, 0.0], covariance, 4000)
@@ -288,7 +286,7 @@ def test_the_size_of_a_drift_by_hand(kind, moved, size, inverse):
 
 def test_a_unit_that_was_measured_worse_is_nearer():
     """θ' (S + D)⁻¹ θ with D its u² above the median, of two numbers on the scale of the rest."""
-    # eq. (3) of fleets.line
+    # eq. (1) of fleets.outlying_units
     rng = np.random.default_rng(21)
     value, rms, u = rng.normal(size=60), 1.0 + 0.1 * rng.random(60), np.full(60, 0.1)
     value[7] = 30.0
@@ -319,7 +317,7 @@ def test_a_unit_that_was_measured_worse_is_nearer():
 
 def test_two_of_eight_units_that_are_off_by_hand():
     """Grubbs's statistic of the one that was added last, beside the six that are left."""
-    # eq. (4) of fleets.line
+    # eq. (2) of fleets.outlying_units
     value = np.array([1.2, -0.7, 0.3, 40.0, -1.1, 0.4, 43.0, -0.2])
     units = SimpleNamespace(
         names=("a",),

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError
-from multipos.fleets import fit_many, folder
+from multipos.fleets import cutting, fit_many, folder
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 pa = pytest.importorskip("pyarrow")
@@ -73,7 +73,7 @@ def test_pieces_of_files_are_the_whole(tmp_path, monkeypatch, rows_of_group):
     for name, part in (("a", slice(None, half)), ("b", slice(half, None))):
         cells = {column: values[part] for column, values in table.items()}
         write(lots / f"{name}.parquet", cells, rows_of_group)
-    monkeypatch.setattr(fit_many, "_PIECE", 100)
+    monkeypatch.setattr(cutting, "_PIECE", 100)
     taken = pieces_taken(monkeypatch)
     found = mp.fleet(str(lots), **APART)
     # seven units at most of 14 rows, none twice and none left out
@@ -97,7 +97,7 @@ def test_pieces_of_files_are_the_whole(tmp_path, monkeypatch, rows_of_group):
 def test_what_cannot_be_cut_is_taken_whole(tmp_path, monkeypatch):
     table = ragged()
     whole = mp.fit_many(table, **APART)
-    monkeypatch.setattr(fit_many, "_PIECE", 100)
+    monkeypatch.setattr(cutting, "_PIECE", 100)
     taken = pieces_taken(monkeypatch)
     one = mp.fit_many(write(tmp_path / "one.parquet", table, 10**6), **APART)
     assert taken == [(0, 40)]
@@ -110,7 +110,7 @@ def test_a_file_whose_later_rows_are_damaged_is_named(tmp_path, monkeypatch):
     place = parquet.read_metadata(path).row_group(6).column(7).data_page_offset
     raw[place : place + 12] = b"\xff" * 12
     path.write_bytes(bytes(raw))
-    monkeypatch.setattr(fit_many, "_PIECE", 100)
+    monkeypatch.setattr(cutting, "_PIECE", 100)
     with pytest.raises(MultiposError, match=r"line\.parquet: cannot be read as Parquet"):
         mp.fit_many(path, unit_column="unit")
 
