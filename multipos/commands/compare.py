@@ -9,7 +9,7 @@ from multipos.plots.runs import runs_figure, terms_figure
 from multipos.results import plain
 from multipos.verification.comparison import Comparison, compare
 from multipos.verification.comparison_text import changes_text, comparison_sentence, runs_text
-from multipos.verification.regressions import RegressionComparison
+from multipos.verification.regression_repeats import RegressionComparison
 
 INPUTS = ("calibrations", "limits")
 OUTPUT = Output("FILE", "write the result to FILE as well", "text", ("json", "figure"))

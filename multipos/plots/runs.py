@@ -23,7 +23,7 @@ from multipos.plots.style import (
 )
 from multipos.verification.comparison import Comparison
 from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
-from multipos.verification.regressions import RegressionComparison
+from multipos.verification.regression_repeats import RegressionComparison
 from multipos.verification.repeat_drift import since_1970
 
 if TYPE_CHECKING:

@@ -213,7 +213,7 @@ def fit_segments(
     fit = _fit(plan, design, data, names, requires, where, demand)
     chosen = [every[j] for j in fit.selection.columns]
     b = np.zeros(0) if fit.found is None else fit.found.coefficients
-    robust = _robust(plan, fit, data)
+    robust = None if fit.found is None else robust_fit(fit.found, fit.design, data)
     short = [j for j in fit.selection.short if j < len(plan.terms)]
     locally = [_local(chosen, edges[:s]) for s in range(len(spans))]
     left = original[:, list(fit.selection.columns)]
@@ -339,10 +339,6 @@ def _check_size(what: str, sizes: Array, terms: Sequence[object]) -> None:
             f"the {what} of '{terms[far]}' is {sizes[far]:g}, which no file takes; "
             "give the variables in a smaller unit, or the response in a larger one."
         )
-
-
-def _robust(plan: Plan, fit: _Fit, data: Data) -> RobustFit | None:
-    return None if fit.found is None else robust_fit(fit.found, fit.design, data)
 
 
 def _select(

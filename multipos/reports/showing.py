@@ -53,7 +53,7 @@ from multipos.uncertainty.propagation import Evaluation
 from multipos.uncertainty.turntable import TableErrors
 from multipos.verification import comparison_text
 from multipos.verification.comparison import Comparison
-from multipos.verification.regressions import RegressionComparison
+from multipos.verification.regression_repeats import RegressionComparison
 from multipos.verification.tumbling import Tumble, Tumbles
 from multipos.verification.verdicts import Check
 

@@ -1,7 +1,7 @@
 """Check: the errors of an independent run at known positions, before and after compensation.
 
 - `check` returns errors, verdicts and findings; of a regression those of
-  `multipos.verification.regressions`.
+  `multipos.verification.regression_checks`.
 - `average_run` returns the means of a run that is a raw log.
 - `run_noise`, `known_force` and `require_known` say what the run is held to.
 - `force_errors` and `tilt_errors` are its errors, `line_departure` their linearity.
@@ -69,7 +69,7 @@ from multipos.sensor.tilt import (
 )
 from multipos.uncertainty.unseen_terms import unseen_covariance
 from multipos.verification.agreement import judge_run, stated_orientation_sd
-from multipos.verification.regressions import check_regression, check_regressions
+from multipos.verification.regression_checks import check_regression, check_regressions
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.

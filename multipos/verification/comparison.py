@@ -1,7 +1,7 @@
 """Repeated calibrations of one unit: spread, drift, and agreement within U.
 
 - `compare` returns a `Comparison` of calibrations, or of regressions what
-  `multipos.verification.regressions` says of them.
+  `multipos.verification.regression_repeats` says of them.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
 stability of the biases and the drift (`multipos.verification.repeat_drift`). Several methods on the
@@ -33,7 +33,7 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.verification.consistency import Judgement, judge_repeats
 from multipos.verification.recalibration import Change, LimitsSource, find_changes
-from multipos.verification.regressions import RegressionComparison, compare_regressions
+from multipos.verification.regression_repeats import RegressionComparison, compare_regressions
 from multipos.verification.repeat_drift import find_drift, since_1970
 from multipos.verification.repeat_findings import find_repeats
 

@@ -18,8 +18,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.numerics.quantiles import coverage_factor
 from multipos.reports.check_text import check_text
-from multipos.verification import regressions
-from multipos.verification.regressions import _judge_by, _weighed
+from multipos.verification import regression_checks
+from multipos.verification.regression_checks import _judge_by, _weighed
 
 
 def chamber(seed, n=80, noise=1e-3):
@@ -48,7 +48,7 @@ def files(tmp_path):
 
 
 def test_before_after_and_u_by_hand():
-    # eq. (1) of verification.regressions
+    # eq. (1) of verification.regression_checks
     columns, later = chamber(1), chamber(2, 40)
     found = mp.check(fitted(), later, limit_g=0.01)
     assert_allclose(found.before[:, 0], later["error"])
@@ -371,13 +371,13 @@ def test_a_short_run_of_slow_noise_is_rarely_rejected(n):
 
 def test_the_run_as_a_whole_by_hand(monkeypatch):
     """White noise, one switch-on: b'V⁻¹b of the two coefficients that the run itself shows."""
-    # eq. (2) of verification.regressions
+    # eq. (2) of verification.regression_checks
     rng = np.random.default_rng(12)
     runs = []
     for n in (60, 40):
         t = rng.permutation(np.linspace(-40.0, 60.0, n))
         runs.append({"t": t, "error": 1e-3 + 2e-4 * t + 1e-3 * rng.standard_normal(n)})
-    monkeypatch.setattr(regressions, "find_noise", lambda *_: None)  # of white noise alone
+    monkeypatch.setattr(regression_checks, "find_noise", lambda *_: None)  # of white noise alone
     model = mp.regress(runs[0], response="error", terms="1 + t")
     found = mp.check(model, runs[1]).consistency
     X, Z = (np.column_stack([np.ones(len(one["t"])), one["t"]]) for one in runs)

@@ -11,7 +11,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.quantiles import f_tail, normal_quantile
-from multipos.verification.regressions import welch
+from multipos.verification.regression_repeats import welch
 
 
 def table(seed, slope=2.0, zero=0.0, n=60):
@@ -26,7 +26,7 @@ def fitted(seed, **options):
 
 def test_welch_by_hand():
     """b = 1, 3 with u = 1, 1 on 10 dof: F = 2/1 = 2 on 1 and 3/(3·2·(1/4)/10) = 20."""
-    # eq. (3) of verification.regressions
+    # eq. (1) of verification.regression_repeats
     F, p = welch(np.array([1.0, 3.0]), np.ones(2), np.full(2, 10.0))
     assert pytest.approx(2.0) == F
     assert p == pytest.approx(f_tail(2.0, 1, 20.0))

@@ -31,7 +31,8 @@ from multipos.verification.coefficients import ratios_to_k1
 from multipos.verification.comparison_text import change_rows
 from multipos.verification.consistency import _quadratic, _scatter, is_apart
 from multipos.verification.recalibration import _in_unit
-from multipos.verification.regressions import _family_factor, compare_regressions
+from multipos.verification.regression_checks import _family_factor
+from multipos.verification.regression_repeats import compare_regressions
 from multipos.verification.repeat_drift import _clock
 from multipos.verification.repeat_findings import _apart, _unsure
 from multipos.verification.verdicts import Check
