@@ -720,6 +720,8 @@ def _build(
     own = default_axes(readings.outputs, axes)
     columns = tuple(readings.environment)
     seen = split_names(inputs, "--inputs")
+    if readings.plane and seen == COMPONENTS:
+        seen = readings.plane
     if isinstance(model, ParsedModel):
         used = model.columns_among(columns)
         model.require_no_near_miss(used, (*columns, *readings.outputs), readings.outputs)

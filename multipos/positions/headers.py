@@ -43,7 +43,7 @@ from multipos.files.tables import Column, Table
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import STANDARD_GRAVITY, cos_deg, sin_deg
 
 FORCE = ("f_x", "f_y", "f_z")
 OF_FIELD = ("b_x", "b_y", "b_z")  # a magnetic field, as its direction or as `apply` adds it
@@ -466,6 +466,43 @@ def with_first_named(table: Table) -> Table:
         return table
     name = "position" if (steps == 1.0).all() else "time"
     return replace(table, columns={name if n == "1" else n: c for n, c in table.columns.items()})
+
+
+def with_angle(table: Table) -> Table:
+    """Return a table whose column `angle`, where it alone tells the position, is `angle_deg`."""
+    stated = (*attitudes.COLUMNS, *FORCE)
+    folded = {name.casefold(): name for name in table.columns}
+    if "angle" not in folded or any(name in table for name in stated):
+        return table
+    columns = {
+        "angle_deg" if name == folded["angle"] else name: column
+        for name, column in table.columns.items()
+    }
+    return replace(table, columns=columns)
+
+
+def in_plane(table: Table, outputs: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
+    """Return a table whose angles are a roll, and the two axes that turn in it; () of any other.
+
+    Angles t alone, of one or two outputs, turn about the axis that is missing: the first output
+    senses cos t, the second sin t.
+    """
+    if "angle_deg" not in table or "roll_axis" in table or len(outputs) > 2:
+        return table, ()
+    first, *rest = named_axes(outputs)
+    second = rest[0] if rest else (first + 1) % len(COMPONENTS)
+    plane = tuple(sorted((COMPONENTS[first], COMPONENTS[second])))
+    columns = dict(table.columns)
+    if first < second:
+        missing = next(axis for axis in COMPONENTS if axis not in plane)
+        columns["roll_axis"] = [missing] * table.rows
+    else:
+        angles = table.number("angle_deg")
+        del columns["angle_deg"]
+        up = np.zeros((table.rows, len(COMPONENTS)))
+        up[:, first], up[:, second] = cos_deg(angles), sin_deg(angles)
+        columns |= dict(zip(attitudes.UP, up.T, strict=True))
+    return replace(table, columns=columns), plane
 
 
 def with_direction(table: Table) -> Table:

@@ -28,7 +28,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import near, quoted
 from multipos.files.tables import Source, Table
 from multipos.finding import Finding
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, Mask, Places, median
 from multipos.positions.attitudes import rows_without_angle
 from multipos.positions.headers import component
 from multipos.positions.order import Order, check_order
@@ -333,6 +333,7 @@ def orient(
         if oriented:
             return _with_up(readings)
         _refuse_log(readings)
+        _refuse_faces(readings, order)
         raise MultiposError(
             f"{readings.source or 'the readings'}: no orientation{_meant(readings)}; give "
             f"--scheme (a name or a file){_columns_for(readings, estimable)}."
@@ -351,6 +352,35 @@ def orient(
         force=None if given.force is None else given.force[rows],
         open_roll=None,
         positions=positions,
+    )
+
+
+_SIX = ("faces-6", "song-qin-6")
+
+
+def _refuse_faces(readings: Readings, order: Order) -> None:
+    """Refuse six readings that look like the six faces, with the line to type for them."""
+    values = readings.values
+    if values.shape != (6, 3) or readings.source is None:
+        return
+    middle = 0.5 * (values.max(axis=0) + values.min(axis=0))
+    off = values - middle
+    axis = np.abs(off / np.ptp(values, axis=0).clip(min=SMALLEST)).argmax(axis=1)
+    up = np.zeros((6, 3))
+    up[np.arange(6), axis] = np.sign(off[np.arange(6), axis])
+    if len({*map(tuple, up.tolist())}) < 6:
+        return
+    same = [name for name in _SIX if (read_scheme(name, order=order).up == up).all()]
+    faces = [f"{'-' if each.min() < 0 else '+'}{'XYZ'[int(np.abs(each).argmax())]}" for each in up]
+    name = Path(readings.source).name
+    way = (
+        f"type multipos fit {name} --scheme {same[0]}"
+        if same
+        else f"write them into a column face and type multipos fit {name}"
+    )
+    raise MultiposError(
+        f"{readings.source}: no orientation; the rows look like the faces {', '.join(faces)}: {way}"
+        " (or in the other convention, where the axis that points down reads +1)."
     )
 
 

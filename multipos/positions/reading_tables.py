@@ -5,8 +5,10 @@ A CSV file, a mapping of columns or a data frame; its columns are listed in
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,7 +71,8 @@ def read_readings(
     if isinstance(source, Readings):
         return _named_otherwise(source, names, unit, environment)
     table, units = headers.plain_names(read_table(source, what="readings", outputs=names))
-    table = headers.with_direction(headers.with_first_named(table))
+    table = headers.with_angle(headers.with_direction(headers.with_first_named(table)))
+    _refuse_pairs(table)
     findings = [] if not table.read_as else [Finding("log-source", "note", table.read_as)]
     names = None if names is None else tuple(headers.find_column(table, name) for name in names)
     if field != "gravity":
@@ -81,7 +84,8 @@ def read_readings(
     # what is an output is no position, whatever its name
     outputs_only = frozenset(names)
     others = {n: column for n, column in table.columns.items() if n not in outputs_only}
-    free = orientations.with_angles(replace(table, columns=others))
+    free, plane = headers.in_plane(replace(table, columns=others), names)
+    free = orientations.with_angles(free)
     rolls = orientations.read_open_rolls(free, findings)
     oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
     columns = _environment(table, names, environment, findings)
@@ -105,6 +109,24 @@ def read_readings(
         sha256=table.sha256,
         findings=tuple(findings),
         open_roll=rolls,
+        plane=plane,
+    )
+
+
+_PAIR = re.compile(r"[+-]?\s*1\s*g", re.IGNORECASE)
+
+
+def _refuse_pairs(table: Table) -> None:
+    """Refuse a table of three axes, each at +1 g and −1 g: it has no other output's reading."""
+    pairs = [name for name in table.columns if _PAIR.fullmatch(name.replace("−", "-"))]
+    axes = {cell.casefold() for name in table.columns for cell in table.unchecked(name)}
+    if len(pairs) != 2 or table.rows != len(COMPONENTS) or not axes >= {*COMPONENTS}:
+        return
+    name = Path(table.source).name
+    raise MultiposError(
+        f"{table.source}: three axes at +1 g and -1 g, one reading each; a fit needs every output "
+        "in every position: write six rows under face,ax,ay,az, the first +X,AX,AY,AZ, and type "
+        f"multipos fit {name}."
     )
 
 

@@ -77,6 +77,9 @@ class Readings(Result, Tabular):
         Degrees of freedom of `u`; infinite where None.
     open_roll : tuple of n str or None
         The case axis of a roll whose angle is open, '' for any other position; `up` is NaN there.
+    plane : tuple of str
+        The two axes of the plane that all positions were turned in, where angles alone tell them;
+        a fit then has these components.
 
     Examples
     --------
@@ -110,6 +113,7 @@ class Readings(Result, Tabular):
     reference_u: Array | None = None
     dof: Array | None = None
     open_roll: tuple[str, ...] | None = None
+    plane: tuple[str, ...] = ()
 
     def columns(self) -> dict[str, Any]:
         """Return the means with their u, beside the up vectors and the other columns."""
