@@ -20,7 +20,8 @@ from multipos.verification import (
     checks,
     consistency,
     error_columns,
-    regressions,
+    regression_checks,
+    regression_repeats,
     repeat_drift,
     repeat_findings,
     verdicts,
@@ -319,9 +320,9 @@ def test_u_of_many_rows_together_by_bonferroni():
 def test_regressions_agree_whose_smallest_p_times_their_number_does(p, consistent, monkeypatch):
     tested = [math.nan] if p is None else [0.5, p, math.nan]
     terms = [SimpleNamespace(p=each, term="t", values=np.ones(2)) for each in tested]
-    monkeypatch.setattr(regressions, "_compared", lambda repeats, s: terms)
-    monkeypatch.setattr(regressions, "_check_alike", lambda *_: None)
-    monkeypatch.setattr(regressions, "find_repeated_regressions", lambda runs: ())
+    monkeypatch.setattr(regression_repeats, "_compared", lambda repeats, s: terms)
+    monkeypatch.setattr(regression_repeats, "_check_alike", lambda *_: None)
+    monkeypatch.setattr(regression_repeats, "find_repeated_regressions", lambda runs: ())
     run = [SimpleNamespace(segments=[0], created="", run="run")]
     assert compare_regressions([run, run], ("a", "b"), 0.95).consistent is consistent
 
@@ -455,12 +456,14 @@ def test_several_regressions_are_checked_side_by_side(monkeypatch):
         )  # fmt: skip
 
     parts = {"a": check("a", 6.0), "b": check("b", 9.0)}
-    monkeypatch.setattr(regressions, "check_regression", lambda r, table, limit_g: parts[r.name])
+    monkeypatch.setattr(
+        regression_checks, "check_regression", lambda r, table, limit_g: parts[r.name]
+    )
     both = {
         name: SimpleNamespace(name=name, confidence=0.9, segments=[SimpleNamespace(dof=(1.0, nu))])
         for name, nu in (("a", 6.0), ("b", 9.0))
     }
-    found = regressions.check_regressions(both, {"a": [1.0]}, limit_g=0.1)
+    found = regression_checks.check_regressions(both, {"a": [1.0]}, limit_g=0.1)
     assert (found.quantity, found.axes) == ("a, b", ("a", "b"))
     assert found.after.tolist() == [[6.0, 9.0], [12.0, 18.0], [18.0, 27.0]]
     k = [t.ppf(1.0 - 0.05 / 5, nu) / t.ppf(0.95, nu) for nu in (6.0, 9.0)]
@@ -468,7 +471,7 @@ def test_several_regressions_are_checked_side_by_side(monkeypatch):
     assert found.segments == {"1": True}
     assert np.isnan(found.linearity_percent["after"]).tolist() == [True, True]
     parts["b"].segments = {}
-    found = regressions.check_regressions(both, {"a": [1.0]})
+    found = regression_checks.check_regressions(both, {"a": [1.0]})
     assert (found.segments, found.U_family) == ({}, None)
 
 
@@ -485,7 +488,7 @@ def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
     C = [np.array([[0.4, 0.1], [0.1, 0.3]]), np.array([[0.25]])]
     r = SimpleNamespace(segments=[segment(2, C[0]), segment(1, C[1])])
     place, run, e = np.array([0, 0, 1, 1, 0]), np.array([0, 1, 1, 0, 1]), np.arange(5.0)
-    found = regressions._rows(r, {}, place, e, run)
+    found = regression_checks._rows(r, {}, place, e, run)
     assert_allclose(found.X, [[1, 0.5, 0], [1, -1, 0], [0, 0, 1], [0, 0, 1], [1, 4, 0]])
     assert_allclose(found.Z, [[1, 0], [0, 2], [0, 3], [4, 0], [0, 5]])
     whole = np.zeros((3, 3))
