@@ -230,14 +230,18 @@ def criterion_in_words(
     estimator: Estimator, options: Options, model: Model, readings: Readings
 ) -> str:
     """Return what the estimator makes least or most, for the result."""
-    if estimator is Estimator.CLOSED_FORM:
-        return "exact solution of the six-position equations"
     stated = readings.noise is not None
-    loss = "" if options.robust is None else f", {options.robust} loss"
-    if estimator is Estimator.LINEAR:
-        kind = "nonlinear " if isinstance(model, ExpressionModel) else ""
-        return f"{'weighted ' if stated else ''}{kind}least squares of the readings{loss}"
-    noise = "stated reading noise" if stated else "equal reading noise"
-    if estimator is Estimator.UNKNOWN:
-        return f"maximum likelihood of the readings, {noise}{loss}"
-    return f"maximum a posteriori of readings and orientations, {noise}{loss}"
+    return _CRITERIA[estimator].format(
+        weighted="weighted " if stated else "",
+        nonlinear="nonlinear " if isinstance(model, ExpressionModel) else "",
+        noise="stated reading noise" if stated else "equal reading noise",
+        loss="" if options.robust is None else f", {options.robust} loss",
+    )
+
+
+_CRITERIA = {
+    Estimator.CLOSED_FORM: "exact solution of the six-position equations",
+    Estimator.LINEAR: "{weighted}{nonlinear}least squares of the readings{loss}",
+    Estimator.UNCERTAIN: "maximum a posteriori of readings and orientations, {noise}{loss}",
+    Estimator.UNKNOWN: "maximum likelihood of the readings, {noise}{loss}",
+}

@@ -232,21 +232,29 @@ def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
-    columns = c.readings.environment
     if isinstance(c.model, ExpressionModel):
         return _share_expression(c, options)
-    if c.estimator is Estimator.LINEAR:
-        if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
-            return None
-        # Residuals are asked for temperature, where the model has no term of it, too.
-        shared = replace(share_design(c.model, c.reference, columns), environment=columns)
-        return shared if shared.well_posed else None
-    if c.estimator is Estimator.UNCERTAIN:
-        return _share_uncertain(c, table, options)
+    share = _SHARED.get(c.estimator)
+    return None if share is None else share(c, table, options)
+
+
+def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
+    """Return what units share at known orientations."""
+    if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
+        return None
+    # Residuals are asked for temperature, where the model has no term of it, too.
+    columns = c.readings.environment
+    shared = replace(share_design(c.model, c.reference, columns), environment=columns)
+    return shared if shared.well_posed else None
+
+
+def _share_unknown(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
+    """Return what units share where nothing is known of any orientation."""
     sd = c.readings.orientation_sd
-    if c.estimator is Estimator.UNKNOWN and sd is not None and np.isinf(sd).all():
-        return share_sphere(c.model, float(np.linalg.norm(c.reference[0])), columns)
-    return None
+    if sd is None or not np.isinf(sd).all():
+        return None
+    size = float(np.linalg.norm(c.reference[0]))
+    return share_sphere(c.model, size, c.readings.environment)
 
 
 def _share_expression(
@@ -278,6 +286,13 @@ def _share_uncertain(
         columns,
         estimated=spread["estimate"],
     )
+
+
+_SHARED = {
+    Estimator.LINEAR: _share_known,
+    Estimator.UNCERTAIN: _share_uncertain,
+    Estimator.UNKNOWN: _share_unknown,
+}
 
 
 _POOR, _REJECTED, _OVERSTATED = "no-redundancy", "denied-noise", "overstated-noise"

@@ -37,7 +37,7 @@ def draw_residuals(calibration: Calibration, axes: "Axes", *, output: str) -> No
     """
     c = calibration
     i = c.outputs.index(output)
-    _draw_series(c, axes, _series_of_outputs(c)[i], i)
+    _draw_series(c, axes, found=_series_of_outputs(c)[i], place=i)
 
 
 Series = tuple[str, str, Array, Array]  # name, unit, residuals (n,) and ±2 sd of each
@@ -58,7 +58,7 @@ def _series_of_outputs(c: Calibration) -> list[Series]:
     return [(output, c.model.unit, left, band) for output, left, band in columns]
 
 
-def _draw_series(c: Calibration, axes: "Axes", found: Series, place: int) -> None:
+def _draw_series(c: Calibration, axes: "Axes", *, found: Series, place: int) -> None:
     name, unit, values, band = found
     at = np.arange(len(values))
     axes.axhline(0.0, color="#000000", linewidth=0.6)
@@ -88,15 +88,15 @@ def size_residuals(calibration: Calibration) -> tuple[Array, Array]:
 def draw_size_residuals(calibration: Calibration, axes: "Axes") -> None:
     """Draw `size_residuals` at every position, with ±2 standard deviations of each."""
     (found,) = residual_series(calibration)
-    _draw_series(calibration, axes, found, 0)
+    _draw_series(calibration, axes, found=found, place=0)
 
 
 def residual_panels(calibration: Calibration) -> "list[Callable[[Axes], None]]":
     """Return what draws the residuals: a panel for each output, or what a position has."""
-    c = calibration
-    if c.estimator is Estimator.UNKNOWN:
-        return [partial(draw_size_residuals, c)]
-    return [partial(draw_residuals, c, output=output) for output in c.outputs]
+    series = residual_series(calibration)
+    return [
+        partial(_draw_series, calibration, found=each, place=i) for i, each in enumerate(series)
+    ]
 
 
 def draw_errors(calibration: Calibration, axes: "Axes") -> None:

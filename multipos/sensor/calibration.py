@@ -332,11 +332,8 @@ class Calibration(Result, Drawn):
             )
         except MultiposError:  # an output does not respond
             return math.nan
-        if self.estimator is Estimator.UNKNOWN:
-            size = np.linalg.norm(self.reference, axis=1)
-            return float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - size) ** 2)))
-        left = force - self.reference[:, list(self.model.sensed_axes)]
-        return math.sqrt(float(np.vdot(left, left)) / len(left))
+        off = self.estimator.off(force, self.reference[:, list(self.model.sensed_axes)])
+        return math.sqrt(float(off @ off) / len(off))
 
     @cached_property
     def sensitivity(self) -> Array:

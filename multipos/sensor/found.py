@@ -29,6 +29,25 @@ class Estimator(StrEnum):
         return self in (Estimator.CLOSED_FORM, Estimator.LINEAR)
 
     @property
+    def unaffected_by(self) -> frozenset[str]:
+        """Which quantities of a budget cannot be wrong, as orientations were not used."""
+        return frozenset({"level", "index"} if self is Estimator.UNKNOWN else ())
+
+    @property
+    def contains(self) -> frozenset[str]:
+        """Which quantities of a budget are part of its likelihood."""
+        return frozenset(() if self.exact else {"orientation"})
+
+    def off(self, force: Array, reference: Array) -> Array:
+        """Return how far forces (n, k) are off their references (n,).
+
+        In size, where a reference has no known orientation.
+        """
+        if self is Estimator.UNKNOWN:
+            return np.asarray(_norms(force) - _norms(reference))
+        return _norms(force - reference)
+
+    @property
     def position(self) -> str:
         """What one of its positions is called."""
         return "hand-held position" if self is Estimator.UNKNOWN else "position"
@@ -54,6 +73,11 @@ _RESIDUAL_NOTES = {
         "compensated force is off. It is what the figure shows."
     ),
 }
+
+
+def _norms(vectors: Array) -> Array:
+    """Return the norms (n,) of vectors (n, k)."""
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 @frozen

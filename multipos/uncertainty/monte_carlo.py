@@ -46,7 +46,7 @@ from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.found import Estimator, VarianceComponents
+from multipos.sensor.found import VarianceComponents
 from multipos.sensor.simulation import turned
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, read_budget
@@ -196,8 +196,7 @@ class Draws:
 def _quantities_to_draw(c: Calibration) -> list[Quantity]:
     """Return what of the budget is drawn: all that the scatter does not contain already."""
     contained = {r.quantity for r in evaluate_budget(c).rows if r.contained.all()} - {"gravity"}
-    if c.estimator is Estimator.UNKNOWN:
-        contained |= {"level", "index"}  # orientations that were not used cannot be wrong
+    contained |= c.estimator.unaffected_by
     return [q for q in find_quantities(c, read_budget(c.budget_tables)) if q.name not in contained]
 
 

@@ -367,8 +367,8 @@ def _row(calibration: Calibration, gain: Array, quantity: Quantity) -> Row:
     c, kind = calibration, quantity.kind
     effects = parameter_effects(c, gain, quantity)
     contained = np.isfinite(c.dof_of_outputs)
-    if quantity.name == "orientation" and not c.estimator.exact:
-        contained[:] = True  # it is part of that likelihood
+    if quantity.name in c.estimator.contains:
+        contained[:] = True
     contained &= not (kind.common or kind.shared)
     return Row(
         quantity=quantity.name,

@@ -76,7 +76,6 @@ from multipos.positions.readings import diagonal
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
-from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, zero_moves
@@ -105,8 +104,8 @@ def parameter_effects(c: Calibration, gain: Array, quantity: Quantity) -> Array:
         return gain
     if quantity.name == "gravity" and c.gravity is not None:
         return gravity_effect(c)[:, None]
-    if c.estimator is Estimator.UNKNOWN and quantity.name in ("level", "index"):
-        return np.zeros((len(gain), 1))  # orientations that were not used cannot be wrong
+    if quantity.name in c.estimator.unaffected_by:
+        return np.zeros((len(gain), 1))
     if quantity.name == "orientation" or is_bounded(c, quantity):
         size = math.sqrt(n) if quantity.name == "level" else 1.0  # eq. (2b)
         moved = _turned(c, np.broadcast_to(size * np.eye(3), (n, 3, 3)))  # (n, M, 3 axes)

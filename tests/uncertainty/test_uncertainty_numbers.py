@@ -558,8 +558,8 @@ def test_a_quantity_moves_parameters_by_its_effects(name, exact, common, contain
     kind = SimpleNamespace(common=common, shared=False, text="t", unit="deg")
     quantity = SimpleNamespace(name=name, kind=kind, u=0.5, distribution="normal", dof=7.0)
     c = SimpleNamespace(
-        dof_of_outputs=np.array([3.0, np.nan]), estimator=SimpleNamespace(exact=exact),
-        parameters=np.zeros(3),
+        dof_of_outputs=np.array([3.0, np.nan]), parameters=np.zeros(3),
+        estimator=Estimator.LINEAR if exact else Estimator.UNCERTAIN,
     )  # fmt: skip
     row = propagation._row(c, None, quantity)
     assert_allclose(row.covariance, 0.25 * effects @ effects.T)
