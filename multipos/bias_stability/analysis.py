@@ -1,23 +1,12 @@
 """How stable a sensor at rest is: noise laws, warm-up, drift, temperature, and how it repeats.
 
+- `stability` returns the `Stability` of records.
+
 Records are read one by one, whatever their length (`multipos.bias_stability.static_records`). Of
 several the sums of the Allan variance are pooled; noise laws and trends are found together
 (`multipos.bias_stability.trends`). The zero of a record is its mean without the warm-up; the
 standard deviation of the zeros is the bias stability of the six-position paper, measured as it
 says: at least four switch-ons, the calibration in place.
-
-Movement in a static record: steps and knocks that neither noise nor a warm-up makes.
-
-Of the means b_k of its blocks a record that lies still has differences
-
-    J_k = b_{k+1} − b_{k−1},                                                               (1)
-
-over the block in between, where a movement may have happened, of one law: that of its noise, with a
-drift or warm-up which changes slowly from one to the next. A movement is where J is beyond 8 of
-their standard deviation, 1.4826 times the median modulus about the median, and beyond four times
-those three blocks before and after, so that the steep begin of a warm-up is none.
-
-From what was found in samples to numbers in seconds, with their units and U.
 
 References
 ----------
@@ -31,14 +20,13 @@ from dataclasses import replace
 import numpy as np
 
 from multipos.bias_stability import allan, trends
+from multipos.bias_stability.movement import find_movement
+from multipos.bias_stability.record_values import Values
 from multipos.bias_stability.stability_result import (
-    Estimate,
     OutputStability,
     Spread,
     Stability,
     StaticRecord,
-    TemperatureCoefficient,
-    WarmUp,
 )
 from multipos.bias_stability.static_records import RawRecord, RecordOptions, read_record
 from multipos.errors import MultiposError, UsageError
@@ -49,122 +37,10 @@ from multipos.logs.clock import TimeUnit
 from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress, read_timing, share_of
 from multipos.logs.table import Log, called_as
-from multipos.numerics.arrays import Array, Places, median
-from multipos.numerics.quantiles import check_confidence, coverage_factor
-from multipos.results import frozen
+from multipos.numerics.arrays import Array
+from multipos.numerics.quantiles import check_confidence
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.units import MICRO_G
-
-_FAR = 8.0  # standard deviations: of normal noise once in 1e15
-_ALONE = 4.0  # times what is before and after
-_BESIDE = 3  # blocks, so that neither is of the same movement
-_FEWEST = 32  # blocks
-_NORMAL = 1.4826  # standard deviation over median modulus
-
-
-@frozen(eq=True)
-class Movement:
-    """The largest movement of an output: its block, its jump, and how many there are."""
-
-    block: int
-    jump: float
-    count: int
-
-
-def find_movement(means: Array) -> Movement | None:
-    """Return the largest movement in the means (B,) of blocks; None where it lay still."""
-    if len(means) < _FEWEST:
-        return None
-    jump = means[2:] - means[:-2]
-    size = np.abs(jump - median(jump))
-    sd = _NORMAL * float(median(size))
-    beside = np.maximum(size[: -2 * _BESIDE], size[2 * _BESIDE :])
-    if not sd:  # of a few codes only: nothing tells what is usual
-        return None
-    judged = size[_BESIDE:-_BESIDE]
-    moved = np.flatnonzero((judged > _FAR * sd) & (judged > _ALONE * beside)) + _BESIDE
-    if not len(moved):
-        return None
-    largest = int(moved[np.argmax(size[moved])])
-    return Movement(largest + 1, float(jump[largest]), _separate(moved))
-
-
-def _separate(moved: Places) -> int:
-    """Return of how many movements blocks are: those nearer than three are of one."""
-    return 1 + int((np.diff(moved) > _BESIDE).sum())
-
-
-_NOTHING = 0.1  # of the largest mean reading: an output that reads less has no ppm
-
-
-class Values:
-    """Numbers of several records in the units of time and of the outputs."""
-
-    def __init__(
-        self, raw: Sequence[RawRecord], lengths: Sequence[int], unit: str, confidence: float
-    ) -> None:
-        self._unit = unit
-        self._rate, self._confidence = raw[0].rate, confidence
-        self._raw, self._lengths = raw, lengths
-        self._samples = [each.samples for each in raw]
-        self._means = np.mean([each.blocks.mean(axis=1) for each in raw], axis=0)
-
-    def output(self, index: int, found: trends.Description) -> OutputStability:
-        """Return the stability of one output."""
-        adev = self._deviation(index)
-        dof = allan.degrees_of_freedom(found.laws, self._lengths, self._samples)
-        root = np.sqrt(self._rate)
-        return OutputStability(
-            tau=np.array(self._lengths) / self._rate,
-            adev=adev,
-            u=adev / np.sqrt(2.0 * dof),
-            dof=dof,
-            white_noise=self._law(found, 0, 1.0 / root, f"{self._unit}/sqrt(Hz)"),
-            bias_instability=self._law(found, 1, 1.0, self._unit),
-            random_walk=self._law(found, 2, root, f"{self._unit}/sqrt(s)"),
-            drift=self._estimate(found.found[trends.DRIFT], self._rate, f"{self._unit}/s"),
-            warm_up=self._warm_up(found),
-            temperature_coefficient=self._temperature(found, index),
-        )
-
-    def _deviation(self, index: int) -> Array:
-        sums = np.zeros(len(self._lengths))
-        for each in self._raw:
-            sums[: each.sums.shape[1]] += each.sums[index]
-        scale = [2.0 * m**2 * sum(allan.starts(n, m) for n in self._samples) for m in self._lengths]
-        return np.asarray(np.sqrt(sums / scale))
-
-    def _law(self, found: trends.Description, law: int, factor: float, unit: str) -> Estimate:
-        value, u = found.laws.root(law, 1.0)
-        U = found.laws.root(law, coverage_factor(self._confidence, np.inf))[1]
-        return Estimate(value, u, U, np.inf, unit).scaled(factor, unit)
-
-    def _estimate(self, found: trends.TrendEstimate, factor: float, unit: str) -> Estimate:
-        U = coverage_factor(self._confidence, found.dof) * found.u
-        return Estimate(found.value, found.u, U, found.dof, unit).scaled(factor, unit)
-
-    def _warm_up(self, found: trends.Description) -> WarmUp | None:
-        if found.time_constant is None:
-            return None
-        amplitude = self._estimate(found.found[trends.WARM_UP], 1.0, self._unit)
-        constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
-        lowest = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
-        times = np.log(max(abs(amplitude.value) / lowest, 1.0))
-        return WarmUp(amplitude, constant, float(constant.value * times))
-
-    def _temperature(self, found: trends.Description, index: int) -> TemperatureCoefficient | None:
-        if trends.TEMPERATURE not in found.found:
-            return None
-        change = self._estimate(found.found[trends.TEMPERATURE], 1.0, f"{self._unit}/degC")
-        micro_g = ppm = None
-        if self._unit in MICRO_G:
-            micro_g = change.scaled(MICRO_G[self._unit], "ug/degC")
-        mean = float(self._means[index])
-        if abs(mean) >= _NOTHING * np.abs(self._means).max() and mean != 0.0:
-            ppm = change.scaled(1e6 / mean, "ppm/degC")
-        return TemperatureCoefficient(change, micro_g, ppm)
-
 
 _ALIKE = 0.01  # relative difference of sample rates that are one
 _FIRST = 0.01  # of a record: its zero just after switching on

@@ -1,5 +1,9 @@
 """How stable a sensor at rest is: the result of `multipos.stability`.
 
+- `Stability` holds an `OutputStability` of every output, each number an `Estimate` (a `WarmUp`, a
+  `TemperatureCoefficient`), the `Spread` of the zeros and every `StaticRecord`.
+- `load_stability` reads its file; what every key means is in `docs/howto/static-records`.
+
 Of every output, over all records together: the overlapping Allan deviation σ(τ) with its standard
 uncertainty, the coefficients of the noise laws
 
@@ -7,8 +11,6 @@ uncertainty, the coefficients of the noise laws
 
 drift, warm-up A exp(−t/T) and temperature coefficient; and how the zero repeats from record to
 record.
-
-What every key of its file means is in `docs/howto/static-records`; `load_stability` reads it.
 """
 
 import math

@@ -1,4 +1,7 @@
-"""A static record, read once: its phases to the disk, its blocks to memory."""
+"""A static record, read once: its phases to the disk, its blocks to memory.
+
+- `read_record` returns a `RawRecord` of a log, by `RecordOptions`.
+"""
 
 from collections.abc import Sequence
 from contextlib import ExitStack

@@ -1,5 +1,8 @@
 """What moves a static output besides noise: warm-up, drift, temperature.
 
+- `describe` returns the `Description` of an output over records of `Blocks`, each part of it a
+  `TrendEstimate`.
+
 The means y of blocks of L samples, several hundred a record, at the times t since its begin:
 
     y = c + R t + k (T − T_0) + A exp(−t/T_w) + e,                                          (1)
@@ -23,7 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.bias_stability.allan import Laws, fit_laws, phase_covariance, starts
+from multipos.bias_stability.allan import phase_covariance, starts
+from multipos.bias_stability.noise_laws import Laws, fit_laws
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.results import frozen

@@ -7,7 +7,8 @@ import pytest
 from findings_bench import texts
 
 import multipos as mp
-from multipos.bias_stability.analysis import _begin, _kept, _spread, find_movement
+from multipos.bias_stability.analysis import _begin, _kept, _spread
+from multipos.bias_stability.movement import find_movement
 
 
 def noise(rng, kind, n=300):
@@ -58,7 +59,7 @@ def test_stability_says_what_was_moved():
 
 
 def test_a_movement_is_eight_standard_deviations_by_hand():
-    # eq. (1) of bias_stability.analysis
+    # eq. (1) of bias_stability.movement
     means = np.random.default_rng(2).standard_normal(200) + 5.0 * np.arange(200.0)  # a drift
     jumps = means[2:] - means[:-2]
     usual = 1.4826 * np.median(np.abs(jumps - np.median(jumps)))

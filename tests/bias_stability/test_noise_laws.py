@@ -7,15 +7,8 @@ import pytest
 from noise_bench import flicker, walk, white
 from numpy.testing import assert_allclose
 
-from multipos.bias_stability.allan import (
-    Laws,
-    Phases,
-    degrees_of_freedom,
-    fit_laws,
-    law_variances,
-    octaves,
-    starts,
-)
+from multipos.bias_stability.allan import Phases, law_variances, octaves, starts
+from multipos.bias_stability.noise_laws import Laws, degrees_of_freedom, fit_laws
 from multipos.bias_stability.trends import _left_over, _pooled
 
 N = 8192
@@ -69,7 +62,7 @@ def test_without_the_shortest_time_the_rest_is_as_if_it_had_never_been():
 
 
 def test_u_of_a_coefficient_by_hand():
-    # eq. (5) of bias_stability.allan
+    # eq. (1) of bias_stability.noise_laws
     laws = Laws(np.array([4.0, 0.0, 1.0]), np.diag([0.04, 0.09, 4.0]), 0, 0.0, 1)
     # 4 ± .2: above 2.0494, below 1.9494, the wider side; 0 + .3; 1 ± 2: 1.7321 above, 0 below.
     assert_allclose(laws.root(0, 1.0), (2.0, 2.0 - np.sqrt(3.8)))

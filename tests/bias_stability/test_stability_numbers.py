@@ -11,18 +11,11 @@ from scipy.optimize import nnls
 from scipy.stats import chi2, t
 
 import multipos as mp
-from multipos.bias_stability import allan, analysis, trends
-from multipos.bias_stability.allan import (
-    _best,
-    _is_rejected,
-    _not_negative,
-    _pairs,
-    _products,
-    octaves,
-    phase_covariance,
-    starts,
-)
-from multipos.bias_stability.analysis import Values, _check_alike, _is_steady, _movements
+from multipos.bias_stability import allan, analysis, noise_laws, trends
+from multipos.bias_stability.allan import _pairs, _products, octaves, phase_covariance, starts
+from multipos.bias_stability.analysis import _check_alike, _is_steady, _movements
+from multipos.bias_stability.noise_laws import _best, _is_rejected, _not_negative
+from multipos.bias_stability.record_values import Values
 from multipos.bias_stability.stability_result import _is_whole
 from multipos.bias_stability.stability_text import _shown, stability_sentence
 from multipos.bias_stability.static_records import _require_one_g
@@ -80,7 +73,7 @@ def test_least_squares_without_negative_parts():
 )
 def test_quantisation_must_explain_so_much_more(gain, count, laws, monkeypatch):
     fits = {3: SimpleNamespace(chi2=20.0, laws=3), 4: SimpleNamespace(chi2=20.0 - gain, laws=4)}
-    monkeypatch.setattr(allan, "_fit", lambda *arguments: fits[arguments[-1]])
+    monkeypatch.setattr(noise_laws, "_fit", lambda *arguments: fits[arguments[-1]])
     assert _best(range(count), np.zeros(count), (), 2).laws == laws
 
 
@@ -347,24 +340,26 @@ def test_the_shortest_times_are_left_out_where_each_takes_four_of_chi_square(
     """Beyond chance, 16.3 on three degrees and 10.8 on one; what is left then widens u."""
 
     def best(lengths, variances, records, first):
-        return allan.Laws(np.ones(3), np.eye(3), first, chi2[first], 3 - first)
+        return noise_laws.Laws(np.ones(3), np.eye(3), first, chi2[first], 3 - first)
 
-    monkeypatch.setattr(allan, "_best", best)
-    found = allan.fit_laws([1, 2, 4, 8, 16, 32, 64], np.ones(7), [100])
+    monkeypatch.setattr(noise_laws, "_best", best)
+    found = noise_laws.fit_laws([1, 2, 4, 8, 16, 32, 64], np.ones(7), [100])
     assert found.first == first
     assert_allclose(found.covariance, factor * np.eye(3))
-    seen = allan.fit_laws([1, 2, 4, 8, 16, 32, 64], np.array([1.0, 1.0, 0, 0, 0, 0, 0]), [100])
+    seen = noise_laws.fit_laws([1, 2, 4, 8, 16, 32, 64], np.array([1.0, 1.0, 0, 0, 0, 0, 0]), [100])
     assert seen.first == min(first, 1 if chi2[1] + 4.0 < chi2[0] else 0)
 
 
 @pytest.mark.parametrize(("chi2", "laws"), [(5.9, 4), (6.1, 3)])
 def test_quantisation_explains_four_of_chi_square_or_is_none(chi2, laws, monkeypatch):
     def fit(lengths, variances, records, first, count):
-        return allan.Laws(np.ones(count), np.eye(count), first, 10.0 if count == 3 else chi2, 2)
+        return noise_laws.Laws(
+            np.ones(count), np.eye(count), first, 10.0 if count == 3 else chi2, 2
+        )
 
-    monkeypatch.setattr(allan, "_fit", fit)
-    assert len(allan._best(range(7), np.ones(7), [100], 2).squares) == laws
-    assert len(allan._best(range(7), np.ones(7), [100], 3).squares) == 3  # of four lengths
+    monkeypatch.setattr(noise_laws, "_fit", fit)
+    assert len(noise_laws._best(range(7), np.ones(7), [100], 2).squares) == laws
+    assert len(noise_laws._best(range(7), np.ones(7), [100], 3).squares) == 3  # of four lengths
 
 
 def test_block_means_covary_by_hand():
