@@ -1,6 +1,6 @@
-"""What checks say: as sheets of text, as plain text, and in a sentence.
+"""What checks say: as tables of text, as plain text, and in a sentence.
 
-`check_sheets` gives the tables, of all positions or the largest errors, and `check_text` prints
+`check_tables` gives the tables, of all positions or the largest errors, and `check_text` prints
 them with the verdict; `run_conclusions` judges the run as a whole, and `check_sentence` says the
 largest error against its limit.
 """
@@ -13,12 +13,12 @@ import numpy as np
 
 from multipos.files import numbers
 from multipos.numerics.arrays import Array
-from multipos.reports.sheets import Sheet
+from multipos.reports.sections import LONG_TABLE, PageTable
 from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
-def check_sheets(found: Check, *, whole: bool = False) -> list[Sheet]:
+def check_tables(found: Check, *, whole: bool = False) -> list[PageTable]:
     """Return the summary and the errors of positions, all or the largest; or by segment."""
     found = _beyond_rounding(found)
     if found.segments:
@@ -37,30 +37,30 @@ def _beyond_rounding(found: Check) -> Check:
     return replace(found, before=shown(found.before), after=shown(found.after), U=shown(found.U))
 
 
-def _by_axis(found: Check) -> Sheet:
+def _by_axis(found: Check) -> PageTable:
     scales = _scales(found)
-    header = [
+    header = (
         "axis",
         *_headers(scales, "max", "rms"),
         "linearity before [%]",
         "after [%]",
         f"largest U [{scales['after'][1]}]",
         "verdict",
-    ]
+    )
     rows = []
     for axis in (*found.axes, None) if len(found.axes) > 1 else found.axes:
         s = found.summary(axis)
         linear = [numbers.plain_number(s[when]["linearity_percent"], 2) for when in scales]
         rows.append(
-            [
+            (
                 axis or "all",
                 *_scaled(s, scales),
                 *linear,
                 _longest(s, scales),
                 s["verdict"] or "-",
-            ]
+            )
         )
-    return Sheet("Errors before and after compensation", header, rows)
+    return PageTable("Errors before and after compensation", header, tuple(rows))
 
 
 _Scales = dict[str, tuple[float, str]]
@@ -97,7 +97,7 @@ def _longest(summary: dict[str, Any], scales: _Scales) -> str:
     return numbers.plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
 
 
-def _by_position(found: Check, *, whole: bool) -> Sheet:
+def _by_position(found: Check, *, whole: bool) -> PageTable:
     scales = _scales(found)
     (before, unit), (after, unit_after) = scales["before"], scales["after"]
     header = ["position"]
@@ -114,44 +114,44 @@ def _by_position(found: Check, *, whole: bool) -> Sheet:
             cells += [_signed(before * found.before[row, column])]
             error, U = after * found.after[row, column], after * found.U[row, column]
             cells += _error_cells(error, U)
-        rows.append([*cells, worst(found.verdicts[row]) or "-"])
+        rows.append((*cells, worst(found.verdicts[row]) or "-"))
     title = "Every position"
     if len(shown) < len(found.positions):
         title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
-    return Sheet(title, [*header, "verdict"], rows)
+    kept = numbers.largest_rows(sizes, LONG_TABLE, LONG_TABLE) if whole else ()
+    return PageTable(title, (*header, "verdict"), tuple(rows), kept=tuple(kept))
 
 
-def _by_segment(found: Check) -> Sheet:
+def _by_segment(found: Check) -> PageTable:
     """Return the summary of a regression's check: one row for each segment that has rows."""
     scales = _scales(found)
-    header = [
+    header = (
         "segment",
         "rows",
         *_headers(scales, "max", "rms"),
         _united("largest U", scales["after"][1]),
         "verdict",
-    ]
+    )
     rows = []
     for name in (*(n for n, inside in found.segments.items() if inside.any()), None):
         s = found.summary(segment=name)
         counted = found.counted[:, 0] if name is None else found.counted[found.segments[name], 0]
         known = np.isfinite(s["after"]["largest_U"])
         rows.append(
-            [
+            (
                 name or "all",
                 str(int(counted.sum())),
                 *_scaled(s, scales),
                 _longest(s, scales) if known else "-",
                 s["verdict"] or "-",
-            ]
+            )
         )
-    return Sheet("Errors before and after correction", header, rows)
+    return PageTable("Errors before and after correction", header, tuple(rows))
 
 
 def check_text(found: Check) -> str:
     """Return the check as plain text."""
-    sheets = check_sheets(found)
-    text = "\n".join(numbers.titled(s.title, str(s)) for s in sheets)
+    text = "\n".join(numbers.titled(each.caption, str(each)) for each in check_tables(found))
     if found.limit is None:
         return text
     counted = ", ".join(f"{int((found.verdicts == name).sum())} {name}" for name in VERDICTS)

@@ -24,10 +24,10 @@ from multipos.plots.checks import draw_check, errors_apart
 from multipos.plots.curves import draw_curve, temperature_curves
 from multipos.plots.pictures import residual_picture
 from multipos.plots.tumble import draw_harmonics, draw_rolls
-from multipos.reports.check_text import check_sheets, run_conclusions
+from multipos.reports.check_text import check_tables, run_conclusions
+from multipos.reports.installation import turntable_tables
 from multipos.reports.quantities import column
 from multipos.reports.sections import LONG_TABLE, Figure, PageTable, Section, chosen_rows, draw_svg
-from multipos.reports.sheets import Sheet, table_error_sheets
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check
@@ -225,7 +225,7 @@ def rolls_section(c: Calibration) -> Section:
             ),
         ),
         tuple(figures),
-        tuple(_table_of(sheet, left=2) for sheet in table_error_sheets(table_errors(c))),
+        tuple(turntable_tables(table_errors(c))),
     )
 
 
@@ -273,18 +273,8 @@ def check_section(c: Calibration, found: Check) -> Section:
         f"One panel for each axis: {shown}",
         partial(draw_svg, 1.9, *panels),
     )
-    tables = tuple(_table_of(sheet, found) for sheet in check_sheets(found, whole=True))
+    tables = tuple(check_tables(found, whole=True))
     return Section("Independent check", tuple(paragraphs), (figure,), tables)
-
-
-def _table_of(sheet: Sheet, found: Check | None = None, *, left: int = 1) -> PageTable:
-    """Return a sheet as a table, of a check's positions those kept that are farthest off."""
-    rows = tuple(map(tuple, sheet.rows))
-    kept: list[int] = []
-    if found is not None and len(rows) == len(found.after):
-        sizes = np.abs(found.after).max(axis=1).tolist()
-        kept = numbers.largest_rows(sizes, LONG_TABLE, LONG_TABLE)
-    return PageTable(sheet.title, tuple(sheet.header), rows, left, kept=tuple(kept))
 
 
 def temperature_sections(c: Calibration) -> tuple[Section, ...]:

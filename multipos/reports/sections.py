@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multipos.files.numbers import largest_rows
+from multipos.files.numbers import largest_rows, table
 from multipos.results import frozen
 from multipos.sensor.gravity import Field
 
@@ -45,6 +45,9 @@ class PageTable:
     on_paper: bool = True
     kept: tuple[int, ...] = ()
     foot: int = 0
+
+    def __str__(self) -> str:
+        return table(self.header, self.rows)
 
 
 @frozen(eq=True)

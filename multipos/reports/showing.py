@@ -41,9 +41,9 @@ from multipos.plots import (
 from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.regression_text import regression_sentence, regression_text
-from multipos.reports.check_text import check_sentence, check_sheets, check_text, run_conclusions
+from multipos.reports.check_text import check_sentence, check_tables, check_text, run_conclusions
+from multipos.reports.installation import table_errors_text
 from multipos.reports.quantities import parameter_cells
-from multipos.reports.sheets import table_errors_text
 from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
 from multipos.results import Columns, Result, plain
@@ -195,9 +195,9 @@ def _body(found: Result) -> str:
         rows = [(p.name, *row) for p, row in zip(found.entries, cells, strict=True)]
         return _table(("parameter", "value", "u", "U", "unit"), rows)
     if isinstance(found, Check):
-        sheet = check_sheets(found)[0]
+        by_axis = check_tables(found)[0]
         said = "".join(f"<p>{_text(line)}</p>" for line in run_conclusions(found))
-        return _table(sheet.header, sheet.rows) + said
+        return _table(by_axis.header, by_axis.rows) + said
     if isinstance(found, Comparison) and found.changes:
         return f"<pre>{_text(comparison_text.changes_text(found))}</pre>"
     if isinstance(found, Schemes):

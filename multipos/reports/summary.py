@@ -110,13 +110,13 @@ def detail_text(calibration: Calibration) -> str:
 def _sections(calibration: Calibration) -> list[tuple[str, str]]:
     sections = [("Calibration", _summary(calibration))]
     if len(calibration.model.sensed_axes) < len(COMPONENTS):
-        from multipos.reports.sheets import installation_sheets, table_error_sheets
+        from multipos.reports.installation import installation_tables, turntable_tables
         from multipos.uncertainty.turntable import has_rolls, table_errors
 
-        sheets = installation_sheets(calibration)
+        tables = installation_tables(calibration)
         if has_rolls(calibration):
-            sheets += table_error_sheets(table_errors(calibration))
-        sections += [(sheet.title, str(sheet)) for sheet in sheets]
+            tables += turntable_tables(table_errors(calibration))
+        sections += [(each.caption, str(each)) for each in tables]
     sections.append(("Residuals", _residuals(calibration)))
     sections.append(("Checks", _checks(calibration)))
     return sections

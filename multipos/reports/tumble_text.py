@@ -18,7 +18,7 @@ from multipos.files.numbers import (
 )
 from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
-from multipos.reports.sheets import table_error_sheets
+from multipos.reports.installation import turntable_tables
 from multipos.uncertainty.turntable import TableErrors
 from multipos.verification.coefficients import COEFFICIENTS, TumbleCoefficient
 from multipos.verification.tumbling import Tumble, Tumbles
@@ -35,11 +35,11 @@ def tumble_sections(found: Tumble) -> _Sections:
         *_hidden_section(found),
         *_harmonics_section(found),
     ]
-    turntable = table_error_sheets(found.table_errors)
+    turntable = turntable_tables(found.table_errors)
     return [
         *sections,
         *_hysteresis_section({"": found}),
-        *((sheet.title, str(sheet)) for sheet in turntable),
+        *((each.caption, str(each)) for each in turntable),
         *_beside_section({"": found.beside_table}, found.table_errors),
     ]
 
@@ -72,7 +72,7 @@ def tumbles_text(found: Tumbles) -> str:
         both = [*_hidden_section(one), *_harmonics_section(one)]
         sections += [(f"{title}: {name}", body) for title, body in both]
     sections += _hysteresis_section(found.outputs)
-    sections += [(sheet.title, str(sheet)) for sheet in table_error_sheets(found.table_errors)]
+    sections += [(each.caption, str(each)) for each in turntable_tables(found.table_errors)]
     sections += _beside_section(found.beside_table, found.table_errors)
     return "\n".join(titled(*section) for section in sections)
 

@@ -14,7 +14,7 @@ from multipos.positions.harmonics import find_rolls
 from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
-from multipos.reports.sheets import installation_sheets, table_error_sheets
+from multipos.reports.installation import installation_tables, turntable_tables
 from multipos.uncertainty.turntable import QUANTITIES, _unused, changes_unseen
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
@@ -250,8 +250,8 @@ def test_stated_table_moves_readings_as_its_angles_do():
 
 def test_sections_have_titles_and_numbers():
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
-    sheets = installation_sheets(cal) + table_error_sheets(mp.table_errors(cal))
-    sections = {sheet.title: str(sheet) for sheet in sheets}
+    tables = installation_tables(cal) + turntable_tables(mp.table_errors(cal))
+    sections = {each.caption: str(each) for each in tables}
     assert "Ux towards y" in sections["Installation"]
     assert "second sin" in sections["Turntable"]
     assert "Ux" in sections["Zero between rolls"]

@@ -1,48 +1,35 @@
-"""What the installation of a sensor and its rolls on a turntable give: as sheets of text.
+"""How a sensor is installed and what its rolls tell of the turntable, as tables of text.
 
-A `Sheet` is a title, a header and rows, which commands print and reports take as a table.
-`installation_sheets` has the angles of the outputs, `table_error_sheets` the errors of the
-turntable and shifts of the zero between rolls, and `table_errors_text` prints the latter.
+`installation_tables` has the angles of the outputs, `turntable_tables` the errors of the turntable
+and shifts of the zero between rolls, which `table_errors_text` prints.
 """
 
-from typing import NamedTuple
-
-from multipos.files.numbers import chance, number, plain_number, readable_unit, table, uncertain
+from multipos.files.numbers import chance, number, plain_number, readable_unit, uncertain
+from multipos.reports.sections import PageTable
 from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors, ZeroShift
 
 
-class Sheet(NamedTuple):
-    """A table under a title, all of it text."""
-
-    title: str
-    header: list[str]
-    rows: list[list[str]]
-
-    def __str__(self) -> str:
-        return table(self.header, self.rows)
-
-
-def installation_sheets(calibration: Calibration) -> list[Sheet]:
+def installation_tables(calibration: Calibration) -> list[PageTable]:
     """Return how the outputs are installed, θ_ij with u and U; nothing where not identifiable."""
     rows = []
     for pair, angle in calibration.installation_deg.items():
         output = calibration.outputs[calibration.model.axes.index(pair[0])]
         rows.append(
-            [
+            (
                 f"theta_{pair}",
                 f"{output} towards {pair[1]}",
                 uncertain(angle["value"], angle["u"]),
                 number(angle["U"], 2),
-            ]
+            )
         )
-    header = ["angle", "of", "value(u) [deg]", "U"]
-    return [Sheet("Installation", header, rows)] if rows else []
+    header = ("angle", "of", "value(u) [deg]", "U")
+    return [PageTable("Installation", header, tuple(rows))] if rows else []
 
 
-def table_error_sheets(found: TableErrors) -> list[Sheet]:
+def turntable_tables(found: TableErrors) -> list[PageTable]:
     """Return the errors of the turntable with what they are confounded with, and zero shifts."""
-    sections = []
+    tables = []
     rows = []
     for of, errors in (("", found.errors), ("shaft ", found.shaft)):
         for error in errors:
@@ -52,22 +39,21 @@ def table_error_sheets(found: TableErrors) -> list[Sheet]:
             elif of:
                 continue
             quantity = f"{of}{error.quantity.replace('_', ' ')}"
-            rows.append([error.plane, quantity, value, plain_number(error.U_deg, 2), alike])
+            rows.append((error.plane, quantity, value, plain_number(error.U_deg, 2), alike))
     if rows:
-        header = ["roll", "table error", "value(u) [deg]", "U", "does the same as"]
-        sections.append(Sheet("Turntable", header, rows))
-    shifts = [[s.plane, s.output, *_shift_cells(s), chance(s.p)] for s in found.zero_shifts]
+        header = ("roll", "table error", "value(u) [deg]", "U", "does the same as")
+        tables.append(PageTable("Turntable", header, tuple(rows), left=2))
+    shifts = tuple((s.plane, s.output, *_shift_cells(s), chance(s.p)) for s in found.zero_shifts)
     if shifts:
-        header = ["roll", "zero of", "shift(u)", "U", "unit", "p"]
-        sections.append(Sheet("Zero between rolls", header, shifts))
-    return sections
+        of_shifts = ("roll", "zero of", "shift(u)", "U", "unit", "p")
+        tables.append(PageTable("Zero between rolls", of_shifts, shifts, left=2))
+    return tables
 
 
 def table_errors_text(found: TableErrors) -> str:
     """Return what the rolls tell of the turntable as plain text."""
-    sheets = table_error_sheets(found)
     return (
-        "\n\n".join(f"{sheet.title}\n{sheet}" for sheet in sheets)
+        "\n\n".join(f"{each.caption}\n{each}" for each in turntable_tables(found))
         or "no roll determines table errors"
     )
 
