@@ -13,11 +13,10 @@ With residuals e, leverage h, s² = e'e/ν of n readings and p terms of one outp
   lower is better;
 - influence of a position:
 
-      r = e / (s sqrt(1 − h)),   t = r sqrt((ν − 1)/(ν − r²)),                              (1)
+      r = e / (s sqrt(1 − h)),                                                              (1)
       Cook's D = r² h / (p (1 − h)),   leave-one-out error = e/(1 − h),                      (2)
 
-  the last what the position reads less what all others predict for it, and how far the parameters
-  move without it, −C x e/(1 − h), with C the cofactor and x its row of the design;
+  the last what the position reads less what all others predict for it;
 - the Fourier view of residuals along a roll: amplitude of each order of the angle, where an error
   of the dividing head (orders 1, 2), a misplaced shaft or a missing term (order 2, 3) shows itself.
 
@@ -72,22 +71,15 @@ class Influence(Result):
 
     Attributes
     ----------
-    studentised, external : arrays
-        r and t of eq. (1); NaN where the leverage is one or degrees of freedom are missing.
+    studentised : array
+        r of eq. (1); NaN where the leverage is one or degrees of freedom are missing.
     cook, left_out : arrays
         Of eq. (2); `left_out` in reading units.
-    shift : array
-        Largest change of a parameter of the output when the position is left out, in its u.
-    press : (M,) array
-        Root mean square of `left_out`.
     """
 
     studentised: Array
-    external: Array
     cook: Array
     left_out: Array
-    shift: Array
-    press: Array
 
 
 def judge_terms(calibration: Calibration) -> list[TermTest]:
@@ -165,25 +157,8 @@ def find_influence(calibration: Calibration) -> Influence:
     with np.errstate(divide="ignore", invalid="ignore"):
         s2 = np.sum(e**2, axis=0) / np.where(nu > 0.0, nu, math.nan)
         r = e / np.sqrt(s2 * left)
-        t = r * np.sqrt((nu - 1.0) / np.maximum(nu - r**2, 0.0))
-        t = np.where(nu > 1.0, t, math.nan)
-        left_out = c.residuals / left
-    shift = np.empty((n, m))
-    _, blocks = c.model.respond(c.parameters, c.reference, c.readings.environment)
-    for column, (_, slopes) in enumerate(blocks):
-        X = slopes / sd[:, [column]]
-        cofactor = np.linalg.pinv(X.T @ X, hermitian=True)  # a prior may be all that is known
-        moved = (X @ cofactor) * (e[:, column] / left[:, column])[:, None]
-        own = np.sqrt(s2[column] * np.diag(cofactor))
-        shift[:, column] = np.abs(moved / np.where(own == 0.0, np.inf, own)).max(axis=1)
-    return Influence(
-        studentised=r,
-        external=t,
-        cook=r**2 * h / (terms * left),
-        left_out=left_out,
-        shift=shift,
-        press=np.sqrt(np.mean(left_out**2, axis=0)),
-    )
+    cook = r**2 * h / (terms * left)
+    return Influence(studentised=r, cook=cook, left_out=c.residuals / left)
 
 
 def fourier_residuals(calibration: Calibration) -> list[dict[str, Any]]:
