@@ -291,7 +291,6 @@ class Eliminated(NamedTuple):
     gain: Array  # Sigma^-1 J H^-1, (n, M, 2)
     inverse: Array  # H^-1, (n, 2, 2)
     marginal: Array  # W, (n, M, M)
-    determinant: Array  # of H, (n,); 0 where nothing is eliminated
 
 
 def eliminate(
@@ -323,8 +322,7 @@ def eliminate(
     large = _dot(c * first + s * second, along) + prior
     small = np.maximum(_dot(c * second - s * first, across), 0.0) + prior
     with np.errstate(over="ignore"):  # where slopes are beyond any sensor's, H is not taken
-        determinant = large * small
-        sound = (determinant > 1e-28 * (a + prior) * (d + prior)) & ~exact & ~rolled
+        sound = (large * small > 1e-28 * (a + prior) * (d + prior)) & ~exact & ~rolled
     by_large = (sound / np.where(sound, large, 1.0))[:, None]
     by_small = (sound / np.where(sound, small, 1.0))[:, None]
     n, m = one.shape
@@ -341,12 +339,11 @@ def eliminate(
     inverse[:, 0, 0] = (by_large * c * c + by_small * s * s)[:, 0]
     inverse[:, 1, 1] = (by_large * s * s + by_small * c * c)[:, 0]
     inverse[:, 0, 1] = inverse[:, 1, 0] = ((by_large - by_small) * c * s)[:, 0]
-    determinant = np.where(sound, determinant, 0.0)
     if rolled.any():
         tied = np.where(prior[rolled] > 0.0, prior[rolled], 1.0)
         free = eliminate_free(precision[rolled], jacobian[rolled], weighted[rolled], tied)
-        gain[rolled], inverse[rolled], marginal[rolled], determinant[rolled] = free
-    return Eliminated(gain, inverse, marginal, determinant)
+        gain[rolled], inverse[rolled], marginal[rolled] = free
+    return Eliminated(gain, inverse, marginal)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -77,7 +77,7 @@ def spread_inclinations(rolls: OpenRolls, inclination: Array) -> Array:
 
 def eliminate_free(
     precision: Array, jacobian: Array, weighted: Array, prior: Array
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Eliminate both angles by eq. (2), of which the first has no prior.
 
     Parameters
@@ -90,7 +90,7 @@ def eliminate_free(
 
     Returns
     -------
-    (gain, inverse, marginal, determinant)
+    (gain, inverse, marginal)
         As in `multipos.estimation.likelihood.Eliminated`.
     """
     one, two = weighted[:, :, 0], weighted[:, :, 1]
@@ -106,8 +106,7 @@ def eliminate_free(
     inverse[:, 0, 0] = by_first + both**2 * by_second
     inverse[:, 0, 1] = inverse[:, 1, 0] = -both * by_second
     inverse[:, 1, 1] = by_second
-    determinant = np.where(seen, first, 0.0) / by_second
-    return weighted @ inverse, inverse, np.asarray(marginal), determinant
+    return weighted @ inverse, inverse, np.asarray(marginal)
 
 
 def turn_to_axes(rolls: OpenRolls, direction: Array, listed: Mask, reference: Array) -> Array:

@@ -191,7 +191,6 @@ def test_an_angle_that_is_free_is_eliminated_as_by_a_wide_prior():
     assert_allclose(found.marginal, np.linalg.inv(variance), atol=2e-4)
     H = J.transpose(0, 2, 1) @ precision @ J + np.diag([0.0, s**-2])
     assert_allclose(found.inverse @ H, np.tile(np.eye(2), (6, 1, 1)), atol=1e-9)
-    assert_allclose(found.determinant, np.linalg.det(H), rtol=1e-9)
     assert_allclose(found.gain, precision @ J @ np.linalg.inv(H), rtol=1e-8)
 
 

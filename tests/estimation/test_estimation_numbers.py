@@ -72,14 +72,13 @@ def test_two_angles_are_eliminated_as_by_dense_matrices():
     jacobian, prior = rng.normal(size=(4, 3, 2)), np.array([0.7, 2.0, 0.0, 5.0])
     jacobian[3, :, 1] = 0.0  # held
     weighted = precision @ jacobian
-    gain, inverse, marginal, determinant = eliminate_free(precision, jacobian, weighted, prior)
+    gain, inverse, marginal = eliminate_free(precision, jacobian, weighted, prior)
     for i in range(4):
         A = jacobian[i].T @ weighted[i] + np.diag([0.0, prior[i]])
         assert_allclose(inverse[i], np.linalg.inv(A), rtol=1e-9, atol=1e-12)
         assert_allclose(gain[i], weighted[i] @ np.linalg.inv(A), rtol=1e-9, atol=1e-12)
         taken = weighted[i] @ np.linalg.solve(A, weighted[i].T)
         assert_allclose(marginal[i], precision[i] - taken, rtol=1e-9, atol=1e-9)
-        assert determinant[i] == pytest.approx(np.linalg.det(A))
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
