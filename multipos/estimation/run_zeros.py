@@ -1,8 +1,11 @@
 """A zero of its own in every run: what runs differ by enters the uncertainty of the biases.
 
+- `spread_runs` returns a solution with what the runs make of its U.
+- `without_zeros` returns the readings less what their runs differ by, in which outliers and causes
+  are looked for.
+
 Rows that a column `run` gives the same label share a zero beside the model's, as of a switch-on or
-a mounting. `spread_runs` returns a solution with what the runs make of its U, `without_zeros` the
-readings less what their runs differ by, of which outliers and causes are looked for.
+a mounting.
 
 In one output of n rows and R runs, with Z one column a run,
 
@@ -20,9 +23,9 @@ the logarithm of the variance of a run's mean, m rows a run,
     p(κ) ∝ Π (1 + κ d²)^−½ s^−ν (1 + κ m)⁻¹.                                                (3)
 
 U is half the interval that holds the mixture of Student's t with (2) and ν degrees of freedom. It
-is that of the mean over runs: what the zero of the next run adds stands in U of compensated force.
-
-Source: G. E. P. Box, G. C. Tiao, Bayesian Inference in Statistical Analysis, 1973, section 5.2.
+is that of the mean over runs: what the zero of the next run adds stands in U of compensated force
+(`multipos.sensor.temperature`). Restricted likelihood and mixture are those of correlated rows
+(`multipos.estimation.correlated_rows`), with one law in place of another.
 """
 
 from dataclasses import replace

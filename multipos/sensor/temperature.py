@@ -1,5 +1,9 @@
 """Parameters as functions of temperature: bias, scale factors and cross terms with their bands.
 
+- `over_temperature` returns a `Curve` of each.
+- `soaks_of`, `find_soaks` and `runs_of` say which rows share a zero, `has_zeros` whether any may;
+  `zeros_of_soaks` returns what these `Zeros` do to a run or to single readings.
+
 In a model with temperature terms the bias of an output is b_1 + b_T T + b_TT T² + …, and its scale
 factor b_x + b_Tx T + …: sums of parameters with weights that T sets. With w(T) those weights and C
 the covariance of the parameters,
@@ -22,6 +26,10 @@ for the first, of q for the second; W likewise. With no more soaks than the mode
 temperature there is no q, and `soak_sd` is not known. How the zero repeats is in U once: σ_a is at
 least half of a hysteresis beyond its U, eq. (3), and of the second part of (2) and ``[stability]``
 in the budget, which state the same, the larger is taken.
+
+**Runs.** Where no term takes temperature, rows of one label of a column `run` share a zero as well.
+The covariance of the parameters has what these do to them (`multipos.estimation.run_zeros`), so
+that of (2) only the zero of a further run, of variance σ_a² on q degrees of freedom, is added.
 
 **Hysteresis.** Where levels of temperature are read both when it rises and when it falls, the mean
 of zero, falling less rising, over such levels, with the scatter of these differences,
