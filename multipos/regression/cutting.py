@@ -73,14 +73,12 @@ def _find_edges(
     design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
     values = data.columns[variable]
     response = data.response
-    whitening = None
-    if data.order is not None:
-        # what five segments leave is close to noise alone, whatever the edges will be
-        bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
-        noise = _noise(design, data, segment_of(values, bins.tolist()))
-        whitening = whitening_of(data.order, noise)
-        if whitening is not None:
-            design, response = whitening(design), whitening(response)
+    # what five segments leave is close to noise alone, whatever the edges will be
+    bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
+    noise = _noise(design, data, segment_of(values, bins.tolist()))
+    whitening = whitening_of(data.order, noise)
+    if whitening is not None:
+        design, response = whitening(design), whitening(response)
 
     def adjust(columns: Array) -> Array:
         within = within_runs(columns, read)[0]

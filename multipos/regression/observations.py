@@ -44,7 +44,7 @@ class Data:
 
     columns: Mapping[str, Array]
     response: Array
-    order: TimeOrder | None = None
+    order: TimeOrder
     run: Rows | None = None
     noise: Noise | None = None
     variances: Array | None = None
@@ -54,7 +54,7 @@ class Data:
         return Data(
             {name: column[rows] for name, column in self.columns.items()},
             self.response[rows],
-            None if self.order is None else self.order.of(rows),
+            self.order.of(rows),
             None if self.run is None else self.run[rows],
             self.noise,
             self.variances,

@@ -70,7 +70,7 @@ def robust_fit(found: LinearFit, X: Array, data: Data) -> RobustFit | None:
     data : Data
         Its rows.
     """
-    if found.dof <= 0 or not found.rss or data.order is None:
+    if found.dof <= 0 or not found.rss:
         return None
     e, noise = found.residuals, data.noise
     rho, correlated = lag_one(e, data.order)
@@ -86,7 +86,7 @@ def robust_fit(found: LinearFit, X: Array, data: Data) -> RobustFit | None:
 
 def _by_plausible_laws(X: Array, data: Data) -> tuple[General, ...]:
     """Return the fit to rows made independent by each plausible law of their noise."""
-    if data.order is None or data.noise is None:
+    if data.noise is None:
         return ()
     both, lost = np.column_stack([X, data.response]), runs_lost(data)
     order, age = data.order.order, whitening.ages(data.order.run)

@@ -106,14 +106,14 @@ class Whitening:
         return back
 
 
-def whitening_of(order: TimeOrder | None, noise: Noise | None) -> Whitening | None:
+def whitening_of(order: TimeOrder, noise: Noise | None) -> Whitening | None:
     """Return the filter of rows by the likeliest law; None where they are independent."""
-    if order is None or noise is None or noise.law is None:
+    if noise is None or noise.law is None:
         return None
     return Whitening(order, noise.law)
 
 
-def find_noise(design: Array, response: Array, order: TimeOrder | None) -> Noise | None:
+def find_noise(design: Array, response: Array, order: TimeOrder) -> Noise | None:
     """Return what the rows tell of the noise that a fit to all columns leaves.
 
     Parameters
@@ -121,15 +121,13 @@ def find_noise(design: Array, response: Array, order: TimeOrder | None) -> Noise
     design : (n, p) array
         Columns of which some may say the same.
     response : (n,) array
-    order : TimeOrder or None
+    order : TimeOrder
 
     Returns
     -------
     Noise or None
-        None where rows have no order, are too few, or leave nothing.
+        None where rows are too few, or leave nothing.
     """
-    if order is None:
-        return None
     rows = order.order[:_ROWS]
     age = ages(order.run)[:_ROWS]
     X, y = design[rows], response[rows]
