@@ -35,7 +35,6 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
 
 COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole numbers
-PER_G = 1_000_000  # of force, so that one is a µg
 FIXED = re.compile(
     r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const int32_t raw\[(?P<raw>\d{1,6})\], "
     r"int32_t (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
@@ -225,33 +224,29 @@ def _rounded(total: Whole, shift: int) -> Whole:
     return (total + (1 << shift >> 1)) >> shift
 
 
-_PER = {False: "ACCEL_PER_G", True: "FIELD_PER_UNIT"}
+_PER = {"gravity": "ACCEL_PER_G", "magnetic": "FIELD_PER_UNIT"}  # by kind of field
 
 
 def _per_unit(c: Calibration) -> int:
     """Return the whole numbers in a g, or in the unit of a field, whose size has seven digits."""
-    if not c.field.magnetic:
-        return PER_G
-    return int(10 ** max(0, 6 - math.floor(math.log10(c.field.magnitude))))
+    return int(10 ** max(0, 6 - math.floor(math.log10(c.field.full_scale))))
 
 
 def fixed_signature(c: Calibration, name: str) -> str:
     """Return the declaration, without a semicolon."""
     axes = len(c.model.sensed_axes)
-    result = "field" if c.field.magnetic else "accel"
-    return f"void {name}_compensate(const int32_t raw[{len(c.outputs)}], int32_t {result}[{axes}])"
+    raw = f"const int32_t raw[{len(c.outputs)}]"
+    return f"void {name}_compensate({raw}, int32_t {c.field.in_c}[{axes}])"
 
 
 def fixed_notes(fixed: FixedPoint, name: str) -> tuple[str, ...]:
     """Return what the comment of the file says of the whole numbers, as lines."""
     unit, field = fixed.calibration.model.unit, fixed.calibration.field
-    magnetic = field.magnetic
-    said = "field" if magnetic else "force"
-    error = field.shown(fixed.error) if magnetic else f"{1e6 * fixed.error:.2g} µg"
+    error = field.shown(fixed.error, ".2g", "µg")
     raw = "counts" if unit in COUNTS else f"readings [{unit}] times {name}_RAW_PER_UNIT, rounded"
     return (
         f"In 32-bit whole numbers: raw are {raw};",
-        f"accel is the {said} times {name}_{_PER[magnetic]}, saturated.",
+        f"accel is the {field.quantity} times {name}_{_PER[field.kind]}, saturated.",
         "Shifts of negative numbers are arithmetic, as compilers have them.",
         f"Largest error at the corners of the calibrated range: {error}.",
     )
@@ -259,7 +254,7 @@ def fixed_notes(fixed: FixedPoint, name: str) -> tuple[str, ...]:
 
 def fixed_defines(fixed: FixedPoint, name: str) -> str:
     """Return the scale factors as definitions of the preprocessor."""
-    scale = _PER[fixed.calibration.field.magnetic]
+    scale = _PER[fixed.calibration.field.kind]
     lines = [f"#define {name}_{scale} {fixed.accel_per_g}"]
     if fixed.calibration.model.unit not in COUNTS:
         lines.append(f"#define {name}_RAW_PER_UNIT {fixed.raw_per_unit}")

@@ -245,14 +245,10 @@ def law_residuals(calibration: Calibration, law: Correction, tesla: float | None
 
 def rms_left(calibration: Calibration, residuals: Array) -> float:
     """Return the rms of what is left [g], of the same kind as the calibration's own."""
-    if calibration.estimator is Estimator.UNKNOWN:
-        reference = specific_force(calibration)
-        size = np.linalg.norm(reference + residuals, axis=1)
-        return float(np.sqrt(np.mean((size - np.linalg.norm(reference, axis=1)) ** 2)))
-    errors = calibration.sign * residuals
+    errors, reference = calibration.sign * residuals, calibration.reference
     turn = hidden_turn(calibration, errors)
-    residuals = errors if turn is None else errors - turn
-    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
+    errors = errors if turn is None else errors - turn
+    return float(np.sqrt(np.mean(calibration.estimator.off(reference + errors, reference) ** 2)))
 
 
 def specific_force(calibration: Calibration) -> Array:
@@ -266,9 +262,8 @@ def loss_text(calibration: Calibration, law: Law, target: str) -> str:
     gone = [name for name in calibration.names if name not in kept]
     listed = ", ".join(gone[:9]) + (f" and {len(gone) - 9} more" if len(gone) > 9 else "")
     field = calibration.field
-    grown = f"{1e3 * calibration.rms:.3g} to {1e3 * law.rms:.3g} mg"
-    if field.magnetic:
-        grown = f"{field.shown(calibration.rms)} to {field.shown(law.rms)}"
+    before, after = (field.shown(rms, ".3g", "mg") for rms in (calibration.rms, law.rms))
+    grown = f"{before.removesuffix(' mg')} to {after}"
     return (
         f"{target} cannot express {listed}: the rms of what is left after compensation grows from "
         f"{grown}"

@@ -24,6 +24,7 @@ from multipos.files.trees import to_json
 from multipos.finding import Finding, forced, in_order
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
+from multipos.sensor.gravity import FieldKind
 from multipos.sensor.inverse import read_nominal
 
 Written = tuple[str, list[Finding]]  # the text of a file, and what is said of it
@@ -127,8 +128,8 @@ def parameter_target(
             field=calibration.field,
         )
 
-    magnetic = tesla is not None
-    return Target(name, write_file, recognises, read_file, suffix, takes=takes, magnetic=magnetic)
+    field: FieldKind = "gravity" if tesla is None else "magnetic"
+    return Target(name, write_file, recognises, read_file, suffix, takes=takes, fields=(field,))
 
 
 def _residual_error(
@@ -151,14 +152,12 @@ def _residual_error(
 
 
 def _rms(calibration: Calibration, rms: float) -> str:
-    if calibration.field.magnetic:
-        return calibration.field.shown(rms)
-    return f"{1e3 * rms:.2f} mg"
+    return calibration.field.shown(rms, ".2f", "mg")
 
 
 def size_of(calibration: Calibration) -> float:
     """Return the size of a magnetic reference, 1 of gravity, to which roundings are relative."""
-    return calibration.field.magnitude if calibration.field.magnetic else 1.0
+    return calibration.field.full_scale
 
 
 def read_named(path: str, text: str, names: tuple[str, ...]) -> Array:
@@ -236,13 +235,13 @@ def origin(calibration: Calibration) -> list[str]:
         f"{calibration.field.sensor} calibration of {source}, model {calibration.model.text}",
         f"made {calibration.created} by multipos {calibration.version}",
     ]
-    if calibration.field.magnetic:
+    if calibration.field.unit != "g":
         lines.append(f"field: {calibration.field.text}")
     elif calibration.gravity is None:
         lines.append("one g of the calibration, the local gravity, is taken as 9.80665 m/s^2")
     if calibration.nominal is not None:
         bias, scale = calibration.nominal
-        unit = "uT" if calibration.field.magnetic else "g"
+        unit = calibration.field.nominal_unit
         said = f"nominal conversion of the readings: (reading - {bias!r}) / {scale!r} in {unit}"
         lines.append(said)
     lines += forced(calibration.diagnostics.findings)

@@ -21,7 +21,7 @@ from multipos.finding import Finding, Findings, errors_of
 from multipos.numerics.arrays import Array
 from multipos.results import Result, frozen, plain_dict
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.gravity import GRAVITY, Field
+from multipos.sensor.gravity import GRAVITY, Field, FieldKind
 
 _ROUNDING = 1e-12  # of a difference, in units of the field: that of double precision
 
@@ -201,7 +201,7 @@ class Verification(Result):
     @property
     def _unit(self) -> tuple[float, str]:
         """What residuals are multiplied by for people, and their unit then."""
-        if not self.field.magnetic:
+        if self.field.unit == "g":
             return 1e3, "mg"
         return (1.0, self.field.unit) if self.field.unit else (100.0, "%")
 
@@ -226,8 +226,8 @@ class Target:
         Whether it is a function with a name, a precision and a self-test beside it.
     takes : tuple of str
         Options of `export` that not every target has.
-    magnetic : bool or None
-        Whether it is of magnetometers; None of both kinds of sensor.
+    fields : tuple of str
+        The kinds of field whose sensors it takes.
     """
 
     name: str
@@ -237,7 +237,7 @@ class Target:
     suffix: str
     is_code: bool = False
     takes: tuple[str, ...] = ()
-    magnetic: bool | None = False
+    fields: tuple[FieldKind, ...] = ("gravity",)
 
 
 def find_strange(path: str, difference: float, allowed: float, field: Field = GRAVITY) -> Findings:

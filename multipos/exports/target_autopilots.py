@@ -52,6 +52,7 @@ References
 import re
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -173,6 +174,17 @@ _px4_slopes = _names("TC_A{i}_X1_{place} TC_A{i}_X2_{place} TC_A{i}_X3_{place}")
 _px4_limits = _names("TC_A{i}_TREF TC_A{i}_TMIN TC_A{i}_TMAX")
 
 
+# By kind of field: names of parameters, the sensor in that of its ID, what the flight stack does.
+_PX4_SENSED = {
+    "gravity": (_px4_names, "ACC", "corrected = (raw - OFF{thermal}) SCALE, in m/s^2"),
+    "magnetic": (
+        _px4_mag_names,
+        "MAG",
+        "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it",
+    ),
+}
+
+
 def _params_text(head: list[str], found: _Values) -> str:
     """Return the file of QGroundControl: lines of a name and a value, with the type of each."""
     lines = [
@@ -189,19 +201,15 @@ def _params_text(head: list[str], found: _Values) -> str:
 
 def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
     instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
-    names, sensor = _px4_names, "ACC"
-    if calibration.field.magnetic:
-        names, sensor = _px4_mag_names, "MAG"
+    names, sensor, equation = _PX4_SENSED[calibration.field.kind]
     found = _values(calibration, law, names(instance))
     missing = _identified(found, f"CAL_{sensor}{instance}_ID", wish, px4=True)
     thermal = ""
     if law.drift is not None:
         found += _px4_thermal(law.drift, instance, wish.device_id)
         thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
-    equation = f"corrected = (raw - OFF{thermal}) SCALE, in m/s^2"
-    if calibration.field.magnetic:
-        equation = "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it"
-    return _params_text([*parameters.origin(calibration), *_turned(law), equation], found), missing
+    head = [*parameters.origin(calibration), *_turned(law), equation.format(thermal=thermal)]
+    return _params_text(head, found), missing
 
 
 def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
@@ -251,10 +259,7 @@ _ARDUPILOT_GIVEN = re.compile(r"^(?!#).*\bINS_ACC(?P<instance>[23]?)(?:OFFS|SCAL
 _ARDUPILOT_MAG_GIVEN = re.compile(
     r"^(?!#).*\bCOMPASS_(?:OFS|DIA|ODI)(?P<instance>[23]?)_", re.MULTILINE
 )
-# What the ground stations accept: offset [m/s²] and scale, of a magnetometer offset [milligauss],
-# diagonal, and what is beside it.
-_LIMITS = (3.5, (0.8, 1.2))
-_MAG_LIMITS, _BESIDE = (1800.0, (0.2, 5.0)), 1.0
+_BESIDE = 1.0  # what ground stations accept beside the diagonal of a magnetometer's matrix
 
 
 _ardupilot_names = _names("INS_ACC{n}OFFS_{axis} INS_ACC{n}SCAL_{axis}")
@@ -265,16 +270,50 @@ _ardupilot_slopes = _names(
 _ardupilot_limits = _names("INS_ACC{i}_CALTEMP INS_TCAL{i}_TMIN INS_TCAL{i}_TMAX")
 
 
-def _beyond(found: _Values, *, magnetic: bool) -> list[Finding]:
+class _Sensed(NamedTuple):
+    """How ArduPilot holds a kind of sensor."""
+
+    names: Callable[[int], tuple[str, ...]]
+    sign: float  # of the offset
+    device: str  # the parameter with its ID
+    equation: str
+    offset: float  # the largest that ground stations accept [m/s², milligauss]
+    scale: tuple[float, float]  # between which they accept it
+    other: str  # what may be wrong beside the unit where it is beyond
+
+
+_ARDUPILOT_SENSED = {
+    "gravity": _Sensed(
+        _ardupilot_names,
+        1.0,
+        "INS_ACC{number}_ID",
+        "corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
+        3.5,
+        (0.8, 1.2),
+        "convention",
+    ),
+    "magnetic": _Sensed(
+        _ardupilot_mag_names,
+        -1.0,
+        "COMPASS_DEV_ID{number}",
+        "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
+        1800.0,
+        (0.2, 5.0),
+        "axes",
+    ),
+}
+
+
+def _beyond(found: _Values, sensed: _Sensed) -> list[Finding]:
     """Return what the ground stations do not accept."""
-    offset, (low, high) = _MAG_LIMITS if magnetic else _LIMITS
+    offset, (low, high) = sensed.offset, sensed.scale
     bad = [name for name, value in found[:3] if abs(value) > offset]
     bad += [name for name, value in found[3:6] if not low <= value <= high]
     bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
     if not bad:
         return []
     text = f"{', '.join(bad)} exceed what ArduPilot accepts"
-    action = "Check the unit and the axes." if magnetic else "Check the unit and the convention."
+    action = f"Check the unit and the {sensed.other}."
     return [Finding("beyond-target", "warning", text, action)]
 
 
@@ -286,20 +325,16 @@ def _parm_text(head: list[str], found: _Values) -> str:
 
 def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
     instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
-    magnetic, number = calibration.field.magnetic, _numbered(instance)
-    names, sign, sensor = _ardupilot_names, 1.0, f"INS_ACC{number}_ID"
-    if magnetic:
-        names, sign, sensor = _ardupilot_mag_names, -1.0, f"COMPASS_DEV_ID{number}"
-    found = _values(calibration, law, names(instance), sign)
-    findings = _beyond(found, magnetic=magnetic)
-    findings += _identified(found, sensor, wish, px4=False)
+    sensed = _ARDUPILOT_SENSED[calibration.field.kind]
+    found = _values(calibration, law, sensed.names(instance), sensed.sign)
+    findings = _beyond(found, sensed)
+    device = sensed.device.format(number=_numbered(instance))
+    findings += _identified(found, device, wish, px4=False)
     thermal = ""
     if law.drift is not None:
         found += _ardupilot_thermal(law.drift, instance)
         thermal = " - p(t) + p(CALTEMP)"
-    equation = f"corrected = (raw - OFFS{thermal}) SCAL, in m/s^2"
-    if magnetic:
-        equation = "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it"
+    equation = sensed.equation.format(thermal=thermal)
     return _parm_text([*parameters.origin(calibration), *_turned(law), equation], found), findings
 
 

@@ -23,6 +23,7 @@ where the user says so.
 import re
 from collections.abc import Sequence
 from textwrap import wrap
+from typing import get_args
 
 import numpy as np
 
@@ -43,6 +44,7 @@ from multipos.finding import Findings, forced
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
+from multipos.sensor.gravity import FieldKind
 from multipos.sensor.inverse import STEPS, XTOL
 from multipos.sensor.tilt import at_rest, beyond_vertical, magnitude_of, tilt_at_rest
 from multipos.uncertainty.validity import applied
@@ -211,9 +213,9 @@ def c_source(
     include = "#include <math.h>\n\n" if library or tilt else ""
     if in_metres:
         body = _in_metres(body, calibration, single)
-    if tilt and calibration.field.magnetic:
+    if tilt and calibration.field.angle != "tilt":
         raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
-    if in_metres and calibration.field.magnetic:
+    if in_metres and calibration.field.unit != "g":
         raise UsageError("--output-unit is of forces; a field is in the unit of its size.")
     head = _header(calibration, name, how, "m/s^2" if in_metres else _unit(calibration), tilt)
     text = f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
@@ -227,7 +229,7 @@ def of_field(text: str, calibration: Calibration) -> str:
 
     Called where the calibration's own words, which may be any, are not in the text or are alike.
     """
-    return re.sub(r"\baccel\b", "field", text) if calibration.field.magnetic else text
+    return re.sub(r"\baccel\b", calibration.field.in_c, text)
 
 
 def fixed_source(fixed: c_fixed.FixedPoint, name: str) -> str:
@@ -271,7 +273,7 @@ def c_test(
     kind = "float" if single else "double"
     raw, env, force = _vectors(calibration, single)
     tolerance, unit = "5e-7f" if single else "1e-9", calibration.field.unit
-    if calibration.field.magnetic:
+    if unit != "g":
         size = calibration.field.magnitude
         tolerance = literal((5e-7 if single else 1e-9) * float(f"{size:.0e}"), single)
     if in_metres:
@@ -358,12 +360,10 @@ def _header(
     ]
     sensed = [COMPONENTS[i] for i in axes]
     rows = [[p.name, p.unit, uncertain(p.value, p.u), number(p.U, 2)] for p in c.entries]
-    what = "specific force" if c.convention == "specific-force" else "gravity"
-    what = "magnetic field" if c.field.magnetic else what
-    convention = "" if c.field.magnetic else f", convention {c.convention}"
-    left = c.field.shown(c.rms) if c.field.magnetic else f"{1e3 * c.rms:.3g} mg"
+    convention = f", convention {c.convention}" if c.field.unit == "g" else ""
+    sensor, what = c.field.sensor.lower(), c.field.vector(c.convention)
     lines = [
-        f"{name}_compensate: raw {c.field.sensor.lower()} readings to {what} [{unit}].",
+        f"{name}_compensate: raw {sensor} readings to {what} [{unit}].",
         *(line for said in forced(c.diagnostics.findings) for line in wrap(said, _WIDTH)),
         "",
         f"raw[{len(c.outputs)}] = {', '.join(c.outputs)} [{model.unit}]",
@@ -377,13 +377,13 @@ def _header(
         f"computed by {how}",
         f"calibrated  {c.created} by multipos {c.version}, {len(c.readings)} readings",
         f"written by  multipos {__version__}",
-        f"residual    rms {left} after compensation",
+        f"residual    rms {c.field.shown(c.rms, '.3g', 'mg')} after compensation",
         f"valid       {_validity(c, axes)}; beyond it the model extrapolates",
         f"U           {100 * c.confidence:g} % coverage, of the parameters; model error is extra",
         "",
         *table(["parameter", "unit", "value(u)", "U"], rows).splitlines(),
     ]
-    if c.field.magnetic:
+    if c.field.unit != "g":
         lines += ["", "hard iron: the bias of each output; soft iron: the matrix"]
     elif unit != "g":
         one = "one g, the local gravity, is taken as" if c.gravity is None else "one g is"
@@ -588,5 +588,5 @@ C = Target(
     suffix=".c",
     is_code=True,
     takes=("output_unit", "tilt", "fixed"),
-    magnetic=None,
+    fields=get_args(FieldKind),
 )

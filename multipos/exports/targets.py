@@ -27,6 +27,7 @@ from multipos.files.spelling import Names, StrPath
 from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
+from multipos.sensor.gravity import GRAVITY, Field
 from multipos.sensor.inverse import read_nominal, require_response
 
 # In the order of the documentation; the first that recognises a file reads it back.
@@ -111,7 +112,7 @@ def export(
         return write_noise(calibration, to)
     first, regressions = split_parts(calibration)
     first = first and first.of_sensor
-    target = _target(to, single=float, magnetic=first is not None and first.field.magnetic)
+    target = _target(to, single=float, field=GRAVITY if first is None else first.field)
     if first is not None and nominal is not None:
         first = replace(first, nominal=read_nominal(nominal))
     others = {
@@ -147,17 +148,16 @@ def export(
     return target.write(first, wish)
 
 
-def _target(to: str, *, single: bool, magnetic: bool) -> Target:
+def _target(to: str, *, single: bool, field: Field) -> Target:
     """Return the target that is asked for, of magnetometers or of accelerometers."""
     if named_target(to) is None:
         names = ", ".join(target.name for target in TARGETS)
         raise UsageError(f"--to takes {names}, got '{to}'.")
-    every = [each for each in (*TARGETS, *_MAGNETOMETERS) if each.magnetic in (None, magnetic)]
+    every = [each for each in (*TARGETS, *_MAGNETOMETERS) if field.kind in each.fields]
     target = next((each for each in every if each.name == to), None)
     if target is None:
-        sensor = "magnetometer" if magnetic else "accelerometer"
         names = ", ".join(each.name for each in every)
-        raise MultiposError(f"{to} takes no {sensor}; export it --to {names}.")
+        raise MultiposError(f"{to} takes no {field.sensor.lower()}; export it --to {names}.")
     if single and not target.is_code:
         codes = ", ".join(target.name for target in TARGETS if target.is_code)
         raise UsageError(f"--float is for --to {codes}; {to} has a precision of its own.")

@@ -586,8 +586,10 @@ def hidden_turn(calibration: Calibration, errors: Array) -> Array | None:
     1.5 σ²/n about each axis. A common rotation of the errors that is no larger, at 99 %, is the
     mean error of the hand and no misalignment that is known. None where there is none such.
     """
+    if calibration.estimator is not Estimator.UNCERTAIN:
+        return None
     sd = calibration.readings.orientation_sd
-    if calibration.estimator is not Estimator.UNCERTAIN or sd is None:
+    if sd is None:
         return None
     if sorted(calibration.model.axes) != list(COMPONENTS) or not np.isfinite(sd).all():
         return None

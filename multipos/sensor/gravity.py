@@ -66,6 +66,8 @@ class Field:
         The unit of the reference that a nominal conversion is in.
     same_everywhere : bool
         Whether its size is the same at every place, but for a part in a hundred.
+    in_c : str
+        What the result is called in C.
     beyond : tuple of float
         Larger sizes that a sensor at work meets.
     """
@@ -82,6 +84,7 @@ class Field:
     angle: ClassVar[str]
     nominal_unit: ClassVar[str]
     same_everywhere: ClassVar[bool]
+    in_c: ClassVar[str]
     beyond: ClassVar[tuple[float, ...]]
 
     @property
@@ -118,11 +121,6 @@ class Field:
     def text(self) -> str:
         """Its size in words."""
         return f"{self.size:.10g} {self.size_unit}, u = {self.u:.3g} {self.size_unit}"
-
-    @property
-    def magnetic(self) -> bool:
-        """Whether it is a magnetic field."""
-        return self.kind == "magnetic"
 
     def vector(self, convention: str) -> str:
         """Return what the compensated vector is called."""
@@ -176,6 +174,7 @@ class Gravity(Field):
     angle = "tilt"
     nominal_unit = "g"
     same_everywhere = True
+    in_c = "accel"
     beyond = (2.0, 5.0)
 
     @property
@@ -246,6 +245,7 @@ class MagneticField(Field):
     angle = "heading"
     nominal_unit = "uT"
     same_everywhere = False
+    in_c = "field"
     beyond = ()
 
     @property

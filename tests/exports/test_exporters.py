@@ -789,7 +789,7 @@ def test_the_tesla_of_a_unit_of_the_readings():
     ("size", "whole"), [(48.7, 100_000), (0.487, 10_000_000), (9.99e5, 10), (3e7, 1)]
 )
 def test_whole_numbers_of_a_field_have_seven_digits(size, whole):
-    field = SimpleNamespace(magnetic=True, magnitude=size)
+    field = SimpleNamespace(full_scale=size)
     assert _per_unit(SimpleNamespace(field=field)) == whole
 
 
