@@ -3,7 +3,8 @@
 `in_order` puts findings in their order, `about` says what they are about, `errors_of` and `serious`
 pick those that matter, `short_text` shortens one. `warn` raises them as Python warnings,
 `refuse_unfit` refuses a calibration with errors and `forced` says that one was passed on in spite
-of them. `read_findings` reads those of a file, and `repeated_files` finds files given twice.
+of them. `read_findings` reads those of a file, `findings_upgraded` those of version 0.1, and
+`repeated_files` finds files given twice.
 
 `error` means that nobody should use the result: no sensor gives such readings at such positions,
 or what is given contradicts itself. A `warning` is about these data: U may not hold, or something

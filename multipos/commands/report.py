@@ -20,7 +20,7 @@ from multipos.reports.certificate import Content, build_content
 from multipos.reports.fleet_report import fleet_content
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
-from multipos.sensor.inverse import read_nominal
+from multipos.sensor.nominal import read_nominal
 from multipos.uncertainty.monte_carlo import simulate_budget
 from multipos.verification.verdicts import load_check
 

@@ -155,7 +155,7 @@ def add_columns(
         }
         parts = [add_columns(calibration, part, **how) for part in some]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    require_response(calibration)
+    require_response(calibration.model, calibration.parameters, calibration.mean_environment)
     raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
     terms = [term for _, term in calibration.model.keys]
     environment = {

@@ -44,7 +44,7 @@ from multipos.positions.order import Order, check_order, lay_out, travel_deg, tr
 from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme
 from multipos.results import Drawn, Keyed, Tabular, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.calibration_file import SCHEMA, load
+from multipos.sensor.calibration_file import load
 from multipos.sensor.model import Model
 
 
@@ -384,7 +384,7 @@ def begin_design(
 
 def _calibration_of(include: "Source | Scheme | Calibration | None") -> Calibration | None:
     """Return the calibration that is included, None where it is a scheme or nothing."""
-    if isinstance(include, str | os.PathLike) and read_schema(include) == SCHEMA:
+    if isinstance(include, str | os.PathLike) and read_schema(include) == Calibration.schema:
         return load(include)
     return include if isinstance(include, Calibration) else None
 

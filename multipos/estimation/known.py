@@ -56,7 +56,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.terms import linear_term
 from multipos.positions.readings import Readings, add_variances
 from multipos.results import frozen
-from multipos.sensor import fit_diagnostics
+from multipos.sensor import fit_diagnostics, studentised
 from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
@@ -781,7 +781,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
             in_force = model.field.unit == "g" and np.isfinite(size).all() and (size > 0.0).all()
             return size if in_force else None
 
-        return fit_diagnostics.find_outliers(
+        return studentised.find_outliers(
             found.residuals,
             found.leverage,
             shared.dof.tolist(),
@@ -795,7 +795,7 @@ def _outliers(shared: SharedDesign, readings: Readings, found: _One) -> tuple[st
     assert found.sd is not None  # of the stated noise and the excess variance
     more = found.sd.ravel() ** 2 - np.diag(noise)
     design = least_squares.block_design(shared.designs)
-    return fit_diagnostics.find_correlated_outliers(
+    return studentised.find_correlated_outliers(
         design.reshape(noise.shape[0], -1),
         found.residuals,
         add_variances(noise, np.maximum(more, 0.0)),

@@ -22,7 +22,7 @@ At known orientations readings are linear in the parameters. At unknown ones the
     r² = c'φ(y) + Σ c_t f_i t(f),    φ = (x² − z², y² − z², x, y, z, 1, xy, xz, yz),        (2)
 
 y = (x, y, z) the centred readings, r their size, t terms beyond the linear, to first order. Among
-rows that may be noisier than others (`multipos.sensor.fit_diagnostics`) a reading must stick out
+rows that may be noisier than others (`multipos.sensor.unlike_rows`) a reading must stick out
 from these as well.
 
 References
@@ -45,8 +45,9 @@ from multipos.numerics.factoring import Covariance, column_scales, factor
 from multipos.numerics.terms import Term, kind_terms
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, p_values_of_units
 from multipos.sensor.model import Model
+from multipos.sensor.studentised import OUTLIER_LEVEL, ROWS_NAMED
+from multipos.sensor.unlike_rows import p_values_of_units
 
 _LINEAR = frozenset(("1", *COMPONENTS))
 _KINDS = ("own^2", "own^3", "own*|own|", "own*other")  # terms that may be what sticks out

@@ -40,9 +40,8 @@ from multipos.numerics.rotations import align, directions, tangent_basis
 from multipos.positions.orientations import OpenRolls, StatedOrientations, across, listed_rows
 from multipos.positions.readings import Readings
 from multipos.results import frozen
-from multipos.sensor.calibration import Status
 from multipos.sensor.fit_diagnostics import NoiseTest
-from multipos.sensor.found import FoundOrientations, VarianceComponents
+from multipos.sensor.found import FoundOrientations, Status, VarianceComponents
 from multipos.sensor.model import Block, Model
 
 _DETERMINED = 0.02  # of the mean square: rolls that spread less about a circle do not tell its axis

@@ -41,9 +41,10 @@ from multipos.numerics.losses import EFFICIENCY, Loss, counted, loss, loss_slope
 from multipos.numerics.quantiles import chi2_quantile, f_quantile, f_tail
 from multipos.positions.readings import Readings
 from multipos.results import frozen
-from multipos.sensor.calibration import Status
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, NoiseTest, find_outlying_positions
+from multipos.sensor.fit_diagnostics import NoiseTest
+from multipos.sensor.found import Status
 from multipos.sensor.model import Model
+from multipos.sensor.studentised import OUTLIER_LEVEL, find_outlying_positions
 
 _ITERATIONS = 2000  # weights that change with the step make convergence linear
 _DAMPING = 1e-4

@@ -49,9 +49,10 @@ from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import StatedOrientations, across
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.expressions import ExpressionModel, at_bounds
-from multipos.sensor.fit_diagnostics import NoiseTest, find_outlying_positions
+from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
+from multipos.sensor.studentised import find_outlying_positions
 
 _REPORTED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is reported
 

@@ -53,12 +53,8 @@ from multipos.numerics.levenberg_marquardt import Rules
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.results import frozen
-from multipos.sensor.fit_diagnostics import (
-    find_outlying_positions,
-    square_beyond,
-    studentised_squares,
-)
 from multipos.sensor.model import Model
+from multipos.sensor.studentised import find_outlying_positions, square_beyond, studentised_squares
 
 STILL = 0.99  # χ² point beyond which an excess variance does not explain residuals
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start

@@ -25,7 +25,7 @@ from multipos.finding import Finding, forced, in_order
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
 from multipos.sensor.gravity import FieldKind
-from multipos.sensor.inverse import read_nominal
+from multipos.sensor.nominal import read_nominal
 
 Written = tuple[str, list[Finding]]  # the text of a file, and what is said of it
 

@@ -28,7 +28,8 @@ from multipos.files.tables import Source
 from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
 from multipos.sensor.gravity import GRAVITY, Field
-from multipos.sensor.inverse import read_nominal, require_response
+from multipos.sensor.inverse import require_response
+from multipos.sensor.nominal import read_nominal
 
 # In the order of the documentation; the first that recognises a file reads it back.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, ROS_MAGNETOMETER, IMUCAL, KALIBR, INAV)
@@ -127,7 +128,7 @@ def export(
         raise UsageError("--fixed has whole numbers of its own: no --float, --tilt, --output-unit.")
     _check_options(target, {name: value for name, value in others.items() if value is not None})
     if first is not None:
-        require_response(first)
+        require_response(first.model, first.parameters, first.mean_environment)
         if not force and not math.isfinite(first.rms):
             raise MultiposError(
                 f"the export to {to} is refused, as the model gives no force from its own "

@@ -1,27 +1,31 @@
 """What the JSON files of results hold: a kind for every key, which checks, reads and writes it.
 
+- `require` holds the content of a file to its description, `restore` makes the result of it.
+- `require_covariance` holds a covariance to the uncertainties stated beside it.
+- `is_number` tells whether a value of a file is a number.
+
 Calibrations, regressions and checks are files that may be old, damaged, edited by hand or from
 somebody else. Each kind of file is described by a `Fields` beside the type that it becomes, and
 `require` compares: types, sizes, known words, numbers that arithmetic can carry. What it lets
 through can be read without a further question; how values hang together is for the reader. Keys
-that the description does not name are left alone. A `Record` is such a description of a type of
-ours: its fields are declared there once, and are read from a file and written to it by that.
+that the description does not name are left alone. `multipos.files.schema` makes the description of
+a type of its fields.
 
 Text has no control characters: it goes to terminals, into reports, and as comments into files
 that other programs read line by line.
 """
 
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import control_characters, visible
-from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array
+from multipos.numerics.arrays import COMPONENTS, SMALLEST
 from multipos.results import frozen
 
 LARGEST = 1e100  # of a number; squares and their sums stay finite
@@ -253,62 +257,6 @@ class Fields(Kind):
 
 
 @frozen(eq=True)
-class Record(Fields):
-    """An object whose keys are fields of a type: what `make` takes, and what it has.
-
-    Where a key is called otherwise than the field, `names` has both; `derived` are fields that are
-    written for who reads the file, and follow from the others. With `dict` for `make` it is a part
-    of a larger object.
-
-    `Record.of` makes one of a dataclass or a named tuple: its fields are the keys, of the kinds
-    that their types say, or of narrower ones that are given.
-    """
-
-    make: Callable[..., Any] = dict
-    names: Mapping[str, str] = field(default_factory=dict)
-    derived: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        made: type,
-        kinds: Mapping[str, Kind] | None = None,
-        *,
-        optional: Container[str] = (),
-        names: Mapping[str, str] | None = None,
-        derived: tuple[str, ...] = (),
-    ) -> "Record":
-        """Return the record of a type; fields that are `optional` may be missing, but not null."""
-        names = names or {}
-        keys = {name: key for key, name in names.items()}
-        parts: tuple[dict[str, Kind], dict[str, Kind]] = {}, {}
-        for name, said in made.__annotations__.items():
-            may_be_missing = name in optional
-            kind = (kinds or {}).get(name) or _kind_of(said, missing=may_be_missing)
-            parts[may_be_missing][keys.get(name, name)] = kind
-        return cls(*parts, made, names, derived)
-
-    def read(self, value: Mapping[str, Any]) -> Any:
-        """Return what a result holds: keys that a file need not have may be left out."""
-        known = {name: kind for name, kind in self._kinds() if name in value}
-        return self.make(
-            **{self.names.get(name, name): kind.read(value[name]) for name, kind in known.items()}
-        )
-
-    def write(self, value: Any) -> dict[str, Any]:
-        """Return an object; without what it need not have, is not there, and may not be null."""
-        found = {}
-        for name, kind in self._kinds():
-            part = getattr(value, self.names.get(name, name))
-            if part is not None or name in self.needed or isinstance(kind, Maybe):
-                found[name] = kind.write(part)
-        return found | {name: getattr(value, name) for name in self.derived}
-
-    def _kinds(self) -> list[tuple[str, Kind]]:
-        return [*self.needed.items(), *self.optional.items()]
-
-
-@frozen(eq=True)
 class Numbers(Kind):
     """Nested lists of numbers as an array of `depth` dimensions; with `gaps`, null is taken."""
 
@@ -368,26 +316,6 @@ Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, NOT_NEGATIVE]
 Share = Annotated[float, SHARE]
 Figure = Annotated[float, FIGURE]
-_KINDS: dict[Any, Kind] = {
-    str: ANY_TEXT,
-    bool: Flag(),
-    int: Whole(),
-    float: ANY_NUMBER,
-    Array: Numbers(),
-}
-
-
-def _kind_of(said: Any, *, missing: bool = False) -> Kind:
-    """Return the kind that the type of a field says; an array has one dimension.
-
-    What may be missing is not null in a file where it is None here.
-    """
-    if said in _KINDS:
-        return _KINDS[said]
-    inner = get_args(said)
-    if type(None) in inner:
-        return _kind_of(inner[0]) if missing else Maybe(_kind_of(inner[0]))
-    return Listed(_kind_of(inner[0])) if get_origin(said) is tuple else Named(_kind_of(inner[-1]))
 
 
 def require(content: Any, kind: Kind, where: str, again: str) -> None:

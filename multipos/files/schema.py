@@ -1,6 +1,8 @@
 """The file of a result, as the fields of its frozen dataclass declare it, once.
 
-- `schema_of` makes the `Schema` of a class of its annotations: it checks, reads and writes.
+- `schema_of` makes the `Schema` of a class of its annotations: it checks, reads and writes;
+  `renamed` that of some fields under other keys, `narrowed` one of other kinds, and `also` says
+  what stands beside the fields.
 - `Saved` gives a result with a file `to_dict` and `save`; `read_saved` and `restore` read it again.
 
 A field is a key, of the kind that its type says: a number, a text, a tuple as a list, a mapping as
@@ -11,18 +13,25 @@ annotation, a narrower `Kind` or how the field is `Stored`:
     source: Annotated[str | None, Stored("input.file")]
     sd: Annotated[Array, NOT_NEGATIVE, Stored(by="outputs")]
 
-A property of which the file has the value for its reader, and which follows from the fields when it
-is read, returns ``Annotated[…, Stored(after=KEY)]``: it stands after that key. With a kind beside
-it, it is read as a field is, and handed on by its key.
+What the file has beside the fields stands in the tuple ``_also`` of the class, each attribute or
+path of attributes with the key that it comes after: what follows from the fields is written and not
+read; with a kind it is read as well, under its path.
+
+    _also = (
+        also("verdict", Stored(after="limit")),
+        also("model.unit", ANY_TEXT, Stored("unit", after="model")),
+    )
 
 A class that is put together of what is read otherwise than by its fields has a class method
-``_from_file`` that takes it, by their names; a class whose files were once other has a function
-`_upgraded` of the content. Either may raise ValueError where parts contradict each other.
+``_from_file`` that takes it by name, what is below an attribute as one mapping; a class whose files
+were once other has a function `_upgraded` of the content. Either may raise ValueError where parts
+contradict each other.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import StrEnum
 from functools import cache
+from operator import attrgetter
 from types import NoneType
 from typing import (
     Annotated,
@@ -37,7 +46,7 @@ from typing import (
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.files import records
 from multipos.files.records import (
     ANY_NUMBER,
     ANY_TEXT,
@@ -51,7 +60,6 @@ from multipos.files.records import (
     Numbers,
     Text,
     Whole,
-    require,
 )
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json, to_json
@@ -91,7 +99,7 @@ class Stored:
     rows : str
         A column of this table, a list of objects.
     after : str
-        A property: the key that it is written after.
+        What is no field: the key of the field that it comes after.
     """
 
     key: str = ""
@@ -103,12 +111,16 @@ class Stored:
     after: str = ""
 
 
+OPTIONAL = Stored(optional=True)
+NOWHERE = Stored(nowhere=True)
+
+
 @frozen(eq=True)
 class _Unread(Kind):
-    """What follows from the rest."""
+    """What follows from the rest: it is written, and not read."""
 
 
-_UNREAD = _Unread()
+UNREAD = _Unread()
 
 
 @frozen(eq=True)
@@ -133,7 +145,7 @@ class As(Kind):
 
 
 class _Part(NamedTuple):
-    """One field, or one property."""
+    """One field, or one attribute beside the fields, by its path."""
 
     name: str
     key: str
@@ -144,7 +156,7 @@ class _Part(NamedTuple):
     @property
     def derived(self) -> bool:
         """Whether it is written for who reads the file, and not read."""
-        return self.kind == _UNREAD
+        return self.kind == UNREAD
 
     def kinds(self) -> Fields:
         if self.derived:
@@ -158,8 +170,9 @@ class _Part(NamedTuple):
         return Fields({}, {self.key: kind}) if self.stored.optional else Fields({self.key: kind})
 
     def write(self, owner: Any) -> dict[str, Any]:
-        value = getattr(owner, self.name)
-        if value is None and (self.stored.optional or self.stored.flat):
+        value = attrgetter(self.name)(owner)
+        empty = isinstance(value, dict) and not value
+        if (value is None or empty) and (self.stored.optional or self.stored.flat):
             return {}
         if self.stored.by:
             return {self.key: self._named(value, owner)}
@@ -170,23 +183,26 @@ class _Part(NamedTuple):
         if self.derived:
             return {}
         if self.stored.flat:
-            schema = _schema_within(self.kind)
-            there = [key for key in schema.fields.needed if key in content]
-            lacking = [key for key in schema.fields.needed if key not in content]
-            if there and lacking:
-                raise ValueError(f"an object with '{there[0]}' lacks '{lacking[0]}'")
-            return {self.name: None if lacking else schema.read(content)}
+            return {self.name: self._flat(_schema_within(self.kind), content)}
         if self.key not in content:
             return {}
         value = content[self.key]
-        name = self.key if self.stored.after else self.name
         if self.stored.by:
-            return {name: np.array(self._values(value, content))}
-        return {name: self.kind.read(value)}
+            return {self.name: np.array(self._values(value, content))}
+        return {self.name: self.kind.read(value)}
+
+    def _flat(self, schema: "Schema", content: Mapping[str, Any]) -> Any:
+        there = [key for key in schema.keys if key in content]
+        lacking = [key for key in schema.fields.needed if key not in content]
+        if not there and isinstance(self.kind, Maybe):
+            return None
+        if lacking:
+            raise ValueError(f"an object with '{there[0]}' lacks '{lacking[0]}'")
+        return schema.read(content)
 
     def cells(self, owner: Any) -> Sequence[Any] | None:
         """Return the cells of a column, for each row of its table; None without the column."""
-        value = getattr(owner, self.name)
+        value = attrgetter(self.name)(owner)
         if value is None:
             return None
         if self.stored.by:
@@ -270,9 +286,9 @@ class Schema(Kind):
     fields: Fields
 
     @property
-    def keys(self) -> set[str]:
+    def keys(self) -> tuple[str, ...]:
         """The keys that are read."""
-        return {*self.fields.needed, *self.fields.optional}
+        return (*self.fields.needed, *self.fields.optional)
 
     def check(self, value: Any, place: str) -> None:
         """Raise a fault where the value is something else."""
@@ -290,8 +306,15 @@ class Schema(Kind):
         return make(**self.values(value))
 
     def values(self, value: Any) -> dict[str, Any]:
-        """Return the values of the fields that the file has."""
-        return _read(self.parts, self._upgraded(value))
+        """Return the values of the fields that the file has, those below one as a mapping."""
+        values: dict[str, Any] = {}
+        for path, held in _read(self.parts, self._upgraded(value)).items():
+            name, _, below = path.partition(".")
+            if below:
+                values.setdefault(name, {})[below] = held
+            else:
+                values[name] = held
+        return values
 
     def write(self, value: Any) -> dict[str, Any]:
         """Return an object, up to arrays and NaN."""
@@ -315,6 +338,7 @@ class Saved(Result):
         What writes the file again, as in 'fit again'.
     """
 
+    _also: ClassVar[tuple[Any, ...]] = ()
     schema: ClassVar[str]
     called: ClassVar[str]
     again: ClassVar[str]
@@ -356,12 +380,9 @@ def restore(made: type[S], content: Any, where: str) -> S:
         Something is missing or of another kind, or the parts contradict each other.
     """
     schema = schema_of(made)
-    require(content, schema, where, made.again)
-    try:
-        result: S = schema.read(content)
-    except ValueError as error:
-        said = str(error).rstrip(".")
-        raise MultiposError(f"{where}: not a {made.called}: {said}; {made.again}.") from None
+    result: S = records.restore(
+        content, schema, schema.read, where, what=made.called, again=made.again
+    )
     return result
 
 
@@ -372,14 +393,28 @@ def schema_of(made: Any) -> Schema:
 
 @cache
 def _schema_of(made: Any) -> Schema:
-    parts = [_part(name, said) for name, said in made.__annotations__.items() if _is_field(said)]
-    for name, said in _properties(made):
-        part = _part(name, said)
-        keys = [each.stored.after or each.key for each in parts]
-        place = len(keys) - keys[::-1].index(part.stored.after)
+    fields = {
+        n: said for n, said in made.__annotations__.items() if get_origin(said) is not ClassVar
+    }
+    parts = [_part(name, *_marked(said)) for name, said in fields.items()]
+    for part in getattr(made, "_also", ()):
+        heads = [each.stored.after or each.key.partition(".")[0] for each in parts]
+        place = len(heads) - heads[::-1].index(part.stored.after)
         parts.insert(place, part)
     places = _gathered([part for part in parts if not part.stored.nowhere])
     return Schema(made, places, _fields_of(places))
+
+
+def also(path: str, *marks: Kind | Stored) -> _Part:
+    """Return what a file has of an attribute that is no field: its kind, and how it is `Stored`."""
+    return _part(path, Any, marks)
+
+
+def narrowed(made: Any, **kinds: Kind) -> Schema:
+    """Return the schema of a class that knows no files, some of its fields of narrower kinds."""
+    said = made.__annotations__
+    parts = tuple(_part(n, t, [kinds[n]] if n in kinds else []) for n, t in said.items())
+    return Schema(made, parts, _fields_of(parts))
 
 
 def renamed(made: Any, **keys: str) -> Schema:
@@ -399,29 +434,19 @@ def renamed(made: Any, **keys: str) -> Schema:
     return Schema(made, kept, _fields_of(kept))
 
 
-def _is_field(said: Any) -> bool:
-    return get_origin(said) is not ClassVar
+def _marked(said: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the type of a field and what its annotation adds."""
+    return (said.__origin__, said.__metadata__) if get_origin(said) is Annotated else (said, ())
 
 
-def _properties(made: Any) -> Iterable[tuple[str, Any]]:
-    """Return the properties of a class that its file has, and what they return."""
-    for name, value in vars(made).items():
-        of = getattr(value, "fget", None) or getattr(value, "func", None)
-        said = getattr(of, "__annotations__", {}).get("return")
-        if get_origin(said) is Annotated:
-            yield name, said
-
-
-def _part(name: str, said: Any) -> _Part:
-    marks = said.__metadata__ if get_origin(said) is Annotated else ()
+def _part(name: str, bare: Any, marks: Iterable[Any]) -> _Part:
     stored = next((mark for mark in marks if isinstance(mark, Stored)), Stored())
-    kinds = [mark for mark in marks if isinstance(mark, Kind)]
-    bare = get_args(said)[0] if marks else said
-    cell = get_args(bare)[0] if stored.rows and get_origin(bare) is tuple else bare
-    if not kinds:
+    kind = next((mark for mark in marks if isinstance(mark, Kind)), None)
+    if kind is None:
+        cell = get_args(bare)[0] if stored.rows and get_origin(bare) is tuple else bare
         unread = stored.nowhere or stored.after
-        kinds = [_UNREAD if unread else _kind_of(cell, stored.optional)]
-    return _Part(name, stored.key or name, bare, kinds[0], stored)
+        kind = UNREAD if unread else _kind_of(cell, stored.optional)
+    return _Part(name, stored.key or name, bare, kind, stored)
 
 
 def _gathered(parts: Sequence[_Part]) -> tuple[_Place, ...]:
@@ -473,7 +498,7 @@ def _kind_of(said: Any, optional: bool = False) -> Kind:
     if said in _KINDS:
         return _KINDS[said]
     if origin is Annotated:
-        return _part("", said).kind
+        return _part("", *_marked(said)).kind
     if origin is Literal:
         return Text(inner)
     if NoneType in inner:

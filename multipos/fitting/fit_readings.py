@@ -57,7 +57,6 @@ from multipos.sensor.gravity import (
     check_field_kind,
     signed_size,
 )
-from multipos.sensor.inverse import read_nominal
 from multipos.sensor.model import (
     DRIFT,
     GAUGES,
@@ -68,6 +67,7 @@ from multipos.sensor.model import (
     stated_facing,
 )
 from multipos.sensor.model_text import ParsedModel, read_model
+from multipos.sensor.nominal import read_nominal
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Budget, BudgetSource, read_budget
 

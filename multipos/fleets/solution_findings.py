@@ -23,7 +23,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.quantiles import chi2_quantile
 from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.fit_diagnostics import square_beyond
+from multipos.sensor.studentised import square_beyond
 
 _ROUNDING = 1e-14  # of what is one: no inverse is asked of nothing
 _LEAST = 1e-300  # of a sum of squares

@@ -9,7 +9,7 @@ leverages, quantiles. The tests are then contractions over units:
 
 - missing terms, by the score tests of `multipos.diagnostics.score_tests`;
 - outliers, by studentised residuals, and where these are beyond the 1 % point by the second test of
-  `multipos.sensor.fit_diagnostics`, in which rows may be unequally noisy. Where two rows are off by
+  `multipos.sensor.unlike_rows`, in which rows may be unequally noisy. Where two rows are off by
   similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
   the unit is left to the fit of one;
 - lack of fit and orientation errors (`multipos.diagnostics.variances`);
@@ -56,7 +56,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps, reso
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
-from multipos.sensor import fit_diagnostics
+from multipos.sensor import fit_diagnostics, studentised, unlike_rows
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.temperature import find_soaks
@@ -358,12 +358,12 @@ def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed
     if found.variance is None and found.variances is not None and found.weighted is not None:
         sd, residuals = np.sqrt(found.variances), found.weighted
         error, leverage = residuals / sd, known.cofactors(shared, found.variances)[1]
-        r2 = fit_diagnostics.studentised_squares(error, leverage, dof)
+        r2 = studentised.studentised_squares(error, leverage, dof)
         explained = _explained_under(tests, shared, 1.0 / found.variances, residuals)
         return _Weighed(residuals, error, r2, sd, leverage, explained)
     level = None if found.variance is None else np.sqrt(found.variance.T[:, :, None])
     error = found.residuals if level is None else found.residuals / level
-    r2 = fit_diagnostics.studentised_squares(error, tests.leverage[:, None], dof)
+    r2 = studentised.studentised_squares(error, tests.leverage[:, None], dof)
     return _Weighed(found.residuals, error, r2, level)
 
 
@@ -642,7 +642,7 @@ def find_in_expressions(
         left += nu
         cofactor = cofactors(A)
         leverage = np.sum((A @ cofactor) * A, axis=2)
-        r2 = fit_diagnostics.studentised_squares(e, leverage, np.full(1, nu))
+        r2 = studentised.studentised_squares(e, leverage, np.full(1, nu))
         singly |= ~(r2 <= _limit(nu, m * n)).all(axis=1)
         tested = fit_diagnostics.lack_of_fit_ratios(e, repeats, A.shape[2], np.ones(n))
         if tested is not None:
@@ -732,13 +732,13 @@ def _outliers(
     beyond = _beyond(shared, r2)
     units = np.flatnonzero(beyond.any(axis=(0, 2)))
     outlying[units] = True
-    if len(units) and m > 1 and shared.dof.min() >= fit_diagnostics.ROWS_NAMED:
+    if len(units) and m > 1 and shared.dof.min() >= studentised.ROWS_NAMED:
         questioned = np.moveaxis(beyond[:, units], 0, 2)
         bases, _ = on or _as_one(shared)
         given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned
-        p = fit_diagnostics.p_values_of_units(*given)
+        p = unlike_rows.p_values_of_units(*given)
         few = (np.isnan(p) & questioned).any(axis=(1, 2))
-        outlying[units] = few | (p < fit_diagnostics.OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
+        outlying[units] = few | (p < studentised.OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
     # as readings are off from the fit without their row, in units of the output's scale factor
     off = residuals[:, outlying] / np.maximum(1.0 - tests.leverage, _LEAST)[:, None]
     size = np.linalg.norm(sensitivity[outlying], axis=2).T[:, :, None]
@@ -757,7 +757,7 @@ def _beyond(shared: SharedDesign, r2: Array) -> Mask:
 
 @lru_cache(64)
 def _limit(nu: float, readings: int) -> float:
-    return fit_diagnostics.largest_square(nu, readings) if nu >= 2.0 else math.inf
+    return studentised.largest_square(nu, readings) if nu >= 2.0 else math.inf
 
 
 def _off_positions(

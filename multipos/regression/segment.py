@@ -33,15 +33,13 @@ from multipos.files.records import (
     Entries,
     Figure,
     Flag,
-    Kind,
     Listed,
     Maybe,
-    Record,
     Text,
     Whole,
     require_covariance,
 )
-from multipos.files.schema import Stored, schema_of
+from multipos.files.schema import Stored, also, narrowed, schema_of
 from multipos.numerics.arrays import Array, Places, quadratic
 from multipos.numerics.quantiles import t_tail
 from multipos.numerics.selection import Step, Tested
@@ -62,9 +60,16 @@ Branch = Literal["heating", "cooling"]
 _Chance = Annotated[float, Maybe(P_VALUE.kind, math.nan)]
 _Optional = Annotated[float | None, FIGURE, Stored(optional=True)]
 _F = Maybe(FIGURE.kind, math.inf)  # of a term that leaves no residual
-_TESTED: dict[str, Kind] = {"action": Text(("add", "remove")), "F": _F, "p": P_VALUE}
-_TESTS = Listed(Record.of(Tested, _TESTED))
-_STEP = Record.of(Step, {**_TESTED, "runner_up": Maybe(_TESTS.kind), "tested": _TESTS})
+_ACTION = Text(("add", "remove"))
+_TESTED = narrowed(Tested, action=_ACTION, F=_F, p=P_VALUE)
+_STEP = narrowed(
+    Step,
+    action=_ACTION,
+    F=_F,
+    p=P_VALUE,
+    runner_up=Maybe(_TESTED),
+    tested=Listed(_TESTED),
+)
 
 
 class Coefficient(NamedTuple):
@@ -143,18 +148,20 @@ class Between(Result):
     centre: float
     covariance: Annotated[Array, VARIANCES]
 
+    _also = tuple(also(name, Stored(after="covariance")) for name in ("dof", "sd", "slope_sd"))
+
     @property
-    def dof(self) -> Annotated[int, Stored(after="covariance")]:
+    def dof(self) -> int:
         """Degrees of freedom of Ψ."""
         return self.runs - 1
 
     @property
-    def sd(self) -> Annotated[float, Stored(after="covariance")]:
+    def sd(self) -> float:
         """Standard deviation of the constant from run to run."""
         return float(np.sqrt(self.covariance[0, 0]))
 
     @property
-    def slope_sd(self) -> Annotated[float | None, Stored(after="covariance")]:
+    def slope_sd(self) -> float | None:
         """Standard deviation of the slope, where it can be identified."""
         return None if self.variable is None else float(np.sqrt(self.covariance[1, 1]))
 
@@ -243,6 +250,11 @@ class Segment(Result):
     region: Annotated[Region | None, Stored(optional=True)] = None
     branch: Branch | None = None
 
+    _also = (
+        also("coefficients", Listed(schema_of(Coefficient)), Stored("terms", after="n")),
+        also("significant", Flag(), Stored(after="F")),
+    )
+
     @classmethod
     def _upgraded(cls, content: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return what a file says, with what version 0.1 did not write."""
@@ -252,7 +264,7 @@ class Segment(Result):
     def _from_file(
         cls,
         *,
-        terms: tuple[Coefficient, ...],
+        coefficients: tuple[Coefficient, ...],
         covariance: Array,
         F: float,
         significant: bool,
@@ -267,14 +279,14 @@ class Segment(Result):
             Coefficients, covariances and limits that do not fit each other.
         """
         found = cls(
-            terms=tuple(each.factors for each in terms),
-            values=np.array([each.value for each in terms]),
-            covariance=_square(covariance, len(terms), "covariance"),
+            terms=tuple(each.factors for each in coefficients),
+            values=np.array([each.value for each in coefficients]),
+            covariance=_square(covariance, len(coefficients), "covariance"),
             F=math.inf if significant and F != F else F,
-            robust=None if robust is None else _robust(robust, len(terms)),
+            robust=None if robust is None else _robust(robust, len(coefficients)),
             **values,
         )
-        require_covariance(found.covariance, np.array([each.u for each in terms]))
+        require_covariance(found.covariance, np.array([each.u for each in coefficients]))
         found._require_whole()
         return found
 
@@ -296,7 +308,7 @@ class Segment(Result):
             require_covariance(between.covariance, np.sqrt(np.diag(between.covariance)))
 
     @property
-    def significant(self) -> Annotated[bool, Flag(), Stored(after="F")]:
+    def significant(self) -> bool:
         """Whether F passes its critical value."""
         return bool(self.F_critical < self.F)
 
@@ -307,11 +319,7 @@ class Segment(Result):
         return tuple(dict.fromkeys(f.variable for term in terms for f in term.factors))
 
     @cached_property
-    def coefficients(
-        self,
-    ) -> Annotated[
-        tuple[Coefficient, ...], Listed(schema_of(Coefficient)), Stored("terms", after="n")
-    ]:
+    def coefficients(self) -> tuple[Coefficient, ...]:
         """The terms with their coefficients, u, t and p."""
         u = np.sqrt(np.diag(self.covariance)).tolist()
         robust = self.robust

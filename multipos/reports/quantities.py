@@ -24,8 +24,9 @@ from multipos.files.numbers import (
 )
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.quantiles import coverage_factor
-from multipos.sensor.calibration import Calibration, Parameter
+from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
+from multipos.sensor.found import Parameter
 from multipos.uncertainty.propagation import Evaluation
 from multipos.units import unit_per
 

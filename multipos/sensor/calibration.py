@@ -1,5 +1,11 @@
 """Calibration: the one result that every estimator returns.
 
+- `parameter_rows` is its table of parameters.
+- `force_residuals` are its residuals as forces; `hidden_turn` is the part of errors that the mean
+  orientation error explains.
+- `has_nominal` tells whether a nominal conversion is known; `nominal_error` and `nominal_errors`
+  are the errors before the calibration, `rms_before` their root mean square.
+
 A calibration carries the model, the parameters with their covariance and degrees of freedom,
 the readings and the reference they came from, and how they were found, so that everything said
 of it can be derived again. It is complete when it is made and never changes.
@@ -13,70 +19,79 @@ from collections.abc import Mapping
 from dataclasses import field as declared
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError
-from multipos.files import numbers, trees, whole
-from multipos.files.spelling import StrPath
+from multipos.files import numbers
+from multipos.files.records import (
+    ANY_NUMBER,
+    NOT_NEGATIVE,
+    VARIANCES,
+    Listed,
+    Maybe,
+    Numbers,
+    Share,
+    Text,
+)
+from multipos.files.schema import (
+    NOWHERE,
+    OPTIONAL,
+    As,
+    Saved,
+    Stored,
+    schema_of,
+)
 from multipos.finding import Findings
-from multipos.numerics.arrays import COMPONENTS, Array, Environment
+from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.numerics.rotations import align, directions, rotation_vector
 from multipos.numerics.terms import linear_term
 from multipos.positions.attitudes import Convention
 from multipos.positions.readings import Readings, diagonal
-from multipos.results import Drawn, Result, data_frame, frozen
+from multipos.results import Drawn, data_frame, frozen
 from multipos.sensor import derived, inverse
+from multipos.sensor.calibration_keys import OF_PARTS
 from multipos.sensor.fit_diagnostics import Diagnostics, linearity
 from multipos.sensor.found import (
+    BY_POSITION,
+    DOF_OR_NONE,
     Chosen,
     Estimator,
     Excluded,
     FoundOrientations,
+    Parameter,
     StatedBudget,
+    Status,
     VarianceComponents,
     add_scatter,
 )
 from multipos.sensor.gravity import Field
-from multipos.sensor.inverse import Nominal, nominal_force
 from multipos.sensor.model import Model, paper_symbol
+from multipos.sensor.nominal import Nominal, nominal_force, read_nominal
 from multipos.units import MICRO_G
 
 _PER_G = 1e6  # readings in these units of 1 g are µg times MICRO_G
 _SHOWN = 6  # rows set aside that a sentence names
 
 
-class Parameter(NamedTuple):
-    """One parameter with its uncertainty; U = k u at the calibration's confidence."""
-
-    output: str
-    term: str
-    name: str
-    value: float
-    u: float
-    dof: float
-    k: float
-    U: float
-    unit: str
-    label: str
-    symbol: str | None
+_TABLE = Numbers(2)
+_FACINGS = tuple(f"{sign}{axis}" for sign in ("", "-") for axis in COMPONENTS)
 
 
-class Status(NamedTuple):
-    """How the estimator ended; the last step is relative, the gradient in units of u."""
+def _divisible(sd: float) -> float:
+    """Return a standard deviation, 0 where it is too small to divide by."""
+    return 0.0 if sd < SMALLEST else sd
 
-    converged: bool
-    iterations: int
-    message: str
-    last_step: float = 0.0
-    gradient: float = 0.0
+
+_SD = As(Maybe(NOT_NEGATIVE, math.nan), _divisible)
+_CROSS_CHECK = Stored("cross_check.closed_form_max_difference", optional=True)
 
 
 @frozen
-class Calibration(Result, Drawn):
+class Calibration(Saved, Drawn):
     """Fitted parameters of one accelerometer, with everything needed to derive them again.
 
     Attributes
@@ -138,32 +153,37 @@ class Calibration(Result, Drawn):
     array([0.502])
     """
 
-    model: Model
-    parameters: Array
-    covariance: Array
-    parameter_dof: Array
-    dof: Array
-    residuals: Array
-    residual_sd: Array
-    reference: Array
-    readings: Readings
+    schema = "multipos/calibration/1"
+    called = "calibration"
+    again = "fit again"
+    _also = OF_PARTS
+
+    version: Annotated[str, Stored("multipos_version")]
+    created: str = declared(compare=False)
     convention: Convention
     estimator: Estimator
     criterion: str
-    confidence: float
-    diagnostics: Diagnostics
+    confidence: Share
     status: Status
-    created: str = declared(compare=False)
-    version: str
-    cross_check: float | None = None
-    variance_components: VarianceComponents | None = None
-    orientations: FoundOrientations | None = None
-    robust_weight: Array | None = None
-    selection: Mapping[str, Chosen] | None = None
-    budget: StatedBudget | None = None
-    nominal: Nominal | None = None
-    facing: tuple[str, ...] | None = None
-    excluded: tuple[Excluded, ...] = ()
+    model: Annotated[Model, NOWHERE]
+    parameters: Annotated[Array, NOWHERE]
+    parameter_dof: Annotated[Array, NOWHERE]
+    covariance: Annotated[Array, VARIANCES]
+    residuals: Annotated[Array, _TABLE]
+    residual_sd: Annotated[Array, _SD, Stored(by="outputs")]
+    dof: Annotated[Array, DOF_OR_NONE, Stored(by="outputs")]
+    reference: Annotated[Array, _TABLE]
+    readings: Annotated[Readings, NOWHERE]
+    diagnostics: Diagnostics
+    cross_check: Annotated[float | None, ANY_NUMBER, _CROSS_CHECK] = None
+    robust_weight: Annotated[Array | None, BY_POSITION, OPTIONAL] = None
+    variance_components: Annotated[VarianceComponents | None, OPTIONAL] = None
+    facing: Annotated[tuple[str, ...] | None, Listed(Text(_FACINGS)), OPTIONAL] = None
+    selection: Annotated[Mapping[str, Chosen] | None, OPTIONAL] = None
+    nominal: Annotated[Nominal | None, As(schema_of(Nominal), read_nominal), OPTIONAL] = None
+    excluded: Annotated[tuple[Excluded, ...], OPTIONAL] = ()
+    budget: Annotated[StatedBudget | None, OPTIONAL] = None
+    orientations: Annotated[FoundOrientations | None, Stored(flat=True)] = None
 
     def __getitem__(self, key: str | tuple[str, str]) -> Parameter:
         """Return a parameter by (output, term) or by name: ``cal["ax", "x"]``, ``cal["scale_ax"]``.
@@ -245,6 +265,10 @@ class Calibration(Result, Drawn):
         if noise is None or not self.weighed:
             return np.broadcast_to(self.residual_sd, self.residuals.shape)
         return np.asarray(np.sqrt(diagonal(noise)).reshape(self.residuals.shape))
+
+    @property
+    def _reference_environment(self) -> dict[str, float] | None:
+        return dict.fromkeys(self.model.environment, 0.0) or None
 
     @property
     def set_aside(self) -> str:
@@ -425,17 +449,6 @@ class Calibration(Result, Drawn):
             covariance=self.covariance[np.ix_(kept, kept)],
             parameter_dof=self.parameter_dof[kept],
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as what JSON can carry, keys as in the formats reference."""
-        # Imported here, for the file's module makes calibrations and so imports this one.
-        from multipos.sensor.calibration_file import calibration_dict
-
-        return calibration_dict(self)
-
-    def save(self, path: StrPath) -> None:
-        """Write the calibration as JSON, whole or not at all."""
-        whole.write_text(path, trees.to_json(self.to_dict()))
 
     def __str__(self) -> str:
         return numbers.table(*parameter_rows(self), left=3)

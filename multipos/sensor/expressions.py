@@ -19,6 +19,7 @@ Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, sec
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.compiled import Compiled, OutputFormula, compile_model
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
-from multipos.sensor.model_text import SHARED, ParsedModel, StatedParameter
+from multipos.sensor.model_text import SHARED, ParsedModel, StatedParameter, parsed_dict
 from multipos.units import unit_per
 
 _INSIDE = 1e-6  # of the way between bounds that a start keeps from them, where (2) has no slope
@@ -85,6 +86,12 @@ class ExpressionModel(Model):
         own = zip(self.outputs, self.terms, strict=True)
         keys: list[tuple[str, Term]] = [(output, term) for output, terms in own for term in terms]
         return (*keys, *((SHARED, symbol) for symbol in self.shared))
+
+    @property
+    def own_formulas(self) -> Mapping[str, Any]:
+        """What a file needs to build it again."""
+        fixed = [{"output": o, "name": n, "value": v} for o, n, v in self.fixed]
+        return {**parsed_dict(self.parsed), "columns": self.columns_used, "fixed": fixed}
 
     @property
     def environment(self) -> tuple[str, ...]:

@@ -1,18 +1,49 @@
 """What a fit finds beside its parameters: how it was made, the noise, the orientations, the terms.
 
 The parts of a `Calibration` that only some estimators and options have; the field is None where
-there is nothing to say. Their fields are the keys of the calibration file.
+there is nothing to say. Their fields are the keys of the calibration file. `add_scatter` adds the
+scatter from rest to rest to the noise of readings.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from multipos.files.records import (
+    ANY_NUMBER,
+    ANY_TEXT,
+    DOF,
+    FIGURE,
+    NOT_NEGATIVE,
+    P_VALUE,
+    VARIANCES,
+    AnyOf,
+    Fields,
+    Flag,
+    Listed,
+    Maybe,
+    Named,
+    NotNegative,
+    Number,
+    Numbers,
+    Positive,
+    Whole,
+)
+from multipos.files.schema import OPTIONAL, UNREAD
 from multipos.numerics.arrays import Array
 from multipos.positions.readings import add_variances
 from multipos.results import Keyed, frozen
+
+# Null is infinite, 0 none; less than a millionth of one is neither.
+DOF_OR_NONE = Maybe(AnyOf((Number(0.0, 0.0), DOF)), math.inf)
+# One number a position, or one an output as well where the outputs were fitted apart.
+BY_POSITION = AnyOf((Numbers(2, gaps=True), Numbers(1, gaps=True)))
+_SETTING = AnyOf((ANY_TEXT, Flag(), Listed(Whole()), ANY_NUMBER))  # of a table in a budget
+_LINE = Fields({"quantity": ANY_TEXT, "contribution": Named(FIGURE)})
+_TESTED = Fields({"term": ANY_TEXT, "F": FIGURE, "p": P_VALUE})
 
 
 class Estimator(StrEnum):
@@ -80,12 +111,41 @@ def _norms(vectors: Array) -> Array:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
+class Parameter(NamedTuple):
+    """One parameter with its uncertainty; U = k u at the calibration's confidence."""
+
+    output: str
+    term: str
+    name: Annotated[str, UNREAD]
+    value: float
+    u: Annotated[float, Maybe(NOT_NEGATIVE, math.nan)]
+    dof: Annotated[float, DOF_OR_NONE]
+    k: Annotated[float, Maybe(NOT_NEGATIVE, math.nan)]
+    U: Annotated[float, UNREAD]
+    unit: Annotated[str, UNREAD]
+    label: Annotated[str, UNREAD]
+    symbol: Annotated[str | None, UNREAD]
+
+
+_FIGURE = Maybe(ANY_NUMBER, math.nan)
+
+
+class Status(NamedTuple):
+    """How the estimator ended; the last step is relative, the gradient in units of u."""
+
+    converged: bool
+    iterations: int
+    message: str
+    last_step: Annotated[float, _FIGURE, OPTIONAL] = 0.0
+    gradient: Annotated[float, _FIGURE, OPTIONAL] = 0.0
+
+
 @frozen
 class Component(Keyed):
     """A standard deviation that was estimated with the parameters, and its own uncertainty."""
 
-    value: float
-    u: float
+    value: Positive
+    u: Positive
 
 
 @frozen
@@ -99,9 +159,14 @@ class OrientationSpread(Keyed):
         Whether it is known to a factor of two.
     """
 
-    value: float
-    u: float
+    value: Positive
+    u: Positive
     determined: bool
+
+    @staticmethod
+    def _upgraded(content: Mapping[str, Any]) -> Any:
+        """Return what a file says; version 0.1 gave what was determined alone."""
+        return {"determined": True, **content}
 
 
 @frozen
@@ -116,9 +181,9 @@ class RestToRest(Keyed):
         Degrees of freedom of the variance of a reading, both parts together.
     """
 
-    value: float
-    u: float
-    dof: float
+    value: NotNegative
+    u: NotNegative
+    dof: Annotated[float, DOF_OR_NONE]
 
 
 @frozen
@@ -137,10 +202,10 @@ class VarianceComponents(Keyed):
         to.
     """
 
-    rest_to_rest: Mapping[str, RestToRest] | None = None
-    reading_sd: Component | None = None
-    orientation_sd_deg: OrientationSpread | None = None
-    effective_rows: Mapping[str, float] | None = None
+    rest_to_rest: Annotated[Mapping[str, RestToRest] | None, OPTIONAL] = None
+    reading_sd: Annotated[Component | None, OPTIONAL] = None
+    orientation_sd_deg: Annotated[OrientationSpread | None, OPTIONAL] = None
+    effective_rows: Annotated[Mapping[str, NotNegative] | None, OPTIONAL] = None
 
 
 def add_scatter(
@@ -171,18 +236,18 @@ class FoundOrientations(Keyed):
         What was found of it, about each level axis.
     """
 
-    orientation_error_deg: Array | None = None
-    group_rotation_deg: Mapping[str, Array] | None = None
-    inclination_deg: Mapping[str, float] | None = None
-    level_sd_deg: float | None = None
-    level_tilt_deg: Array | None = None
+    orientation_error_deg: Annotated[Array | None, BY_POSITION, OPTIONAL] = None
+    group_rotation_deg: Annotated[Mapping[str, Array] | None, OPTIONAL] = None
+    inclination_deg: Annotated[Mapping[str, float] | None, OPTIONAL] = None
+    level_sd_deg: Annotated[float | None, NOT_NEGATIVE, OPTIONAL] = None
+    level_tilt_deg: Annotated[Array | None, OPTIONAL] = None
 
 
 class Excluded(NamedTuple):
     """A row that was set aside before the fit: its label, and how far off it is from the fit."""
 
     label: str
-    off: float
+    off: NotNegative
     unit: str
 
 
@@ -200,9 +265,9 @@ class Chosen(Keyed):
         Terms that others already say.
     """
 
-    terms: tuple[str, ...]
-    path: tuple[Mapping[str, Any], ...]
-    runner_up: Mapping[str, Any] | None
+    terms: Annotated[tuple[str, ...], Listed(ANY_TEXT, 1)]
+    path: Annotated[tuple[Mapping[str, Any], ...], Listed(_TESTED)]
+    runner_up: Annotated[Mapping[str, Any] | None, Maybe(_TESTED)]
     collinear: tuple[str, ...]
 
 
@@ -221,6 +286,6 @@ class StatedBudget(Keyed):
         None in files that do not say it.
     """
 
-    tables: Mapping[str, Mapping[str, Any]]
-    rows: tuple[Mapping[str, Any], ...]
-    scatter: Array | None = None
+    tables: Annotated[Mapping[str, Mapping[str, Any]], Named(Named(_SETTING))]
+    rows: Annotated[tuple[Mapping[str, Any], ...], Listed(_LINE)]
+    scatter: Annotated[Array | None, VARIANCES, OPTIONAL] = None

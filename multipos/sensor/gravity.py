@@ -157,9 +157,15 @@ class Field:
         """Return the options of a bench, as `multipos.fit` takes them, that state its size."""
         raise NotImplementedError
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entries of a calibration file that state it."""
-        raise NotImplementedError
+    @property
+    def of_gravity(self) -> dict[str, Any] | None:
+        """What a calibration file says of gravity; None where it has no stated size."""
+        return None
+
+    @property
+    def of_field(self) -> dict[str, Any] | None:
+        """What a calibration file says of another field; None of gravity."""
+        return None
 
 
 @frozen(eq=True)
@@ -225,10 +231,10 @@ class Gravity(Field):
         """Return the options that state its size."""
         return {"field": self.kind, "gravity": self.size}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of a calibration file, None where no size is stated."""
-        size = None if self.size is None else {"value": self.size, "u": self.u}
-        return {"gravity": size}
+    @property
+    def of_gravity(self) -> dict[str, Any] | None:
+        """What a calibration file says of gravity; None where it has no stated size."""
+        return None if self.size is None else {"value": self.size, "u": self.u}
 
 
 @frozen(eq=True)
@@ -295,20 +301,21 @@ class MagneticField(Field):
         size = None if self.size is None else f"{self.size}{self.size_unit}"
         return {"field": self.kind, "field_size": size}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entries of a calibration file."""
+    @property
+    def of_field(self) -> dict[str, Any] | None:
+        """What a calibration file says of the field."""
         unit = self.size_unit if self.size is not None else None
-        field = {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
-        return {"gravity": None, "field": field}
+        return {"kind": self.kind, "size": self.size, "u": self.u, "unit": unit}
 
 
-def field_of_file(content: Mapping[str, Any]) -> Field:
+def field_of_file(
+    of_gravity: Mapping[str, Any] | None, of_field: Mapping[str, Any] | None = None
+) -> Field:
     """Return the field that a calibration file states: gravity where it says nothing of one."""
-    gravity, stated = content["gravity"], content.get("field")
-    if stated is not None:
-        kind = KINDS[stated["kind"]]
-        return kind(stated["size"], stated["u"], stated["unit"] or kind().size_unit)
-    return GRAVITY if gravity is None else Gravity(gravity["value"], gravity["u"])
+    if of_field is not None:
+        kind = KINDS[of_field["kind"]]
+        return kind(of_field["size"], of_field["u"], of_field["unit"] or kind().size_unit)
+    return GRAVITY if of_gravity is None else Gravity(of_gravity["value"], of_gravity["u"])
 
 
 def field_sensed(outputs: Sequence[str], unit: str, asked: str | None = None) -> Field:

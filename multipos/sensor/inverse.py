@@ -1,5 +1,10 @@
 """Compensation: the model's inverse, from raw readings back to specific force.
 
+- `invert` solves for the force, `invert_at_rest` with one component that no output senses.
+- `has_other_solutions` tells which readings a second force explains; `require_response` refuses
+  parameters by which no force can be found.
+- `sensitivities`, `parameter_jacobian`, `unseen_leak` and `inverses` are slopes of eqs. (1), (2).
+
 The measurement equation `y = h(f)` of `multipos.sensor.model` is solved for the components that the
 sensor has (the own axes of its outputs; the others, unseen, are taken as zero unless they are
 known). Where h is linear the answer is one matrix product; otherwise Newton's iteration starts
@@ -18,28 +23,17 @@ At rest |f| = g, which gives one unseen component w up to its sign,
 
 and (1), (3) are solved by alternation: the error shrinks by about (cross term/scale factor) f/w a
 turn.
-
-The nominal conversion: what a data sheet makes of a reading, before any calibration.
-
-    f = (raw − bias)/scale                                                                  (4)
-
-with one bias [reading] and one scale factor [reading/g] for every output; outputs of one axis are
-averaged. It is what a calibration is compared with.
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.errors import MultiposError, UsageError
-from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment, Mask, median
+from multipos.errors import MultiposError
+from multipos.numerics.arrays import Array, Environment, Mask, median
 from multipos.numerics.factoring import is_regular
 from multipos.sensor.model import Model
-
-if TYPE_CHECKING:
-    from multipos.sensor.calibration import Calibration
 
 STEPS = 50  # quadratic convergence needs five; more means there is no solution
 XTOL = 1e-13  # [g], where a step is only rounding
@@ -281,16 +275,21 @@ def _solve_linear(model: Model, parameters: Array, raw: Array, unseen: Array | N
     return force
 
 
-def require_response(calibration: "Calibration") -> None:
-    """Refuse a calibration of which an output does not respond to its axis: a file may say so.
+def require_response(model: Model, parameters: Array, environment: Mapping[str, float]) -> None:
+    """Refuse parameters by which an output does not respond to its axis: a file may say so.
+
+    Parameters
+    ----------
+    model : Model
+    parameters : (p,) array
+    environment : mapping of column to its mean
 
     Raises
     ------
     MultiposError
         A scale factor is zero, or scale factors and cross terms are a singular matrix.
     """
-    model = calibration.model
-    flat = [model.names[i] for i in model.own_scales if calibration.parameters[i] == 0.0]
+    flat = [model.names[i] for i in model.own_scales if parameters[i] == 0.0]
     if flat:
         raise MultiposError(
             f"`{flat[0]}` is 0: the output does not respond to force, so that none can be found "
@@ -298,35 +297,10 @@ def require_response(calibration: "Calibration") -> None:
         )
     if not model.has_all_linear:
         return
-    linear = model.linear_part(calibration.parameters, calibration.mean_environment)
+    linear = model.linear_part(parameters, environment)
     matrix = linear[:, [1 + axis for axis in model.sensed_axes]]
     if _rank(matrix) < min(matrix.shape):
         raise MultiposError(
             "the scale factors and cross terms form a singular matrix, so no force can be found "
             "from readings; calibrate again."
         )
-
-
-class Nominal(NamedTuple):
-    """Bias [reading] and scale factor [reading/g] of eq. (4)."""
-
-    bias: float
-    scale: float
-
-
-def read_nominal(given: Sequence[float]) -> Nominal:
-    """Return a nominal conversion, refusing one that converts nothing."""
-    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or not abs(given[1]) >= SMALLEST:
-        raise UsageError(
-            f"--nominal takes BIAS,SCALE in reading units, up to {LARGEST:g}, the scale from "
-            f"{SMALLEST:g} on."
-        )
-    return Nominal(float(given[0]), float(given[1]))
-
-
-def nominal_force(model: Model, values: Array, nominal: Nominal) -> Array:
-    """Return the force (n, K) [g] that readings (n, M) are by eq. (4)."""
-    converted = (values - nominal.bias) / nominal.scale
-    own = np.array(model.axes)
-    axes = [COMPONENTS[i] for i in model.sensed_axes]
-    return np.column_stack([converted[:, own == axis].mean(axis=1) for axis in axes])

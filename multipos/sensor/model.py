@@ -141,6 +141,11 @@ class Model(Result):
     drift_per: Literal["h", "row"] | None = declared(default=None, kw_only=True)
     field: Field = declared(default=GRAVITY, kw_only=True)
 
+    @property
+    def own_formulas(self) -> Mapping[str, Any] | None:
+        """What a file needs to build a user-defined model again; None of any other."""
+        return None
+
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
         """(output, term) of each parameter, outputs in order."""

@@ -21,7 +21,6 @@ from multipos.sensor.model_text import (
     SHARED,
     ParsedModel,
     StatedParameter,
-    parsed_dict,
     parsed_from_dict,
 )
 
@@ -160,14 +159,14 @@ def hold(model: ExpressionModel, fixed: Fixed) -> ExpressionModel:
     return replace(built, gauge="lower")
 
 
-def expression_dict(model: ExpressionModel) -> dict[str, Any]:
-    """Return what a calibration's file needs to rebuild an expression."""
-    fixed = [{"output": o, "name": n, "value": v} for o, n, v in model.fixed]
-    content = {**parsed_dict(model.parsed), "columns": model.columns_used, "fixed": fixed}
-    return {"own_model": content}
-
-
-def load_parsed(content: Mapping[str, Any]) -> ExpressionModel:
+def load_parsed(
+    own: Mapping[str, Any],
+    outputs: tuple[str, ...],
+    axes: tuple[str, ...],
+    inputs: tuple[str, ...],
+    unit: str,
+    gauge: Any,
+) -> ExpressionModel:
     """Return the model whose formulas a calibration's file holds; they are parsed again.
 
     Raises
@@ -175,14 +174,13 @@ def load_parsed(content: Mapping[str, Any]) -> ExpressionModel:
     MultiposError
         Formulas that cannot be parsed, or parameters that are none.
     """
-    own = content["own_model"]
     built = build_parsed(
         parsed_from_dict({key: own[key] for key in ("parameters", "outputs")}),
-        tuple(content["outputs"]),
-        tuple(content["axes"]),
-        tuple(content["inputs"]),
-        content["unit"],
+        outputs,
+        axes,
+        inputs,
+        unit,
         tuple(own["columns"]),
         [(part["output"], part["name"], part["value"]) for part in own["fixed"]],
     )
-    return replace(built, gauge=content["gauge"])
+    return replace(built, gauge=gauge)

@@ -56,7 +56,8 @@ from multipos.positions.scheme import Scheme, read_scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.inverse import Nominal, invert, nominal_force, read_nominal, require_response
+from multipos.sensor.inverse import invert, require_response
+from multipos.sensor.nominal import Nominal, nominal_force, read_nominal
 from multipos.sensor.tilt import (
     at_rest,
     force_uncertainty,
@@ -304,7 +305,7 @@ def check(
     before = calibration.nominal or Nominal(0.0, 1.0)
     if nominal is not None:
         before = read_nominal(nominal)
-    require_response(calibration)
+    require_response(calibration.model, calibration.parameters, calibration.mean_environment)
     data = _read_run(calibration, readings, scheme, outputs)
     if range is not None:
         require_range(data, range)

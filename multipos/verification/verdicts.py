@@ -50,7 +50,7 @@ from multipos.files.records import (
     Share,
     Text,
 )
-from multipos.files.schema import As, Saved, Stored, restore
+from multipos.files.schema import As, Saved, Stored, also, restore
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.finding import Findings, findings_upgraded
@@ -65,9 +65,6 @@ VERDICTS = ("pass", "indeterminate", "fail")  # from best to worst
 _UNIT = Text(("g", "deg", "1", *MAGNETIC_UNITS))
 _BY_AXIS = Stored(rows="positions", by="axes")
 _BY_AXIS_OR_NOT = Stored(rows="positions", by="axes", optional=True)
-_AFTER_U = Stored(rows="positions", by="axes", after="U")
-_AFTER_U_FAMILY = Stored("verdict", rows="positions", after="U_family")
-_BY_AXIS_AFTER = Stored("by_axis", by="axes", after="consistency")
 _LINEARITY = Fields({"linearity_percent": Maybe(NOT_NEGATIVE)})
 _SUMMARY = Fields({"before": _LINEARITY, "after": _LINEARITY})
 
@@ -125,6 +122,14 @@ class Check(Saved, Drawn):
     schema = "multipos/check/1"
     called = "check"
     again = "run check again"
+    _also = (
+        also("En", Stored(rows="positions", by="axes", after="U")),
+        also("_worst_verdicts", Stored("verdict", rows="positions", after="U_family")),
+        also("_summary", Stored(flat=True, after="counted")),
+        also("run_verdict", Stored(after="counted")),
+        also("_by_axis", _SUMMARY, Stored("by_axis", by="axes", after="consistency")),
+        also("_by_segment", Stored("by_segment", after="consistency")),
+    )
 
     source: Annotated[str | None, Stored("input.file")] = field(compare=False)
     sha256: Annotated[str | None, Stored("input.sha256")]
@@ -157,7 +162,7 @@ class Check(Saved, Drawn):
         return {"consistency": None, "against": None, **findings_upgraded(content)}
 
     @classmethod
-    def _from_file(cls, by_axis: Sequence[Mapping[str, Any]], **values: Any) -> "Check":
+    def _from_file(cls, _by_axis: Sequence[Mapping[str, Any]], **values: Any) -> "Check":
         """Return the check that a file holds; verdicts follow from its errors.
 
         Raises
@@ -168,26 +173,22 @@ class Check(Saved, Drawn):
         if values["bias"] is None:
             raise ValueError("it has no nominal conversion")
         linearity = {
-            when: np.array([each[when]["linearity_percent"] for each in by_axis], dtype=np.float64)
+            when: np.array([each[when]["linearity_percent"] for each in _by_axis], dtype=np.float64)
             for when in ("before", "after")
         }
         errors = (values[name] for name in ("after", "U", "limit", "counted"))
         return cls(**values, verdicts=judge_errors(*errors), linearity_percent=linearity)
 
     @property
-    def En(self) -> Annotated[Array, _AFTER_U]:  # noqa: N802 (the name that ISO 13528 gives it)
+    def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)
         """Error over expanded uncertainty (n, K), ``|e|/U``; NaN where there is no U."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray(np.where(self.U > 0.0, np.abs(self.after) / self.U, np.nan))
 
     @property
-    def _worst_verdicts(self) -> Annotated[tuple[str | None, ...], _AFTER_U_FAMILY]:
+    def _worst_verdicts(self) -> tuple[str | None, ...]:
         """The worst verdict of every position, None without a limit."""
         return tuple(map(worst, self.verdicts))
-
-    @property
-    def _whole(self) -> Annotated[dict[str, Any], Stored(after="counted", flat=True)]:
-        return self.summary()
 
     @property
     def verdict(self) -> str | None:
@@ -195,7 +196,7 @@ class Check(Saved, Drawn):
         return worst(self.verdicts)
 
     @property
-    def run_verdict(self) -> Annotated[str | None, Stored(after="counted")]:
+    def run_verdict(self) -> str | None:
         """The verdict of the run by eq. (2), or None without a limit."""
         if self.limit is None or self.U_family is None or self.verdict == "pass":
             return self.verdict
@@ -203,12 +204,16 @@ class Check(Saved, Drawn):
         return "fail" if bool((beyond & self.counted).any()) else "indeterminate"
 
     @property
-    def _by_axis(self) -> Annotated[tuple[dict[str, Any], ...], _SUMMARY, _BY_AXIS_AFTER]:
+    def _summary(self) -> dict[str, Any]:
+        return self.summary()
+
+    @property
+    def _by_axis(self) -> tuple[dict[str, Any], ...]:
         """The summary of every axis."""
         return tuple(self.summary(axis) for axis in self.axes)
 
     @property
-    def _by_segment(self) -> Annotated[dict[str, Any], Stored("by_segment", after="consistency")]:
+    def _by_segment(self) -> dict[str, Any]:
         """The summary of every segment of a regression, and its number of rows."""
         return {
             name: {"rows": int(rows.sum()), **self.summary(segment=name)}

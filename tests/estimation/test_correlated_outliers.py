@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import multipos as mp
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, find_correlated_outliers
+from multipos.sensor.studentised import OUTLIER_LEVEL, find_correlated_outliers
 
 N, M, P = 10, 2, 6
 
@@ -61,7 +61,7 @@ def test_a_fit_of_correlated_readings_names_no_good_position():
 
 def test_a_shift_is_as_large_as_a_column_of_its_own_says(case):
     """w² over the scale is what leaving the reading's shift free takes off r'C⁻¹r."""
-    # eq. (2) of sensor.fit_diagnostics
+    # eq. (2) of sensor.studentised
     X, C = case
     L = np.linalg.cholesky(C)
     readings = L @ np.random.default_rng(3).standard_normal(N * M)

@@ -21,7 +21,7 @@ from multipos.files.records import (
     Numbers,
     Whole,
 )
-from multipos.files.schema import As, Saved, Stored, read_saved, renamed, restore, schema_of
+from multipos.files.schema import As, Saved, Stored, also, read_saved, renamed, restore, schema_of
 from multipos.files.trees import to_json
 from multipos.numerics.arrays import Array, Mask
 from multipos.results import Result, frozen
@@ -59,6 +59,7 @@ class Composed(Saved):
     schema = "multipos/whole/1"
     called = "whole"
     again = "do it again"
+    _also = (also("size", Stored(after="way")),)
 
     axes: tuple[str, ...]
     kind: Kind
@@ -78,7 +79,7 @@ class Composed(Saved):
     made: Annotated[Any, Stored(nowhere=True)] = None
 
     @property
-    def size(self) -> Annotated[int, Stored(after="way")]:
+    def size(self):
         """What the file says for its reader."""
         return len(self.axes)
 

@@ -37,8 +37,8 @@ from multipos.fleets.unit_findings import (
     unit_tests,
 )
 from multipos.numerics.rotations import directions, rotation_matrix
-from multipos.sensor.fit_diagnostics import OUTLIER_LEVEL, ROWS_NAMED, largest_square
 from multipos.sensor.model import build_model
+from multipos.sensor.studentised import OUTLIER_LEVEL, ROWS_NAMED, largest_square
 
 
 @pytest.mark.parametrize("kind", ["trend", "step"])
@@ -456,7 +456,7 @@ def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
     r2[0, 0, 7] = 1.01 * largest_square(float(dof), outputs * n)
     each = np.full((1, n, outputs), 0.5)
     each[0, 7, 0] = p * OUTLIER_LEVEL / (outputs * n)
-    monkeypatch.setattr(unit_findings.fit_diagnostics, "p_values_of_units", lambda *given: each)
+    monkeypatch.setattr(unit_findings.unlike_rows, "p_values_of_units", lambda *given: each)
     shared = SimpleNamespace(
         dof=np.full(outputs, float(dof)), by_output=[SimpleNamespace(Q=None)] * outputs
     )

@@ -27,7 +27,7 @@ _LAST_HANDLER = re.compile(r"error: unexpected|unexpected \w*([Ee]rror|Exception
 _NO_NUMBER = re.compile(r"^(?! ?[#*/]).*[\s,={(\[-](inf|nan)f?(?![\w.])", re.MULTILINE)
 # What is written is read again by other commands.
 _READERS = {
-    calibration_file.SCHEMA: calibration_file.load,
+    calibration_file.Calibration.schema: calibration_file.load,
     Regression.schema: load_regression,
     verdicts.Check.schema: verdicts.load_check,
 }

@@ -7,14 +7,9 @@ import pytest
 
 import multipos as mp
 from multipos.numerics.least_squares import solve
-from multipos.sensor.fit_diagnostics import (
-    bartlett,
-    find_outliers,
-    find_outlying_positions,
-    lack_of_fit,
-    linearity,
-)
+from multipos.sensor.fit_diagnostics import bartlett, lack_of_fit, linearity
 from multipos.sensor.model import build_model
+from multipos.sensor.studentised import find_outliers, find_outlying_positions
 
 
 def test_bartlett_by_hand():
@@ -108,7 +103,7 @@ def test_limit_of_an_outlier_by_hand(r, named):
 
     r² = ν t²/(ν − 1 + t²) = 6 · 47.18/52.18, so r = 2.3292; the sum of squares is 6, so s = 1.
     """
-    # eq. (1) of sensor.fit_diagnostics
+    # eq. (1) of sensor.studentised
     residuals = np.full((10, 1), math.sqrt((6.0 - 0.6 * r**2) / 9))
     residuals[4] = -r * math.sqrt(0.6)  # of leverage 0.4
     found = find_outliers(residuals, np.full((10, 1), 0.4), [6.0], ["a"], list("0123456789"), **ONE)

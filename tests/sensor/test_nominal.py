@@ -18,7 +18,7 @@ def volts():
 
 
 def test_error_before_is_that_of_the_nominal_conversion(tmp_path):
-    # eq. (4) of sensor.inverse
+    # eq. (1) of sensor.nominal
     cal = mp.fit(volts(), nominal=(2.5, 1.0))
     # x up and down: 0.01 g of bias and of scale; z nothing but the bias of x
     assert_allclose(nominal_error(cal)[:2], [0.02, 0.0], atol=5e-5)

@@ -7,7 +7,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_t
 from scipy.stats import t as students_t
 
-from multipos.sensor.fit_diagnostics import find_outliers, p_values
+from multipos.sensor.studentised import find_outliers
+from multipos.sensor.unlike_rows import p_values
 
 
 def design_of(n):
@@ -48,7 +49,7 @@ def test_p_values_by_another_route():
 
     Two readings are questioned, of different rows and outputs.
     """
-    # eqs. (3), (4), (5) of sensor.fit_diagnostics
+    # eqs. (1), (2), (3) of sensor.unlike_rows
     rng = np.random.default_rng(3)
     X = design_of(14)
     noise = np.resize([3.0, 1.0], 14)[:, None] * rng.standard_normal((14, 3))

@@ -518,7 +518,7 @@ def test_tests_of_several_outputs_are_combined_by_hand():
     χ² on four degrees is above X with (1 + X/2) exp(−X/2).
     """
     # eq. (3) of verification.consistency
-    # eq. (6) of sensor.fit_diagnostics
+    # eq. (1) of sensor.fit_diagnostics
     chance = (1.0 + 2.0 * math.log(4.0)) / 16.0
     words = SimpleNamespace(known="known", one="one", several="several")
     found = judge_together([(4.0, 2.0, 4.0), (6.0, 2.0, 2.0)], words)

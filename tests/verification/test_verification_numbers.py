@@ -12,8 +12,8 @@ from scipy.stats import chi2, linregress, norm, t
 from scipy.stats import f as fisher
 
 import multipos as mp
-from multipos.sensor.inverse import Nominal
 from multipos.sensor.model import build_model
+from multipos.sensor.nominal import Nominal
 from multipos.sensor.tilt import ZerosOfForce
 from multipos.verification import (
     agreement,
