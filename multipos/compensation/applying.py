@@ -64,7 +64,6 @@ from multipos.numerics.terms import largest_value
 from multipos.positions.headers import plain_names, require_units, under_names
 from multipos.results import Columns
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import has_other_solutions, require_response, sensitivities
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt, zeros_of_force
 from multipos.uncertainty.unseen_terms import unseen_covariance
@@ -175,7 +174,7 @@ def add_columns(
     else:
         force = calibration.compensate(raw, environment)
     beyond |= ~applied(calibration).holds(force, axes)
-    if isinstance(calibration.model, ExpressionModel):
+    if not calibration.model.has_terms:
         beyond |= has_other_solutions(
             calibration.model,
             calibration.parameters,

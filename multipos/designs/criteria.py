@@ -34,7 +34,6 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.
@@ -104,7 +103,7 @@ def _mean_prediction(setting: Setting, *, region: Array | None) -> Array:
     """Return the mean of X'X over a region, or over the sphere."""
     if region is not None:
         return _average(setting, region)
-    if isinstance(setting.model, ExpressionModel) or abs(setting.size) != 1.0:
+    if not setting.model.has_terms or abs(setting.size) != 1.0:
         return _average(setting, read_scheme("fibonacci-1000").up)
     return _moments(setting.model)
 

@@ -35,7 +35,6 @@ from multipos.numerics.factoring import log_determinant
 from multipos.numerics.rotations import directions
 from multipos.positions.order import share_absorbed
 from multipos.results import frozen
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
 
@@ -213,7 +212,7 @@ def make_setting(
             f"not show; got axes {','.join(model.axes)}."
         )
     own: dict[str, Any] = {"reading_sd": reading_sd}
-    if isinstance(model, ExpressionModel):
+    if not model.has_terms:
         _require_force_alone(model)
         if unknown_orientation:
             model = hold_free_rotations(model, nominal_parameters(model))
@@ -234,7 +233,7 @@ def make_setting(
     return Setting(model, math.radians(orientation_sd) / reading_sd, **own)
 
 
-def _require_force_alone(model: ExpressionModel) -> None:
+def _require_force_alone(model: Model) -> None:
     if model.environment:
         raise UsageError(
             f"the model uses column '{model.environment[0]}', which a position does not set; "
@@ -242,7 +241,7 @@ def _require_force_alone(model: ExpressionModel) -> None:
         )
 
 
-def _at_own_parameters(model: ExpressionModel) -> dict[str, Any]:
+def _at_own_parameters(model: Model) -> dict[str, Any]:
     """Return the parameters at which a model of one's own is judged, and draws of its prior.
 
     Of q parameters with a prior, all outputs' copies of one together, 2 q points at ± sqrt(q) sd

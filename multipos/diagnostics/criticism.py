@@ -40,7 +40,6 @@ from multipos.numerics.selection import akaike_criterion
 from multipos.numerics.terms import Term
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import build_model
 
 _CANDIDATES = "1 + x + y + z + own^2 + own^3 + own*other"  # what a reader asks of: K2, K3, Kip
@@ -92,7 +91,7 @@ def judge_terms(calibration: Calibration) -> list[TermTest]:
     """
     c = calibration
     _require_known(c)
-    if isinstance(c.model, ExpressionModel):
+    if not c.model.has_terms:
         return []  # its parameters are no terms, and what it lacks is no term of it
     result = []
     for column, (output, axis) in enumerate(zip(c.outputs, c.model.axes, strict=True)):

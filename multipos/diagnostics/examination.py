@@ -59,7 +59,6 @@ from multipos.positions.order import share_absorbed
 from multipos.positions.readings import Readings, diagonal
 from multipos.results import changed
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import MAGNETIC
 from multipos.sensor.model import Model
@@ -207,7 +206,7 @@ def drift_absorbed(c: Calibration) -> Finding | None:
 
 def hidden_table(c: Calibration) -> Finding | None:
     """Find rolls whose table may be off by what the model takes for the sensor."""
-    if isinstance(c.model, ExpressionModel) or c.readings.up is None or not c.estimator.exact:
+    if c.readings.up is None or not c.estimator.exact:
         return None
     if all(term.force_degree < 2 for terms in c.model.terms for term in terms):
         return None  # residuals show a harmonic

@@ -41,7 +41,6 @@ from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.factoring import column_norms
 from multipos.positions.headers import TEMPERATURE
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.uncertainty.unseen_terms import unseen_sizes
@@ -77,11 +76,7 @@ def judge_soaks(c: Calibration) -> tuple[ModelTest, Array] | None:
         σ_a, in reading units.
     """
     plain = c.estimator.exact and c.noise is None and c.robust_weight is None
-    if (
-        not plain
-        or isinstance(c.model, ExpressionModel)
-        or TEMPERATURE not in c.readings.environment
-    ):
+    if not plain or not c.model.has_terms or TEMPERATURE not in c.readings.environment:
         return None
     from multipos.sensor.temperature import runs_of, soaks_of
 
@@ -205,7 +200,7 @@ def _is_admissible(c: Calibration, named: tuple[str, ...]) -> bool:
     """
     if any(name in c.diagnostics.hidden for name in named):
         return False
-    if c.estimator is not Estimator.LINEAR or isinstance(c.model, ExpressionModel):
+    if c.estimator is not Estimator.LINEAR or not c.model.has_terms:
         return True
     if c.robust_weight is not None:
         return True
@@ -275,7 +270,7 @@ def _left_out(residuals: Array, left: Array) -> Array:
 
 
 def _way_out(c: Calibration, named: tuple[str, ...]) -> str:
-    if isinstance(c.model, ExpressionModel):
+    if not c.model.has_terms:
         return "Add the term to the model."
     columns = {kind.name: sum(map(len, kind.terms)) for kind in lacking(c)}
     shown = {t.term: sum(q for q, _ in t.dofs) for t in c.diagnostics.model_tests}

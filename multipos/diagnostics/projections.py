@@ -56,7 +56,6 @@ from multipos.numerics.terms import NAMED, Term, kind_terms
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model
 
 OF_FORCE = ("1", "own", "other", "own^2", "own*|own|", "own^3", "own*other")
@@ -115,15 +114,12 @@ def _kinds(setting: ModelSetting, unhashed: _Unhashed) -> tuple[Kind, ...]:
     names = [*OF_FORCE, *(name for column in setting.columns for name in _powers(model, column))]
     if setting.adrift:  # what lies along other axes is a rotation of the case
         names.remove("other")
-    own: tuple[tuple[Term, ...], ...] = model.terms
-    if isinstance(model, ExpressionModel):
-        own = ((),) * len(model.outputs)  # its derivatives tell what it has
     found = (
         Kind(
             name,
             tuple(
                 tuple(term for term in kind_terms(name, axis, model.inputs) if term not in has)
-                for axis, has in zip(model.axes, own, strict=True)
+                for axis, has in zip(model.axes, model.terms, strict=True)
             ),
         )
         for name in names
@@ -545,7 +541,7 @@ _LOWER = ("1", "own", "other")
 def shown_sizes(c: Calibration) -> dict[str, float]:
     """Return eq. (3) by kind [g]; of known orientations with one noise an output, else nothing."""
     plain = c.estimator.exact and c.noise is None and c.robust_weight is None
-    if not plain or isinstance(c.model, ExpressionModel):
+    if not plain or not c.model.has_terms:
         return {}
     response = np.linalg.norm(c.sensitivity, axis=1)
     if not response.all():

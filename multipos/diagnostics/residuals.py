@@ -56,7 +56,6 @@ from multipos.numerics.factoring import is_regular
 from multipos.numerics.quantiles import chi2_quantile, chi2_tail
 from multipos.positions.readings import diagonal
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 
 _GROSSLY = 2.0  # times the orientation sd of the others, which a gross error makes of it
@@ -385,7 +384,7 @@ def _cause(c: Calibration) -> tuple[str, str]:
 
 def _cause_at_known(c: Calibration) -> tuple[str, str]:
     plain = c.readings.noise is not None and c.readings.noise.ndim == 1 and c.robust_weight is None
-    if not plain or isinstance(c.model, ExpressionModel):
+    if not plain or not c.model.has_terms:
         return _EXCESS, _STATE
     of = residuals_of(c)
     equal, unequal = explain_equal(of), explain_unequal(of)
@@ -511,7 +510,7 @@ def _separable(c: Calibration) -> bool:
 def _is_triad(c: Calibration) -> bool:
     """Tell whether three outputs along three axes, in gravity alone, sense a rotation."""
     three = sorted(c.model.axes) == list(COMPONENTS) and not c.readings.forced.any()
-    if not three or isinstance(c.model, ExpressionModel):
+    if not three or not c.model.has_terms:
         return False
     linear = c.model.linear_part(c.parameters, c.mean_environment)[:, 1:]
     return is_regular(linear) or int(np.linalg.matrix_rank(linear)) == len(COMPONENTS)

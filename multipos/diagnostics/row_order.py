@@ -56,7 +56,6 @@ from multipos.numerics.recursions import recur
 from multipos.numerics.rotations import cross_matrix
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 
@@ -250,7 +249,7 @@ def time_order(c: Calibration) -> Rows:
 def asked(c: Calibration) -> bool:
     """Tell whether residuals can be held against their order."""
     noise = c.noise
-    plain = c.robust_weight is None and not isinstance(c.model, ExpressionModel)
+    plain = c.robust_weight is None and c.model.has_terms
     known = c.estimator is Estimator.LINEAR or (
         c.estimator is Estimator.UNKNOWN and len(c.outputs) == 3
     )

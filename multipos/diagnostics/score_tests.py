@@ -42,7 +42,6 @@ from multipos.numerics.rotations import directions
 from multipos.numerics.terms import kind_terms
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import inverses
@@ -78,7 +77,7 @@ def judge_model(
         Returns what `information_at_solution` does.
     """
     kinds = projections.lacking(c)
-    alone = c.estimator.exact and not isinstance(c.model, ExpressionModel)
+    alone = c.estimator.exact and c.model.has_terms
     identifiable = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
     identifiable = alone or (
         identifiable and (c.robust_weight is None or c.robust_weight.ndim == 1)
@@ -102,8 +101,6 @@ def judge_included(c: Calibration) -> tuple[ModelTest, ...]:
     With b the coefficients of a kind of term and C their covariance, R = b'C⁻¹b/q (Wald); at known
     orientations without a stated noise each output has one of its own, as in eq. (1).
     """
-    if isinstance(c.model, ExpressionModel):
-        return ()
     alone = c.estimator.exact and c.noise is None
     tests = []
     for kind in projections.OF_FORCE[projections.OF_FORCE.index("own^2") :]:

@@ -66,7 +66,6 @@ from multipos.positions.headers import RUN
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.results import frozen
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator, VarianceComponents, add_scatter
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model
@@ -109,7 +108,7 @@ def spread_correlation(
     row, along the force. Left as they are: fits that are robust, expressions, readings whose
     covariance is given or that have other columns beside them, positions that are only uncertain.
     """
-    order = None if isinstance(solution.model, ExpressionModel) else order_in_time(readings)
+    order = order_in_time(readings) if solution.model.has_terms else None
     asked = are_asked(solution.model, readings, solution.reference, estimator)
     if solution.robust_weight is not None or (order is None and not asked):
         return solution
@@ -135,7 +134,7 @@ def order_in_time(readings: Readings) -> Places | None:
 
 def are_asked(model: Model, readings: Readings, reference: Array, estimator: Estimator) -> bool:
     """Tell whether rows at some forces (n, 3) [g] can show whether they are correlated."""
-    if isinstance(model, ExpressionModel) or readings.covariance is not None:
+    if not model.has_terms or readings.covariance is not None:
         return False
     # what varies with a column is for the model, and its tests, to say
     if set(readings.environment) - {_TIME, RUN, "approach"}:

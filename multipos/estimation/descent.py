@@ -30,15 +30,14 @@ from multipos.estimation.unknown_orientations import UnknownSearch
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.levenberg_marquardt import ROBUST, STRICT, Ended, Rules, descend
 from multipos.numerics.losses import loss, loss_weight
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Block
 
 
 def maximise(problem: Problem, state: State, decrement: float = STRICT) -> Optimum:
     """Maximise the likelihood from a state; parameters with bounds by what has none."""
     model = problem.model
-    if isinstance(model, ExpressionModel) and model.bounded:
-        inner = replace(problem, model=replace(model, inner=True))
+    if model.bounded:
+        inner = replace(problem, model=model.unbounded())
         found = _maximise(inner, replace(state, theta=model.inward(state.theta)), decrement)
         back = replace(found.state, theta=model.outward(found.state.theta)[0])
         return replace(found, state=back, point=evaluate(problem, back))
@@ -140,11 +139,10 @@ class _General:
     def _bent(self, at: _At, information: Array, gradient: Array) -> Array:
         """Return S (P, P) with the curvature of bounds that parameters are searched within."""
         model, p = self.problem.model, len(at.state.theta)
-        if isinstance(model, ExpressionModel) and model.inner:
+        bent = model.bend(at.state.theta, gradient[:p])
+        if bent.any():
             information = information.copy()
-            information.flat[: p * len(information) : len(information) + 1] += model.bend(
-                at.state.theta, gradient[:p]
-            )
+            information.flat[: p * len(information) : len(information) + 1] += bent
         return information
 
     def move(self, at: _At, equations: _Equations, step: Array, damping: Array) -> _At:

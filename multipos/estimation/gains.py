@@ -52,7 +52,6 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.positions.orientations import place
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import signed_size
 from multipos.sensor.inverse import parameter_jacobian
@@ -130,7 +129,7 @@ def estimator_gain(calibration: Calibration) -> Array:
         Q, R = np.linalg.qr(whitener @ design)
         return _solved(R, Q.T @ whitener)
     sd = np.ones(n * m) if noise is None else np.sqrt(noise)
-    if isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any()):
+    if c.model.ties_outputs:
         # priors or shared parameters tie the outputs
         if noise is None:
             sd = np.tile(_usable_sd(c), n)
@@ -158,7 +157,7 @@ def gravity_effect(calibration: Calibration) -> Array:
     c = calibration
     assert c.gravity is not None
     forced = c.readings.forced
-    if not forced.any() and not isinstance(c.model, ExpressionModel):  # whatever the residuals
+    if not forced.any() and c.model.has_terms:  # whatever the residuals
         return np.asarray(c.model.force_degrees * c.parameters / c.gravity.value)
     at_rest = np.where(forced[:, None], 0.0, c.reference)
     slopes = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)

@@ -57,7 +57,6 @@ from multipos.numerics.terms import linear_term
 from multipos.positions.readings import Readings, add_variances
 from multipos.results import frozen
 from multipos.sensor import fit_diagnostics, studentised
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import RestToRest, VarianceComponents
 from multipos.sensor.model import Model
 
@@ -817,7 +816,7 @@ def _not_separable(error: RankError, model: Model, phi: Array, output: int) -> R
     """Return the error with the model named and a way out: the terms that can be separated."""
     name = model.outputs[output]
     terms = model.terms[output]
-    if isinstance(model, ExpressionModel):
+    if not model.has_terms:
         said = separability.join_combinations(error.combinations)
         said = said or f"{len(phi)} readings for {len(terms)} parameters"
         return RankError(

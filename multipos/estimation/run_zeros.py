@@ -39,7 +39,6 @@ from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import coverage_factor
 from multipos.positions.headers import RUN
 from multipos.positions.readings import Readings
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import Model
 from multipos.sensor.temperature import runs_of
@@ -62,7 +61,7 @@ def spread_runs(
     model = solution.model
     if (
         not estimator.exact
-        or isinstance(model, ExpressionModel)
+        or not model.has_terms
         or solution.robust_weight is not None
         or readings.covariance is not None
     ):
@@ -98,7 +97,7 @@ def without_zeros(readings: Readings, model: Model, reference: Array) -> Reading
     They are what rows are held against one by one, at references (n, 3) [g].
     """
     runs = runs_of(readings, model)
-    if runs is None or isinstance(model, ExpressionModel):
+    if runs is None or not model.has_terms:
         return readings
     phi = model.basis(reference, readings.environment)
     Z = (runs[:, None] == np.unique(runs)).astype(np.float64)

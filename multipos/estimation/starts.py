@@ -52,7 +52,6 @@ from multipos.estimation.problem import (
 from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.least_squares import solve
 from multipos.numerics.rotations import align, directions
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import invert, parameter_jacobian
 
 _FLAT = 2.5e-5  # squared thickness of the cloud of readings below which it is a disc
@@ -97,7 +96,7 @@ _PARTS = 50  # that a robust start omits one by one
 
 def ways(problem: Problem) -> list[Callable[[Problem], State | None]]:
     """Return the functions that make a start, the most reliable first."""
-    if not isinstance(problem.model, ExpressionModel):
+    if problem.model.has_terms:
         return [_listed_start, _ellipsoid_start]
     return [partial(_given, state) for state in own_starts(problem)]
 
@@ -114,7 +113,6 @@ def own_starts(problem: Problem) -> list[State]:
     from multipos.estimation.user_models import first_guesses
 
     model, rows = problem.model, problem.listed
-    assert isinstance(model, ExpressionModel)
     if rows.any():
         here = {name: column[rows] for name, column in problem.environment.items()}
         guesses = first_guesses(model, problem.values[rows], problem.reference[rows], here)
@@ -206,7 +204,7 @@ def _on_ellipsoid(problem: Problem) -> _Ellipsoid:
     order = [model.axes.index(axis) for axis in ("x", "y", "z")]
     magnitude = float(problem.magnitude.mean())
     named = any(name.startswith("cross_") for name in model.names)
-    crossed = named or isinstance(model, ExpressionModel)
+    crossed = named or not model.has_terms
     find = ellipsoid_start if problem.robust is None else _median_ellipsoid
     bias, matrix = find(problem.values[:, order], magnitude, crossed=crossed)
     if model.gauge == "symmetric":
@@ -297,7 +295,7 @@ def search(problem: Problem) -> tuple[Optimum, FisherInformation]:
         if best is None or _is_better(found, best[1]):
             best = state, found
         # starts of a user-defined model may have several ends
-        if best[1].converged and not wide and not isinstance(problem.model, ExpressionModel):
+        if best[1].converged and not wide and problem.model.has_terms:
             break
     if best is None:
         raise fault or MultiposError("no start could be found; give the orientations.")
@@ -387,11 +385,8 @@ def _require_sphere(problem: Problem, optimum: Optimum) -> None:
 def _own_scale(problem: Problem, optimum: Optimum) -> float:
     """Return the mean size of the scale factors along the own axes."""
     model, theta = problem.model, optimum.state.theta
-    if not isinstance(model, ExpressionModel):
-        return float(np.abs(theta[list(model.own_scales)]).mean())
-    slopes = model.force_jacobian(theta, optimum.point.force, problem.environment)
-    own = [COMPONENTS.index(axis) for axis in model.axes]
-    return float(np.abs(slopes[:, np.arange(len(own)), own]).mean())
+    slopes = model.own_slopes(theta, optimum.point.force, problem.environment)
+    return float(np.mean(np.abs(list(slopes.values()))))
 
 
 def _positive(problem: Problem, optimum: Optimum) -> Optimum:
@@ -493,7 +488,7 @@ def too_few(problem: Problem) -> RankError:
     n, p = len(problem.values), len(model.keys)
     equations = int(problem.degrees.sum()) - (problem.unknowns - p)
     said = f"{n} positions give {max(equations, 0)} equations for {p} parameters"
-    own = isinstance(model, ExpressionModel)
+    own = not model.has_terms
     if own or not np.isinf(problem.orientation_sd).all() or sorted(model.axes) != ["x", "y", "z"]:
         return RankError(
             f"{said}; add positions or choose a model with fewer terms.",

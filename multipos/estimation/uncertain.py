@@ -48,7 +48,6 @@ from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
 from multipos.positions.orientations import StatedOrientations, across
 from multipos.positions.readings import Readings, select_outputs
-from multipos.sensor.expressions import ExpressionModel, at_bounds
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
@@ -94,7 +93,7 @@ def solve_uncertain(
     MultiposError
         Too few positions, or readings that do not spread.
     """
-    tied = isinstance(model, ExpressionModel) and bool(model.shared)
+    tied = model.shares_parameters
     if stated_up.exact and len(model.outputs) > 1 and not (pool or tied or _correlated(readings)):
         return _solve_separately(model, readings, stated_up, robust)
     model = _with_gauge(model, stated_up, gauge)
@@ -102,7 +101,7 @@ def solve_uncertain(
     if _degrees(problem, model) < 0:
         raise too_few(problem)
     held: Findings = ()
-    if isinstance(model, ExpressionModel) and problem.adrift:
+    if not model.has_terms and problem.adrift:
         problem, held = _without_free_rotations(problem, gauge)
     nu = _degrees(problem, model)
     optimum, fisher = search(problem)
@@ -145,7 +144,7 @@ def _with_gauge(model: Model, stated_up: StatedOrientations, gauge: Gauge) -> Mo
     listed = stated_up.listed.any()
     if not listed or np.isinf(stated_up.orientation_sd).any() or stated_up.rolls is not None:
         _require_triad(model)
-    if listed or isinstance(model, ExpressionModel):
+    if listed or not model.has_terms:
         return model
     if stated_up.rolls is None:
         return model.with_gauge(gauge)
@@ -161,7 +160,6 @@ def _without_free_rotations(problem: Problem, gauge: Gauge) -> tuple[Problem, Fi
     from multipos.sensor.own_models import hold
 
     model = problem.model
-    assert isinstance(model, ExpressionModel)
     fixed = rotations_to_hold(problem, own_starts(problem)[0], gauge)
     if not fixed:
         said = "no rotation of the case is free: the model itself fixes its axes"
@@ -259,7 +257,7 @@ def _require_triad(model: Model) -> None:
             "unknown orientations and open rolls need three outputs, one along each axis; got "
             f"{', '.join(model.outputs)} along {', '.join(model.axes)}. Give the orientations."
         )
-    if len(model.own_scales) < 3 and not isinstance(model, ExpressionModel):
+    if len(model.own_scales) < 3 and model.has_terms:
         raise MultiposError(
             "unknown orientations need the scale factor of every output along its own axis; add "
             "the term 'own' to the model, or give the orientations."
@@ -325,7 +323,7 @@ def _solution(
         unidentifiable=formal_only(model, state.theta, u, magnitude),
         findings=(
             *noise.findings,
-            *at_bounds(model, state.theta),
+            *model.at_bounds(state.theta),
             *_scale_bias(problem, state.theta, u, residual_sd, magnitude),
         ),
         status=optimum.status,

@@ -62,7 +62,6 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import inverses, invert, parameter_jacobian
 from multipos.sensor.model import Block, Gauge, Model
 from multipos.sensor.own_models import Fixed, hold
@@ -88,7 +87,7 @@ class _Weighted(NamedTuple):
 
 
 def first_guesses(
-    model: ExpressionModel,
+    model: Model,
     values: Array,
     force: Array,
     environment: Mapping[str, Array],
@@ -99,7 +98,7 @@ def first_guesses(
 
     Parameters
     ----------
-    model : ExpressionModel
+    model : Model
     values : (n, M) array
         Readings.
     force : (n, 3) array [g]
@@ -112,7 +111,7 @@ def first_guesses(
     MultiposError
         The model has no value at any of them.
     """
-    linear = model.compiled.linear
+    linear = model.linear
     stated = np.isfinite(model.starts)
     free = ~stated & ~linear
     sought = (linear & (model.beliefs == 0.0) & ~(stated & keep)) | free
@@ -152,7 +151,7 @@ def first_guesses(
     return [theta for _, theta in found[: 1 if sure else _KEPT]]
 
 
-def nominal_parameters(model: ExpressionModel) -> Array:
+def nominal_parameters(model: Model) -> Array:
     """Return the parameters at which positions are assessed (p,), before any reading.
 
     Those that are stated, and with them what comes nearest to an output of one per g along its own
@@ -168,7 +167,7 @@ def nominal_parameters(model: ExpressionModel) -> Array:
     return first_guesses(model, own, force, {}, keep=True)[0]
 
 
-def _trials(model: ExpressionModel, start: Array, free: Mask) -> Iterator[Array]:
+def _trials(model: Model, start: Array, free: Mask) -> Iterator[Array]:
     """Yield starts whose free parameters have values to be tried, the same for all outputs."""
     names = list(dict.fromkeys(str(model.keys[i][1]) for i in np.flatnonzero(free)))
     if len(names) <= _ALONE:
@@ -184,7 +183,7 @@ def _trials(model: ExpressionModel, start: Array, free: Mask) -> Iterator[Array]
         yield theta
 
 
-def _improved(model: ExpressionModel, theta: Array, sought: Mask, readings: _Weighted) -> Array:
+def _improved(model: Model, theta: Array, sought: Mask, readings: _Weighted) -> Array:
     """Return parameters after a step of Gauss and Newton on those that are sought, eq. (1)."""
     outputs, blocks = model.respond(theta, readings.force, readings.environment)
     left = readings.values - outputs
@@ -205,7 +204,7 @@ def _improved(model: ExpressionModel, theta: Array, sought: Mask, readings: _Wei
     return model.within(moved)
 
 
-def _misfit(model: ExpressionModel, theta: Array, readings: _Weighted) -> float:
+def _misfit(model: Model, theta: Array, readings: _Weighted) -> float:
     outputs, blocks = model.respond(theta, readings.force, readings.environment)
     if not all(np.isfinite(slopes).all() for _, slopes in blocks):
         return np.inf
@@ -227,14 +226,12 @@ _MAY_BE = 0.5  # of the bias that is stated, which differs from unit to unit by 
 
 def is_untied(model: Model, readings: Readings) -> bool:
     """Return whether a user-defined model can be fitted as `solve_own_known` does."""
-    if not isinstance(model, ExpressionModel):
-        return False
     noise = readings.noise
     return model.all_linear or (model.apart and (noise is None or noise.ndim == 1))
 
 
 def solve_own_known(
-    model: ExpressionModel,
+    model: Model,
     reference: Array,
     readings: Readings,
     *,
@@ -282,7 +279,7 @@ def solve_own_known(
 
 
 def _require_values(
-    model: ExpressionModel, outputs: Array, blocks: Sequence[Block], labels: Sequence[str] = ()
+    model: Model, outputs: Array, blocks: Sequence[Block], labels: Sequence[str] = ()
 ) -> None:
     """Raise where a formula that is linear in what is free has no value at a position."""
     for name, response, (_, slopes) in zip(model.outputs, outputs.T, blocks, strict=True):
@@ -309,7 +306,7 @@ def _excess(solution: Solution) -> Array:
 
 
 def _curvature_bias(
-    model: ExpressionModel, best: Optimum, reference: Array, readings: Readings, solution: Solution
+    model: Model, best: Optimum, reference: Array, readings: Readings, solution: Solution
 ) -> Findings:
     """State the bias (3) of parameters where it matters; of many readings it is far below u.
 
@@ -352,7 +349,7 @@ class SharedExpression:
 
     Attributes
     ----------
-    model : ExpressionModel
+    model : Model
     reference : (n, 3) array [g]
     environment : mapping of str to (n,) array
         Other columns of the model.
@@ -362,7 +359,7 @@ class SharedExpression:
         Size of eq. (3) in u, for a residual standard deviation of 1.
     """
 
-    model: ExpressionModel
+    model: Model
     reference: Array
     environment: Mapping[str, Array]
     start: Array
@@ -388,7 +385,6 @@ def share_expression(c: Calibration) -> SharedExpression | None:
     None where their search cannot begin at its parameters, or where the bias (3) is not known.
     """
     model, sd = c.model, c.residual_sd
-    assert isinstance(model, ExpressionModel)
     posed = model.apart and c.diagnostics.condition <= _WELL_POSED
     if not posed or c.noise is not None or not (np.isfinite(sd) & (sd > 0.0)).all():
         return None
@@ -476,9 +472,7 @@ def _compensated(shared: SharedExpression, theta: Array, y: Array) -> tuple[Arra
     return np.sqrt(np.einsum("br,br->b", off, off) / n), slopes[:, :, sensed]
 
 
-def _searched(
-    model: ExpressionModel, reference: Array, readings: Readings
-) -> tuple[Problem, Optimum]:
+def _searched(model: Model, reference: Array, readings: Readings) -> tuple[Problem, Optimum]:
     """Return the problem and its best optimum over the starts."""
     values, n = readings.values, len(readings)
     noise = None if readings.noise is None else readings.noise.reshape(values.shape)
@@ -528,7 +522,6 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
         The symmetric gauge, which is not one of single parameters.
     """
     model = problem.model
-    assert isinstance(model, ExpressionModel)
     force = problem.magnitude[:, None] * state.centre
     slopes = parameter_jacobian(model, state.theta, force, problem.environment)
     by_force = model.force_jacobian(state.theta, force, problem.environment)
@@ -544,12 +537,12 @@ def rotations_to_hold(problem: Problem, state: State, gauge: Gauge) -> Fixed:
     return held
 
 
-def hold_free_rotations(model: ExpressionModel, parameters: Array) -> ExpressionModel:
+def hold_free_rotations(model: Model, parameters: Array) -> Model:
     """Return a model whose gauge is fixed where all orientations are unknown, before any reading.
 
     Parameters
     ----------
-    model : ExpressionModel
+    model : Model
         Of specific force alone.
     parameters : (p,) array
         Of the sensor; which rotations are free is determined there, all over the sphere.
@@ -587,13 +580,12 @@ def _moved_by_rotations(slopes: Array, rotated: Array) -> Array:
     return np.asarray((null @ inner[:free].T)[:p] * scale[:p, None])
 
 
-def _held(model: ExpressionModel, chosen: list[int]) -> Fixed:
+def _held(model: Model, chosen: list[int]) -> Fixed:
     """Return parameters with the values that they are held at: those stated, else 0."""
     held = []
     for i in chosen:
         output, name = model.keys[i]
-        start = model.quantities[i].start
-        held.append((output, str(name), 0.0 if start is None else start))
+        held.append((output, str(name), float(np.nan_to_num(model.starts[i]))))
     return held
 
 
@@ -604,7 +596,7 @@ def _free_axes(problem: Problem) -> list[int]:
     return [i for i, axis in enumerate(COMPONENTS) if axis == problem.free_axis]
 
 
-def _upper_first(model: ExpressionModel, slopes: Array, force: Array) -> list[int]:
+def _upper_first(model: Model, slopes: Array, force: Array) -> list[int]:
     """Return the parameters in the order in which they are held: upper triangle first."""
     order = {axis: i for i, axis in enumerate(COMPONENTS)}
     length = np.linalg.norm(force, axis=0)

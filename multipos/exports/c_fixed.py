@@ -32,7 +32,6 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 
 COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole numbers
 FIXED = re.compile(
@@ -168,7 +167,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
 
 def _require_quadratic(c: Calibration, sensed: list[int]) -> None:
     model, axes = c.model, {COMPONENTS[i] for i in sensed}
-    fits = not (model.environment or isinstance(model, ExpressionModel))
+    fits = model.has_terms and not model.environment
     second = False
     for term in model.basis_terms if fits else ():
         degree = sum(f.power for f in term.factors)

@@ -43,7 +43,6 @@ from multipos.files.spelling import visible
 from multipos.finding import Findings, forced
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.gravity import FieldKind
 from multipos.sensor.inverse import STEPS, XTOL
 from multipos.sensor.tilt import at_rest, beyond_vertical, magnitude_of, tilt_at_rest
@@ -120,7 +119,7 @@ def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metre
 
 def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:
     """Return eq. (1), where the model has the component that no output senses."""
-    if isinstance(calibration.model, ExpressionModel):
+    if not calibration.model.has_terms:
         lines, parts = c_expression.unseen_part(calibration, single=single)
     else:
         lines, parts = [], _of_third(calibration, single)
@@ -206,7 +205,7 @@ def c_source(
     require_identifier(name)
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
-    if isinstance(calibration.model, ExpressionModel):
+    if not calibration.model.has_terms:
         body, how, library = c_expression.expression_body(calibration, single=single)
     else:
         (body, how), library = function_body(calibration, single=single), False

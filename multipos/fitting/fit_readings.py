@@ -14,7 +14,7 @@ Where every output falls as what it is said to sense rises, the other convention
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from typing import Literal
 
@@ -48,7 +48,6 @@ from multipos.positions.readings import Readings, require_range, select_rows, sp
 from multipos.positions.scheme import Scheme
 from multipos.sensor.bench import StatedBench
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Chosen, Estimator, Excluded
 from multipos.sensor.gravity import (
     Field,
@@ -105,7 +104,7 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
     """Return a calibration that warns where the readings look like the other convention."""
     c = calibration
     down = {o for o, axis in zip(c.outputs, facing, strict=True) if axis.startswith("-")}
-    along = [-scale if output in down else scale for output, scale in _own_scales(c)]
+    along = [-scale if output in down else scale for output, scale in _own_slopes(c)]
     if not along or max(along) >= 0.0:
         return c
     other = next(name for name in CONVENTIONS if name != c.convention)
@@ -118,14 +117,9 @@ def _with_convention(calibration: Calibration, facing: tuple[str, ...]) -> Calib
     return add_findings(c, found)
 
 
-def _own_scales(c: Calibration) -> list[tuple[str, float]]:
-    """Return how each output responds along its axis, of those that have a term for it."""
-    if isinstance(c.model, ExpressionModel):
-        slopes = c.model.force_jacobian(c.parameters, c.reference, c.readings.environment)
-        along = [COMPONENTS.index(axis) for axis in c.model.axes]
-        mean = slopes.mean(axis=0)[range(len(along)), along]
-        return list(zip(c.outputs, mean.tolist(), strict=True))
-    return [(c.model.keys[i][0], float(c.parameters[i])) for i in c.model.own_scales]
+def _own_slopes(c: Calibration) -> Iterable[tuple[str, float]]:
+    """Return how each output responds along its axis, of those that have a scale factor."""
+    return c.model.own_slopes(c.parameters, c.reference, c.readings.environment).items()
 
 
 def _other_way_round(c: Calibration, down: set[str]) -> set[str]:
@@ -139,7 +133,7 @@ def _other_way_round(c: Calibration, down: set[str]) -> set[str]:
     stated = orientations.place(c.readings, 1.0)
     if stated.listed.any():
         return set()
-    own = {c.model.axes[c.outputs.index(output)]: scale for output, scale in _own_scales(c)}
+    own = {c.model.axes[c.outputs.index(output)]: scale for output, scale in _own_slopes(c)}
     wrong = {axis for axis, scale in own.items() if (scale < 0.0) != (axis in down)}
     return own.keys() - wrong if stated.groups and len(wrong) % 2 else wrong
 
@@ -624,14 +618,13 @@ def _solver(
         if estimator is Estimator.CLOSED_FORM:
             return solve_closed_form(model, reference, readings, pool=pool)
         exact = estimator is Estimator.LINEAR and options.robust is None
-        own = isinstance(model, ExpressionModel)
-        if isinstance(model, ExpressionModel) and exact:
+        if exact and model.has_terms:
+            return solve_known(model, reference, readings, pool=pool, tested=tested)
+        if exact:
             from multipos.estimation.user_models import is_untied, solve_own_known
 
             if is_untied(model, readings):
                 return solve_own_known(model, reference, readings, pool=pool, tested=tested)
-        if exact and not own:
-            return solve_known(model, reference, readings, pool=pool, tested=tested)
         if estimator is Estimator.LINEAR and options.robust is not None and not pool:
             from multipos.estimation.robust_known import solve_robust_known
 
@@ -654,7 +647,7 @@ def _stepwise(
     """Return the model with the terms that the readings support, and how they were chosen."""
     from multipos.fitting.model_selection import select_terms
 
-    if isinstance(model, ExpressionModel):
+    if not model.has_terms:
         raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
     if stated_up.exact:
         return select_terms(model, stated_up.reference, readings)
@@ -696,12 +689,12 @@ def _with_drift(readings: Readings, model: Model) -> tuple[Readings, Model]:
     Raises
     ------
     UsageError
-        The model is an expression, or uses a column of the same name.
+        The model is user-defined, or uses a column of the same name.
     """
-    if isinstance(model, ExpressionModel) or DRIFT in model.environment:
+    if DRIFT in model.environment:
         raise UsageError(
-            "--drift adds a term `drift` to a formula; write it into a user-defined model, or give "
-            "the column of that name another one."
+            "--drift adds a term `drift` to a formula, and the model uses a column of that name; "
+            "give the column another one."
         )
     time, n = readings.environment.get("time"), len(readings)
     timed = time is not None and np.isfinite(time).all() and np.ptp(time) > 0.0

@@ -27,7 +27,6 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.results import frozen
 from multipos.sensor.bench import BenchOptions
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
 from multipos.uncertainty.budgets import Budget, BudgetSource
@@ -233,7 +232,7 @@ def criterion_in_words(
     stated = readings.noise is not None
     return _CRITERIA[estimator].format(
         weighted="weighted " if stated else "",
-        nonlinear="nonlinear " if isinstance(model, ExpressionModel) else "",
+        nonlinear="" if model.has_terms else "nonlinear ",
         noise="stated reading noise" if stated else "equal reading noise",
         loss="" if options.robust is None else f", {options.robust} loss",
     )

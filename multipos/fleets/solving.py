@@ -47,7 +47,6 @@ from multipos.positions.orientations import orient, place
 from multipos.positions.reading_tables import read_readings
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import Field
 
@@ -191,7 +190,7 @@ def find_pattern(
         and c.model.drift_per is None
         and not c.readings.forced.any()
     )
-    own = isinstance(c.model, ExpressionModel)  # of which no correlation is asked
+    own = not c.model.has_terms  # of which no correlation is asked
     timed = c.robust_weight is None and correlated_rows.order_in_time(c.readings) is not None
     timed &= not own
     asked = c.robust_weight is None and correlated_rows.are_asked(
@@ -232,7 +231,7 @@ def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
-    if isinstance(c.model, ExpressionModel):
+    if not c.model.has_terms:
         return _share_expression(c, options)
     share = _SHARED.get(c.estimator)
     return None if share is None else share(c, table, options)

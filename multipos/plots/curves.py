@@ -11,7 +11,6 @@ from multipos.plots import style
 from multipos.plots.calibration import residual_panels
 from multipos.plots.marks import draw_band, draw_line
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.temperature import Curve, over_temperature
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ _TEMPERATURE = "temperature"
 def temperature_curves(calibration: Calibration) -> tuple[Curve, ...]:
     """Return the parameters that change over temperature; none without such a term."""
     model = calibration.model
-    if isinstance(model, ExpressionModel) or _TEMPERATURE not in model.environment:
+    if not model.has_terms or _TEMPERATURE not in model.environment:
         return ()
     curves = over_temperature(calibration, column=_TEMPERATURE)
     return tuple(curve for curve in curves if curve.value.min() < curve.value.max())

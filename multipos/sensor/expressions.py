@@ -2,8 +2,7 @@
 
     y_i = h_i(f, e, p),    f the reference [g], e other columns of the readings, p parameters (1)
 
-An `ExpressionModel` answers what every `Model` does; `at_bounds` names the parameters that ended
-at a bound.
+An `ExpressionModel` answers what every `Model` does.
 
 Formulas come as a line of text or a file (`multipos.sensor.model_text`). Exact derivatives
 (`multipos.sensor.compiled`) take them through the same likelihood as every other model. A parameter
@@ -19,13 +18,13 @@ Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, sec
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from multipos.errors import UsageError
 from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import Array, Environment, Places
+from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask, Places
 from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.compiled import Compiled, OutputFormula, compile_model
@@ -125,9 +124,22 @@ class ExpressionModel(Model):
         return f"parameter {term} of {'all outputs' if output == SHARED else output}"
 
     @property
+    def has_terms(self) -> bool:
+        """No parameter is the coefficient of a term."""
+        return False
+
+    @property
     def own_scales(self) -> tuple[int, ...]:
         """No parameter is known to be a scale factor."""
         return ()
+
+    def own_slopes(
+        self, parameters: Array, force: Array, environment: Environment
+    ) -> dict[str, float]:
+        """Return the mean slope of each output along its own axis."""
+        mean = self.force_jacobian(parameters, force, environment).mean(axis=0)
+        along = [COMPONENTS.index(axis) for axis in self.axes]
+        return dict(zip(self.outputs, mean[range(len(along)), along].tolist(), strict=True))
 
     @property
     def is_linear(self) -> bool:
@@ -196,15 +208,30 @@ class ExpressionModel(Model):
         outputs = self.predict(parameters, force, columns)[0]
         return np.column_stack([outputs, self.force_jacobian(parameters, force, columns)[0]])
 
+    @property
+    def linear(self) -> Mask:
+        """Which parameters enter linearly together (p,): as many as can."""
+        return self.compiled.linear
+
     @cached_property
     def all_linear(self) -> bool:
         """Whether each output is linear in its parameters, and nothing more is said of them."""
         return self.apart and not self.compiled.curved.any()
 
     @property
+    def shares_parameters(self) -> bool:
+        """Whether outputs have parameters in common."""
+        return bool(self.shared)
+
+    @property
+    def ties_outputs(self) -> bool:
+        """Whether shared parameters or priors forbid to fit output by output."""
+        return bool(self.shared) or bool(self.beliefs.any())
+
+    @property
     def apart(self) -> bool:
         """Whether nothing but readings says anything of parameters, of each output its own."""
-        return not (self.bounded or self.shared or self.beliefs.any())
+        return not (self.bounded or self.ties_outputs)
 
     @cached_property
     def columns(self) -> tuple[Places, ...]:
@@ -239,6 +266,10 @@ class ExpressionModel(Model):
         low = [quantity.low for quantity in self.quantities]
         return np.clip(parameters, low, [quantity.high for quantity in self.quantities])
 
+    def unbounded(self) -> "ExpressionModel":
+        """Return the model of the t of eq. (2)."""
+        return replace(self, inner=True)
+
     def outward(self, inner: Array) -> tuple[Array, Array, Array]:
         """Return the parameters of eq. (2), their slopes and second derivatives, (p,), by t."""
         outer, slope, second = inner.copy(), np.ones(len(inner)), np.zeros(len(inner))
@@ -262,6 +293,8 @@ class ExpressionModel(Model):
         Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
         is to keep a step short; `gradient` (p,) is g by t.
         """
+        if not self.inner:
+            return np.zeros(len(inner))
         _, slope, second = self.outward(inner)
         added = -gradient * second / np.where(slope == 0.0, np.inf, slope)
         return np.asarray(np.fmax(0.0, added))
@@ -278,6 +311,19 @@ class ExpressionModel(Model):
                 away = max(away, _INSIDE)
                 inner[i] = np.sqrt(away * (away + 2.0))
         return inner
+
+    def at_bounds(self, parameters: Array) -> Findings:
+        """Name the parameters (p,) that ended at a bound."""
+        said = []
+        for name, q, value in zip(self.names, self.quantities, parameters.tolist(), strict=True):
+            reach = _INSIDE * min(q.high - q.low, max(abs(value), 1.0))
+            for word, end in (("low", q.low), ("high", q.high)):
+                if abs(value - end) <= reach:
+                    text = (
+                        f"`{name}` is at its bound, {word} = {end:g}; the best fit may lie beyond"
+                    )
+                    said.append(Finding("at-bound", "warning", text, "Widen the bound."))
+        return tuple(said)
 
     def only(self, output: str) -> "ExpressionModel":
         """Return the model of one output alone, which shares no parameter."""
@@ -299,6 +345,12 @@ class ExpressionModel(Model):
             "held, parameter by parameter."
         )
 
+    def with_drift(self, per: Literal["h", "row"]) -> "Model":
+        """Refuse: a drift is a term."""
+        raise UsageError(
+            "--drift adds a term `drift` to a formula; write it into a user-defined model."
+        )
+
     def index(self, output: str, term: "str | Term") -> int:
         """Return the place of a parameter by output and name."""
         known = [(name, str(own)) for name, own in self.keys]
@@ -308,17 +360,3 @@ class ExpressionModel(Model):
                 + ", ".join(f"({o!r}, {t!r})" for o, t in known)
             )
         return known.index((output, str(term)))
-
-
-def at_bounds(model: Model, parameters: Array) -> Findings:
-    """Name the parameters of a model of one's own that ended at a bound."""
-    if not isinstance(model, ExpressionModel):
-        return ()
-    said = []
-    for name, q, value in zip(model.names, model.quantities, parameters.tolist(), strict=True):
-        reach = _INSIDE * min(q.high - q.low, max(abs(value), 1.0))
-        for word, end in (("low", q.low), ("high", q.high)):
-            if abs(value - end) <= reach:
-                text = f"`{name}` is at its bound, {word} = {end:g}; the best fit may lie beyond"
-                said.append(Finding("at-bound", "warning", text, "Widen the bound."))
-    return tuple(said)

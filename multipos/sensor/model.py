@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike
 from multipos.errors import UsageError
 from multipos.files.records import LONGEST
 from multipos.files.spelling import Names, listed, near, split_names
-from multipos.numerics.arrays import COMPONENTS, Array, Environment, Places
+from multipos.finding import Findings
+from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask, Places
 from multipos.numerics.factors import MODULUS, Factor, function_forms
 from multipos.numerics.terms import (
     CONSTANT,
@@ -41,6 +42,7 @@ from multipos.numerics.terms import (
 from multipos.positions.headers import axes_by_name
 from multipos.results import Result, frozen
 from multipos.sensor.gravity import GRAVITY, Field
+from multipos.sensor.model_text import StatedParameter
 from multipos.units import unit_per
 
 DRIFT = "drift"  # the column and term of a session's drift
@@ -231,6 +233,11 @@ class Model(Result):
         return tuple(
             slice(end - len(terms), end) for end, terms in zip(ends, self.terms, strict=True)
         )
+
+    @cached_property
+    def places(self) -> tuple[Places, ...]:
+        """Where the parameters of each output stand, those that it shares last."""
+        return tuple(np.arange(part.start, part.stop) for part in self.slices)
 
     @cached_property
     def basis_terms(self) -> tuple[Term, ...]:
@@ -428,18 +435,95 @@ class Model(Result):
         return tuple(np.array(places, dtype=np.intp).reshape(-1, 3).T), tuple(others)
 
     @property
-    def bounded(self) -> bool:
-        """Whether a parameter has bounds: only those of one's own models can."""
+    def has_terms(self) -> bool:
+        """Whether parameters are coefficients of the terms of eq. (1), to be tested one by one."""
+        return True
+
+    @property
+    def linear(self) -> Mask:
+        """Which parameters enter linearly together (p,)."""
+        return np.ones(len(self.keys), dtype=bool)
+
+    @property
+    def all_linear(self) -> bool:
+        """Whether each output is linear in its parameters, and nothing more is said of them."""
+        return True
+
+    @property
+    def apart(self) -> bool:
+        """Whether nothing but readings says anything of parameters, of each output its own."""
+        return True
+
+    @property
+    def shares_parameters(self) -> bool:
+        """Whether outputs have parameters in common."""
         return False
 
     @property
+    def ties_outputs(self) -> bool:
+        """Whether shared parameters or priors forbid to fit output by output."""
+        return False
+
+    @property
+    def quantities(self) -> tuple[StatedParameter, ...]:
+        """What is stated of each parameter, nothing where they are coefficients of terms."""
+        return ()
+
+    @property
+    def starts(self) -> Array:
+        """Where the search for each parameter starts (p,), NaN where nothing is stated."""
+        return np.full(len(self.keys), np.nan)
+
+    @property
     def beliefs(self) -> Array:
-        """The information of the parameters' priors (p,): none but in models of one's own."""
+        """The information of the parameters' priors (p,), 0 where there is none."""
         return np.zeros(len(self.keys))
 
     def belief(self, parameters: Array) -> tuple[Array, Array]:
         """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
         return np.zeros(len(parameters)), np.zeros(len(parameters))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether a parameter has bounds."""
+        return False
+
+    def within(self, parameters: Array) -> Array:
+        """Return parameters (p,) within their bounds."""
+        return parameters
+
+    def at_bounds(self, parameters: Array) -> Findings:
+        """Name the parameters (p,) that ended at a bound."""
+        return ()
+
+    def unbounded(self) -> "Model":
+        """Return the model of parameters without bounds, which `inward` and `outward` turn."""
+        return self
+
+    def inward(self, outer: Array) -> Array:
+        """Return the unbounded parameters (p,) of parameters."""
+        return outer
+
+    def outward(self, inner: Array) -> tuple[Array, Array, Array]:
+        """Return the parameters of unbounded ones, their slopes and second derivatives, (p,)."""
+        return inner, np.ones(len(inner)), np.zeros(len(inner))
+
+    def bend(self, inner: Array, gradient: Array) -> Array:
+        """Return what the curvature of bounds adds to the information of unbounded ones, (p,)."""
+        return np.zeros(len(inner))
+
+    def second_derivatives(
+        self, parameters: Array, force: Array, environment: Environment
+    ) -> Array:
+        """Return d²y/dp² (n, M, p, p)."""
+        p = len(parameters)
+        return np.zeros((len(force), len(self.outputs), p, p))
+
+    def own_slopes(
+        self, parameters: Array, force: Array, environment: Environment
+    ) -> dict[str, float]:
+        """Return the mean slope along its own axis of each output that has a scale factor."""
+        return {self.keys[i][0]: float(parameters[i]) for i in self.own_scales}
 
     def label(self, index: int) -> str:
         """Return a parameter in plain words, for reports."""

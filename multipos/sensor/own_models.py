@@ -1,9 +1,8 @@
-"""From a user-defined model as it is written to the model that is fitted, and to its file.
+"""From a user-defined model as it is written to the model that is fitted.
 
 `build_parsed` gives every output the formula that is its own, or that of `each`; names that are
 neither components nor columns are its parameters. `hold` holds some of them at values.
-`expression_dict` and `load_parsed` are the part of a calibration's file: it holds the formulas,
-which are parsed again when it is read.
+`load_parsed` makes it of the formulas in the file of a calibration.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,7 @@ from multipos.numerics.arrays import COMPONENTS
 from multipos.sensor.compiled import OutputFormula, Source
 from multipos.sensor.expressions import ExpressionModel, Symbol
 from multipos.sensor.formulas import Formula
-from multipos.sensor.model import check_axes
+from multipos.sensor.model import Model, check_axes
 from multipos.sensor.model_text import (
     EACH,
     SHARED,
@@ -145,8 +144,9 @@ def _require_inputs(formula: Formula, inputs: tuple[str, ...]) -> None:
             formula.fail(character, f"'{name}' is not among --inputs {','.join(inputs)}")
 
 
-def hold(model: ExpressionModel, fixed: Fixed) -> ExpressionModel:
-    """Return a model with parameters held at values, which fixes its gauge."""
+def hold(model: Model, fixed: Fixed) -> Model:
+    """Return a user-defined model with parameters held at values, which fixes its gauge."""
+    assert isinstance(model, ExpressionModel)
     built = build_parsed(
         model.parsed,
         model.outputs,

@@ -53,7 +53,6 @@ from multipos.positions.headers import RUN, SOAKS, TEMPERATURE
 from multipos.positions.readings import Readings
 from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.model import Model, parameter_name
 
 _POINTS = 101
@@ -357,7 +356,7 @@ def _soaks(c: Calibration, output: int) -> _Soaks | None:
     by_run = soak is not None
     if soak is None:
         soak = soaks_of(c.readings)
-    if soak is None or not c.estimator.exact or isinstance(c.model, ExpressionModel):
+    if soak is None or not c.estimator.exact or not c.model.has_terms:
         return None
     mine = list(c.model.columns[output])
     X = c.model.basis(c.reference, c.readings.environment)[:, mine]

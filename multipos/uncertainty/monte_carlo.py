@@ -45,7 +45,6 @@ from multipos.numerics.arrays import Array, Mask, median
 from multipos.numerics.rotations import directions
 from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import VarianceComponents
 from multipos.sensor.simulation import turned
 from multipos.sensor.temperature import runs_of
@@ -465,7 +464,7 @@ def _searched(of_one: UnknownSearch, c: Calibration, readings: Array) -> Array:
 
 def _is_product(c: Calibration) -> bool:
     """Whether the estimate is one matrix product with the readings."""
-    return c.estimator.exact and not isinstance(c.model, ExpressionModel)
+    return c.estimator.exact and c.model.has_terms
 
 
 def _sorted(trials: Array) -> Array:

@@ -75,7 +75,6 @@ from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.positions.readings import diagonal
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.temperature import runs_of
 from multipos.uncertainty.budgets import Quantity, zero_moves
@@ -331,8 +330,8 @@ def _is_looked_for(c: Calibration, quantity: Quantity) -> bool:
     if c.noise is None:
         return True
     found = c.variance_components
-    tied = isinstance(c.model, ExpressionModel) and (c.model.shared or c.model.beliefs.any())
-    return found is not None and found.rest_to_rest is not None and not tied
+    stated = found is not None and found.rest_to_rest is not None
+    return stated and not c.model.ties_outputs
 
 
 def _shown(c: Calibration, gain: Array, causes: Sequence[Quantity]) -> _Shown | None:

@@ -94,7 +94,6 @@ from multipos.positions.harmonics import Roll, find_rolls
 from multipos.positions.readings import Readings
 from multipos.results import Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model, build_model
@@ -367,7 +366,7 @@ def _listed(calibration: Calibration) -> Array:
 def _response(calibration: Calibration) -> Array:
     """Return the readings (n, M) as a linear model has them."""
     c = calibration
-    if not isinstance(c.model, ExpressionModel):
+    if c.model.has_terms:
         return c.readings.values
     # about its solution, where it is linear
     left = c.readings.values - c.predict(_listed(c), c.readings.environment)

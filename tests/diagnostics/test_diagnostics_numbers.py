@@ -614,9 +614,9 @@ def test_three_outputs_that_sense_a_rotation(axes, rank, forced, triad):
         slopes[2] = slopes[0] + slopes[1]
     at = []
     model = SimpleNamespace(
-        axes=tuple(axes),
+        axes=tuple(axes), has_terms=True,
         linear_part=lambda b, mean: at.append((b, mean)) or np.column_stack([np.ones(3), slopes]),
-    )
+    )  # fmt: skip
     c = SimpleNamespace(
         model=model, parameters="b", mean_environment="mean",
         readings=SimpleNamespace(forced=np.array([False, forced])),
@@ -1022,7 +1022,7 @@ def test_the_cause_of_noise_beyond_the_stated_one(contrasts, deviances, said, ac
         pytest.approx(3.9, abs=0.05))  # fmt: skip
     c = SimpleNamespace(
         readings=SimpleNamespace(noise=np.ones(9)), robust_weight=None, sensitivity=K,
-        outputs="abc", model=SimpleNamespace(unit="V"),
+        outputs="abc", model=SimpleNamespace(unit="V", has_terms=True),
     )  # fmt: skip
     text, way = residuals._cause_at_known(c)
     assert said in text

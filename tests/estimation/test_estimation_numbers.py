@@ -790,18 +790,19 @@ def test_an_ellipsoid_is_turned_to_the_listed_directions(mirror, robust):
 @pytest.mark.parametrize(("by", "refused"), [(0.995, False), (1.005, True)])
 def test_readings_that_are_far_from_their_ellipsoid_are_refused(by, refused):
     """Median residual/.6745 √(n/ν) over size times scale, above a fifth."""
-    model = SimpleNamespace(own_scales=(1, 2, 0))
+    model = SimpleNamespace(own_slopes=lambda theta, *_: dict(zip("xyz", theta, strict=True)))
     residuals = np.random.default_rng(2).normal(size=(9, 3))
     scale, size, nu = (0.7 + 1.1 + 1.9) / 3.0, 1.7, 9.0 - 4.0
     spread = np.median(np.linalg.norm(residuals, axis=1)) / 0.6745 * math.sqrt(9 / nu)
     residuals *= 0.2 * scale * size / spread * by
     problem = SimpleNamespace(
-        model=model, orientation_sd=np.full(9, math.inf), degrees=np.ones(9), unknowns=4,
+        model=model, environment={}, orientation_sd=np.full(9, math.inf),
+        degrees=np.ones(9), unknowns=4,
         values=residuals, reference=np.full((9, 3), 1.7 / math.sqrt(3.0)),
     )  # fmt: skip
     optimum = SimpleNamespace(
         state=SimpleNamespace(theta=np.array([0.7, -1.1, 1.9])),
-        point=SimpleNamespace(residuals=residuals),
+        point=SimpleNamespace(force=None, residuals=residuals),
     )
     if refused:
         with pytest.raises(mp.MultiposError, match="deviate by 20 %"):

@@ -1004,11 +1004,12 @@ def test_scatter_about_the_ellipsoid_by_hand(size, refused):
         unknowns=9,
         values=np.zeros((12, 3)),
         reference=np.array([[0.0, 2.0, 0.0]]),
-        model=SimpleNamespace(own_scales=(0, 1, 2)),
+        model=SimpleNamespace(own_slopes=lambda theta, *_: dict(zip("xyz", theta, strict=True))),
+        environment={},
     )
     optimum = SimpleNamespace(
         state=SimpleNamespace(theta=np.array([4.0, -5.0, 6.0])),
-        point=SimpleNamespace(residuals=far * np.array([[0.6, 0.0, -0.8]] * 12)),
+        point=SimpleNamespace(force=None, residuals=far * np.array([[0.6, 0.0, -0.8]] * 12)),
     )
     if refused:
         with pytest.raises(mp.MultiposError, match="deviate by 21 % from the best ellipsoid"):

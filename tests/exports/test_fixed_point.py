@@ -158,7 +158,8 @@ def test_other_models_and_options_are_refused():
      ("1 + x^3", 3, False), ("1 + x*y^2", 3, False), ("1 + x*|x|", 3, False), ("1 + t", 3, False)],
 )  # fmt: skip
 def test_second_degree_needs_as_many_outputs_as_axes(terms, outputs, fits):
-    model = SimpleNamespace(environment=(), basis_terms=parse_terms(terms), text=terms)
+    basis = parse_terms(terms)
+    model = SimpleNamespace(has_terms=True, environment=(), basis_terms=basis, text=terms)
     c = SimpleNamespace(model=model, outputs="abc"[:outputs])
     if fits:
         c_fixed._require_quadratic(c, [0, 1, 2])

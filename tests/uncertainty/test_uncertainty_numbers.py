@@ -81,7 +81,7 @@ def test_what_residuals_may_show(change, looked, monkeypatch):
     c = SimpleNamespace(
         estimator=SimpleNamespace(exact=of["exact"]), robust_weight=of["robust_weight"],
         readings=SimpleNamespace(environment={"run": of["runs"]}), noise=of["noise"],
-        model=SimpleNamespace(environment=()),
+        model=SimpleNamespace(environment=(), ties_outputs=False),
         variance_components=SimpleNamespace(rest_to_rest=of["rests"]),
     )  # fmt: skip
     assert sensitivities._is_looked_for(c, quantity) is looked
