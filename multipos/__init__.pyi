@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # mypy takes these last, as every module imports the version
     from multipos.errors import RankError as RankError
     from multipos.errors import UsageError as UsageError
     from multipos.exports.targets import export as export
-    from multipos.exports.targets import verify_export as verify_export
     from multipos.files.tables import read_table as read_table
     from multipos.files.tables import write_table as write_table
     from multipos.finding import Finding as Finding

@@ -146,13 +146,6 @@ def captured():
         return mp.capture(f"replay:{Path(folder) / 'log.csv'}:0", positions=16)
 
 
-@cache
-def verified():
-    with TemporaryDirectory() as folder:
-        (file,) = mp.export(sensor(), to="ros-imu-calib").save(Path(folder) / "ros.yaml")
-        return mp.verify_export(file, sensor())
-
-
 RESULTS = {
     "Averages": averaged,
     "Budget": lambda: read_budget(BUDGET),
@@ -183,7 +176,6 @@ RESULTS = {
     "Regression": regressed,
     "Regressions": lambda: mp.Regressions({"one": regressed()}),
     "Stability": rested,
-    "Verification": verified,
     "RegressionComparison": lambda: mp.compare(regressed(), regressed()),
     "Scheme": lambda: mp.read_scheme("faces-6"),
     "Sphere": lambda: mp.evaluate_sphere(calibrated(), directions="faces-6"),
@@ -221,7 +213,6 @@ METHODS = {
     "Regression": {"to_pandas"},
     "RegressionComparison": {"plot", "to_pandas"},
     "Regressions": {"to_pandas"},
-    "Replay": set(),
     "Scheme": {"plot", "to_pandas"},
     "Schemes": {"to_pandas"},
     "SimulatedLog": {"to_pandas"},
@@ -231,7 +222,6 @@ METHODS = {
     "TableErrors": {"to_pandas"},
     "Tumble": {"plot", "to_pandas"},
     "Tumbles": {"plot", "to_pandas"},
-    "Verification": set(),
 }
 every_result = pytest.mark.parametrize("name", RESULTS)
 

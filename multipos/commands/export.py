@@ -55,9 +55,15 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     exported = export(_loaded(arguments.calibration), **options_of(arguments, "export"))
     names = [arguments.output, *map(str, _beside(arguments))]
-    listing = {"target": exported.target, "files": names, "findings": exported.findings}
+    listing = {
+        "target": exported.target,
+        "files": names,
+        "difference": exported.difference,
+        "unit": exported.unit,
+        "findings": exported.findings,
+    }
     return Answer(
-        sentence=lambda: written_to(*names),
+        sentence=lambda: " ".join([written_to(*names), *filter(None, [exported.residual])]),
         text=str,
         json=lambda: to_json(listing),
         forms={

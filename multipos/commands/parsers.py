@@ -26,7 +26,6 @@ COMMANDS = {
     "regress": "describe a column by others, in segments, with terms the data support",
     "average": "average the rests of a raw log into readings",
     "export": "write a calibration as a C function or for another program",
-    "verify-export": "show what the consumer of an exported file will see",
     "simulate": "make readings or a raw log of a calibrated sensor",
     "check": "errors of an independent run at known positions, before and after",
     "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",

@@ -18,7 +18,6 @@ same to the last bit.
 
 import itertools
 import math
-import re
 from functools import cached_property
 from textwrap import wrap
 
@@ -27,18 +26,13 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
-from multipos.exports.c_running import array, fill
+from multipos.exports.c_programs import array, fill
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 
 COUNTS = ("count", "counts", "LSB", "lsb")  # units of readings that are whole numbers
-FIXED = re.compile(
-    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const int32_t raw\[(?P<raw>\d{1,6})\], "
-    r"int32_t (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
-    re.MULTILINE | re.ASCII,
-)
 _LARGEST = 2**31 - 1
 _SUM = 2**30  # bound of eq. (2)
 _CONSTANT = 2**61

@@ -243,6 +243,16 @@ def law_residuals(calibration: Calibration, law: Correction, tesla: float | None
     return force @ law.turn.T - specific_force(calibration)
 
 
+def largest_difference(
+    calibration: Calibration, law: Correction, tesla: float | None = None
+) -> float:
+    """Return the largest difference of a law's forces from the calibration's, at its readings."""
+    readings = calibration.readings
+    force = calibration.sign * calibration.compensate(readings.values, readings.environment)
+    of_law = specific_force(calibration) + law_residuals(calibration, law, tesla)
+    return float(np.abs(of_law - force).max())
+
+
 def rms_left(calibration: Calibration, residuals: Array) -> float:
     """Return the rms of what is left [g], of the same kind as the calibration's own."""
     errors, reference = calibration.sign * residuals, calibration.reference

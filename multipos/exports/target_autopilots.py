@@ -49,7 +49,6 @@ References
 .. [9] betaflight, ``sensors/acceleration.c``, ``applyAccelerationTrims``.
 """
 
-import re
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -61,7 +60,6 @@ from multipos.exports import parameters
 from multipos.exports.laws import DIAGONAL, LINEAR, Correction, Drift, scale_per_g
 from multipos.exports.target import Wish
 from multipos.finding import Finding
-from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
@@ -107,14 +105,6 @@ def _values(
     return list(zip(names, values, strict=True))
 
 
-def _correction(numbers: Array, sign: float = 1.0, drift: Drift | None = None) -> Correction:
-    """Return the law of the numbers of `_values`."""
-    matrix = np.diag(numbers[3:6])
-    for (i, j), value in zip(_UPPER, numbers[6:].tolist(), strict=False):
-        matrix[i, j] = matrix[j, i] = value
-    return Correction(matrix, sign * numbers[:3], drift)
-
-
 def _identified(found: _Values, sensor: str, wish: Wish, *, px4: bool) -> list[Finding]:
     """Put the ID of the device before its parameters, or say that there is none."""
     if wish.device_id is not None:
@@ -124,31 +114,6 @@ def _identified(found: _Values, sensor: str, wish: Wish, *, px4: bool) -> list[F
     if px4:
         text = f"{sensor} is missing; PX4 will ignore the file"
     return [Finding("no-device-id", "warning", text, "Add --device-id.")]
-
-
-def _instance(given: "re.Pattern[str]", text: str) -> int:
-    return min(int(found["instance"] or 1) for found in given.finditer(text))
-
-
-def _reader(
-    given: "re.Pattern[str]", names: Callable[[int], tuple[str, ...]], sign: float
-) -> Callable[[str, str], Correction]:
-    """Return what reads the file of a magnetometer."""
-
-    def read(path: str, text: str) -> Correction:
-        return _correction(parameters.read_named(path, text, names(_instance(given, text))), sign)
-
-    return read
-
-
-def _read_drift(
-    path: str, text: str, slopes: tuple[str, ...], limits: tuple[str, ...]
-) -> Drift | None:
-    """Return the drift of the offset in a file's own units, about the first of its limits."""
-    if not any(name in text for name in slopes):
-        return None
-    held = parameters.read_named(path, text, slopes).reshape(3, 3)
-    return Drift(held, *parameters.read_named(path, text, limits).tolist())
 
 
 def _turned(law: Correction) -> list[str]:
@@ -164,8 +129,6 @@ _target = partial(parameters.parameter_target, raw="m/s^2", takes=("instance", "
 # --- PX4
 
 _PX4_INSTANCES = range(4)
-_PX4_GIVEN = re.compile(r"^(?!#).*\bCAL_ACC(?P<instance>\d)_[XYZ]", re.MULTILINE)
-_PX4_MAG_GIVEN = re.compile(r"^(?!#).*\bCAL_MAG(?P<instance>\d)_[XYZ]", re.MULTILINE)
 
 
 _px4_names = _names("CAL_ACC{i}_{axis}OFF CAL_ACC{i}_{axis}SCALE")
@@ -224,19 +187,10 @@ def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
     ]
 
 
-def _read_px4(path: str, text: str) -> Correction:
-    instance = _instance(_PX4_GIVEN, text)
-    numbers = parameters.read_named(path, text, _px4_names(instance))
-    drift = _read_drift(path, text, _px4_slopes(instance), _px4_limits(instance))
-    return _correction(numbers, drift=drift)
-
-
 PX4 = _target(
     "px4",
     DIAGONAL,
     write=_write_px4,
-    recognises=lambda text: _PX4_GIVEN.search(text) is not None,
-    read=_read_px4,
     suffix=".params",
     thermal=True,
 )
@@ -245,8 +199,6 @@ PX4_MAGNETOMETER = _target(
     "px4",
     LINEAR,
     write=_write_px4,
-    recognises=lambda text: _PX4_MAG_GIVEN.search(text) is not None,
-    read=_reader(_PX4_MAG_GIVEN, _px4_mag_names, 1.0),
     suffix=".params",
     tesla=_GAUSS,
 )
@@ -255,10 +207,6 @@ PX4_MAGNETOMETER = _target(
 # --- ArduPilot
 
 _ARDUPILOT_INSTANCES = range(1, 4)
-_ARDUPILOT_GIVEN = re.compile(r"^(?!#).*\bINS_ACC(?P<instance>[23]?)(?:OFFS|SCAL)_", re.MULTILINE)
-_ARDUPILOT_MAG_GIVEN = re.compile(
-    r"^(?!#).*\bCOMPASS_(?:OFS|DIA|ODI)(?P<instance>[23]?)_", re.MULTILINE
-)
 _BESIDE = 1.0  # what ground stations accept beside the diagonal of a magnetometer's matrix
 
 
@@ -349,23 +297,10 @@ def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
     ]
 
 
-def _read_ardupilot(path: str, text: str) -> Correction:
-    instance = _instance(_ARDUPILOT_GIVEN, text)
-    numbers = parameters.read_named(path, text, _ardupilot_names(instance))
-    drift = _read_drift(path, text, _ardupilot_slopes(instance), _ardupilot_limits(instance))
-    if drift is not None:
-        at = drift.reference
-        drift = drift.scaled(_UNIT)._replace(reference=_REFERENCE)
-        numbers[:3] -= drift.offset(at)
-    return _correction(numbers, drift=drift)
-
-
 ARDUPILOT = _target(
     "ardupilot",
     DIAGONAL,
     write=_write_ardupilot,
-    recognises=lambda text: _ARDUPILOT_GIVEN.search(text) is not None,
-    read=_read_ardupilot,
     suffix=".parm",
     thermal=True,
 )
@@ -374,8 +309,6 @@ ARDUPILOT_MAGNETOMETER = _target(
     "ardupilot",
     LINEAR,
     write=_write_ardupilot,
-    recognises=lambda text: _ARDUPILOT_MAG_GIVEN.search(text) is not None,
-    read=_reader(_ARDUPILOT_MAG_GIVEN, _ardupilot_mag_names, -1.0),
     suffix=".parm",
     tesla=_MILLIGAUSS,
 )
@@ -390,7 +323,6 @@ _ZEROS = range(-(2**15), 2**15)
 _ONE_G = (256, 512, 1024, 1365, 2048, 4096, 8192, 16384)
 _FEWEST = 100.0  # counts of a g; less is no unit of counts
 _INAV_NAMES = tuple(f"acc{kind}_{axis}" for kind in ("zero", "gain") for axis in "xyz")
-_INAV_NOMINAL = re.compile(r"^# 1G = (?P<counts>\d+) counts", re.MULTILINE)
 
 
 def _counts_of_g(calibration: Calibration) -> int:
@@ -407,11 +339,17 @@ def _counts_of_g(calibration: Calibration) -> int:
     return min(_ONE_G, key=lambda counts: abs(np.log(scale / counts)))
 
 
+def _rounded_for_inav(calibration: Calibration, law: Correction) -> Correction:
+    """Return the law of whole numbers: half a count of zero, half a step of gain."""
+    unity = _INAV_UNITY * _counts_of_g(calibration) / STANDARD_GRAVITY
+    gains = np.rint(unity * np.diag(law.matrix))
+    return Correction(np.diag(gains) / unity, np.rint(law.offset))
+
+
 def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
     counts = _counts_of_g(calibration)
-    slopes = np.diag(law.matrix) / STANDARD_GRAVITY
-    zeros, gains = np.rint(law.offset), np.rint(_INAV_UNITY * counts * slopes)
-    values = [*zeros.tolist(), *gains.tolist()]
+    gains = np.rint(_INAV_UNITY * counts * np.diag(law.matrix) / STANDARD_GRAVITY)
+    values = [*law.offset.tolist(), *gains.tolist()]
     for name, value in zip(_INAV_NAMES, values, strict=True):
         allowed = _ZEROS if "zero" in name else _GAINS
         if not allowed.start <= value < allowed.stop:
@@ -437,29 +375,11 @@ def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> parameter
     return "\n".join(lines) + "\n", [Finding("assumed-counts", "note", text)]
 
 
-def _read_inav(path: str, text: str) -> Correction:
-    nominal = _INAV_NOMINAL.search(text)
-    if nominal is None:
-        raise MultiposError(f"{path}: the line '# 1G = … counts' is missing; export again.")
-    given = re.sub(r"^\s*set\s+(\w+)\s*=", r"\1 ", text, flags=re.MULTILINE)
-    numbers = parameters.read_named(path, given, _INAV_NAMES)
-    gain = numbers[3:] / (_INAV_UNITY * int(nominal["counts"]))
-    return Correction(np.diag(gain * STANDARD_GRAVITY), numbers[:3])
-
-
-def _rounding_of_inav(calibration: Calibration) -> float:
-    """Return the force [g] that half a step of zero and gain is, with room for its own rounding."""
-    largest = float(np.abs(calibration.reference).max())
-    return 0.51 / _counts_of_g(calibration) + 0.51 * largest / _INAV_UNITY * 1.5
-
-
 INAV = parameters.parameter_target(
     "inav",
     DIAGONAL,
     raw="counts",
     write=_write_inav,
-    recognises=lambda text: re.search(r"^\s*set acczero_x", text, re.MULTILINE) is not None,
-    read=_read_inav,
     suffix=".txt",
-    same=_rounding_of_inav,
+    rounded=_rounded_for_inav,
 )

@@ -1,4 +1,4 @@
-"""The C99 file of a calibration, the program that tests it, and how it is read back.
+"""The C99 file of a calibration, and the program that tests it.
 
 The file holds one function and nothing else: no library, memory or state, so that it can be
 called from any firmware. What the function does is in `multipos.exports.c_body`.
@@ -13,11 +13,6 @@ again,
     f <- compensate(raw - d(f, w)),    w = ±sqrt(g² - |f|²),                                (1)
 
 as often as `multipos.sensor.inverse` does.
-
-It is read back by compiling and running it. A C file may come from somebody else, and to compile
-and run it is to do what it says. So the file is written again from the calibration, and where both
-are the same to the byte, it is the text of this program that is compiled. Any other C runs only
-where the user says so.
 """
 
 import re
@@ -29,7 +24,7 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
-from multipos.exports import c_expression, c_fixed, c_running, laws, parameters
+from multipos.exports import c_expression, c_fixed, c_programs
 from multipos.exports.c_body import (
     environment_range,
     function_body,
@@ -37,10 +32,10 @@ from multipos.exports.c_body import (
     slope_in_the_middle,
     written_factors,
 )
-from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish, find_strange
+from multipos.exports.target import Exported, Target, Wish
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
-from multipos.finding import Findings, forced
+from multipos.finding import forced
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import FieldKind
@@ -168,13 +163,6 @@ def _of_third(calibration: Calibration, single: bool) -> list[str]:
     return result
 
 
-SIGNATURE = re.compile(
-    r"^void (?P<name>[A-Za-z_]\w*)_compensate\(const (?P<type>double|float) raw\[(?P<raw>\d{1,6})\]"
-    r"(?:, const \w+ env\[(?P<env>\d{1,6})\])?, \w+ (?:accel|field)\[(?P<accel>\d{1,6})\]\)",
-    re.MULTILINE | re.ASCII,
-)
-METRES = re.compile(r"^ \* accel\[\d+\] = [^\n]*\[m/s\^2\], convention", re.MULTILINE)
-WRITTEN_BY = re.compile(r"^ \* written by +multipos (?P<version>\S+)$", re.MULTILINE)
 _WIDTH = 90  # of a comment
 _NEGLIGIBLE = 1e-9  # of the largest linear coefficient: what a precision may lose
 
@@ -286,7 +274,7 @@ def c_test(
         text += "\n" + array("angle", _angles(calibration, raw, env), single)
         declared += f"\n{tilt_signature(calibration, name, single)};"
         checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
-    filled = c_running.fill(
+    filled = c_programs.fill(
         "test.c",
         name=name,
         kind=kind,
@@ -314,7 +302,7 @@ def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
     """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
     words = {"f": "f", "tolerance": "2e-6f"} if single else {"f": "", "tolerance": "1e-9"}
     turn = literal(np.pi / 180.0, single)
-    return c_running.fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
+    return c_programs.fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
 
 
 def _require_held(calibration: Calibration, single: bool) -> None:
@@ -429,161 +417,26 @@ def array(name: str, values: Array, single: bool) -> str:
         ["NAN" if value != value else literal(value, single) for value in row]
         for row in values.tolist()
     ]
-    return c_running.array(name, "float" if single else "double", cells)
-
-
-_SHOWN = 60  # characters of a line in a message
-_SAME = {"double": 1e-9, "float": 5e-7}  # how far the forces may be from the calibration's [g]
+    return c_programs.array(name, "float" if single else "double", cells)
 
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:
     if wish.fixed:
         fixed = c_fixed.find_fixed_point(calibration)
         test = of_field(c_fixed.fixed_test(fixed, wish.name), calibration)
-        return Exported(C.name, fixed_source(fixed, wish.name), test)
+        values = calibration.readings.values
+        whole = c_fixed.fixed_forces(fixed, fixed.whole(values)) / fixed.accel_per_g
+        difference = float(np.abs(whole - calibration.compensate(values)).max())
+        text, unit = fixed_source(fixed, wish.name), calibration.field.unit
+        return Exported(C.name, text, test, difference=difference, unit=unit)
     form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
     return Exported(C.name, text, c_test(calibration, wish.name, **form))
 
 
-def _read_back(file: GivenFile, calibration: Calibration) -> Verification:
-    path = file.path
-    if c_fixed.FIXED.search(file.text):
-        return _read_back_fixed(file, calibration)
-    found = SIGNATURE.search(file.text)
-    assert found is not None  # or another target would have been asked
-    _check_sizes(path, found, calibration)
-    names = calibration.model.environment
-    name, single = found["name"], found["type"] == "float"
-    in_metres = METRES.search(file.text) is not None
-    tilt = f"void {name}_tilt(" in file.text
-    own = c_source(calibration, name, single=single, in_metres=in_metres, tilt=tilt)
-    foreign = is_foreign(file, own)
-    readings = calibration.readings
-    columns = {name: readings.environment[name] for name in names}
-    rows = np.column_stack([readings.values, *columns.values()])
-    if single:
-        rows = rows.astype(np.float32).astype(np.float64)
-    declared = signature(calibration, name, single)
-    force = c_running.run_c(path, file.raw, calibration, declared, rows)
-    if in_metres:
-        force = force / STANDARD_GRAVITY
-    should = calibration.compensate(
-        rows[:, : len(calibration.outputs)],
-        dict(zip(names, rows[:, len(calibration.outputs) :].T, strict=True)),
-    )
-    difference = float(np.abs(force - should).max())
-    target = f"{C.name}, single precision" if single else C.name
-    allowed = _SAME[found["type"]] * parameters.size_of(calibration)
-    findings = find_strange(path, difference, allowed, calibration.field)
-    return _verified(target, calibration, force, difference, foreign, findings)
-
-
-def _read_back_fixed(file: GivenFile, calibration: Calibration) -> Verification:
-    """Return what a function of whole numbers makes of the readings, to the bit as Python does."""
-    found = c_fixed.FIXED.search(file.text)
-    assert found is not None
-    _check_sizes(file.path, found, calibration)
-    fixed = c_fixed.find_fixed_point(calibration)
-    foreign = is_foreign(file, fixed_source(fixed, found["name"]))
-    rows = fixed.whole(calibration.readings.values)
-    declared = c_fixed.fixed_signature(calibration, found["name"])
-    whole = c_running.run_c(file.path, file.raw, calibration, declared, rows.astype(np.float64))
-    findings = find_strange(
-        file.path,
-        float(np.abs(whole - c_fixed.fixed_forces(fixed, rows)).max()) / fixed.accel_per_g,
-        0.0,
-        calibration.field,
-    )
-    force = whole / fixed.accel_per_g
-    difference = float(np.abs(force - calibration.compensate(calibration.readings.values)).max())
-    target = f"{C.name}, whole numbers"
-    return _verified(target, calibration, force, difference, foreign, findings)
-
-
-def _verified(
-    target: str,
-    calibration: Calibration,
-    force: Array,
-    difference: float,
-    foreign: bool,
-    findings: Findings,
-) -> Verification:
-    sensed = list(calibration.model.sensed_axes)
-    all_axes = np.zeros_like(calibration.reference)
-    all_axes[:, sensed] = force - calibration.reference[:, sensed]
-    return Verification(
-        target=target,
-        axes=tuple(COMPONENTS[i] for i in sensed),
-        positions=calibration.readings.labels,
-        residuals=all_axes[:, sensed],
-        rms=laws.rms_left(calibration, all_axes),
-        calibration_rms=calibration.rms,
-        difference=difference,
-        foreign=foreign,
-        findings=findings,
-        field=calibration.field,
-    )
-
-
-def _check_sizes(path: str, found: re.Match[str], calibration: Calibration) -> None:
-    model = calibration.model
-    sizes = (len(calibration.outputs), len(model.environment), len(model.sensed_axes))
-    env = found.groupdict().get("env")
-    if (int(found["raw"]), int(env or 0), int(found["accel"])) != sizes:
-        raise MultiposError(
-            f"{path}: {found['name']}_compensate is not made for the outputs of this calibration; "
-            "export again."
-        )
-
-
-def is_foreign(file: GivenFile, own: str) -> bool:
-    """Tell whether a file that may be run is not what export writes, to the byte.
-
-    Raises
-    ------
-    MultiposError
-        It is not, and may not be run.
-    """
-    foreign = file.raw != own.encode()
-    if foreign and not file.run_foreign_code:
-        raise MultiposError(f"{file.path}: {difference_of(file.raw, own.encode())}")
-    return foreign
-
-
-def difference_of(raw: bytes, own: bytes) -> str:
-    """Return how a file differs from what export writes, and what to do about it."""
-    way = "; export again, or compile and run it with --run-foreign-code, whatever it does."
-    if raw.replace(b"\r\n", b"\n") == own:
-        return (
-            f"its lines end in CR LF, and in nothing else it differs from what export writes{way}"
-        )
-    given, written = (text.decode("utf-8", errors="replace") for text in (raw, own))
-    version = WRITTEN_BY.search(given)
-    if version and version["version"] != __version__:
-        return (
-            f"it was written by multipos {visible(version['version'])[:_SHOWN]}, and this is "
-            f"{__version__}, which may write it otherwise{way}"
-        )
-    lines = (given.split("\n"), written.split("\n"))
-    number = next(
-        (i for i, pair in enumerate(zip(*lines, strict=False)) if pair[0] != pair[1]),
-        min(map(len, lines)),
-    )
-    here, there = (
-        f"'{visible(text[number])[:_SHOWN]}'" if number < len(text) else "nothing" for text in lines
-    )
-    return (
-        f"line {number + 1} is {here} where export writes {there} of this calibration, so it was "
-        f"exported from another or changed since{way}"
-    )
-
-
 C = Target(
     name="c",
     write=_write,
-    recognises=lambda text: any(form.search(text) for form in (SIGNATURE, c_fixed.FIXED)),
-    read_back=_read_back,
     suffix=".c",
     is_code=True,
     takes=("output_unit", "tilt", "fixed"),

@@ -1,21 +1,17 @@
-"""Regressions as a C99 file, see `multipos.exports.c_correction`, and its replay.
+"""Regressions as a C99 file, and the rows of its self-test.
 
-As with the C of a calibration, the file is written again from what it came from, and it is the text
-of this program that is compiled and run, on rows in the order of time, run after run.
+`correction_of` checks what is exported, `write_correction` writes it (`multipos.exports.
+c_correction`); `generated_rows` makes rows, and `expected_rows` says what Python makes of them: the
+other side of the C file.
 
-Rows for a correction, and what Python makes of them: the other side of the C file.
-
-The rows are those that a regression was fitted to, or made up: the columns that rates are of swing
-over their range, once slow and once as fast as their rates were seen; all others are spread evenly,
-both a twentieth beyond the range. The segment variable meets every edge, and the number just below
-it; there is a gap in time, and the run starts again.
+Columns that rates are of swing over their range, once slow and once as fast as their rates were
+seen; all others are spread evenly, both a twentieth beyond the range. The segment variable meets
+every edge, and the number just below it; there is a gap in time, and the run starts again.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,21 +19,18 @@ from multipos.compensation.applying import add_columns
 from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range
-from multipos.exports.c_correction import correction_source, declarations, output_line, rounding
-from multipos.exports.c_running import compile_and_run, fill
+from multipos.exports.c_correction import correction_source, declarations, rounding
+from multipos.exports.c_programs import fill
 from multipos.exports.parts import Correction
-from multipos.exports.target import Exported, GivenFile, in_a_sentence
-from multipos.exports.target_c import array, comment, is_foreign, require_identifier
-from multipos.files.numbers import number, table
+from multipos.exports.target import Exported
+from multipos.exports.target_c import array, require_identifier
 from multipos.files.spelling import Names, split_names
-from multipos.files.tables import Source, Table, read_table
-from multipos.finding import Finding, Findings
-from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
-from multipos.regression.observations import number_labels
+from multipos.files.tables import Table
+from multipos.numerics.arrays import Array, Mask, Places, median
 from multipos.regression.prediction import clear_of_limits, predict_clamped
 from multipos.regression.rates import filter_time
-from multipos.regression.regression import Regression, require_same_data
-from multipos.results import Result, frozen, plain_dict
+from multipos.regression.regression import Regression
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 
 _BEYOND = 0.05  # of a range, on both sides
@@ -124,45 +117,6 @@ def _certain(c: Correction, r: Regression, columns: Mapping[str, Array], close: 
     return certain
 
 
-# --- rows of the fit
-
-
-def fitted_rows(c: Correction, table: Table) -> Drive:
-    """Return the rows of a table that are complete, run by run.
-
-    Raises
-    ------
-    MultiposError
-        A column is missing.
-    """
-    times = _named(r.time for r in c.regressions)
-    runs = _named(r.run for r in c.regressions)
-    if len(times) > 1 or len(runs) > 1:
-        raise MultiposError(
-            f"the regressions have different time or run columns ({', '.join(times + runs)}), so "
-            "one row is not one step of both; leave out --data."
-        )
-    for name in (*c.inputs, *times, *runs):
-        if name not in table:
-            raise MultiposError(
-                f"{table.source}: no column '{name}', which the C function needs; leave out "
-                "--data to replay rows that are made up."
-            )
-    values = np.column_stack([table.number(name, empty=True, largest=LARGEST) for name in c.inputs])
-    time = table.number(times[0], empty=True) if times else np.arange(float(table.rows))
-    run = number_labels(np.array(table.text(runs[0]))) if runs else np.zeros(table.rows, np.intp)
-    complete = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(time))
-    if not len(complete):
-        raise MultiposError(f"{table.source}: every row has an empty cell; nothing is replayed.")
-    rows = complete[np.argsort(run[complete], kind="stable")]
-    return Drive(run[rows], time[rows], values[rows])
-
-
-def _named(columns: Iterable[str | None]) -> list[str]:
-    """Return the columns that are named, each once."""
-    return list(dict.fromkeys(name for name in columns if name is not None))
-
-
 # --- rows that are made up
 
 
@@ -246,90 +200,8 @@ def _calibrated(c: Calibration, name: str) -> list[tuple[float, float]]:
     return [(float(seen.min()), float(seen.max()))]
 
 
-SIGNATURE = re.compile(
-    r"^int (?P<name>[A-Za-z_]\w*)_correct\((?P=name)_state \*state, double time, "
-    r"const (?P<type>double|float) in\[",
-    re.MULTILINE | re.ASCII,
-)
 _TESTED = 60  # rows of the self-test
-_REPLAYED = 20_000  # rows that are made up
 _SAME = 1e-12  # of the largest output, beside what rounding may do
-
-
-@frozen
-class Replay(Result):
-    """What an exported correction made of rows, against what Python makes of them.
-
-    Attributes
-    ----------
-    target : str
-    outputs : tuple of K str
-        What each output is, as the file's header says it.
-    rows, outside : int
-        Rows that were replayed, and those of them beyond what was fitted.
-    data : str or None
-        The file they came from; None where they were made up.
-    difference, allowed : (K,) arrays
-        Largest difference from Python, in the unit of each response, and what rounding allows.
-    foreign : bool
-        Whether C was run that is not what `export` writes of these regressions.
-    findings : tuple of Finding
-        An error where C and Python differ.
-    """
-
-    target: str
-    outputs: tuple[str, ...]
-    rows: int
-    outside: int
-    data: str | None
-    difference: Array
-    allowed: Array
-    foreign: bool = False
-    findings: Findings = ()
-
-    @property
-    def _by_output(self) -> list[tuple[str, float, float]]:
-        """Each output with its largest difference and what rounding allows."""
-        sizes = self.difference.tolist(), self.allowed.tolist()
-        return list(zip(self.outputs, *sizes, strict=True))
-
-    @property
-    def sentence(self) -> str:
-        """Whether the file holds, and the largest difference."""
-        largest = float(self.difference.max())
-        return in_a_sentence(self.target, self.findings, largest, f"over {self.rows} rows")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what JSON can carry."""
-        return plain_dict(
-            {
-                "target": self.target,
-                "rows": self.rows,
-                "outside": self.outside,
-                "data": self.data,
-                "outputs": [
-                    {"output": name, "difference": difference, "allowed": allowed}
-                    for name, difference, allowed in self._by_output
-                ],
-                "difference": self.difference.max(),
-                "foreign": self.foreign,
-                "findings": self.findings,
-            }
-        )
-
-    def __str__(self) -> str:
-        what = "made up over all that was fitted: every segment, edge, and a gap in time"
-        header = ["output", "largest difference", "allowed"]
-        rows = [[name, *(number(size, 2) for size in sizes)] for name, *sizes in self._by_output]
-        lines = [
-            f"What the C function ({self.target}) makes of {self.rows} rows, and multipos apply:",
-            f"rows {what if self.data is None else 'of ' + self.data}; {self.outside} beyond",
-            "",
-            table(header, rows),
-        ]
-        if self.foreign:
-            lines.append("the file is not what export writes of these; it was run as is")
-        return "\n".join(lines) + "\n"
 
 
 def correction_of(
@@ -430,95 +302,3 @@ def _allowed(c: Correction, drive: Drive, out: Array, single: bool) -> Array:
     if c.calibration is not None:
         found += 5e-7 if single else 1e-9
     return found
-
-
-# --- reading back
-
-
-def replay(
-    file: GivenFile,
-    calibration: Calibration | None,
-    regressions: Sequence[Regression],
-    data: Source | None,
-) -> Replay:
-    """Compile the file and hold it to what Python makes of the same rows.
-
-    Raises
-    ------
-    MultiposError
-        The file is not of these regressions, or makes something else of the rows; or the data are
-        not those of the fit.
-    """
-    found = SIGNATURE.search(file.text)
-    if found is None:
-        raise MultiposError(
-            f"{file.path}: holds no C of a regression; give it with the calibration alone."
-        )
-    name, single = found["name"], found["type"] == "float"
-    c = correction_of(calibration, regressions, _corrected(file.text, regressions))
-    foreign = is_foreign(file, correction_source(c, name, single=single))
-    source, drive = None, generated_rows(c, _REPLAYED)
-    if data is not None:
-        given = read_table(data, what="data")
-        for each in c.regressions:
-            require_same_data(each, given.source, given.sha256)
-        source, drive = given.source, fitted_rows(c, given)
-    drive = drive.rounded() if single else drive
-    out, beyond, certain = expected_rows(c, drive, single=single)
-    back = _run(file.path, file.raw, c, name, single, drive)
-    allowed = _allowed(c, drive, out, single)
-    difference = np.abs(back[:, 1:] - out)[certain].max(axis=0, initial=0.0)
-    codes = int((back[:, 0] != beyond)[certain].sum())
-    return Replay(
-        target="c, single precision" if single else "c",
-        outputs=tuple(output_line(c, k).partition(" = ")[2] for k in range(len(c.regressions))),
-        rows=len(drive.time),
-        outside=int(beyond.sum()),
-        data=source,
-        difference=difference,
-        allowed=allowed,
-        foreign=foreign,
-        findings=_find_difference(file.path, difference, allowed, codes),
-    )
-
-
-def _corrected(text: str, regressions: Sequence[Regression]) -> tuple[str, ...] | None:
-    """Return the columns that a file says it corrects."""
-    found = []
-    for k, r in enumerate(regressions):
-        end = re.escape(comment(f", corrected by {r.response}"))
-        line = re.search(rf"^ \* out\[{k}\] = (.*){end}$", text, re.MULTILINE)
-        if line is None:
-            return None
-        found.append(line[1])
-    return tuple(found)
-
-
-def _find_difference(path: str, difference: Array, allowed: Array, codes: int) -> Findings:
-    if not codes and (difference <= allowed).all():
-        return ()
-    k = int(np.argmax(difference / allowed))
-    what = (
-        f"{codes} rows return another code"
-        if codes
-        else f"output {k} differs by {difference[k]:.2g} where rounding allows {allowed[k]:.2g}"
-    )
-    text = f"{Path(path).name}: {what}; it was exported from another regression, or changed since"
-    return (Finding("export-differs", "error", text, "Export again."),)
-
-
-def _run(path: str, text: bytes, c: Correction, name: str, single: bool, drive: Drive) -> Array:
-    state, start, correct = declarations(c, name, single=single)
-    rows = np.column_stack([drive.begins.astype(float), drive.time, drive.values])
-    main = fill(
-        "run_correction.c",
-        name=name,
-        state=state,
-        start=start,
-        correct=correct,
-        kind="float" if single else "double",
-        columns=rows.shape[1],
-        inputs=len(c.inputs),
-        outputs=len(c.regressions),
-    )
-    return compile_and_run(path, text, main, rows, len(c.regressions) + 1)

@@ -42,8 +42,6 @@ References
    ``CalibrationInfo.from_json_file``, format 2.0.0.
 """
 
-import json
-import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -61,10 +59,6 @@ from multipos.numerics.rotations import rotation_vector
 from multipos.sensor.calibration import Calibration
 from multipos.units import MICRO_G, STANDARD_GRAVITY
 
-_ROW = r"\[[^\]\n]*\]"
-_M = re.compile(rf"^ +M:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
-_C = re.compile(rf"^ +C_i_case:\s*\n((?:\s*- {_ROW}\s*\n){{3}})", re.MULTILINE)
-_BIAS = re.compile(rf"^ +bias: ({_ROW})", re.MULTILINE)
 _NO_NOISE = Finding(
     "no-noise-density",
     "warning",
@@ -175,27 +169,11 @@ def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
     return list(white.values())
 
 
-def _read_kalibr(path: str, text: str) -> Correction:
-    matrix, turn, bias = _M.search(text), _C.search(text), _BIAS.search(text)
-    response = _cells(path, "M", matrix[1] if matrix else "", 9).reshape(3, 3)
-    if turn is not None:
-        response = response @ _cells(path, "C_i_case", turn[1], 9).reshape(3, 3)
-    offset = _cells(path, "bias", bias[1] if bias else "", 3)
-    return Correction(parameters.solve(path, "M", response, np.eye(3)), offset)
-
-
-def _cells(path: str, key: str, text: str, count: int) -> Array:
-    cells = [cell for row in re.findall(_ROW, text) for cell in re.findall(r"[^\s,\[\]]+", row)]
-    return parameters.read_numbers(path, key, cells, count)
-
-
 KALIBR = parameters.parameter_target(
     "kalibr",
     LINEAR,
     raw="m/s^2",
     write=_write_kalibr,
-    recognises=lambda text: re.search(r"^ +accelerometers:", text, re.MULTILINE) is not None,
-    read=_read_kalibr,
     suffix=".yaml",
     takes=("stability",),
 )
@@ -261,35 +239,17 @@ def _write_imu_calib(calibration: Calibration, law: Correction, _: Wish) -> para
     return "\n".join(lines) + "\n", []
 
 
-def _recognises_imu_calib(text: str) -> bool:
-    return all(re.search(rf"^{key}:", text, re.MULTILINE) for key in ("SM", "bias"))
-
-
-def _read_imu_calib(path: str, text: str) -> Correction:
-    """Return T and o from the YAML of imu_calib, as its law uses them."""
-    found = {}
-    for key, count in (("SM", 9), ("bias", 3)):
-        block = re.search(rf"^{key}:\s*\[([^\]]*)\]", text, re.MULTILINE)
-        cells = re.findall(r"[^\s,]+", block[1]) if block else []
-        found[key] = parameters.read_numbers(path, key, cells, count)
-    matrix = found["SM"].reshape(3, 3)
-    return Correction(matrix, parameters.solve(path, "SM", matrix, found["bias"]))
-
-
 ROS = parameters.parameter_target(
     "ros-imu-calib",
     LINEAR,
     raw="readings",
     write=_write_imu_calib,
-    recognises=_recognises_imu_calib,
-    read=_read_imu_calib,
     suffix=".yaml",
 )
 
 
 _FORMAT = "2.0.0"
 _RAW = "a.u."  # how imucal calls a unit of its own
-_ACCELERATION = {"K_a": (3, 3), "R_a": (3, 3), "b_a": (3,)}
 
 
 def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> parameters.Written:
@@ -322,44 +282,11 @@ def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> paramet
     return to_json(content), [Finding("gyroscope-unchanged", "note", text)]
 
 
-def _recognises_imucal(text: str) -> bool:
-    return text.lstrip().startswith("{") and all(f'"{key}"' in text for key in _ACCELERATION)
-
-
-def _read_imucal(path: str, text: str) -> Correction:
-    try:
-        held = json.loads(text)
-    except ValueError:
-        raise MultiposError(f"{path}: not valid JSON; export again.") from None
-    version = held.get("_format_version")
-    if version != _FORMAT:
-        raise MultiposError(
-            f"{path}: the format of imucal is {version!r}, but '{_FORMAT}' is read here; export "
-            "again."
-        )
-    scale, rotation, bias = (_numbers_imucal(path, held, key) for key in _ACCELERATION)
-    one, other = (parameters.solve(path, "K_a or R_a", A, np.eye(3)) for A in (rotation, scale))
-    return Correction(one @ other, bias)
-
-
-def _numbers_imucal(path: str, held: dict[str, object], key: str) -> Array:
-    try:
-        values = np.array(held[key], dtype=np.float64)
-    except (KeyError, TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape != _ACCELERATION[key] or not np.isfinite(values).all():
-        size = " by ".join(map(str, _ACCELERATION[key]))
-        raise MultiposError(f"{path}: {key} needs {size} numbers; export again.")
-    return values
-
-
 IMUCAL = parameters.parameter_target(
     "imucal",
     LINEAR,
     raw="readings",
     write=_write_imucal,
-    recognises=_recognises_imucal,
-    read=_read_imucal,
     suffix=".json",
 )
 
@@ -382,21 +309,11 @@ def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> p
     return "\n".join(lines) + "\n", []
 
 
-def _read_magnetometer(path: str, text: str) -> Correction:
-    return Correction(np.eye(3), parameters.read_named(path, text.replace(":", " "), _MAG_BIAS))
-
-
-def _recognises_magnetometer(text: str) -> bool:
-    return all(re.search(rf"^\s*{name}:", text, re.MULTILINE) for name in _MAG_BIAS)
-
-
 ROS_MAGNETOMETER = parameters.parameter_target(
     "ros",
     LINEAR,
     raw="m/s^2",
     write=_write_magnetometer,
-    recognises=_recognises_magnetometer,
-    read=_read_magnetometer,
     suffix=".yaml",
     tesla=1.0,
     offset_alone=True,

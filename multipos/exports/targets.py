@@ -1,6 +1,6 @@
-"""Write a calibration in the form that a target takes.
+"""Write a calibration in the form that a target takes: `export`, by the list `TARGETS`.
 
-Read an exported file back as its consumer would, and show what is left of the readings.
+`named_target` returns a target of the list, and `beside` where its file goes.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import Parts, split_parts
-from multipos.exports.target import Exported, GivenFile, Target, Verification, Wish
+from multipos.exports.target import Exported, Target, Wish
 from multipos.exports.target_autopilots import (
     ARDUPILOT,
     ARDUPILOT_MAGNETOMETER,
@@ -21,17 +21,15 @@ from multipos.exports.target_autopilots import (
     PX4_MAGNETOMETER,
 )
 from multipos.exports.target_c import C
-from multipos.exports.target_correction import Replay, correction_of, replay, write_correction
+from multipos.exports.target_correction import correction_of, write_correction
 from multipos.exports.target_matrices import IMUCAL, KALIBR, ROS, ROS_MAGNETOMETER, write_noise
 from multipos.files.spelling import Names, StrPath
-from multipos.files.tables import Source
-from multipos.files.whole import read_bytes
 from multipos.finding import refuse_unfit
 from multipos.sensor.gravity import GRAVITY, Field
 from multipos.sensor.inverse import require_response
 from multipos.sensor.nominal import read_nominal
 
-# In the order of the documentation; the first that recognises a file reads it back.
+# In the order of the documentation.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, ROS_MAGNETOMETER, IMUCAL, KALIBR, INAV)
 # Of the names that accelerometers have too.
 _MAGNETOMETERS: tuple[Target, ...] = (PX4_MAGNETOMETER, ARDUPILOT_MAGNETOMETER)
@@ -200,70 +198,3 @@ def beside(calibration: StrPath, target: Target) -> Path:
     path = Path(calibration)
     ending = target.suffix if target.is_code else f"_{target.name}{target.suffix}"
     return path.with_name(f"{path.stem}{ending}")
-
-
-def recognised_target(text: str) -> Target | None:
-    """Return the first target that takes a text for a file of its own, None where none does."""
-    every = (*TARGETS, *_MAGNETOMETERS)
-    return next((target for target in every if target.recognises(text)), None)
-
-
-_LONGEST = 10 << 20  # [byte], far above any file that export writes
-
-
-def verify_export(
-    path: StrPath, calibration: Parts, *, data: Source | None = None, run_foreign_code: bool = False
-) -> Verification | Replay:
-    """Apply an exported file to the readings of a calibration, by the consumer's own law.
-
-    The C of regressions is run on rows instead and held to what Python makes of them.
-
-    Parameters
-    ----------
-    path : path
-    calibration : Calibration or Regression, or a sequence of them
-        What the file was exported from.
-    data : path, optional
-        What the regressions were fitted to; without, rows are made up over all that was fitted.
-    run_foreign_code : bool
-        Compile and run C that is not what `export` writes of this calibration.
-
-    Raises
-    ------
-    MultiposError
-        The file is of no known kind, does not come from this calibration, or is C and there is
-        no compiler; or `data` are not those of the fit.
-    UsageError
-        `data` without a regression.
-
-    Examples
-    --------
-    >>> import multipos as mp
-    >>> run = mp.simulate(mp.demo().calibration, "faces-6", reading_sd=1e-4, seed=1)
-    >>> cal = mp.fit(run, convention="gravity", unit="g")
-    >>> mp.export(cal, to="px4", allow_lossy=True).save("px4.params")
-    ('px4.params',)
-    >>> found = mp.verify_export("px4.params", cal)
-    >>> found.target
-    'px4'
-    """
-    first, regressions = split_parts(calibration)
-    if data is not None and not regressions:
-        raise UsageError("--data are rows of a regression; a calibration holds its own readings.")
-    raw = read_bytes(path, "export")
-    where = str(path)
-    if len(raw) > _LONGEST:
-        raise MultiposError(
-            f"{where}: {len(raw)} bytes are more than any file of multipos export has."
-        )
-    text = raw.decode("utf-8", errors="replace")
-    given = GivenFile(where, raw, text, run_foreign_code)
-    if regressions:
-        return replay(given, first, regressions, data)
-    target = recognised_target(text)
-    if target is None:
-        raise MultiposError(
-            f"{path}: neither C nor parameters that export writes; give a file of multipos export."
-        )
-    assert first is not None  # or there would be regressions
-    return target.read_back(given, first.of_sensor)

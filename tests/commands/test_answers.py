@@ -68,7 +68,7 @@ ANSWERS = {
     "check a.json b.csv --tilt --limit-deg 1": r"Pass: largest error .*° .* a limit of 1°\.",
     "compare a.json b.json": r"\d+ of 12 parameters agree with .*largest E_n .*",
     "export a.json --to c -o k.c": r"Written to k\.c, k_test\.c\.",
-    "verify-export a.c a.json": r"The file for c holds: largest difference from .*",
+    "export a.json --to ros-imu-calib -o k.yaml": r"Written .* It differs from .*",
     "stability still.csv": r"ax, ay, az over 1 record: white noise up to .*",
     "regress rows.csv --response y --variables t": r"y by t: R² 0\.99\d+, residual sd .*",
     "tumble roll.csv": r"ax: K1 = 1\.2\S+ reading/g, K0 = .*",

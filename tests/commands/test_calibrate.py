@@ -7,6 +7,7 @@ from inspect import signature
 
 import numpy as np
 import pytest
+from consumers import read_back
 from findings_bench import texts
 from log_bench import columns_of, sensor, shared, write_csv
 
@@ -84,7 +85,7 @@ def test_the_command_writes_the_calibration_and_the_exports_beside_it(path, tmp_
     assert "likely-unit" in {found.code for found in cal.findings}
     np.testing.assert_array_equal(cal.parameters, mp.calibrate(path).parameters)
     assert (tmp_path / "cal.c").read_text() == mp.export(cal, "c").text
-    verified = mp.verify_export(tmp_path / "cal_px4.params", cal)
+    verified = read_back(tmp_path / "cal_px4.params", cal)
     assert verified.target == "px4"
 
 

@@ -98,7 +98,6 @@ COMMANDS = {
         ["cal.json", "lab.toml", "check.json"],
     ),
     "export": (["cal.json", "--to", "c"], ["cal.json"]),
-    "verify-export": (["imu.c", "cal.json"], ["imu.c", "cal.json"]),
     "schemes": (["six.csv"], ["six.csv"]),
     "design": (
         [
@@ -172,7 +171,6 @@ WRITTEN = {
     "simulate": {".csv", ".json", ".txt"},
     "report": {".html", ".pdf", ".md", ".txt", ".xml"},
     "export": {".json"},
-    "verify-export": {".json", ".txt"},
     "schemes": {".json", ".txt", ".csv", ".svg", ".png", ".pdf"},
     "design": {".csv", ".json", ".txt", ".svg", ".png", ".pdf"},
     "demo": set(),

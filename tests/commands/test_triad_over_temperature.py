@@ -55,7 +55,6 @@ def test_from_a_scheme_to_verified_c_in_ten_commands(tmp_path, monkeypatch, caps
     assert said.splitlines()[0].startswith("Pass")
     multipos("report", "cal.json", "--check", "check.json", "-o", "report.md")
     multipos("export", "cal.json", "--to", "c", "-o", "sensor.c")
-    multipos("verify-export", "sensor.c", "cal.json")
     multipos("apply", "cal.json", between, "-o", "force.csv")
     assert commands <= 10
     # the force of the log at its positions is that of the scheme, at a temperature between soaks

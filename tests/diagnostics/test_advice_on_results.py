@@ -586,15 +586,6 @@ def kalibr_without_stability(rng):
     yield mp.export(cal, "kalibr", stability=found)
 
 
-@follows("export-differs")
-def a_file_of_another_calibration(rng):
-    one, other = plain(sense(rng)), plain(sense(rng) * 1.05)
-    mp.export(other, "px4", allow_lossy=True, device_id=1).save("imu.params")
-    yield mp.verify_export("imu.params", one)
-    mp.export(one, "px4", allow_lossy=True, device_id=1).save("imu.params")
-    yield mp.verify_export("imu.params", one)
-
-
 @follows("likely-unit", "If they are in m/s²")
 def known_forces_of_9_8(rng):
     forces, values = 9.80665 * UP.T, named(sense(rng))

@@ -1,6 +1,5 @@
 """C of regressions against Python: rates, segments, branches and limits, row by row."""
 
-import json
 import re
 import shutil
 import subprocess
@@ -9,14 +8,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from consumers import fill, fitted_rows, replay
 from test_exporters import SANITIZERS, WARNINGS, made
 
 import multipos as mp
-from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.exports import target_correction
 from multipos.exports.c_correction import _segment_rounding, _Writer, declarations, rounding
-from multipos.exports.c_running import fill
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
     Drive,
@@ -26,7 +24,6 @@ from multipos.exports.target_correction import (
     _range,
     _swing,
     expected_rows,
-    fitted_rows,
     generated_rows,
 )
 from multipos.numerics.terms import parse_terms
@@ -151,10 +148,7 @@ def test_single_precision_keeps_its_figure(tmp_path, name):
     """The file verifies itself by the figure in its header; here the figure is not idle either."""
     # eq. (2) of exports.c_correction
     regression = fitted(name)
-    path = tmp_path / "export.c"
-    mp.export(regression, "c", float=True).save(path)
-    found = mp.verify_export(path, regression)
-    assert found.target == "c, single precision"
+    found = replay(Correction(None, (regression,)), single=True)
     assert 0.0 < found.difference.max() <= found.allowed.max() < 1e-5
 
 
@@ -190,8 +184,6 @@ def test_three_axes_behind_a_calibration(tmp_path, compiler, single, rate):
     subprocess.run([*command, "-lm"], cwd=tmp_path, check=True)
     said = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=False)
     assert said.stdout == "multipos_correct: all values met\n"
-    found = mp.verify_export(tmp_path / "export.c", parts)
-    assert found.outputs == tuple(f"f_{a}, corrected by e{a}" for a in "xyz")
     # the same by hand: apply, then correct
     c = Correction(calibration, tuple(fits), correct)
     assert c.inputs == ("a1", "a2", "a3", "temperature")
@@ -207,33 +199,14 @@ def test_three_axes_behind_a_calibration(tmp_path, compiler, single, rate):
         np.testing.assert_allclose(out, by_hand, rtol=0, atol=1e-15)
 
 
-def test_rows_of_the_fit_are_replayed(tmp_path, capsys):
-    """Through the command line: the data by their checksum, made-up rows without them."""
-    data, other = tmp_path / "data.csv", tmp_path / "other.csv"
-    mp.write_table(data, chamber())
-    mp.write_table(other, chamber(2))
-    reg, c = tmp_path / "reg.json", tmp_path / "reg.c"
-    options = ["--response", "error", "--variables", VARIABLES, "--causal", "--rate-window", "5"]
-    assert main(["regress", str(data), *options, "-o", str(reg)]) == 0
-    assert main(["export", str(reg), "--to", "c", "--correct", "V", "-o", str(c)]) == 0
-    capsys.readouterr()
-    assert main(["verify-export", str(c), str(reg), "--data", str(data), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["rows"], found["outside"], found["foreign"]) == (600, 0, False)
-    assert found["difference"] <= found["outputs"][0]["allowed"] < 2e-12
-    assert main(["verify-export", str(c), str(reg)]) == 0
-    assert "made up over all that was fitted" in capsys.readouterr().out
-    assert main(["verify-export", str(c), str(reg), "--data", str(other)]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "not the data that the regression of 'error' was fitted to" in err
-    assert "give it where it is one file, or leave out --data" in err  # --data takes one
-    text = c.read_text().replace("dt * s0", "dt * 2.0 * s0", 1)
-    c.write_text(text)
-    assert main(["verify-export", str(c), str(reg)]) == 1
-    assert "where export writes" in capsys.readouterr().err
-    assert main(["verify-export", str(c), str(reg), "--run-foreign-code"]) == 3
-    assert "exported from another regression, or changed since" in capsys.readouterr().err
+def test_rows_of_the_fit_are_replayed():
+    regression = mp.regress(
+        chamber(), response="error", variables=VARIABLES, causal=True, rate_window=5
+    )
+    for corrected in ((), ("V",)):
+        found = replay(Correction(None, (regression,), corrected), data=chamber())
+        assert found.rows == 600
+        assert found.difference <= found.allowed < 2e-12
 
 
 def test_time_that_does_not_rise_leaves_the_state(tmp_path):
@@ -335,8 +308,6 @@ def test_options_that_contradict():
         mp.export([regression, calibration], "c")
     with pytest.raises(UsageError, match="no C identifier"):
         mp.export(regression, "c", name="a b")
-    with pytest.raises(UsageError, match="--data are rows of a regression"):
-        mp.verify_export(__file__, calibration, data="x.csv")
 
 
 def test_rows_of_the_fit_may_have_gaps():
@@ -493,16 +464,6 @@ def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):
     codes = re.search(r"codes\[COUNT\] = \{(.*)\};", target_correction._self_test(c, "c", False))
     left_out = [i for i, code in enumerate(codes[1].split(", ")) if code == "-1"]
     assert left_out == [*range(3, 60, 7)]
-
-
-@pytest.mark.parametrize("columns", [{"time": ("t", "s")}, {"run": ("a", "b")}])
-def test_rows_that_are_steps_of_one_regression_alone_are_refused(columns):
-    regressions = [
-        SimpleNamespace(**{"time": None, "run": None, **dict.fromkeys(columns, name)})
-        for name in next(iter(columns.values()))
-    ]
-    with pytest.raises(mp.MultiposError, match="one row is not one step of both"):
-        fitted_rows(SimpleNamespace(inputs=(), regressions=regressions), {})
 
 
 @pytest.mark.parametrize(("single", "unit"), [(False, 2.0**-53), (True, 2.0**-24)])

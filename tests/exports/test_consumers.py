@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from cli_bench import run
+from consumers import read_back
 from findings_bench import texts
 
 import multipos as mp
@@ -60,7 +61,7 @@ def test_px4_finds_its_sensor(instance, device, tmp_path):
     assert f"CAL_ACC{number}_XOFF" in found
     assert not any("--device-id" in note for note in texts(exported))
     exported.save(tmp_path / "file.params")
-    assert mp.verify_export(tmp_path / "file.params", cal).target == "px4"
+    assert read_back(tmp_path / "file.params", cal).target == "px4"
 
 
 @pytest.mark.parametrize("target", ["px4", "ardupilot"])
@@ -79,7 +80,7 @@ def test_ardupilot_counts_from_one_and_the_first_has_no_number(tmp_path):
     assert list(second)[:2] == ["INS_ACC2_ID", "INS_ACC2OFFS_X"]
     assert list(first.values()) == list(second.values())
     mp.export(cal, "ardupilot", allow_lossy=True, instance=2).save(tmp_path / "a.parm")
-    assert mp.verify_export(tmp_path / "a.parm", cal).target == "ardupilot"
+    assert read_back(tmp_path / "a.parm", cal).target == "ardupilot"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +113,7 @@ def test_px4_with_temperature_by_its_law(tmp_path):
     np.testing.assert_allclose(force / G, readings.up, atol=1e-12)
     assert (low, high) == (-5.0, 55.0)
     exported.save(tmp_path / "file.params")
-    assert mp.verify_export(tmp_path / "file.params", cal).max < 1e-9
+    assert read_back(tmp_path / "file.params", cal).max < 1e-9
 
 
 def test_ardupilot_with_temperature_by_its_law(tmp_path):
@@ -133,7 +134,7 @@ def test_ardupilot_with_temperature_by_its_law(tmp_path):
     v = readings.values - polynomial(t) + polynomial(np.full_like(t, at))  # correct_sensor
     np.testing.assert_allclose((v - off) * scale / G, readings.up, atol=1e-12)
     exported.save(tmp_path / "file.parm")
-    assert mp.verify_export(tmp_path / "file.parm", cal).max < 1e-9
+    assert read_back(tmp_path / "file.parm", cal).max < 1e-9
 
 
 def test_terms_beyond_the_offset_are_let_go_by_name():
@@ -142,19 +143,6 @@ def test_terms_beyond_the_offset_are_let_go_by_name():
         mp.export(cal, "px4")
     text = mp.export(cal, "px4", allow_lossy=True).text
     assert "TC_A0_X1_0" in text
-
-
-def test_a_file_of_another_temperature_is_foreign(tmp_path):
-    cal, _ = warmed(np.diag(np.diag(K)))
-    text = mp.export(cal, "px4", device_id=1).text
-    first = re.search(r"TC_A0_X1_0\t(\S+)", text)[1]
-    for changed in (
-        text.replace(first, str(float(first) + 1e-3)),
-        "\n".join(line for line in text.splitlines() if "TC_A0_X" not in line),
-    ):
-        (tmp_path / "file").write_text(changed)
-        (found,) = mp.verify_export(tmp_path / "file", cal).findings
-        assert (found.code, found.level) == ("export-differs", "error")
 
 
 def test_a_drift_is_the_same_about_any_temperature():
@@ -187,7 +175,7 @@ def test_imucal_by_its_law(unit, scale, tmp_path):
     left = np.linalg.inv(np.array(held["R_g"])) @ np.linalg.inv(np.array(held["K_g"]))
     np.testing.assert_array_equal(left @ (gyro - d_ga - np.array(held["b_g"])), gyro)
     exported.save(tmp_path / "cal_imucal.json")
-    assert mp.verify_export(tmp_path / "cal_imucal.json", cal).rms == pytest.approx(cal.rms)
+    assert read_back(tmp_path / "cal_imucal.json", cal).rms == pytest.approx(cal.rms)
 
 
 def test_imucal_files_are_their_own_json(tmp_path, capsys):
@@ -197,15 +185,6 @@ def test_imucal_files_are_their_own_json(tmp_path, capsys):
     status, _, _ = run(capsys, "export", tmp_path / "cal.json", "--to", "imucal", "-o", out)
     assert status == 0
     assert json.loads(out.read_text())["cal_type"] == "Ferraris"
-    for text, says in (
-        (out.read_text().replace("2.0.0", "1.0.0"), "the format of imucal is '1.0.0'"),
-        (out.read_text().replace('"K_a": [', '"K_a": [1, ', 1), "K_a needs 3 by 3 numbers"),
-        ('{"K_a" "R_a" "b_a"', "not valid JSON"),
-    ):
-        out.write_text(text)
-        status, printed, err = run(capsys, "verify-export", out, tmp_path / "cal.json")
-        assert (status, printed) == (1, "")
-        assert says in err
 
 
 def resting(unit="m/s^2", sd=0.02, walk=2e-3, rate=100.0):
@@ -235,7 +214,7 @@ def test_kalibr_by_its_law_with_noise_densities(tmp_path):
     assert float(held["update_rate"]) == pytest.approx(100.0)
     assert "C_i_case turns case axes into them" in texts(exported)[0]
     exported.save(tmp_path / "imu.yaml")
-    assert mp.verify_export(tmp_path / "imu.yaml", cal).rms == pytest.approx(cal.rms)
+    assert read_back(tmp_path / "imu.yaml", cal).rms == pytest.approx(cal.rms)
     bare = mp.export(cal, "kalibr")
     assert "noise_density" not in bare.text
     assert "--stability" in texts(bare)[0]
@@ -263,11 +242,11 @@ def test_kalibr_has_a_lower_triangle_and_a_rotation_beside_it(mounted, tmp_path)
     np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(C) == pytest.approx(1.0)
     exported.save(tmp_path / "imu.yaml")
-    found = mp.verify_export(tmp_path / "imu.yaml", cal)
+    found = read_back(tmp_path / "imu.yaml", cal)
     assert found.difference < 1e-12
     without = re.sub(r"    C_i_case:\n(    - .*\n){3}", "", exported.text)
     (tmp_path / "imu.yaml").write_text(without)  # the rotation is read
-    assert mp.verify_export(tmp_path / "imu.yaml", cal).difference > 1e-3
+    assert read_back(tmp_path / "imu.yaml", cal).difference > 1e-3
 
 
 def test_kalibr_of_unknown_orientation_needs_no_rotation():
@@ -298,11 +277,13 @@ def test_inav_in_whole_numbers_by_its_law(tmp_path):
     assert exported.text.splitlines()[-2] == "save"
     assert f"set acc_calibration = {','.join(map(str, zero))},1" in exported.text
     exported.save(tmp_path / "cli.txt")
-    assert mp.verify_export(tmp_path / "cli.txt", cal).target == "inav"
-    other = exported.text.replace(f"acczero_x = {zero[0]}", f"acczero_x = {zero[0] + 3}")
-    (tmp_path / "cli.txt").write_text(other)
-    (found,) = mp.verify_export(tmp_path / "cli.txt", cal).findings
-    assert found.code == "export-differs"
+    found = read_back(tmp_path / "cli.txt", cal)
+    assert found.target == "inav"
+    # what is printed is of the whole numbers in the file
+    of_file = (cal.readings.values - zero) * gain / 4096 / 2048
+    left = np.abs(of_file - cal.compensate(cal.readings.values)).max()
+    assert exported.difference == pytest.approx(left, rel=1e-9)
+    assert left > 1e-5
 
 
 @pytest.mark.parametrize(
@@ -326,9 +307,8 @@ def test_c_in_metres(single, tmp_path):
     assert "[m/s^2], convention" in exported.text
     assert "one g, the local gravity, is taken as 9.80665 m/s^2" in exported.text
     exported.save(tmp_path / "cal.c")
-    found = mp.verify_export(tmp_path / "cal.c", cal)
+    found = read_back(tmp_path / "cal.c", cal)
     assert found.difference < (5e-7 if single else 1e-9)
-    assert not found.foreign
     assert mp.export(cal, "c").text == mp.export(cal, "c", output_unit="g").text
 
 
@@ -349,7 +329,7 @@ def test_calibrate_passes_options_to_the_targets_that_have_them(tmp_path, capsys
     assert "[m/s^2], convention" in (tmp_path / "cal.c").read_text()
     cal = mp.load(out)
     for name in ("cal_px4.params", "cal_kalibr.yaml", "cal_imucal.json"):
-        mp.verify_export(tmp_path / name, cal)
+        read_back(tmp_path / name, cal)
     status, printed, err = run(capsys, "calibrate", log, "--to", "c", "--instance", 1, "-o", out)
     assert (status, printed) == (2, "")
     assert "--instance is for --to px4, ardupilot" in err

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from amounts import rest_slow
+from consumers import SIGNATURE, read_back
 from findings_bench import texts
 from log_bench import sensor, shared
 from numpy.testing import assert_allclose
@@ -30,9 +31,9 @@ from multipos.exports.laws import (
     reduce_to,
     rms_left,
 )
-from multipos.exports.target_autopilots import _counts_of_g, _rounding_of_inav
-from multipos.exports.target_c import SIGNATURE, _vectors, signature
-from multipos.exports.targets import export, verify_export
+from multipos.exports.target_autopilots import _counts_of_g, _rounded_for_inav
+from multipos.exports.target_c import _vectors, signature
+from multipos.exports.targets import export
 from multipos.numerics.rotations import rotation_matrix
 from multipos.numerics.terms import parse_terms
 from multipos.sensor.found import Estimator
@@ -372,7 +373,7 @@ def test_arducopter_limits_are_named():
     assert "INS_ACCOFFS_X, INS_ACCOFFS_Y, INS_ACCOFFS_Z exceed what ArduPilot accepts" in note
 
 
-# --- verify-export
+# --- read back
 
 
 @pytest.mark.parametrize("target", ["c", "ros-imu-calib", "px4", "ardupilot"])
@@ -382,7 +383,7 @@ def test_verify_shows_the_consumers_residuals(target, tmp_path):
     readings, up = session()
     cal = mp.fit(readings)
     export(cal, target, allow_lossy=True).save(tmp_path / "file")
-    found = verify_export(tmp_path / "file", cal)
+    found = read_back(tmp_path / "file", cal)
     assert found.target == target
     if target in ("c", "ros-imu-calib"):
         np.testing.assert_allclose(found.residuals, cal.compensate(readings.values) - up, atol=1e-9)
@@ -391,42 +392,24 @@ def test_verify_shows_the_consumers_residuals(target, tmp_path):
         assert found.rms > 10.0 * cal.rms
 
 
-def test_verify_finds_a_foreign_file(tmp_path, capsys):
-    readings, _ = session()
+@pytest.mark.parametrize("target", ["ros-imu-calib", "px4", "ardupilot", "kalibr", "imucal"])
+def test_what_export_prints_is_what_the_consumer_is_off(target, tmp_path):
+    readings, up = session()
     cal = mp.fit(readings)
-    cal.save(tmp_path / "cal.json")
-    for name, content, message in (
-        ("text", "hello", "neither C nor parameters"),
-        ("part", "CAL_ACC0_XOFF\t1", "parameter CAL_ACC0_YOFF is missing"),
-        ("none", None, "no such file"),
-        ("code.c", "void a_compensate(const double raw[2], double accel[2])\n{}", "not made for"),
-    ):
-        if content is not None:
-            (tmp_path / name).write_text(content)
-        assert main(["verify-export", str(tmp_path / name), str(tmp_path / "cal.json")]) == 1
-        out, error = capsys.readouterr()
-        assert out == ""
-        assert message in error.splitlines()[-1]
+    exported = export(cal, target, allow_lossy=True)
+    exported.save(tmp_path / "file")
+    force = read_back(tmp_path / "file", cal).residuals + up
+    left = np.abs(force - cal.compensate(readings.values)).max()
+    assert exported.difference == pytest.approx(left, rel=1e-6, abs=1e-12)
+    full = target in ("ros-imu-calib", "kalibr", "imucal")
+    said = "less than 1e-12 g." if full else "at most "
+    assert exported.residual.startswith(f"It differs from the calibration by {said}")
 
 
-def test_a_file_that_differs_is_a_negative_verdict(tmp_path, capsys):
-    cal = mp.fit(session()[0])
-    cal.save(tmp_path / "cal.json")
-    text = export(cal, "ros-imu-calib").text
-    (tmp_path / "file").write_text(re.sub(r"SM: \[[^,]+", "SM: [1.5", text))
-    assert main(["verify-export", str(tmp_path / "file"), str(tmp_path / "cal.json")]) == 3
-    out, error = capsys.readouterr()
-    assert out
-    assert error.startswith("multipos: not fit for use: ")
-    assert "it was exported from another, or changed since. Export again." in error
-
-
-def test_verify_without_a_compiler(tmp_path, monkeypatch):
-    monkeypatch.setattr("shutil.which", lambda name: None)
+def test_c_in_floating_point_is_held_by_its_self_test(tmp_path):
     cal = made(*SENSORS["linear"])
-    export(cal, "c").save(tmp_path / "cal.c")
-    with pytest.raises(mp.MultiposError, match="no C compiler"):
-        verify_export(tmp_path / "cal.c", cal)
+    assert export(cal, "c").difference is None
+    assert export(cal, "c").residual == ""
 
 
 # --- bad input
@@ -501,11 +484,9 @@ def test_the_real_session_reaches_c(tmp_path, capsys):
         ],
         ["fit", readings, "--unit", "m/s^2", "-o", cal],
         ["export", cal, "--to", "c", "-o", code],
-        ["verify-export", code, cal, "--json"],
     ):
         assert main([*map(str, argv)]) == 0
-    found = json.loads(capsys.readouterr().out.partition('{\n "target"')[2].join(('{"target"', "")))
-    assert found["difference"] < 1e-12
+    assert read_back(code, mp.load(cal)).difference < 1e-12
 
 
 @pytest.mark.parametrize("of_export", [False, True])
@@ -549,7 +530,7 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
     values = [float(row[3]) for row in rows]
     np.testing.assert_allclose(values[:3], bias / 16384 * 9.80665, atol=2e-3)
     np.testing.assert_allclose(values[3:], 16384 / gain, atol=2e-4)
-    assert main(["verify-export", str(out), cal]) == 0
+    assert read_back(out, mp.load(cal)).difference < 1e-6
     # the same in the words of a data sheet; inav keeps counts
     words = ["--full-scale", "2", "--bits", "16", "-o", str(tmp_path / "o.txt")]
     assert main(["export", cal, "--to", "inav", *words]) == 0
@@ -560,7 +541,7 @@ def test_counts_reach_an_autopilot_by_its_drivers_conversion(of_export, tmp_path
         text = (tmp_path / "p.txt").read_text()
         zeros = [int(value) for value in re.findall(r"^set acczero_. = (\S+)", text, re.MULTILINE)]
         np.testing.assert_allclose(zeros, bias, atol=2)
-        assert main(["verify-export", str(tmp_path / "p.txt"), cal]) == 0
+        assert read_back(tmp_path / "p.txt", mp.load(cal)).difference < 1e-3
     assert main(["export", cal, "--to", "inav", *words, "--nominal", "0,1"]) == 2
 
 
@@ -763,7 +744,7 @@ def test_what_a_law_leaves_by_hand():
      (99.0, {}, None), (2000.0, {"nominal": (3.0, -2047.6)}, 2048)],
 )  # fmt: skip
 def test_the_counts_of_a_g_of_a_flight_controller(scale, how, counts):
-    """The nearest in ratio: 5793 lies between 4096 and 8192. Half a step of zero and of gain."""
+    """The nearest in ratio: 5793 lies between 4096 and 8192. Zero and gain are whole."""
     up = mp.read_scheme("faces-6").up
     found = mp.fit(mp.Readings(scale * up, up=up, unit="count"), **how)
     found = replace(found, reference=1.3 * found.reference)  # of a centrifuge
@@ -772,8 +753,11 @@ def test_the_counts_of_a_g_of_a_flight_controller(scale, how, counts):
             _counts_of_g(found)
         return
     assert _counts_of_g(found) == counts
-    by_hand = 0.51 / counts + 0.51 * 1.3 / 4096 * 1.5
-    assert _rounding_of_inav(found) == pytest.approx(by_hand)
+    law = Correction(np.diag([0.97, 1.0, 1.02]) * 9.80665 / counts, np.array([-3.4, 0.6, 8.0]))
+    held = _rounded_for_inav(found, law)
+    assert held.offset.tolist() == [-3.0, 1.0, 8.0]
+    steps = 4096 * counts * np.diag(held.matrix) / 9.80665
+    np.testing.assert_allclose(steps, [3973.0, 4096.0, 4178.0], rtol=1e-12)
 
 
 def test_the_tesla_of_a_unit_of_the_readings():

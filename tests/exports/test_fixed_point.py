@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from consumers import read_back
 
 import multipos as mp
-from multipos import cli
 from multipos.errors import MultiposError, UsageError
 from multipos.exports import c_fixed
 from multipos.exports.c_fixed import _shift, find_fixed_point, fixed_forces
@@ -87,7 +87,7 @@ def test_c_and_python_are_the_same_to_the_bit(model, unit, scale, tmp_path):
     path = tmp_path / "imu.c"
     mp.export(cal, to="c", fixed=True, name="imu").save(path)
     assert " double" not in path.read_text("utf-8").partition("*/")[2]
-    found = mp.verify_export(path, cal)
+    found = read_back(path, cal)
     assert found.target == "c, whole numbers"
     assert found.difference < 3e-6  # bits of the last place
     command = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
@@ -166,15 +166,6 @@ def test_second_degree_needs_as_many_outputs_as_axes(terms, outputs, fits):
         return
     with pytest.raises(MultiposError, match="--fixed writes linear and quadratic models"):
         c_fixed._require_quadratic(c, [0, 1, 2])
-
-
-def test_a_file_that_was_changed_is_found(tmp_path, capsys):
-    cal = calibration()
-    cal.save(tmp_path / "cal.json")
-    text = mp.export(cal, to="c", fixed=True).text
-    (tmp_path / "imu.c").write_text(text.replace(">> ", ">>  ", 1), encoding="utf-8")
-    assert cli.main(["verify-export", str(tmp_path / "imu.c"), str(tmp_path / "cal.json")]) != 0
-    assert "where export writes" in capsys.readouterr().err
 
 
 def test_single_precision_takes_no_step_that_it_cannot_hold():

@@ -99,11 +99,6 @@ TEXT = """
  4 export closed.json --to px4 --allow-lossy -o o.params
  4 export lin.json --to ardupilot --allow-lossy -o o.parm
  4 export averaged.json --to ros-imu-calib --allow-lossy -o o.yaml
- 1 verify-export imu.c lin.json
-.5 verify-export warm.c warm.json
- 5 verify-export lin.params lin.json
- 5 verify-export lin.parm lin.json --json
- 5 verify-export lin.yaml lin.json -o o.txt
  5 simulate lin.json --scheme faces-6 --reading-sd 0.001 --seed 1 -o o.csv
  5 simulate ieee.json --scheme scheme.csv --seed 1 --json
  5 simulate warm.json --scheme rolls.csv --temperature 10,30 --seed 2
@@ -163,8 +158,6 @@ TEXT = """
  4 export plain-reg.json --to c --float --name drift --correct y -o o.c
  3 export cut-reg.json both-reg.json --to c -o o.c --json
  2 export lin.json plain-reg.json --to c -o o.c
-.5 verify-export causal.c causal-reg.json
-.5 verify-export causal.c causal-reg.json --data data.csv
  6 regress data.csv --response y --variables T,T_rate --time time --causal --json
  4 regress data.csv --response y,H --variables T -o o.json
  3 regress data.csv --response y --variables T --run H
@@ -177,7 +170,6 @@ TEXT = """
  3 apply own.json r26.csv --uncertainty
  2 check own.json r26.csv --limit-g 0.01
  1 export own.json --to c --float -o o.c
-.3 verify-export own.c own.json
  2 export grav.json --to kalibr --allow-lossy --stability noise.json -o o.yaml
  2 export lin.json --to imucal --allow-lossy -o o.json
  1 export lin.json --to inav --allow-lossy -o o.txt
@@ -207,10 +199,6 @@ TEXT = """
  1 export mag.json --to c --fixed -o o.c
  1 export lin.json --to c --fixed -o o.c
  2 export waved.json --to px4 --device-id 396825 -o o.params
- 2 verify-export mag.params mag.json
- 2 verify-export mag.parm mag.json --json
- 2 verify-export mag.yaml mag.json
-.3 verify-export incl.c incl.json
  2 design --include mag.json --positions 30
  2 simulate mag.json --scheme all-26 --reading-sd 0.1 --seed 1 -o o.csv
 10 fit incl.csv --inputs x,y --unit V --range 0,5

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from consumers import read_back
 
 import multipos as mp
 from multipos.designs.criteria import _mean_product
@@ -85,7 +86,7 @@ def test_a_sensor_with_it_is_fitted_saved_and_exported(sgn, tmp_path):
     cal.save(tmp_path / "cal.json")
     assert mp.load(tmp_path / "cal.json").names == cal.names
     mp.export(cal, "c").save(tmp_path / "sgn.c")
-    found = mp.verify_export(tmp_path / "sgn.c", cal)
+    found = read_back(tmp_path / "sgn.c", cal)
     assert found.difference < 1e-12  # [g], the steps are taken to 1e-13
 
 

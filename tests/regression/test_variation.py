@@ -4,12 +4,12 @@ import shutil
 
 import numpy as np
 import pytest
+from consumers import corrected_rows
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.exports.c_running import compile_and_run, fill
 from multipos.exports.parts import Correction
-from multipos.exports.target_correction import declarations
+from multipos.exports.target_correction import Drive
 from multipos.numerics.terms import parse_terms
 from multipos.regression.variation import Contributions, term_variances, varying
 
@@ -174,10 +174,6 @@ def test_a_corner_of_the_box_is_outside_in_python_and_in_c(free, tmp_path):
     flagged = np.asarray(mp.correct(model, table)["outside"])
     assert 0.3 < flagged[:4000].mean() < 1.0
     assert not flagged[4000:].any()
-    state, start, correct = declarations(c, "multipos", single=False)
-    shape = {"columns": rows.shape[1] + 2, "inputs": rows.shape[1], "outputs": 1}
-    text = {"name": "multipos", "state": state, "start": start, "correct": correct}
-    main = fill("run_correction.c", kind="double", **text, **shape)
-    drive = np.column_stack([np.ones(len(rows)), np.arange(float(len(rows))), rows])
-    back = compile_and_run("it", mp.export(model, "c").text.encode(), main, drive, 2)
+    drive = Drive(np.arange(len(rows)), np.arange(float(len(rows))), rows)
+    back = corrected_rows(mp.export(model, "c").text, c, drive)
     assert (back[:, 0] == flagged).all()
