@@ -52,7 +52,6 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import coverage_factor
 from multipos.results import require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.expressions import ExpressionModel
 from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.uncertainty.propagation import evaluate_budget
@@ -65,7 +64,6 @@ class OwnProfile:
     """S of eq. (2) with one parameter held: called with its value, the rise over the least S."""
 
     def __init__(self, c: Calibration, index: int, sd: Array) -> None:
-        assert isinstance(c.model, ExpressionModel)
         self.c, self.model, self.index = c, c.model, index
         self.weight = 1.0 / np.broadcast_to(sd, c.residuals.shape) ** 2
         self.others = np.arange(len(c.parameters)) != index
@@ -254,7 +252,7 @@ def profile_interval(calibration: Calibration, output: str, term: str) -> Interv
             f"as many terms of {output} as readings: nothing is left to tell how far they may "
             "move; give --reading-sd or more positions."
         )
-    if isinstance(c.model, ExpressionModel) and (c.noise is None or c.noise.ndim == 1):
+    if not c.model.has_terms and (c.noise is None or c.noise.ndim == 1):
         rise, k = OwnProfile(c, index, _own_sd(c, index)), coverage_factor(c.confidence, dof)
         return _search_ends(rise, float(c.parameters[index]), k, float(c.u[index]))
     residuals, best = _known_problem(c, index)

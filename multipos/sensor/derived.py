@@ -1,5 +1,8 @@
 """What a calibration says of the sensor itself: sensitivities, offsets, angles between axes.
 
+`intrinsic` gives (1) to (3) of a triad with their uncertainties, `intrinsic_gradient` how they
+follow the parameters, `installation_deg` (4).
+
 With the linear part ``y = b + M f`` of a triad, row i of `M` is the sensitivity s_i = |M_i|
 times the unit vector n_i of the input axis of output i:
 

@@ -1,5 +1,12 @@
 """The measurement equation: the terms of each output, and the names and units of its parameters.
 
+`build_model` makes a `Model` of a name or a formula and of outputs; `default_axes` gives them the
+case axes that they sense, `stated_facing` which way they face, `check_axes` refuses what does not
+fit. `parameter_name` is what a parameter is called in files and commands, `parameter_label` in
+reports, `paper_symbol` in the six-position paper. What kind a model is nobody asks: a `Model`
+answers what estimation, findings and files need of it, and a user-defined one
+(`multipos.sensor.expressions`) answers the same.
+
 Each output i is a sum of coefficients times terms of the reference f (components x, y, z in g)
 and of other columns of the readings,
 
@@ -8,9 +15,6 @@ and of other columns of the readings,
 where the terms phi are those of `multipos.numerics.terms`. The six-position paper's model is, per
 output, ``1 + x + y + z + own^2``, its eq. (1), with `own` the component along the output's own
 axis.
-
-Names of the parameters: for the command line and files, and in plain words for reports. Models as
-users state them are checked: names, formulas and axes against each other.
 """
 
 import re

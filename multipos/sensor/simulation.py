@@ -1,5 +1,8 @@
 """What a calibrated sensor would read: averaged readings, or the raw log of a session.
 
+`simulate` returns readings as a `Simulation`, `simulate_log` a log as a `SimulatedLog`; `turned`
+turns vectors by rotation vectors.
+
 Position k has the up vector u_k of the scheme. The case stands where it was put, not where it
 should be, so that the sensor feels
 

@@ -1,5 +1,11 @@
 """Tilt: the angle of a case axis above the horizon, from the force on a sensor at rest.
 
+`tilt_at_rest` returns the `Tilt` of forces, which `at_rest` finds from readings. `triad_tilt` with
+`triad_tilt_u`, and `axis_tilt` with `axis_tilt_interval`, are its equations, `true_tilt` that of up
+vectors. `force_uncertainty` is what parameters and one reading add to force, `reading_noise` the
+noise of such a reading, `zeros_of_force` what zeros of soaks add; `magnitude_of` and
+`beyond_vertical` say how large a force at rest is and may seem.
+
 With s = +1 under the convention 'specific-force' and −1 under 'gravity', the axis i of a triad
 and of a sensor with fewer axes stand above the horizon by
 
