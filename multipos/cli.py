@@ -106,9 +106,8 @@ def _run(argv: list[str]) -> int:
             return 0
         parser.error("the command must come first")
     name, *rest = argv
-    parser = command_parser(name)
-    refuse_options(name, rest, parser._option_string_actions)
-    arguments = _parse(parser, rest)
+    refuse_options(name, rest)
+    arguments = _parse(command_parser(name), rest)
     if arguments is None:
         return 0
     take_full_scale(arguments)

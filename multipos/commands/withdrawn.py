@@ -4,7 +4,7 @@
 command had.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 from multipos.errors import UsageError
 
@@ -45,16 +45,16 @@ def instead_of_command(name: str) -> str | None:
     return f"'{name}' was withdrawn: {COMMANDS[name]}."
 
 
-def refuse_options(name: str, words: Sequence[str], known: Collection[str]) -> None:
+def refuse_options(name: str, words: Sequence[str]) -> None:
     """Refuse what is typed after a command where an option of it was withdrawn.
 
     Raises
     ------
     UsageError
-        One of the words is such an option and none that is known.
+        One of the words is such an option.
     """
     withdrawn = OPTIONS.get(name, {})
     for word in words:
         option = word.partition("=")[0]
-        if option in withdrawn and option not in known:
+        if option in withdrawn:
             raise UsageError(f"'{name} {option}' was withdrawn: {withdrawn[option]}.")
