@@ -306,7 +306,6 @@ POSITIVE = Number(0.0, above=True)
 DOF = Number(1e-6)  # degrees of freedom; of fewer a tail has no digits
 NOT_NEGATIVE = Number(0.0)
 SHARE = Number(SMALLEST, 1.0, below=True)  # a probability that is neither never nor always
-INPUT = Fields({"file": Maybe(ANY_TEXT), "sha256": Maybe(ANY_TEXT)})
 VARIANCES = Numbers(2, gaps=True, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
 FIGURE = Maybe(Number(-LARGEST_SQUARE, LARGEST_SQUARE), math.nan)  # null: there is none
 P_VALUE = Maybe(Number(0.0, 1.0))

@@ -33,16 +33,7 @@ from enum import StrEnum
 from functools import cache
 from operator import attrgetter
 from types import NoneType
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    NamedTuple,
-    TypeVar,
-    get_args,
-    get_origin,
-)
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
 
@@ -76,7 +67,7 @@ _KINDS: dict[Any, Kind] = {
     Array: Numbers(),
     Any: Kind(),
 }
-_ARRAYS = (Array, Mask)
+_ARRAYS = (Array, Array | None, Mask)
 
 
 @frozen(eq=True)
@@ -174,9 +165,7 @@ class _Part(NamedTuple):
         empty = isinstance(value, dict) and not value
         if (value is None or empty) and (self.stored.optional or self.stored.flat):
             return {}
-        if self.stored.by:
-            return {self.key: self._named(value, owner)}
-        written = self.kind.write(value)
+        written = self._cell(value, owner)
         return written if self.stored.flat else {self.key: written}
 
     def read(self, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,10 +175,7 @@ class _Part(NamedTuple):
             return {self.name: self._flat(_schema_within(self.kind), content)}
         if self.key not in content:
             return {}
-        value = content[self.key]
-        if self.stored.by:
-            return {self.name: np.array(self._values(value, content))}
-        return {self.name: self.kind.read(value)}
+        return {self.name: self._held(content[self.key], content)}
 
     def _flat(self, schema: "Schema", content: Mapping[str, Any]) -> Any:
         there = [key for key in schema.keys if key in content]
@@ -203,31 +189,30 @@ class _Part(NamedTuple):
     def cells(self, owner: Any) -> Sequence[Any] | None:
         """Return the cells of a column, for each row of its table; None without the column."""
         value = attrgetter(self.name)(owner)
-        if value is None:
-            return None
-        if self.stored.by:
-            return [self._named(row, owner) for row in value]
-        return list(map(self.kind.write, value))
+        return None if value is None else [self._cell(each, owner) for each in value]
 
     def column(self, rows: Sequence[Mapping[str, Any]], content: Mapping[str, Any]) -> Any:
         """Return the column of these rows, None where one of them lacks it."""
         if not all(self.key in row for row in rows):
             return None
-        cells = [row[self.key] for row in rows]
-        if self.stored.by:
-            return np.array([self._values(cell, content) for cell in cells])
-        held = list(map(self.kind.read, cells))
+        held = [self._held(row[self.key], content) for row in rows]
         return np.array(held) if self.said in _ARRAYS else tuple(held)
 
-    def _named(self, values: Iterable[Any], owner: Any) -> dict[str, Any]:
+    def _cell(self, value: Any, owner: Any) -> Any:
+        """Return what the file has of a value: of an array by names an object."""
+        if not self.stored.by:
+            return self.kind.write(value)
         names = getattr(owner, self.stored.by)
-        return dict(zip(names, map(self.kind.write, values), strict=True))
+        return dict(zip(names, map(self.kind.write, value), strict=True))
 
-    def _values(self, named: Mapping[str, Any], content: Mapping[str, Any]) -> list[Any]:
+    def _held(self, value: Any, content: Mapping[str, Any]) -> Any:
+        """Return the value of what the file has."""
+        if not self.stored.by:
+            return self.kind.read(value)
         names = content[self.stored.by]
-        if set(named) != set(names):
-            raise ValueError(f"'{self.key}' is of {', '.join(named)}, not of its {self.stored.by}")
-        return [self.kind.read(named[name]) for name in names]
+        if set(value) != set(names):
+            raise ValueError(f"'{self.key}' is of {', '.join(value)}, not of its {self.stored.by}")
+        return np.array([self.kind.read(value[name]) for name in names])
 
 
 class _Rows(NamedTuple):

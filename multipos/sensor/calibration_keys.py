@@ -5,6 +5,7 @@ known of the readings, the model and its field, and what follows from the rest a
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from multipos.files.records import (
     NOT_NEGATIVE,
     TEXTS,
     Fields,
+    Kind,
     Listed,
     Maybe,
     Named,
@@ -31,8 +33,13 @@ from multipos.sensor.gravity import KINDS
 from multipos.sensor.model import GAUGES, ROLL_GAUGES
 
 
-def _after(field: str, key: str = "", *, optional: bool = False) -> Stored:
-    return Stored(key, optional=optional, after=field)
+def _after(field: str, key: str = "") -> Stored:
+    return Stored(key, after=field)
+
+
+def _known(attribute: str, kind: Kind, key: str) -> Any:
+    """Return what is known of readings beside their values, where it is."""
+    return also(f"readings.{attribute}", kind, Stored(key, optional=True, after="reference"))
 
 
 _GRAVITY = Fields({"value": Number(1.0, 100.0), "u": NOT_NEGATIVE})
@@ -44,25 +51,17 @@ _FIELD = Fields(
         "unit": Maybe(Text(MAGNETIC_UNITS)),
     }
 )
+_QUANTITY = {"start": ANY_NUMBER, "sd": ANY_NUMBER, "unit": ANY_TEXT}
+_BOUNDS = {"low": ANY_NUMBER, "high": ANY_NUMBER}
 _OWN_MODEL = Fields(
     {
-        "parameters": Named(
-            Fields(
-                {},
-                {
-                    "start": ANY_NUMBER,
-                    "sd": ANY_NUMBER,
-                    "unit": ANY_TEXT,
-                    "low": ANY_NUMBER,
-                    "high": ANY_NUMBER,
-                },
-            )
-        ),
+        "parameters": Named(Fields({}, _QUANTITY | _BOUNDS)),
         "outputs": Named(ANY_TEXT),
         "columns": TEXTS,
         "fixed": Listed(Fields({"output": ANY_TEXT, "name": ANY_TEXT, "value": ANY_NUMBER})),
     }
 )
+_PER = Text(("h", "row"))
 _PARAMETERS = Listed(replace(schema_of(Parameter), made=dict), 1)
 _TABLE = Numbers(2)
 _GAPS = Numbers(2, gaps=True)
@@ -73,7 +72,7 @@ OF_PARTS = (
     also("readings.source", Maybe(ANY_TEXT), _after("created", "input.file")),
     also("readings.sha256", Maybe(ANY_TEXT), _after("created", "input.sha256")),
     also("field.of_gravity", Maybe(_GRAVITY), _after("convention", "gravity")),
-    also("field.of_field", _FIELD, _after("convention", "field", optional=True)),
+    also("field.of_field", _FIELD, Stored("field", optional=True, after="convention")),
     also("model.gauge", Maybe(Text((*GAUGES, *ROLL_GAUGES))), _after("criterion", "gauge")),
     also("model.text", ANY_TEXT, _after("criterion", "model")),
     also("model.outputs", Listed(ANY_TEXT, 1), _after("criterion", "outputs")),
@@ -84,32 +83,24 @@ OF_PARTS = (
     also("entries", _PARAMETERS, _after("status", "parameters")),
     also("readings.values", _TABLE, _after("dof", "readings")),
     also("_reference_environment", _after("reference", "reference_environment")),
-    also("readings.u", _TABLE, _after("reference", "reading_u", optional=True)),
-    also("readings.dof", _TABLE, _after("reference", "reading_dof", optional=True)),
-    also("readings.covariance", _SQUARES, _after("reference", "reading_covariance", optional=True)),
-    also("readings.sd", _TABLE, _after("reference", "reading_sd", optional=True)),
-    also("readings.samples", Numbers(), _after("reference", "samples", optional=True)),
-    also("readings.group", TEXTS, _after("reference", "group", optional=True)),
-    also("readings.open_roll", TEXTS, _after("reference", "open_roll", optional=True)),
-    also("readings.rotation", Numbers(3, True), _after("reference", "attitude", optional=True)),
-    also("readings.up", _GAPS, _after("reference", "up", optional=True)),
-    also("readings.force", _GAPS, _after("reference", "force", optional=True)),
-    also("readings.reference_u", _TABLE, _after("reference", "reference_u", optional=True)),
-    also(
-        "readings.orientation_sd",
-        _DEGREES,
-        _after("reference", "orientation_sd_deg", optional=True),
-    ),
-    also(
-        "readings.environment",
-        Named(Numbers(1, gaps=True)),
-        _after("reference", "environment", optional=True),
-    ),
+    _known("u", _TABLE, "reading_u"),
+    _known("dof", _TABLE, "reading_dof"),
+    _known("covariance", _SQUARES, "reading_covariance"),
+    _known("sd", _TABLE, "reading_sd"),
+    _known("samples", Numbers(), "samples"),
+    _known("group", TEXTS, "group"),
+    _known("open_roll", TEXTS, "open_roll"),
+    _known("rotation", Numbers(3, gaps=True), "attitude"),
+    _known("up", _GAPS, "up"),
+    _known("force", _GAPS, "force"),
+    _known("reference_u", _TABLE, "reference_u"),
+    _known("orientation_sd", _DEGREES, "orientation_sd_deg"),
+    _known("environment", Named(Numbers(1, gaps=True)), "environment"),
     also("rms", _after("reference")),
     also("linearity", _after("reference")),
     also("intrinsic", _after("cross_check")),
     also("installation_deg", _after("cross_check")),
-    also("model.own_formulas", _OWN_MODEL, _after("cross_check", "own_model", optional=True)),
-    also("model.drift_per", Text(("h", "row")), _after("cross_check", "drift_per", optional=True)),
+    also("model.own_formulas", _OWN_MODEL, Stored("own_model", optional=True, after="cross_check")),
+    also("model.drift_per", _PER, Stored("drift_per", optional=True, after="cross_check")),
     also("findings", _after("orientations")),
 )
