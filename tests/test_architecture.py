@@ -189,8 +189,6 @@ UNLISTED = [
     "files/tables.py",
     "files/trees.py",
     "files/whole.py",
-    "fitting/calibrate_logs.py",
-    "fitting/fit_readings.py",
     "logs/array_logs.py",
     "logs/clock.py",
     "logs/extras.py",
@@ -213,10 +211,6 @@ UNLISTED = [
     "positions/orientations.py",
     "positions/readings.py",
     "positions/scheme.py",
-    "uncertainty/budgets.py",
-    "uncertainty/propagation.py",
-    "uncertainty/sensitivities.py",
-    "uncertainty/turntable.py",
 ]
 
 

@@ -1,8 +1,12 @@
 """The front door of logs: from raw logs to a complete calibration, in one go.
 
-The rests are found and averaged (`multipos.logs.averaging`), and their means fitted
-(`multipos.fitting`), each output along the axis that it names. Where no scheme says how the sensor
-stood, nothing is known of the orientations but that gravity has the same size in all of them.
+`calibrate` does all; `rests_or_rows` finds and averages the rests (`multipos.logs.averaging`), or
+takes the rows of a magnetometer that was waved, and `fit_rests` fits them (`multipos.fitting`),
+each output along the axis that it names. `readings_of` returns them in the unit that is given or
+that they show, of a field by `in_likely_field`.
+
+Where no scheme says how the sensor stood, nothing is known of the orientations but that gravity has
+the same size in all of them.
 """
 
 from collections.abc import Callable, Sequence

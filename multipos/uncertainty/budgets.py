@@ -1,5 +1,8 @@
 """Budget files: what is known of the measurement beside its readings.
 
+`read_budget` reads and checks one, `resolve` replaces the file that a table names by what it says,
+and `zero_moves` returns how zeros that repeat from switch-on to switch-on move readings.
+
 A budget is a small TOML file, one table for each input quantity, all optional:
 
 ===============  ==========================================================================
@@ -31,8 +34,6 @@ standard uncertainty ``u``; ``U`` with its coverage factor ``k``, as certificate
     u = a/√3 rectangular,   a/√6 triangular,   a/√2 arcsine                                (1)
 
 (JCGM 100, 4.3.7 and 4.3.9). ``dof`` are its degrees of freedom, infinite where not given.
-
-How the zero repeats, as a budget states it: by a file of `multipos stability`, or in numbers.
 
 The zeros of the next switch-on differ from those of the calibration by the standard deviations
 from run to run, each output by its own. Of raw outputs they move the readings as they are; of

@@ -1,5 +1,9 @@
 """The uncertainty budget of a calibration: what each input quantity does to each parameter.
 
+`evaluate_budget` evaluates it and `state_budget` returns a calibration whose covariance follows
+from it; `budget_rows` returns its lines as files have them, `find_quantities` the quantities that
+count, and `row_dof` and `welch_satterthwaite` the degrees of freedom of a line and of a sum.
+
 With the sensitivities c_x = dp/dx of `multipos.uncertainty.sensitivities`, for every estimator,
 
     cov p = sum_x c_x c_x' u(x)².                                                           (1)
@@ -12,7 +16,7 @@ estimated from residuals they are in the first rows already: listed, not added a
 
 A common quantity scatters the residuals too, as far as the model cannot follow it: a table that is
 not level does so at positions of several headings. What occurred of it is estimated from its
-pattern and taken out of the first rows (`multipos.uncertainty.sensitivities`), so that (1) is added
+pattern and taken out of the first rows (`multipos.uncertainty.common_causes`), so that (1) is added
 in full. The degrees of freedom of the sum are Welch's and Satterthwaite's,
 
     ν_eff = u_c⁴ / sum_x (u_x⁴ / ν_x).                                                      (2)
@@ -36,7 +40,8 @@ from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import StatedBudget
 from multipos.uncertainty.budgets import OF_FORCE_ALONE, Budget, BudgetSource, Quantity, read_budget
-from multipos.uncertainty.sensitivities import Cleared, clear_scatter, is_bounded, parameter_effects
+from multipos.uncertainty.common_causes import Cleared, clear_scatter
+from multipos.uncertainty.sensitivities import is_bounded, parameter_effects
 
 
 @frozen

@@ -1,76 +1,49 @@
-"""The turntable's own errors: what they do to readings, and which of them the data can tell.
+"""The turntable's own errors: what they do to readings, and which of them the data can identify.
 
-The table is off by e(t), five quantities a roll, and its shaft off the horizon, three, which move
-the readings by eqs. (1) to (3) of `multipos.uncertainty.turntable`. Against the terms of an
-input axis along cos t, eq. (2) there is
-
-    e_0: −sin t             a misalignment,
-    c_1: −sin 2t / 2        the product of the two components,
-    s_1: −sin²t             bias and second order,
-    c_2: (sin t − sin 3t)/2 nothing else but the misalignment, so it can be identified,
-    s_2: (cos 3t − cos t)/2 scale factor and third order:
-
-eqs. (10) to (12) of docs/theory/tumble.md. Whatever a model leaves out can be estimated and stands
-beside the names of the terms that would do the same. Between two rolls the zero of an output may
-shift, which no term of the sensor does.
-
-An output along the shaft reads the level of the shaft as a shift of its zero, its wobble as
-misalignments.
-
-Beside all of this the parameters of the sensor that no error does the same as are what none moves.
-
-One dividing head for all rolls: its circle identified from the sensor by how the case is mounted.
-
-The circle of a head is off by the same at the same angle h of the head, in whatever mounting,
-
-    e(h) = c_1 cos h + s_1 sin h + c_2 cos 2h + s_2 sin 2h,                                 (1)
-
-while the case stands at t = ±h + t_0 + e_0, each mounting with a sense, a start t_0 and a zero e_0
-of its own. The readings move by
-
-    dy = M (du/dt) (e_0 ± e(h)),                                                            (2)
-
-u and M as in `multipos.uncertainty.turntable`. Against h = t, what c_1 does is the product of
-two components, what s_1 does is second order with bias; in a mounting that goes round the other
-way c_1 does the opposite, in one turned by half a turn both do. So one further roll, mounted
-otherwise, tells the circle from all that is second order in every output, also in those that
-it does not turn. What stays are the misalignments, for which the e_0 of each mounting pass.
-
-Level and wobble of the shaft, eq. (3) there, are of each mounting.
-
-How a turntable that is not where it says moves the readings of a roll.
+`table_errors` estimates them from the rolls of a calibration, together with the sensor;
+`table_effects` returns their columns, `has_rolls` tells whether there are rolls enough,
+`changes_unseen` by how much harmonics that no residual shows change each parameter and
+`in_words_of_unseen` says it, `find_in_rolls` finds what is wrong with them, and `state_bench`
+returns the covariance of readings on a bench whose errors are stated.
 
 The table says t and stands at t + e(t), on each roll with its own
 
-    e(t) = e_0 + c_1 cos t + s_1 sin t + c_2 cos 2t + s_2 sin 2t,                           (3)
+    e(t) = e_0 + c_1 cos t + s_1 sin t + c_2 cos 2t + s_2 sin 2t,                           (1)
 
 a zero offset of the encoder and two harmonics of its circle. A reading then moves by
 
-    dy = M (du/dt) e(t),    u = (cos t, sin t) in the plane of the roll,                    (4)
+    dy = M (du/dt) e(t),    u = (cos t, sin t) in the plane of the roll,                    (2)
 
-M the linear part of the model.
+M the linear part of the model. The shaft a itself may stand off the horizon by l, and nod as it
+turns,
 
-The shaft a itself may stand off the horizon by l, and nod as it turns,
-
-    f_a = ±g (l + w_c cos t + w_s sin t).                                                   (5)
-
-Eqs. (10) and (11) of docs/theory/tumble.md.
+    f_a = ±g (l + w_c cos t + w_s sin t).                                                   (3)
 
 All of these are one design matrix beside that of the sensor. An error of size x moves the force at
 position k by w_k d_k x, a wave w of its angle times the turn d = df/dt of the case or the direction
 d = ±g a of the shaft, and its column is
 
-    G_k = w_k M d_k.                                                                        (6)
+    G_k = w_k M d_k.                                                                        (4)
 
-Table, shaft and head differ in waves and rows alone. Where the errors are stated, each with a
-standard deviation u_q, with a zero that drifts by u_z from roll to roll (columns of one) and an
-angle off by u_t at each position by itself (w one at that position), readings have the covariance
+Table, shaft and head (`multipos.uncertainty.dividing_head`) differ in waves and rows alone. Where
+the errors are stated, each with a standard deviation u_q, with a zero that drifts by u_z from roll
+to roll (columns of one) and an angle off by u_t at each position by itself (w one at that
+position), readings have the covariance
 
-    V = s² I + sum_q u_q² G_q G_q',                                                         (7)
+    V = s² I + sum_q u_q² G_q G_q',                                                         (5)
 
-eq. (13) of docs/theory/tumble.md, s the noise of a reading.
+s the noise of a reading. Against the terms of an input axis along cos t, eq. (2) is
 
-What rolls tell of the turntable, and of the sensor beside it: results of `turntable`.
+    e_0: −sin t             a misalignment,
+    c_1: −sin 2t / 2        the product of the two components,
+    s_1: −sin²t             bias and second order,
+    c_2: (sin t − sin 3t)/2 nothing else but the misalignment, so it can be identified,
+    s_2: (cos 3t − cos t)/2 scale factor and third order.
+
+Whatever a model leaves out can be estimated and stands beside the names of the terms that would do
+the same. Between two rolls the zero of an output may shift, which no term of the sensor does. An
+output along the shaft reads the level of the shaft as a shift of its zero, its wobble as
+misalignments. Eqs. (10) to (13) of docs/theory/tumble.md.
 """
 
 import math
@@ -86,7 +59,7 @@ from multipos.estimation.gains import estimator_gain
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import in_unit
 from multipos.finding import Finding, short_text
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_tail, t_tail
 from multipos.numerics.separability import separability
@@ -98,6 +71,7 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 from multipos.sensor.model import Model, build_model
 from multipos.sensor.tilt import magnitude_of
+from multipos.uncertainty.dividing_head import Mounting, find_head, find_in_head
 
 QUANTITIES = ("zero_offset", "first_cos", "first_sin", "second_cos", "second_sin")
 SHAFT = ("level", "wobble_cos", "wobble_sin")
@@ -108,7 +82,7 @@ Part = tuple[Places, Array, Array]
 
 
 def _columns(n: int, linear: Array, parts: Iterable[Part]) -> Array:
-    """Return eq. (6) of every error (n M, q), of a sensor with slopes M (M, 3)."""
+    """Return eq. (4) of every error (n M, q), of a sensor with slopes M (M, 3)."""
     blocks = [np.zeros((n, len(linear), 0))]
     for rows, force, waves in parts:
         block = np.zeros((n, len(linear), waves.shape[1]))
@@ -146,7 +120,7 @@ def _of_shaft(c: Calibration, rolls: Iterable[Roll]) -> list[Part]:
     return [(roll.rows, _along(c, roll), _waves(roll.angle)[:, :3]) for roll in rolls]
 
 
-def _of_head(c: Calibration, mounted: Sequence["Mounting"]) -> list[Part]:
+def _of_head(c: Calibration, mounted: Sequence[Mounting]) -> list[Part]:
     """Return the circle of a head, and zero, level and wobble of each mounting."""
     rows = np.concatenate([one.roll.rows for one in mounted])
     turned = np.concatenate([one.sense * _turn(c, one.roll) for one in mounted])
@@ -159,7 +133,7 @@ def _of_head(c: Calibration, mounted: Sequence["Mounting"]) -> list[Part]:
 
 
 def table_effects(calibration: Calibration, rolls: tuple[Roll, ...], linear: Array) -> Array:
-    """Return eq. (4) per radian of each quantity of each roll (n M, 5 rolls)."""
+    """Return eq. (2) per radian of each quantity of each roll (n M, 5 rolls)."""
     return _columns(len(calibration.readings), linear, _of_table(calibration, rolls))
 
 
@@ -447,106 +421,6 @@ def _solve_beside(
     coefficients = found.coefficients[:p]
     beside = BesideTable(bench.keys, coefficients, covariance[:p, :p], flags, dof, chance)
     return beside, list(sizes)
-
-
-HEAD = "head_deg"
-_SAME = 1e-3  # [rad] by which angles of one mounting may differ, as files round them
-_FEWEST = 5  # rows of a mounting: three fit a head that turns twice as far
-_MOST = 24  # mountings of a roll
-
-
-class Mounting(NamedTuple):
-    """Rows of a roll taken in one mounting: the case stands at `sense` times the head, and start.
-
-    `roll` has these rows alone; `head` is the angle of the head [rad].
-    """
-
-    roll: Roll
-    sense: float
-    head: Array
-
-    @property
-    def name(self) -> str:
-        """The plane, the sense and the start in degrees: ``xy+0``."""
-        start = float(np.degrees(median(_wrap(self.roll.angle - self.sense * self.head))))
-        return f"{self.roll.plane}{'+' if self.sense > 0.0 else '-'}{round(start) % 360}"
-
-
-def find_head(readings: Readings) -> tuple[Mounting, ...]:
-    """Return the mountings of rolls whose head is read; none where its angle fits no rolls."""
-    mounted = tuple(_mounted(readings))
-    return () if _unused(mounted) else mounted
-
-
-def find_in_head(readings: Readings) -> list[Finding]:
-    """Say where the angle of the head is missing, or turns otherwise than the roll."""
-    return _unused(_mounted(readings))
-
-
-def _unused(mounted: Iterable[Mounting]) -> list[Finding]:
-    said = []
-    for one in mounted:
-        row = int(one.roll.rows[0]) + 1
-        if not np.isfinite(one.head).all():
-            text = f"readings of the roll about {one.roll.axis} lack `{HEAD}`; it is not used"
-            said.append(Finding("head-unused", "warning", text, f"Complete `{HEAD}`."))
-        elif len(one.head) < _FEWEST:
-            text = (
-                f"reading {row}: `{HEAD}` does not follow the angle of the roll about "
-                f"{one.roll.axis}; it is not used"
-            )
-            said.append(Finding("head-unused", "warning", text, f"Correct `{HEAD}`."))
-    return said
-
-
-def _mounted(readings: Readings) -> list[Mounting]:
-    if readings.up is None or HEAD not in readings.environment:
-        return []
-    head = np.radians(readings.environment[HEAD])
-    found: list[Mounting] = []
-    for roll in find_rolls(readings):
-        turned = head[roll.rows]
-        if not np.isfinite(turned).all():
-            found.append(Mounting(roll, 1.0, turned))
-            continue
-        for sense, rows in _mountings(roll, turned):
-            part = replace(roll, rows=roll.rows[rows], angle=roll.angle[rows])
-            found.append(Mounting(part, sense, turned[rows]))
-    return found
-
-
-def _wrap(angle: Array) -> Array:
-    """Return angles between −π and π."""
-    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
-
-
-def _mountings(roll: Roll, head: Array) -> list[tuple[float, Places]]:
-    """Return the sense and the places of the rows of each mounting of a roll.
-
-    Of a head that turns by itself a single row, which is no mounting.
-    Rows that fit two mountings, as at the start and half a turn on, go with their neighbours.
-    """
-    starts = {sense: roll.angle - sense * head for sense in (1.0, -1.0)}
-    left = np.ones(len(head), dtype=bool)
-    fits: list[tuple[float, Mask]] = []
-    while left.any():
-        row = int(np.argmax(left))
-        if len(fits) == _MOST:
-            return [(1.0, np.array([row]))]
-        both = [(s, np.abs(_wrap(start - start[row])) < _SAME) for s, start in starts.items()]
-        best = max(both, key=lambda one: int((one[1] & left).sum()))
-        fits.append(best)
-        left &= ~best[1]
-    fitting = np.array([rows for _, rows in fits])
-    clear = np.flatnonzero(fitting.sum(axis=0) == 1)
-    place = np.argmax(fitting, axis=0)
-    for row in np.flatnonzero(fitting.sum(axis=0) > 1).tolist():
-        near = clear[fitting[place[clear], row]]
-        if len(near):
-            far = 2 * np.abs(near - row) + (near < row)  # of two as near, the one that follows
-            place[row] = place[near[np.argmin(far)]]
-    found = [(sense, np.flatnonzero(place == i)) for i, (sense, _) in enumerate(fits)]
-    return [one for one in found if len(one[1])]
 
 
 _SPREAD = 8  # angles of a roll, from which on harmonics of the circle differ

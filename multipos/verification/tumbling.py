@@ -55,7 +55,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import field_sensed
 from multipos.sensor.model import Model, default_axes, stated_facing
 from multipos.sensor.tilt import reading_noise
-from multipos.uncertainty.turntable import BesideTable, TableErrors, find_head, table_errors
+from multipos.uncertainty.dividing_head import find_head
+from multipos.uncertainty.turntable import BesideTable, TableErrors, table_errors
 from multipos.verification.coefficients import (
     DEFAULT,
     TumbleCoefficient,

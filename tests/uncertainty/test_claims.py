@@ -23,7 +23,8 @@ from multipos.positions.scheme import read_scheme
 from multipos.sensor.found import OrientationSpread, VarianceComponents
 from multipos.uncertainty import monte_carlo
 from multipos.uncertainty.budgets import Quantity
-from multipos.uncertainty.monte_carlo import Draws, numerical_tolerance, simulate_budget
+from multipos.uncertainty.draws import Draws
+from multipos.uncertainty.monte_carlo import numerical_tolerance, simulate_budget
 from multipos.uncertainty.propagation import evaluate_budget
 from multipos.uncertainty.sphere import evaluate_sphere
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
-from multipos.uncertainty import sensitivities
+from multipos.uncertainty import common_causes
 from multipos.uncertainty.propagation import evaluate_budget
 
 LEVEL = 0.1  # degrees
@@ -60,9 +60,9 @@ def pattern(rotation):
     ],
 )
 def test_two_residuals_of_which_one_shows_the_cause_by_hand(e, size, variance, left):
-    # eq. (5) of uncertainty.sensitivities
+    # eq. (3) of uncertainty.common_causes
     residuals, shown = np.array(e)[:, None], np.array([size, 0.0])[:, None, None]
-    found = sensitivities._settle(
+    found = common_causes._settle(
         residuals,
         shown,
         np.zeros((2, 1)),
@@ -76,7 +76,7 @@ def test_two_residuals_of_which_one_shows_the_cause_by_hand(e, size, variance, l
 
 def test_variance_is_that_of_the_restricted_likelihood():
     """Of one output: the minimum of ln det K'VK + e'K(K'VK)⁻¹K'e, K across the design."""
-    # eqs. (3), (4) of uncertainty.sensitivities
+    # eqs. (1), (2) of uncertainty.common_causes
     from scipy.optimize import minimize_scalar
 
     rotation, level, noise = attitudes(9, 1), 0.03, 3e-4

@@ -16,7 +16,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.tumble_text import tumbles_text
 from multipos.results import plain
-from multipos.uncertainty.turntable import find_head, find_in_head
+from multipos.uncertainty.dividing_head import find_head, find_in_head
 
 HEAD = np.arange(0.0, 360.0, 30.0)
 ROLLS = [("z", 1, 0.0), ("y", 1, 0.0), ("x", 1, 0.0), ("z", -1, 0.0)]
@@ -86,7 +86,7 @@ def test_a_head_that_does_not_turn_with_the_case_is_said():
 
 def test_a_roll_the_other_way_tells_the_circle():
     """Without noise: what was put in comes out, but for the product of two small angles."""
-    # eqs. (3), (4) of uncertainty.turntable
+    # eqs. (1), (2) of uncertainty.dividing_head
     found = mp.tumble(bench(sd=1e-9))
     errors = {(e.plane, e.quantity): e for e in found.table_errors.errors}
     names = ("first_cos", "first_sin", "second_cos", "second_sin")

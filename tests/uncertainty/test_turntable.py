@@ -15,7 +15,8 @@ from multipos.positions.orientations import orient
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import read_scheme
 from multipos.reports.installation import installation_tables, turntable_tables
-from multipos.uncertainty.turntable import QUANTITIES, _unused, changes_unseen
+from multipos.uncertainty.dividing_head import _unused
+from multipos.uncertainty.turntable import QUANTITIES, changes_unseen
 
 T = np.radians(np.arange(0.0, 360.0, 15.0))
 ERRORS = dict(zip(QUANTITIES, (1e-3, 5e-4, -3e-4, 2e-4, 4e-4), strict=True))  # [rad]
@@ -219,7 +220,7 @@ def test_a_stated_table_is_in_u_of_what_one_roll_cannot_show():
 
 
 def test_stated_bench_puts_the_drift_into_u():
-    # eq. (7) of uncertainty.turntable
+    # eq. (5) of uncertainty.turntable
     cal = mp.fit(rolls(T, sd=1e-5), scheme="dual-axis-48", unit="V")
     known = mp.state_bench(cal, reading_sd=1e-5, zero_drift=3e-4)
     again = mp.fit(known, unit="V")
@@ -297,7 +298,7 @@ def test_without_rolls_there_is_nothing_to_say():
 
 def test_a_shaft_off_the_horizon_moves_the_output_along_it_by_hand():
     """About y: M's second column times g, l + w cos t + v sin t."""
-    # eqs. (5), (6) of uncertainty.turntable
+    # eqs. (3), (4) of uncertainty.turntable
     cal = mp.fit(rolls(T, sd=1e-6), scheme="dual-axis-48", unit="V")
     along, sd = cal.model.linear_part(cal.parameters, {})[:, 2], 1e-3
     waves = {"level_sd_deg": np.ones((24, 24)), "wobble_sd_deg": np.cos(T - T[:, None])}

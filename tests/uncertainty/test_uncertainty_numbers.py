@@ -13,15 +13,18 @@ import multipos as mp
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 from multipos.uncertainty import (
-    monte_carlo,
+    common_causes,
+    dividing_head,
     propagation,
     sensitivities,
     sphere,
     turntable,
     validity,
 )
+from multipos.uncertainty import draws as drawing
 from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
-from multipos.uncertainty.monte_carlo import Draws, _noise_root, _shortest, _symmetric
+from multipos.uncertainty.draws import Draws, _noise_root
+from multipos.uncertainty.monte_carlo import _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
 from multipos.uncertainty.turntable import _largest_loss, _solve_beside
 from multipos.uncertainty.validity import ForcesSeen
@@ -34,8 +37,8 @@ def test_variances_of_residuals_that_hold_nothing_common_are_kept(dof, pooled):
     """Two patterns of nothing; of one scatter for both, where there are more than its own."""
     e, nu = np.array([[1.0, 2.0], [3.0, -1.0], [-2.0, 0.5]]), np.array([7.0, 5.0])
     c = SimpleNamespace(dof=np.array(dof))
-    shown = sensitivities._Shown(np.arange(2), e, np.full((3, 2, 1), 1e-9), nu)
-    found = sensitivities._from_residuals(c, shown)
+    shown = common_causes._Shown(np.arange(2), e, np.full((3, 2, 1), 1e-9), nu)
+    found = common_causes._from_residuals(c, shown)
     assert_allclose(found.ratio, 1.0, rtol=1e-6)
     assert_allclose(found.left, nu, rtol=1e-6)
     assert_allclose(found.dof, dof, rtol=1e-6)
@@ -48,7 +51,7 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
     pattern[0, :, 0] = [5e5, 7e5]
     nu = np.array([7.0, 5.0])
     c = SimpleNamespace(dof=np.array([12.0, 12.0]))
-    found = sensitivities._from_residuals(c, sensitivities._Shown(np.arange(2), e, pattern, nu))
+    found = common_causes._from_residuals(c, common_causes._Shown(np.arange(2), e, pattern, nu))
     assert_allclose(found.left.sum(), 11.0, rtol=1e-6)
     assert_allclose(found.left[0] / found.left[1], 7.0 / 5.0, rtol=1e-6)
     assert_allclose(found.dof, 11.0, rtol=1e-6)
@@ -74,7 +77,7 @@ def test_a_common_cause_takes_its_part_of_a_pooled_scatter():
 def test_what_residuals_may_show(change, looked, monkeypatch):
     of = {"common": True, "shared": False, "name": "level", "u": 0.1, "exact": True, "noise": None}
     of |= {"robust_weight": None, "runs": [1.0, 1.0], "bounded": False, "rests": None, **change}
-    monkeypatch.setattr(sensitivities, "is_bounded", lambda c, quantity: of["bounded"])
+    monkeypatch.setattr(common_causes, "is_bounded", lambda c, quantity: of["bounded"])
     quantity = SimpleNamespace(
         kind=SimpleNamespace(common=of["common"], shared=of["shared"]), name=of["name"], u=of["u"]
     )
@@ -84,7 +87,7 @@ def test_what_residuals_may_show(change, looked, monkeypatch):
         model=SimpleNamespace(environment=(), ties_outputs=False),
         variance_components=SimpleNamespace(rest_to_rest=of["rests"]),
     )  # fmt: skip
-    assert sensitivities._is_looked_for(c, quantity) is looked
+    assert common_causes._is_looked_for(c, quantity) is looked
 
 
 # --- a table beside the sensor
@@ -172,8 +175,8 @@ def test_forces_that_act_are_turned_and_scaled():
     state._allowed = lambda trials: np.zeros((trials, 2, 3))
     quantities = [SimpleNamespace(name=name) for name in ("level", "gravity")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(monte_carlo, "is_bounded", lambda c, quantity: False)
-        patch.setattr(monte_carlo, "turn_axes", lambda c, quantity: axes)
+        patch.setattr(drawing, "is_bounded", lambda c, quantity: False)
+        patch.setattr(drawing, "turn_axes", lambda c, quantity: axes)
         found = Draws._acted(state, 2, quantities[:1], quantities[1:])
     for trial, degrees in enumerate((2.0, -3.0)):
         a = math.radians(degrees)
@@ -205,7 +208,7 @@ def test_the_root_of_the_noise_of_readings(whole, monkeypatch):
     noise = A @ A.T if whole else rng.uniform(1, 2, 4)
     V = noise if whole else np.diag(noise)
     plain = np.sqrt(np.diag(gain @ V @ gain.T))
-    monkeypatch.setattr(monte_carlo, "estimator_gain", lambda c: gain)
+    monkeypatch.setattr(drawing, "estimator_gain", lambda c: gain)
     c = SimpleNamespace(
         readings=SimpleNamespace(values=np.zeros((2, 2))), noise=noise,
         model=SimpleNamespace(slices=(slice(0, 2), slice(2, 3))),
@@ -353,7 +356,7 @@ def test_quantities_are_drawn_by_their_law(dof):
 @pytest.mark.parametrize(("name", "size"), [("level", math.sqrt(2.0)), ("orientation", 1.0)])
 def test_positions_turn_each_by_itself_where_no_attitude_is_known(name, size, monkeypatch):
     """Of a level so that the mean of all is off as stated: by √n, of two positions here."""
-    monkeypatch.setattr(monte_carlo, "is_bounded", lambda c, quantity: True)
+    monkeypatch.setattr(drawing, "is_bounded", lambda c, quantity: True)
     model = SimpleNamespace(environment=(), predict=lambda b, f, env: f)
     reference = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     c = SimpleNamespace(reference=reference, parameters=None, model=model)
@@ -482,7 +485,7 @@ def test_rows_of_a_roll_belong_to_mountings_by_their_sense(off, count):
     sense = np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, -1.0])
     angle = np.remainder(np.where(sense > 0, 0.3, 1.2) + sense * head, 2 * np.pi)
     angle[4] += off
-    found = turntable._mountings(SimpleNamespace(angle=angle), head)
+    found = dividing_head._mountings(SimpleNamespace(angle=angle), head)
     rows = [each.tolist() for _, each in found]
     if count == 2:
         assert [each for each, _ in found] == [1.0, -1.0]
@@ -492,10 +495,10 @@ def test_rows_of_a_roll_belong_to_mountings_by_their_sense(off, count):
         assert [4] in rows
     many = np.random.default_rng(2).uniform(0.0, 6.0, (2, 30))
     roll = SimpleNamespace(angle=many[0])
-    ((single, one),) = turntable._mountings(roll, many[1])
+    ((single, one),) = dividing_head._mountings(roll, many[1])
     assert (single, one.shape) == (1.0, (1,))
     roll.angle = many[0, :24]
-    assert len(turntable._mountings(roll, many[1, :24])) == 24
+    assert len(dividing_head._mountings(roll, many[1, :24])) == 24
 
 
 @pytest.mark.parametrize(
@@ -527,9 +530,9 @@ def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatc
         precision=np.linalg.inv(V) if correlated else 1.0 / variances,
         orientation_sd=np.array([0.1, np.inf, 0.0, 0.3]), level_sd=0.2, attitude="a", rolls="r",
     )  # fmt: skip
-    monkeypatch.setattr(monte_carlo, "restate", lambda c: problem)
-    monkeypatch.setattr(monte_carlo, "return_to_optimum", lambda *_: None)
-    monkeypatch.setattr(monte_carlo, "noise_factor", lambda *_: 2.5)
+    monkeypatch.setattr(drawing, "restate", lambda c: problem)
+    monkeypatch.setattr(drawing, "return_to_optimum", lambda *_: None)
+    monkeypatch.setattr(drawing, "noise_factor", lambda *_: 2.5)
     estimated = SimpleNamespace(orientation_sd_deg=SimpleNamespace(value=4.0, u=1.0))
     draws = SimpleNamespace(c=SimpleNamespace(variance_components=estimated), n=4, m=2)
     Draws._take_from_likelihood(draws)
