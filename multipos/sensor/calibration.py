@@ -45,7 +45,7 @@ from multipos.files.schema import (
     schema_of,
 )
 from multipos.finding import Findings
-from multipos.numerics.arrays import COMPONENTS, SMALLEST, Array, Environment
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.numerics.rotations import align, directions, rotation_vector
 from multipos.numerics.terms import linear_term
@@ -172,7 +172,7 @@ class Calibration(Saved, Drawn):
     residuals: Annotated[Array, _TABLE]
     residual_sd: Annotated[Array, _SD, Stored(by="outputs")]
     dof: Annotated[Array, DOF_OR_NONE, Stored(by="outputs")]
-    reference: Annotated[Array, _TABLE]
+    reference: Annotated[Array, Numbers(2, low=-LARGEST, high=LARGEST)]
     readings: Annotated[Readings, NOWHERE]
     diagnostics: Diagnostics
     cross_check: Annotated[float | None, ANY_NUMBER, _CROSS_CHECK] = None

@@ -26,7 +26,7 @@ from multipos.files.records import (
     Text,
 )
 from multipos.files.schema import As, Stored, also, schema_of
-from multipos.numerics.arrays import COMPONENTS, SMALLEST
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST
 from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.sensor.found import Parameter
 from multipos.sensor.gravity import KINDS
@@ -65,6 +65,7 @@ _PER = Text(("h", "row"))
 _PARAMETERS = Listed(replace(schema_of(Parameter), made=dict), 1)
 _TABLE = Numbers(2)
 _GAPS = Numbers(2, gaps=True)
+_COLUMN = Numbers(1, gaps=True, low=-LARGEST, high=LARGEST)
 _SQUARES = Numbers(2, low=-LARGEST_SQUARE, high=LARGEST_SQUARE)
 _DEGREES = As(Numbers(1, gaps=True), np.radians, np.degrees)
 # What the file has of the parts of a calibration, each after a field.
@@ -95,7 +96,7 @@ OF_PARTS = (
     _known("force", _GAPS, "force"),
     _known("reference_u", _TABLE, "reference_u"),
     _known("orientation_sd", _DEGREES, "orientation_sd_deg"),
-    _known("environment", Named(Numbers(1, gaps=True)), "environment"),
+    _known("environment", Named(_COLUMN), "environment"),
     also("rms", _after("reference")),
     also("linearity", _after("reference")),
     also("intrinsic", _after("cross_check")),
