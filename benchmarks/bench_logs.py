@@ -12,7 +12,7 @@ import numpy as np
 import multipos as mp
 from benchmarks.bench_startup import write_session
 from benchmarks.timing import Ratio, paired_ratio
-from multipos.compensation.applying import apply_log
+from multipos.compensation.applying_logs import apply_log
 from multipos.exports.targets import export
 from multipos.files.whole import write_text
 from multipos.logs.averaging import average

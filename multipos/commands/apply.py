@@ -6,7 +6,7 @@ from functools import cache
 
 from multipos.commands.answers import Answer, Output
 from multipos.commands.options import file_progress, options_of
-from multipos.compensation.applying import apply_log, digits_written
+from multipos.compensation.applying_logs import apply_log, digits_written
 from multipos.compensation.correction import correct
 from multipos.errors import UsageError
 from multipos.files.tables import Column, format_csv, read_table, to_parquet

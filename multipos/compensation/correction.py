@@ -1,5 +1,9 @@
 """Apply a regression to a table: every column kept, the predicted response and what it corrects.
 
+`correct` returns the table; `as_fitted` renames its columns to those of the regression,
+`read_runs` and `read_predictors` read what is predicted from, and `range_column` returns the
+variable against which errors are shown.
+
 The response of a regression is usually an error, and what wants correcting another column:
 
     corrected = column − predicted,                                                         (1)
@@ -17,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from multipos.compensation.applying import AppliedColumns, Outside, check_outside, find_outside
+from multipos.compensation.added_columns import Outside, check_outside, find_outside
+from multipos.compensation.applying import AppliedColumns
 from multipos.compensation.reading_noise import check_noise_options
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, split_names

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.compensation.applying import add_columns
+from multipos.compensation.added_columns import add_columns
 from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range

@@ -12,7 +12,7 @@ from log_bench import sensor, write_csv
 
 import multipos as mp
 from multipos.cli import main
-from multipos.compensation.applying import apply_log
+from multipos.compensation.applying_logs import apply_log
 from multipos.compensation.correction import range_column
 from multipos.errors import MultiposError
 from multipos.files.trees import json_table, to_json
@@ -303,7 +303,7 @@ def test_many_rows_are_those_of_their_parts(monkeypatch):
     cal = mp.demo().calibration
     log = {name: np.linspace(-0.5, 0.5, 7) for name in cal.outputs}
     whole = mp.apply(cal, log, tilt=True)
-    monkeypatch.setattr("multipos.compensation.applying._PLAIN", 2)
+    monkeypatch.setattr("multipos.compensation.added_columns._PLAIN", 2)
     parts = mp.apply(cal, log, tilt=True)
     assert list(parts) == list(whole)
     for name in whole:

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t
 
 import multipos as mp
-from multipos.compensation import applying, correction, reading_noise
-from multipos.compensation.applying import _heading, _rows_of
+from multipos.compensation import added_columns, correction, reading_noise
+from multipos.compensation.added_columns import _heading, _rows_of
 from multipos.compensation.correction import _correct_each
 from multipos.compensation.reading_noise import ReadingUncertainty
 from multipos.errors import UsageError
@@ -138,7 +138,7 @@ def test_rows_beyond_the_columns_of_the_calibration_are_clamped():
     table = Table("s", {"t": np.zeros(5)}, rows=5)
     column = np.array([11.9, 12.0, 25.0, 31.0, 31.1])
     c = SimpleNamespace(readings=readings)
-    beyond, clamped = applying._environment_outside(c, table, {"t": column})
+    beyond, clamped = added_columns._environment_outside(c, table, {"t": column})
     assert beyond.tolist() == [True, False, False, False, True]
     assert clamped["t"].tolist() == [12.0, 12.0, 25.0, 31.0, 31.0]
 
@@ -166,7 +166,7 @@ def test_a_refusal_names_the_column_that_is_corrected_or_read(column, named, mon
 
 @pytest.mark.parametrize(("beyond", "said"), [(3, "3 of 40 rows"), (40, "40 of 40 rows")])
 def test_rows_beyond_the_calibration_are_counted(beyond, said):
-    found = applying.found_applying(mp.demo().calibration, (), beyond, 40)
+    found = added_columns.found_applying(mp.demo().calibration, (), beyond, 40)
     (outside,) = [each for each in found if each.code == "outside"]
     assert outside.text.startswith(said)
     assert ("unit" in outside.action) is (beyond == 40)

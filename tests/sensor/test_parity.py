@@ -8,7 +8,7 @@ from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
 import multipos as mp
-from multipos.compensation.applying import parity
+from multipos.compensation.parity import parity
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.tilt import reading_noise
 
@@ -54,7 +54,7 @@ def test_parity_by_hand(calibration):
 
 def test_tail_of_a_parity_by_hand():
     """Two pairs along x and y, the first 2 s apart on either side: χ² = 8 on 2, p = exp(−4)."""
-    # eq. (1) of compensation.applying
+    # eq. (1) of compensation.parity
     up, axes = read_scheme("fibonacci-24").up, [0, 1, 2, 0, 1]
     names = ("a", "b", "c", "d", "e")
     exact = dict(zip(names, up[:, axes].T, strict=True))
