@@ -24,7 +24,7 @@ from multipos.numerics.arrays import Array, Mask
 from multipos.sensor.formulas import CONSTANTS, Step
 
 _BLOCK = 1024  # rows
-_LEAST = 32
+_LEAST = 128
 
 Source = tuple[int, int] | float  # argument and component of eq. (1), or a number
 
@@ -115,12 +115,11 @@ def _over_rows(function: Any, size: int, by_row: bool) -> Any:
     symbols = [casadi.MX.sym("a", n, function.size1_in(i)) for i, n in enumerate(heights)]
     held: dict[int, Any] = {}
     results = [casadi.MX()] * function.size1_out(0)
-    ones = casadi.MX.ones(size, 1)
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         read, written = function.instruction_input(k), function.instruction_output(k)
         if code == casadi.OP_OUTPUT:
-            results[written[1]] = held[read[0]] * ones
+            results[written[1]] = held[read[0]]
         elif code == casadi.OP_INPUT:
             held[written[0]] = symbols[read[0]][:, read[1]]
         elif code == casadi.OP_CONST:
@@ -128,7 +127,10 @@ def _over_rows(function: Any, size: int, by_row: bool) -> Any:
         else:
             build = casadi.MX.unary if len(read) == 1 else casadi.MX.binary
             held[written[0]] = build(code, *(held[place] for place in read))
-    return casadi.Function("rows", symbols, [casadi.densify(casadi.horzcat(*results))])
+    different = {id(each): each for each in results}  # most second derivatives are one zero
+    columns = {key: each * casadi.MX.ones(size, 1) for key, each in different.items()}
+    whole = casadi.horzcat(*(columns[id(each)] for each in results))
+    return casadi.Function("rows", symbols, [casadi.densify(whole)])
 
 
 class Compiled:
