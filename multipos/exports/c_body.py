@@ -1,7 +1,13 @@
 """The model's inverse as lines of C.
 
+`function_body` returns the body of the function. `needed_steps` and `counted_steps` return how many
+steps it takes, over the forces of `force_grid`, and `steps_in_words` says so; `exact_inverse` and
+`exact_normal_inverse` return matrices correctly rounded; `literal`, `signed_sum` and
+`written_factors` write numbers, sums and terms; `environment_range` and `slope_in_the_middle`
+return where a column lies and dh/df there.
+
 A linear model is one matrix product, f = T (raw − o). Anything else is solved by a fixed number
-of steps (`multipos.exports.c_body`) of
+of steps of
 
     f <- P (d - n(f, e)),    d = raw - o,    P = K0^+,                                     (1)
 
@@ -11,11 +17,8 @@ that the least-squares answer is met: f <- f + (K0'K0)⁻¹ J' (d − K0 f − n
 
 Single precision subtracts a bias in two parts, the second being what the first cannot hold.
 
-How many steps the inverse of a model takes in C, and over what that is known.
-
-A model that is not linear is solved by fixed steps, eq. (1) of `multipos.exports.c_body`.
-The error shrinks at least by rho, the largest norm of 1 − P dh/df over twice the calibrated force
-and the calibrated environment, so that
+The error of (1) shrinks at least by rho, the largest norm of 1 − P dh/df over twice the calibrated
+force and the calibrated environment, so that
 
     steps = log(tolerance / largest force) / log(rho)                                      (3)
 

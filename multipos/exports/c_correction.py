@@ -1,5 +1,8 @@
 """The C99 file of regressions: rates, segments and terms, row by row.
 
+`correction_source` returns the file, `declarations` the state and the functions in it and
+`output_line` what its header says of an output; `rounding` is eq. (2).
+
     NAME_start(&state);                              a run begins
     NAME_correct(&state, time, in, out);             once a row, in the order of time
 

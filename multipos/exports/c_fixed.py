@@ -1,5 +1,9 @@
 """The model's inverse in whole numbers, for processors without floating point.
 
+`find_fixed_point` finds the whole numbers and `fixed_forces` runs them in Python;
+`fixed_signature`, `fixed_notes`, `fixed_defines` and `fixed_body` return the parts of the file,
+`fixed_test` the program that tests it.
+
 Readings and forces are 32-bit integers, raw = R y and accel = A f with a power of ten R (1 where
 readings are counts) and A of units, and products have 64 bits. With f₀ = P (y − b), the linear
 part, and D = P q for the second-order coefficients q of products φ of forces,

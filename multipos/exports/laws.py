@@ -1,5 +1,10 @@
 """The laws of consumers that take numbers: matrix and offset, or a scale and an offset an axis.
 
+`reduce_to` reduces a calibration to such a law after `check_inputs`; `law_residuals`, `rms_left`
+and `largest_difference` return what it leaves, `loss_text` says what it loses, and `specific_force`
+returns the references that it is held to. `in_metres`, `raw_in`, `raw_zero`, `scale_per_g` and
+`reference_in` convert between the units of readings, consumer and reference.
+
 With raw = K f + o and T = K⁻¹, f the specific force in m/s² on axes x, y, z,
 
     f = T (raw - o)                                                                        (1)

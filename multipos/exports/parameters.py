@@ -1,5 +1,8 @@
 """Targets that take parameters: a matrix and an offset, or an offset and a scale an axis.
 
+`parameter_target` makes one; `origin` returns what a file is of, `require_instance` and
+`require_writable` refuse a number of sensor and numbers that the consumer cannot hold.
+
 Their consumers compute corrected = T (raw − o), eq. (1) of `multipos.exports.laws`, or with a
 drift (2) of the offset, raw in m/s² or in the unit of the readings. Writing and what the files
 share are here; each target has a file of its own.

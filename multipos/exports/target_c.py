@@ -1,14 +1,18 @@
 """The C99 file of a calibration, and the program that tests it.
 
+`c_source` returns the file and `fixed_source` that in whole numbers, `c_test` the program;
+`declaration`, `signature`, `tilt_signature`, `tilt_header` and `tilt_function` return parts of
+them; `require_identifier` refuses a name, `of_field` renames the result of a magnetometer,
+`comment` keeps a text on its line, and `array` writes an array of rows.
+
 The file holds one function and nothing else: no library, memory or state, so that it can be
 called from any firmware. What the function does is in `multipos.exports.c_body`.
 
-The C function that tells tilt: the angles of `multipos.sensor.tilt`, from NAME_compensate.
-
-Three axes need no size of gravity; one or two take the arcsine of f/g, and NAN where |f| exceeds g
-by more than `beyond_vertical` says of that axis. With two axes the third component w follows from
-|f| = g; what it does to the outputs, d(f, w), is taken off the readings before they are compensated
-again,
+A second function, on request, gives tilt: the angles of `multipos.sensor.tilt`, from
+NAME_compensate. Three axes need no size of gravity; one or two take the arcsine of f/g, and NAN
+where |f| exceeds g by more than `beyond_vertical` says of that axis. With two axes the third
+component w follows from |f| = g; what it does to the outputs, d(f, w), is taken off the readings
+before they are compensated again,
 
     f <- compensate(raw - d(f, w)),    w = ±sqrt(g² - |f|²),                                (1)
 

@@ -1,5 +1,8 @@
 """Consumers of a matrix and an offset: Kalibr, ROS and the Python package imucal.
 
+`write_noise` writes the noise of a static record for Kalibr or ROS; `densities` returns white noise
+and random walk of it, and `white_noise` that of each output.
+
 Kalibr [1]_: YAML of an IMU, with its scale-misalignment matrix and noise densities.
 raw = M C a + b in m/s², with the specific force a in case axes. Kalibr takes the axes of its sensor
 from the accelerometer, so that its M is lower triangular and its readers take six numbers of it:
