@@ -64,7 +64,7 @@ def place(files, tmp_path, monkeypatch):
 
 SHARED = [
     ("averaged14.csv", "--unit", "g", *crossing.chosen(model, ".", budget))
-    for model, budget in [(crossing.OWN, ""), (crossing.OWN, "bench.toml"), (crossing.FUNCTION, "")]
+    for model, budget in [(crossing.OWN, ""), (crossing.OWN, "bench.toml"), (crossing.SOFT, "")]
 ]
 
 
@@ -74,8 +74,7 @@ def test_a_crossing_ends_as_promised(stride, place):
     seen, faults = 0, []
     for words in (*SHARED, *crossing.KINDS[::stride]):
         made = crossing.make(words)
-        if crossing.FUNCTION not in words:
-            faults += [(words, fault) for fault in broken(["fit", *words, "-o", "o.json"])]
+        faults += [(words, fault) for fault in broken(["fit", *words, "-o", "o.json"])]
         if made is None:
             assert words not in SHARED
             continue

@@ -227,7 +227,15 @@ class _Sensed(NamedTuple):
     equation: str
     offset: float  # the largest that ground stations accept [m/s², milligauss]
     scale: tuple[float, float]  # between which they accept it
-    other: str  # what may be wrong beside the unit where it is beyond
+    beyond: Callable[[str], Finding]
+
+
+def _acceleration_beyond(text: str) -> Finding:
+    return Finding("beyond-target", "warning", text, "Check the unit and the convention.")
+
+
+def _field_beyond(text: str) -> Finding:
+    return Finding("beyond-target", "warning", text, "Check the unit and the axes.")
 
 
 _ARDUPILOT_SENSED = {
@@ -238,7 +246,7 @@ _ARDUPILOT_SENSED = {
         "corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
         3.5,
         (0.8, 1.2),
-        "convention",
+        _acceleration_beyond,
     ),
     "magnetic": _Sensed(
         _ardupilot_mag_names,
@@ -247,7 +255,7 @@ _ARDUPILOT_SENSED = {
         "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
         1800.0,
         (0.2, 5.0),
-        "axes",
+        _field_beyond,
     ),
 }
 
@@ -261,8 +269,7 @@ def _beyond(found: _Values, sensed: _Sensed) -> list[Finding]:
     if not bad:
         return []
     text = f"{', '.join(bad)} exceed what ArduPilot accepts"
-    action = f"Check the unit and the {sensed.other}."
-    return [Finding("beyond-target", "warning", text, action)]
+    return [sensed.beyond(text)]
 
 
 def _parm_text(head: list[str], found: _Values) -> str:

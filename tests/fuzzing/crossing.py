@@ -12,13 +12,10 @@ import itertools
 import random
 import shlex
 import tempfile
-import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import multipos as mp
 from multipos import cli
-from multipos.errors import MultiposError, UsageError
 
 from . import options
 from .hostile import listed
@@ -31,10 +28,10 @@ ESTIMATORS = listed(
     --robust=cauchy+--orientation-sd=0.5 --pool+--orientation-sd=0.5 --nominal=0,1
     """
 )
-FUNCTION = "a function"
+SOFT = "each = (bias + scale*own)/(1 + 0.01*(bias + scale*own)^2)"  # saturates softly
 CALIBRATION = "made.json"
 OWN = "each = b + s*own + common_k*own^2"
-MODELS = ("", "own-quadratic", "ieee", "1 + own", OWN, "own.toml", FUNCTION)
+MODELS = ("", "own-quadratic", "ieee", "1 + own", OWN, "own.toml", SOFT)
 BUDGETS = ("", "bench.toml", "head.toml")
 # Readings, and what their outputs need; the formula of temperature stands only where there is some.
 SOURCES = {
@@ -119,12 +116,6 @@ def cycled(line: str) -> Iterator[str]:
     return itertools.cycle(("", *flags(line.split()[0])))
 
 
-def softly(own, x, y, z, bias, scale, limit=0.01):
-    """A model given as a function: a sensor that saturates softly."""
-    signal = bias + scale * own
-    return signal / (1 + limit * signal**2)
-
-
 @functools.cache
 def make(words: tuple[str, ...]) -> bytes | None:
     """Return the file of a calibration of a kind; None where these words are refused.
@@ -136,23 +127,12 @@ def make(words: tuple[str, ...]) -> bytes | None:
             Path(name).write_bytes(VALID[name])
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            _fit(words)
+            cli.main(["fit", *words, "-o", "made.json"])
         made = Path("made.json")
         return made.read_bytes() if made.exists() else None
 
 
 VALID: dict[str, bytes] = {}
-
-
-def _fit(words: tuple[str, ...]) -> None:
-    if FUNCTION not in words:
-        cli.main(["fit", *words, "-o", "made.json"])
-        return
-    parsed = vars(cli.command_parser("fit").parse_args(words))
-    names = listed("readings json output quiet verbose full_scale bits")
-    asked = {name: value for name, value in parsed.items() if name not in names}
-    with contextlib.suppress(MultiposError, UsageError), warnings.catch_warnings(action="ignore"):
-        mp.fit(words[0], **asked | {"model": softly}).save("made.json")
 
 
 def draw(rng: random.Random, valid: Mapping[str, bytes]) -> tuple[list[str], dict[str, bytes]]:
@@ -161,7 +141,7 @@ def draw(rng: random.Random, valid: Mapping[str, bytes]) -> tuple[list[str], dic
     words, made = rng.choice(KINDS), None
     if rng.random() < 0.2:
         line = shlex.split(rng.choice(MAKING))
-        line += chosen(rng.choice(MODELS[:-1]), rng.choice(ESTIMATORS), rng.choice(BUDGETS))
+        line += chosen(rng.choice(MODELS), rng.choice(ESTIMATORS), rng.choice(BUDGETS))
     elif rng.random() < 0.9 and (made := make(words)) is not None:
         line = filled(rng.choices(COMMANDS, _ODDS)[0], words)
     else:
