@@ -49,7 +49,7 @@ from multipos.logs.rests import (
 )
 from multipos.logs.samples import Samples, Store, Timing, _turns, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
-from multipos.logs.text_logs import _decode, open_lines, read_plain
+from multipos.logs.text_logs import _decode, open_lines
 from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
 
 # --- clocks and cells
@@ -434,46 +434,6 @@ def test_what_would_take_in_short_stretches():
 
 
 # --- text and samples
-
-
-@pytest.mark.parametrize("mark", [",", ";", "\t", ""])
-def test_numbers_of_a_text_are_what_python_reads(mark):
-    """Digits up to nineteen, points and minus signs, exponents, and white space about them."""
-    rng = np.random.default_rng(8)
-    sizes, digits = rng.normal(size=30) * 300.0, [0, 1, 3, 7, 12, 15] * 5
-    cells = [f"{x:.{d}f}" for x, d in zip(sizes, digits, strict=True)]
-    cells[4:8] = ["-0.5", "123456789012345678", "-9007199254740993.5", "7."]
-    cells[11], cells[17] = "1.5e-3", "-2E4"
-    between = mark or " "
-    lines = [between.join(cells[i : i + 3]) for i in range(0, 30, 3)]
-    text = ("\n".join(lines) + "\n").encode()
-    found = read_plain(text, mark, 3, [0, 1, 2])
-    assert_allclose(found.T.ravel(), [float(cell) for cell in cells], rtol=0, atol=0)
-    assert read_plain(text, mark, 3, [2]).tolist() == [found[2].tolist()]
-    spaced = text.replace(between.encode(), (f" {mark} " if mark else "  ").encode())
-    assert (read_plain(spaced, mark, 3, [0, 1, 2]) == found).all()
-    assert read_plain(text, mark, 4, [0, 1, 2]) is None
-    assert read_plain(text.replace(b"-0.5", b"0-.5"), mark, 3, [0, 1, 2]) is None
-    assert read_plain(text.replace(b"-0.5", b""), mark, 3, [0, 1, 2]) is None
-
-
-def test_cells_between_separators_by_hand():
-    """Places of their ends, with points and without; an exponent is read otherwise."""
-    text = b"1.25;-20;3.;-.5\n4e1;07;8;9\n"
-    found = text_logs._between(b"\n" * 8 + text, b";", 4)
-    cells = text.replace(b"\n", b";").split(b";")[:-1]
-    ends = np.cumsum([len(cell) + 1 for cell in cells]) + 7
-    assert found.end.tolist() == ends.tolist()
-    assert found.last.tolist() == [*(ends[:4] - [1, 1, 2, 3]), *(ends[4:] - 3)]
-    assert found.length.tolist() == [4, 3, 2, 3, 3, 2, 1, 1]
-    assert found.digits.tolist() == [3, 2, 1, 1, 2, 2, 1, 1]
-    assert found.decimals[[0, 1, 2, 3, 5]].tolist() == [2, 0, 0, 1, 0]
-    assert found.negative.tolist() == [False, True, False, True] + [False] * 4
-    assert np.flatnonzero(found.odd).tolist() == [4]
-    assert found.texts(found.odd) == [b"4e1"]
-    assert text_logs._between(b"\n" * 8 + text, b";", 3) is None
-    for odd in (b"x", b"-4-", b"4e1;5e1;6e1;7e1\n4"):  # no number, none, and too many of them
-        assert text_logs._between(b"\n" * 8 + text.replace(b"4e1", odd), b";", 4) is None
 
 
 def test_single_samples_far_from_their_neighbours_are_taken_out():
@@ -883,38 +843,6 @@ def test_a_log_is_read_in_whole_lines(tmp_path, monkeypatch):
             line += each.content.count(b"\n")
         done = [min(5 + 7 * k, end) / end for k in (1, 2, 3)]
         assert [each.done for each in blocks] == [*done[: len(blocks) - 1], 1.0]
-
-
-def test_lines_that_are_no_rows_are_left_out_with_their_numbers():
-    def kept(*lines):
-        found = text_logs._without_comments(list(lines), 7, "\n".join(lines), 2)
-        return found.lines, list(found.numbers), found.quotes
-
-    assert kept("1,2", "3,4") == (["1,2", "3,4"], [7, 8], False)
-    assert kept("1,2", "", "3,4") == (["1,2", "3,4"], [7, 9], False)
-    assert kept("1,2", "   ", "3,4") == (["1,2", "3,4"], [7, 9], False)
-    assert kept("# note", "1,2", "3,4") == (["1,2", "3,4"], [8, 9], False)
-    assert kept('"1,2', '"3",4')[2]
-    assert not kept('"1",2', '"3",4')[2]
-
-
-def test_rows_by_numpy_have_as_many_cells_as_columns():
-    def fast(mark, lines, index, delimiters=None, quotes=False):
-        text = SimpleNamespace(layout=SimpleNamespace(delimiter=mark), columns=("a", "b", "c"))
-        rows = text_logs.Rows(lines, range(len(lines)), delimiters, quotes)
-        return text_logs._fast(text, rows, index).tolist()
-
-    assert fast(";", ["1,5;2;3,25", "4;5;6"], [2, 0]) == [[3.25, 6.0], [1.5, 4.0]]
-    assert fast("", ["1.5 2  3.25", "4 5 6"], [2, 0]) == [[3.25, 6.0], [1.5, 4.0]]
-    assert fast(",", ["1,2,3", "4,5,6"], [2], 4) == [[3.0, 6.0]]
-    ragged = ["1,2", "3,4,5,6"]
-    for mark, lines, index, count in (
-        (",", ragged, [0], 4), (",", ragged, [0, 2], 4), ("", ["1 2 3 4"], [0], None),
-    ):  # fmt: skip
-        with pytest.raises(ValueError):  # noqa: PT011  # any sends the rows to the careful reader
-            fast(mark, lines, index, count)
-    with pytest.raises(ValueError):  # noqa: PT011
-        fast(",", ["1,2,3"], [2], 2, quotes=True)
 
 
 @pytest.mark.parametrize(

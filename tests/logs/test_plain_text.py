@@ -1,4 +1,4 @@
-"""Numbers read by arithmetic on bytes: the same as one by one, and nothing else is taken."""
+"""Numbers read by the block: the same as one by one, and nothing else is taken."""
 
 import warnings
 
@@ -7,9 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from multipos.errors import MultiposError
-from multipos.logs import text_logs
 from multipos.logs.opening import open_log
-from multipos.logs.text_logs import read_plain
 
 SEPARATORS = ("", ",", ";", "\t")
 WIDTH = 4
@@ -33,19 +31,23 @@ def random_rows(rng, count):
     return [[random_cell(rng) for _ in range(WIDTH)] for _ in range(count)]
 
 
+def read(tmp_path, text, mark, columns):
+    """The wanted columns of a text whose columns are called a, b, c and d."""
+    path = tmp_path / "log.txt"
+    path.write_text((mark or " ").join("abcd") + "\n" + text, encoding="utf-8")
+    names = ["abcd"[i] for i in columns]
+    pieces = [piece.table for piece in open_log(path).read(names)]
+    return np.concatenate([[table.columns[name] for name in names] for table in pieces], axis=1)
+
+
 @pytest.mark.parametrize("mark", SEPARATORS)
-@pytest.mark.parametrize("block", [64, 1 << 18])
-def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
-    """Bit by bit what `float` makes of every cell; the cells cross every border of words."""
-    monkeypatch.setattr(text_logs, "_BLOCK", block)
-    monkeypatch.setattr(text_logs, "_SHARE", 1)  # also where most have too many digits
+def test_numbers_are_the_nearest_doubles(tmp_path, mark):
+    """Bit by bit what `float` makes of every cell."""
     rows = random_rows(np.random.default_rng(1), 500)
     text = "\n".join((mark or " ").join(row) for row in rows)
     expected = bits([[float(cell) for cell in row] for row in rows])
     for columns in ([0, 1, 2, 3], [2], [3, 0]):
-        assert_array_equal(
-            bits(read_plain(text.encode(), mark, WIDTH, columns)), expected[:, columns].T
-        )
+        assert_array_equal(bits(read(tmp_path, text, mark, columns)), expected[:, columns].T)
 
 
 @pytest.mark.parametrize(
@@ -58,11 +60,10 @@ def test_numbers_are_the_nearest_doubles(monkeypatch, mark, block):
         *("18446744073709551616", "0.1234567890123456789", "123456789012345678901234567890"),
     ],
 )
-def test_single_numbers_at_the_borders(cell):
+def test_single_numbers_at_the_borders(tmp_path, cell):
     """Beyond 2^53, 19 digits, 8 and 16 digits, and zeros of both signs."""
-    text = f"{cell},1,2,3\n-4,5.5,6,7\n"
-    read = read_plain(text.encode(), ",", WIDTH, [0, 1])
-    assert_array_equal(bits(read), bits([[float(cell), -4.0], [1.0, 5.5]]))
+    found = read(tmp_path, f"{cell},1,2,3\n-4,5.5,6,7\n", ",", [0, 1])
+    assert_array_equal(bits(found), bits([[float(cell), -4.0], [1.0, 5.5]]))
 
 
 @pytest.mark.parametrize(
@@ -73,41 +74,48 @@ def test_single_numbers_at_the_borders(cell):
         "1 2 3 4\n5 6 7 8",
     ],
 )
-def test_white_space_in_any_amount(text):
-    assert_array_equal(read_plain(text.encode(), "", WIDTH, [0, 3]), [[1.0, 5.0], [4.0, 8.0]])
+def test_white_space_in_any_amount(tmp_path, text):
+    assert_array_equal(read(tmp_path, text, "", [0, 3]), [[1.0, 5.0], [4.0, 8.0]])
 
 
-def test_blanks_around_separators():
+def test_blanks_around_separators(tmp_path):
     text = " 1, 2,  3 ,4\n5 ,6 , 7, 8 \n"
-    assert_array_equal(read_plain(text.encode(), ",", WIDTH, [0, 2, 3]), [[1, 5], [3, 7], [4, 8]])
+    assert_array_equal(read(tmp_path, text, ",", [0, 2, 3]), [[1, 5], [3, 7], [4, 8]])
 
 
-def test_no_columns_of_some_rows():
-    assert read_plain(b"1,2\n3,4\n", ",", 2, []).shape == (0, 2)
+def test_no_columns_of_some_rows(tmp_path):
+    (tmp_path / "log.csv").write_text("1.5,2\n3,4\n")
+    (piece,) = open_log(tmp_path / "log.csv").read(())
+    assert (piece.table.rows, dict(piece.table.columns)) == (2, {})
 
 
 OTHERS = (
-    *("", "-", ".", "-.", "--1", "1-", "1-2", "1.2.3", ".-1", "1_0", "0x10", "nan", "inf", "e5"),
-    *("1e", "1e5.0", "1 2", "#1", "//1", "%1", '"1"', '"1', "1\x0b", "1\x00", "٣", "a", "+-1"),
+    *("", "-", ".", "-.", "--1", "1-", "1-2", "1.2.3", ".-1", "1_0", "inf", "e5"),
+    *("1e", "1e5.0", "1 2", '"1', "a", "+-1"),
 )
 
 
-@pytest.mark.parametrize("place", range(WIDTH))
-def test_anything_else_is_left_to_others(place):
-    """In any column, wanted or not, for a comment or an open quote may begin in it."""
-    for cell in OTHERS:
-        row = ["1", "2", "3", "4"]
-        row[place] = cell
-        text = "1,2,3,4\n" * 20 + ",".join(row) + "\n" + "1,2,3,4\n" * 20
-        assert read_plain(text.encode(), ",", WIDTH, [1, 2]) is None, cell
+@pytest.mark.parametrize("place", [1, 2])
+@pytest.mark.parametrize("cell", OTHERS)
+def test_anything_else_is_refused_by_its_place(tmp_path, cell, place):
+    row = ["1", "2", "3", "4"]
+    row[place] = cell
+    text = "1,2,3,4.5\n" * 20 + ",".join(row) + "\n" + "1,2,3,4\n" * 20
+    with pytest.raises(MultiposError, match=r"line 22"):
+        read(tmp_path, text, ",", [1, 2])
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["", "\n", "1,2,3,4\n\n5,6,7,8\n", "1,2,3\n4,5,6,7,8\n", "1,2,3,4,\n", "1,2,3,4,5,6,7,8"],
-)
-def test_rows_of_another_width_are_left_to_others(text):
-    assert read_plain(text.encode(), ",", WIDTH, [0]) is None
+@pytest.mark.parametrize("row", ["1,2,3", "1,2,3,4,", "1,2,3,4,5,6,7,8", "1,2,3\n4,5,6,7,8"])
+def test_rows_of_another_width_are_refused_by_their_line(tmp_path, row):
+    text = "1,2,3,4.5\n" * 20 + row + "\n" + "1,2,3,4\n" * 20
+    with pytest.raises(MultiposError, match=r"line 22.*has \d cells where there are 4"):
+        read(tmp_path, text, ",", [0])
+
+
+@pytest.mark.parametrize("line", ["", "  ", "# 9,9,9,9", "//9,9,9,9", "%9,9,9,9"])
+def test_comments_and_empty_lines_are_no_rows(tmp_path, line):
+    text = f"1,2,3,4.5\n{line}\n5,6,7,8\n"
+    assert_array_equal(read(tmp_path, text, ",", [1, 2]), [[2.0, 6.0], [3.0, 7.0]])
 
 
 def outcome(path, *, lenient):
@@ -135,7 +143,7 @@ def outcome(path, *, lenient):
 
 @pytest.mark.parametrize("mark", SEPARATORS)
 def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
-    """Random characters into random rows: numbers, rows and errors as without the quick way."""
+    """Random characters into random rows: numbers, rows and errors as cell by cell."""
     rng = np.random.default_rng(2)
     taken = 0
     for case in range(40):
@@ -152,14 +160,7 @@ def test_damaged_text_gives_the_same_by_both_ways(monkeypatch, tmp_path, mark):
             monkeypatch.setattr("multipos.logs.text_logs._PIECE", 700)
             quick = outcome(path, lenient=lenient)
             with monkeypatch.context() as patch:
-                patch.setattr("multipos.logs.text_logs.read_plain", lambda *_: None)
+                patch.setattr("multipos.logs.text_logs._parse_at_once", lambda *_: None)
                 assert quick == outcome(path, lenient=lenient)
             taken += not isinstance(quick, str)
     assert taken > 27  # most of them are read after all
-
-
-def test_many_long_numbers_before_one_that_is_none_are_left_to_others_at_once():
-    """A pattern that can split digits in two ways tries all ways of all numbers: it never ends."""
-    rows = [*(["0.5"] * 3 + ["1" + "9" * 30] for _ in range(30)), ["0.5"] * 3 + ["x" * 31]]
-    text = "".join(",".join(row) + "\n" for row in rows).encode()
-    assert read_plain(text, ",", WIDTH, range(WIDTH)) is None
