@@ -24,7 +24,7 @@ row that single precision can hold falls where it does in Python. Time stays in 
 because single precision cannot count the milliseconds of a day.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -36,7 +36,6 @@ from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
 from multipos.numerics.terms import CONSTANT, Term
 from multipos.regression.rates import filter_time
-from multipos.regression.region import Region
 from multipos.regression.regression import Regression
 from multipos.regression.segment import Segment
 from multipos.sensor.calibration import Calibration
@@ -324,35 +323,31 @@ class _Writer:
             lines.append(f"{indent}{self._kind} {variables[name]} = {self._expression(r, name)};")
             lines += self._held(variables[name], limits, indent)
         every = s.terms if s.region is None else s.region.terms
+        rows = [] if s.region is None else s.region.factor.tolist()
+        entries = [[(g, t) for g, t in zip(row, every, strict=True) if g] for row in rows]
+        used = {*s.terms, *(term for row in entries for _, term in row)}
         names: dict[Term, str] = {CONSTANT: ""}
-        for term in every:
+        for term in filter(used.__contains__, every):
             factors = written_factors(term, variables, self._single)
             if len(factors) > 1:
                 names[term] = f"t{len(names)}"
                 lines.append(f"{indent}const {self._kind} {names[term]} = {' * '.join(factors)};")
             else:  # no factor is left of a power of 0
                 names[term] = "".join(factors)
-        lines.append(f"{indent}p{k} = {self._sum(s.values.tolist(), [names[t] for t in s.terms])};")
-        return lines + self._leverage(s.region, [names[t] for t in every], indent)
+        values = zip(s.values.tolist(), s.terms, strict=True)
+        lines.append(f"{indent}p{k} = {self._sum(values, names)};")
+        for i, row in enumerate(entries):  # summed as `Region.leverage` does
+            lines += [
+                f"{indent}{'' if i else f'{self._kind} '}z = {self._sum(row, names)};",
+                f"{indent}{'h += z * z' if i else f'{self._kind} h = z * z'};",
+            ]
+        if s.region is not None:
+            lines.append(f"{indent}if (h > {self._number(s.region.limit)}) beyond = 1;")
+        return lines
 
-    def _sum(self, weights: Sequence[float], values: Sequence[str]) -> str:
+    def _sum(self, parts: Iterable[tuple[float, Term]], names: Mapping[Term, str]) -> str:
         """Return a sum in the order it is given, values of 1 by their weight alone."""
         pieces = [
-            (b, " * ".join([self._number(abs(b)), *([value] if value else [])]))
-            for b, value in zip(weights, values, strict=True)
+            (b, " * ".join(filter(None, [self._number(abs(b)), names[term]]))) for b, term in parts
         ]
         return signed_sum(pieces) or self._number(0.0)
-
-    def _leverage(self, region: Region | None, values: Sequence[str], indent: str) -> list[str]:
-        """Write what tells rows beyond the region, summed as `Region.leverage` does."""
-        if region is None:
-            return []
-        kind, lines = self._kind, []
-        for i, row in enumerate(region.factor.tolist()):
-            used = [j for j, g in enumerate(row) if g]
-            total = self._sum([row[j] for j in used], [values[j] for j in used])
-            lines += [
-                f"{indent}{'' if i else f'{kind} '}z = {total};",
-                f"{indent}{'h += z * z' if i else f'{kind} h = z * z'};",
-            ]
-        return [*lines, f"{indent}if (h > {self._number(region.limit)}) beyond = 1;"]

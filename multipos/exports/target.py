@@ -69,7 +69,8 @@ class Exported(Result):
         What is lost, and what the consumer needs beside it.
     difference : float or None [g]
         Largest difference of what the file gives from what the calibration gives, at the
-        calibration's own readings; of a magnetometer in the unit of its field. None where
+        calibration's own readings, of whole numbers over all their range; of a magnetometer in
+        the unit of its field. None where
         Python has not the file's arithmetic: of C in floating point, which its self-test holds.
     unit : str
         Of the difference.

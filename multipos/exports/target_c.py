@@ -428,11 +428,8 @@ def _write(calibration: Calibration, wish: Wish) -> Exported:
     if wish.fixed:
         fixed = c_fixed.find_fixed_point(calibration)
         test = of_field(c_fixed.fixed_test(fixed, wish.name), calibration)
-        values = calibration.readings.values
-        whole = c_fixed.fixed_forces(fixed, fixed.whole(values)) / fixed.accel_per_g
-        difference = float(np.abs(whole - calibration.compensate(values)).max())
         text, unit = fixed_source(fixed, wish.name), calibration.field.unit
-        return Exported(C.name, text, test, difference=difference, unit=unit)
+        return Exported(C.name, text, test, difference=fixed.error, unit=unit)
     form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
     text = c_source(calibration, wish.name, **form)
     return Exported(C.name, text, c_test(calibration, wish.name, **form))

@@ -199,6 +199,28 @@ def test_three_axes_behind_a_calibration(tmp_path, compiler, single, rate):
         np.testing.assert_allclose(out, by_hand, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_three_regressions_in_one_file_compile_without_a_warning(tmp_path, compiler):
+    """Also where the region of a segment has a term that is in no sum, as a file may say."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no {compiler} on this machine")
+    fits = [fitted("rates and segments", seed) for seed in (1, 2)] + [fitted("a modulus")]
+    segments = []
+    for s in fits[0].segments:
+        terms = (*s.region.terms, term("V^2*temperature^2"))
+        factor = np.column_stack([s.region.factor, np.zeros(len(s.region.factor))])
+        segments.append(replace(s, region=replace(s.region, terms=terms, factor=factor)))
+    fits[0] = replace(fits[0], segments=tuple(segments))
+    exported = mp.export(fits, "c")
+    (tmp_path / "export.c").write_text(exported.text)
+    (tmp_path / "export_test.c").write_text(exported.test)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    command = [compiler, *flags, "export.c", "export_test.c", "-o", "t"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    said = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=False)
+    assert said.stdout == "multipos_correct: all values met\n"
+
+
 def test_rows_of_the_fit_are_replayed():
     regression = mp.regress(
         chamber(), response="error", variables=VARIABLES, causal=True, rate_window=5
