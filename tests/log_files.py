@@ -65,6 +65,23 @@ def write_dataflash(path, parameters, columns):
     return path
 
 
+def write_dataflash_text(path, parameters, columns):
+    """The same as ArduPilot's tools write it: a message a line, the names of its fields in FMT."""
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 129, 31, PARM, QNf, TimeUS,Name,Value",
+        "FMT, 130, 40, IMU, QBfffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,T",
+        "FMT, 131, 40, MODE, QMBB, TimeUS,Mode,ModeNum,Rsn",
+        *(f"PARM, 1, {name}, {float(value)!r}" for name, value in parameters.items()),
+        "MODE, 1, STABILIZE, 0, 1",
+    ]
+    for time, *numbers in np.column_stack(list(columns.values())).tolist():
+        lines.append(f"IMU, {int(time)}, 0, {', '.join(map(repr, numbers))}")
+        lines.append(f"IMU, {int(time)}, 1, {', '.join(['9.0'] * len(numbers))}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 def imu(store, i, force, ros2):
     """One message of sensor_msgs/Imu, a sample every 10 ms."""
     kinds = store.types

@@ -152,6 +152,13 @@ class Noted(dict[str, Any]):
     notes: tuple[str, ...] = ()
 
 
+def noted(columns: Mapping[str, Any]) -> Noted:
+    """Return columns with the column of notes, if there is one, beside them."""
+    found = Noted(columns)
+    found.notes = tuple(str(note) for note in found.pop(NOTES, ()))
+    return found
+
+
 def reader_with_extra(
     kind: str, library: str, extra: str, load: Callable[[os.PathLike[str]], Mapping[str, Any]]
 ) -> Callable[[os.PathLike[str]], Mapping[str, Any]]:
@@ -159,8 +166,6 @@ def reader_with_extra(
 
     def read(path: os.PathLike[str]) -> Mapping[str, Any]:
         require_extra(path, kind, library, extra)
-        found = Noted(read_apart(path, load))
-        found.notes = tuple(str(note) for note in found.pop(NOTES, ()))
-        return found
+        return noted(read_apart(path, load))
 
     return read

@@ -1,6 +1,6 @@
 """The formats of logs that are not text, one reader each.
 
-DataFlash, the log of ArduPilot [1]_: the first IMU.
+DataFlash, the log of ArduPilot [1]_, as it is or as text: the first IMU.
 
 What stands in ``IMU`` has been corrected by (raw − OFFS) SCAL with the parameters that the log
 holds; they are undone, unless the board is turned (``AHRS_ORIENTATION``), because then their axes
@@ -21,7 +21,9 @@ References
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,10 +33,13 @@ from multipos.files import handed
 from multipos.files.handed import unpack
 from multipos.files.pipes import GZIP, UTF_16, unpack_text
 from multipos.logs import array_logs
-from multipos.logs.extras import NOTES, reader_with_extra
+from multipos.logs.array_logs import loaded
+from multipos.logs.extras import NOTES, noted, reader_with_extra
 
 _AXES = "XYZ"
 _NAMES = ("INS_ACCOFFS_", "INS_ACCSCAL_")
+_FMT = 4  # fields of FMT before the names: type, length, name, format
+_DATAFLASH_TEXT = re.compile(rb"\s*FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w+,")
 # The fields that are taken, with what stands behind their names in a header.
 _UNITS = (
     {"TimeUS": " (us)", "T": ""}
@@ -48,15 +53,38 @@ def load_dataflash(path: os.PathLike[str]) -> Mapping[str, Any]:
     from pymavlink.DFReader import DFReader_binary
 
     log = DFReader_binary(os.fspath(path))
+    messages = iter(partial(log.recv_match, type=["IMU", "PARM"]), None)
+    return _first_imu((each.get_type(), each.to_dict()) for each in messages)
+
+
+def read_dataflash_text(path: os.PathLike[str]) -> Mapping[str, Any]:
+    """Return the same of the text that ArduPilot's tools make of a log, a message a line."""
+    return noted(loaded(path, lambda: _first_imu(_messages(path))))
+
+
+def _messages(path: os.PathLike[str]) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the kind and the fields of the messages that are taken, whose names stand in FMT."""
+    names: dict[str, list[str]] = {}
+    with Path(path).open(encoding="utf-8-sig", errors="replace") as stream:
+        for line in stream:
+            kind, *cells = map(str.strip, line.split(","))
+            if kind == "FMT" and len(cells) > _FMT:
+                names[cells[2]] = cells[_FMT:]
+            elif kind in ("IMU", "PARM") and len(cells) == len(names.get(kind, ())):
+                yield kind, dict(zip(names[kind], cells, strict=True))
+
+
+def _first_imu(messages: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Return the columns of the first IMU of messages, each its kind and its fields."""
     parameters: dict[str, float] = {}
     rows: list[list[float]] = []
     names: Sequence[str] = ()
-    while (message := log.recv_match(type=["IMU", "PARM"])) is not None:
-        if message.get_type() == "PARM":
-            parameters.setdefault(message.Name, float(message.Value))
-        elif getattr(message, "I", 0) == 0:
-            names = names or [name for name in message.get_fieldnames() if name in _UNITS]
-            rows.append([float(getattr(message, name)) for name in names])
+    for kind, message in messages:
+        if kind == "PARM":
+            parameters.setdefault(message["Name"], float(message["Value"]))
+        elif int(message.get("I", 0)) == 0:
+            names = names or [name for name in message if name in _UNITS]
+            rows.append([float(message[name]) for name in names])
     if not rows:
         raise ValueError("no IMU message in it")
     found = dict(zip(names, np.array(rows).T, strict=True))
@@ -199,6 +227,13 @@ READERS = (
     Reader(".feather", (".feather", ".arrow"), b"ARROW1", _read_feather),
     Reader(".ulg", (".ulg",), b"ULog\x01\x12\x35", _read_ulog),
     Reader(".bin of ArduPilot", (".bin",), b"\xa3\x95\x80", _read_dataflash),
+    Reader(
+        ".log of ArduPilot",
+        (),
+        b"",
+        read_dataflash_text,
+        holds=lambda head: _DATAFLASH_TEXT.match(head) is not None,
+    ),
     Reader(".bag", (".bag",), b"#ROSBAG V2.0", read_bag),
     Reader(".db3", (".db3",), b"SQLite format 3\0", read_bag),
     Reader(".mcap", (".mcap",), b"\x89MCAP0\r\n", read_bag),

@@ -19,6 +19,7 @@ from log_files import (
     write_actigraph,
     write_bag,
     write_dataflash,
+    write_dataflash_text,
     write_geneactiv,
     write_phyphox,
     write_ulog,
@@ -219,9 +220,13 @@ def test_px4(log, expected, tmp_path, capsys):
         mp.average(other)
 
 
-def test_ardupilot(log, expected, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("suffix", "write_log"), [("bin", write_dataflash), ("log", write_dataflash_text)]
+)
+def test_ardupilot(suffix, write_log, log, expected, tmp_path, capsys):
     """Corrections that were applied are undone: corrected = (raw − OFFS) SCAL."""
-    pytest.importorskip("pymavlink")
+    if suffix == "bin":
+        pytest.importorskip("pymavlink")
     offset, scale = np.array([0.25, -0.5, 1.0]), np.array([1.0, 0.5, 2.0])  # exact in binary
     names = [f"INS_ACC{kind}_{axis}" for kind in ("OFFS", "SCAL") for axis in "XYZ"]
     parameters = dict(zip(names, [*offset, *scale], strict=True))
@@ -230,18 +235,18 @@ def test_ardupilot(log, expected, tmp_path, capsys):
     def write(name, corrected, **changes):
         acc = dict(zip(("AccX", "AccY", "AccZ"), corrected.T, strict=True))
         columns = {"TimeUS": np.round(1e6 * log["time"]), **gyro, **acc, "T": log["temperature"]}
-        return write_dataflash(tmp_path / name, parameters | changes, columns)
+        return write_log(tmp_path / f"{name}.{suffix}", parameters | changes, columns)
 
-    path = write("log.bin", (force(log) - offset) * scale)
+    path = write("log", (force(log) - offset) * scale)
     found = mp.average(path)
     np.testing.assert_allclose(found.readings.values, expected, rtol=0.0, atol=1e-6)
     assert found.outputs == ("AccX", "AccY", "AccZ")
     assert found.sample_rate == pytest.approx(100.0)
     assert "which were applied to it, are undone" in texts(found)[0]
     assert found.unit == "m/s^2"
-    turned = write("turned.bin", force(log), AHRS_ORIENTATION=4.0)
+    turned = write("turned", force(log), AHRS_ORIENTATION=4.0)
     assert texts(mp.average(turned))[0].endswith("were applied to it and are not undone")
-    plain = write("plain.bin", force(log), **dict(zip(names, [0.0] * 3 + [1.0] * 3, strict=True)))
+    plain = write("plain", force(log), **dict(zip(names, [0.0] * 3 + [1.0] * 3, strict=True)))
     assert texts(mp.average(plain))[0] == "taken from IMU, the first of the log"
     np.testing.assert_allclose(mp.average(plain).readings.values, expected, rtol=1e-12)
 
