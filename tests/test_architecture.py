@@ -210,13 +210,6 @@ UNLISTED = [
     "logs/still.py",
     "logs/text_logs.py",
     "logs/waved.py",
-    "positions/attitudes.py",
-    "positions/harmonics.py",
-    "positions/headers.py",
-    "positions/order.py",
-    "positions/orientations.py",
-    "positions/readings.py",
-    "positions/scheme.py",
 ]
 
 

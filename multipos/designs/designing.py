@@ -40,8 +40,9 @@ from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Places
 from multipos.numerics.separability import join_combinations
 from multipos.numerics.terms import ModelText
+from multipos.positions.benches import bench_settings, read_bench, read_once
 from multipos.positions.order import Order, check_order, lay_out, travel_deg, travel_order
-from multipos.positions.scheme import Scheme, bench_settings, read_bench, read_once, read_scheme
+from multipos.positions.scheme import Scheme, read_scheme
 from multipos.results import Drawn, Keyed, Tabular, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load

@@ -25,8 +25,9 @@ from multipos.estimation.correlated_rows import order_in_time
 from multipos.files.spelling import Names
 from multipos.numerics.arrays import SMALLEST, Array, Mask
 from multipos.numerics.terms import Formula, ModelText
+from multipos.positions.benches import read_bench
 from multipos.positions.readings import diagonal
-from multipos.positions.scheme import Scheme, read_bench
+from multipos.positions.scheme import Scheme
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator

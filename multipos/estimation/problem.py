@@ -37,7 +37,8 @@ from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import align, directions, tangent_basis
-from multipos.positions.orientations import OpenRolls, StatedOrientations, across, listed_rows
+from multipos.positions.open_rolls import OpenRolls, across
+from multipos.positions.orientations import StatedOrientations, listed_rows
 from multipos.positions.readings import Readings
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import NoiseTest

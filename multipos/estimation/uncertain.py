@@ -46,7 +46,8 @@ from multipos.finding import Finding, Findings, about
 from multipos.numerics.arrays import SMALLEST, Array, Places
 from multipos.numerics.losses import Loss
 from multipos.numerics.rotations import rotation_vector
-from multipos.positions.orientations import StatedOrientations, across
+from multipos.positions.open_rolls import across
+from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings, select_outputs
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import FoundOrientations, VarianceComponents

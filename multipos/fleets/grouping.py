@@ -18,7 +18,8 @@ from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Owners, Rows
 from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
 from multipos.positions import attitudes
-from multipos.positions.headers import FORCE, RUN, TEMPERATURE
+from multipos.positions.forces import FORCE
+from multipos.positions.headers import RUN, TEMPERATURE
 from multipos.results import frozen
 
 _LABELLED = ("position", "group", "direction", "roll_axis")  # all other conditions are numbers

@@ -1,5 +1,11 @@
 """Attitudes of the case in the forms people write them, and the up vectors they give.
 
+`read_attitudes` reads those of a table, of which `rows_with_orientation` and `rows_without_angle`
+tell the rows that have one; `parse_direction` and `parse_axis_up` read one text, `are_directions`
+a column of them. `from_up`, `from_rotation` and `roll` return attitudes of arrays,
+`open_attitudes` those of which nothing is known, `unit_vectors` vectors of length one,
+`pose_words` one in words; `check_convention` refuses a convention that is none.
+
 The level frame is east, north, up (ENU). An attitude is the matrix `C` that turns level
 components into case components, ``v_case = C v_level``, so that its third column is the unit
 vector pointing up, in case axes: ``u = C e_U``. Written as

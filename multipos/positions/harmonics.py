@@ -1,5 +1,9 @@
 """Rolls and their harmonics: the Fourier view of a signal against the angle of a turn.
 
+`find_rolls` finds the rolls among readings; `series` and `residual_series` give their harmonics, up
+to the `highest_order` that their angles distinguish, `transform` and `power` those of one roll,
+`beyond_chance` and `strange_harmonics` what stands out among them.
+
 A roll is a set of positions with one case axis horizontal; its angle t runs from the first of the
 two other axes to the second, so that up = (cos t, sin t) on them. A signal at N angles is
 

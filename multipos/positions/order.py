@@ -1,5 +1,9 @@
 """The order in which positions are laid out: against drift, short to travel, or as published.
 
+`lay_out` returns the rows of up vectors in an order, `share_absorbed` what a model absorbs of a
+course in time in theirs, `travel_order` a short way through them, `travel_deg` how far one turns;
+`check_order` refuses an order that is none.
+
 Whatever drifts while positions are measured is read as something about the sensor, as far as the
 order lets it. With Q an orthonormal basis of the model's columns less their mean, and c a course in
 time of length one and mean zero, the share of the variance of c that the model absorbs is

@@ -18,7 +18,8 @@ from multipos.files.spelling import Names, listed, quoted, require_columns, spli
 from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
-from multipos.positions import attitudes, headers, orientations
+from multipos.positions import attitudes, forces, headers
+from multipos.positions.open_rolls import read_open_rolls, with_angles
 from multipos.positions.readings import Readings, select_outputs
 
 
@@ -85,8 +86,8 @@ def read_readings(
     outputs_only = frozenset(names)
     others = {n: column for n, column in table.columns.items() if n not in outputs_only}
     free, plane = headers.in_plane(replace(table, columns=others), names)
-    free = orientations.with_angles(free)
-    rolls = orientations.read_open_rolls(free, findings)
+    free = with_angles(free)
+    rolls = read_open_rolls(free, findings)
     oriented, force, reference_u = _where_it_stood(free, units, spread, rolls, findings)
     columns = _environment(table, names, environment, findings)
     return Readings(
@@ -146,7 +147,7 @@ def _of_magnetic_field(
     MultiposError
         Columns that say where up is, which is not where the field points.
     """
-    apart = {*headers.OF_FIELD, *headers.FORCE, *headers.RESERVED}
+    apart = {*forces.OF_FIELD, *forces.FORCE, *headers.RESERVED}
     named = [n for n in table.columns if n not in apart and headers.component(n).magnetic]
     others = [n for n in table.columns if headers.component(n).acceleration]
     if field is None:
@@ -168,12 +169,10 @@ def _of_magnetic_field(
             "where "
             "a magnetic field points; give its direction as b_x, b_y, b_z, or leave it out."
         )
-    forms = [
-        form for form in (headers.OF_FIELD, headers.FORCE) if all(name in kept for name in form)
-    ]
-    if not forms or headers.left_by_apply(table) or any(name in kept for name in attitudes.UP):
+    forms = [form for form in (forces.OF_FIELD, forces.FORCE) if all(name in kept for name in form)]
+    if not forms or forces.left_by_apply(table) or any(name in kept for name in attitudes.UP):
         return replace(
-            table, columns=_without(table, names, (*headers.OF_FIELD, *headers.FORCE))
+            table, columns=_without(table, names, (*forces.OF_FIELD, *forces.FORCE))
         ), names
     renamed = dict(zip(forms[0], attitudes.UP, strict=True))
     columns = _without(table, names, () if len(forms) == 1 else forms[1])
@@ -200,19 +199,19 @@ def _where_it_stood(
         Without the columns that are outputs.
     """
     rows = attitudes.rows_with_orientation(free)
-    stated = headers.states_forces(free, rows)
-    force = headers.read_forces(headers.in_standard_g(free, units), rows) if stated else None
+    stated = forces.states_forces(free, rows)
+    force = forces.read_forces(forces.in_standard_g(free, units), rows) if stated else None
     if force is not None:
-        findings += headers.find_likely_m_s2(force, units)
-    elif all(name in free for name in headers.FORCE):
-        why = "were added by apply" if headers.left_by_apply(free) else "accompany an orientation"
-        text = f"columns {quoted(headers.FORCE)} {why} and are not used as positions"
+        findings += forces.find_likely_m_s2(force, units)
+    elif all(name in free for name in forces.FORCE):
+        why = "were added by apply" if forces.left_by_apply(free) else "accompany an orientation"
+        text = f"columns {quoted(forces.FORCE)} {why} and are not used as positions"
         findings.append(Finding("unused-column", "note", text))
     oriented = attitudes.read_attitudes(free, _without_attitude(free, spread, rolls, force))
     up = attitudes.FORMS["up vector"]
     if oriented is not None and up[0] in free:
-        findings += headers.find_lengths(free, up)
-    return oriented, force, headers.read_reference_u(free, force)
+        findings += forces.find_lengths(free, up)
+    return oriented, force, forces.read_reference_u(free, force)
 
 
 def _without_attitude(
@@ -220,7 +219,7 @@ def _without_attitude(
 ) -> Mask | None:
     """Return the rows (n,) that need no attitude: unknown, a roll of open angle, a known force."""
     open_ = None if rolls is None else np.array([axis != "" for axis in rolls])
-    forced = None if force is None else headers.known_rows(force)
+    forced = None if force is None else forces.known_rows(force)
     if open_ is not None and forced is not None and (open_ & forced).any():
         row = int(np.argmax(open_ & forced))
         raise MultiposError(
@@ -262,12 +261,12 @@ def _outputs(
 
 def _candidates(table: Table, environment: Sequence[str]) -> list[str]:
     """Return the columns that may be outputs."""
-    apart = {*environment, *headers.left_by_apply(table)}
+    apart = {*environment, *forces.left_by_apply(table)}
     every = [name for name in table.columns if name not in apart and _may_be_output(name, table)]
-    if not all(name in table for name in headers.FORCE):
+    if not all(name in table for name in forces.FORCE):
         return every
     # Forces are references, unless nothing else could be what the sensor said.
-    others = [name for name in every if name not in headers.FORCE]
+    others = [name for name in every if name not in forces.FORCE]
     return every if all(map(table.is_text, others)) else others
 
 

@@ -4,10 +4,11 @@ A reading is the mean output of one position held still. A position read more th
 more than one row (a repeat), because the spread of repeats is the only pure measure of error.
 Columns of a readings file, beside the outputs, are listed in `docs/reference/formats`.
 
-The noise that readings state: as standard uncertainties, as variances, and by an option.
-
-`Readings.noise` has it as variances (n M,) where outputs are independent, else as their covariance
-(n M, n M), output running fastest.
+`Readings` holds them; `select_outputs` and `select_rows` return some of them, `require_range`
+refuses readings outside stated limits. The noise that they state is `Readings.noise`: variances
+(n M,) where outputs are independent, else their covariance (n M, n M), output running fastest.
+`stated_sd`, `diagonal` and `add_variances` read and extend it, `spread_reading_sd` makes it of an
+option.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ from multipos.files.spelling import control_characters, numbered, require_column
 from multipos.finding import Findings
 from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask
 from multipos.positions import attitudes
-from multipos.positions.headers import along_forces, known_rows
+from multipos.positions.forces import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular, frozen
 
 # What has a value a row, beside the environment and the covariance.

@@ -18,7 +18,7 @@ from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.rotations import directions
-from multipos.positions.headers import known_rows
+from multipos.positions.forces import known_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import field_of_file

@@ -29,7 +29,7 @@ from multipos.errors import UsageError
 from multipos.files.tables import Source
 from multipos.numerics.arrays import LARGEST, Array, require_rate
 from multipos.numerics.recursions import recur
-from multipos.positions.headers import OF_FIELD
+from multipos.positions.forces import OF_FIELD
 from multipos.positions.order import Order
 from multipos.positions.scheme import Scheme, lay_scheme, read_scheme
 from multipos.results import Columns, require

@@ -49,7 +49,8 @@ from multipos.logs.averaging import average
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.quantiles import coverage_by_tenths
 from multipos.positions.headers import require_units, unit_of
-from multipos.positions.orientations import are_samples, orient, refuse_open_rolls
+from multipos.positions.open_rolls import refuse_open_rolls
+from multipos.positions.orientations import are_samples, orient
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, require_range, spread_reading_sd
 from multipos.positions.scheme import Scheme, read_scheme

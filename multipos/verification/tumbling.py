@@ -45,7 +45,8 @@ from multipos.positions.harmonics import (
     strange_harmonics,
     transform,
 )
-from multipos.positions.orientations import orient, refuse_open_rolls
+from multipos.positions.open_rolls import refuse_open_rolls
+from multipos.positions.orientations import orient
 from multipos.positions.reading_tables import read_readings
 from multipos.positions.readings import Readings, select_outputs
 from multipos.positions.scheme import Scheme

@@ -32,7 +32,8 @@ from multipos.designs.optimum import (
 )
 from multipos.designs.prospects import _variances, rank_positions
 from multipos.designs.ranges import range_directions
-from multipos.positions.scheme import read_bench, read_scheme
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 
 pytestmark = pytest.mark.usefixtures("optima_once")

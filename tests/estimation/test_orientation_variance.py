@@ -31,7 +31,7 @@ from multipos.estimation.posteriors import (
     integrate,
 )
 from multipos.estimation.problem import start_state
-from multipos.positions.orientations import OpenRolls
+from multipos.positions.open_rolls import OpenRolls
 
 NODES = np.array([0.0, 1e-4, 4e-4, 3e-3])  # the noise is of 1e-2
 FACTORS = np.array([1.0, 0.1, 3.0, 20.0])

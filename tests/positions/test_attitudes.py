@@ -186,7 +186,7 @@ def test_no_orientation_is_none():
 
 
 def test_an_open_angle_of_a_roll_is_found_on_its_circle():
-    # eq. (1) of positions.orientations
+    # eq. (1) of positions.open_rolls
     rng = np.random.default_rng(1)
     up = mp.read_scheme("roll-z-8+roll-y-8+roll-x-8").up
     values = up * [1.01, 0.99, 1.0] + [0.01, 0.0, -0.02] + 1e-5 * rng.standard_normal((24, 3))

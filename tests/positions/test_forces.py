@@ -37,7 +37,7 @@ def _bench(forces=CENTRIFUGE, noise=0.0, seed=1):
 
 
 def test_forces_join_the_positions_in_gravity():
-    # eq. (2) of positions.headers
+    # eq. (1) of positions.forces
     cal = mp.fit(_bench(), model=MODEL, gravity=G)
     assert_allclose(cal.parameters, TRUTH, atol=1e-12)  # rounding of readings of a few g
     assert_allclose(cal.reference, np.vstack([SIZE * FACES, CENTRIFUGE]))
