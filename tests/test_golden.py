@@ -23,7 +23,7 @@ from amounts import slow_where
 
 import multipos as mp
 from multipos.designs.prospects import begin, information_of
-from multipos.positions.scheme import read_bench
+from multipos.positions.benches import read_bench
 
 GOLDEN = Path(__file__).with_name("golden.json")
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
