@@ -18,7 +18,8 @@ from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.exchange import choose
 from multipos.designs.information import Blocks, inform, make_setting
 from multipos.designs.optimum import optimise_candidates
-from multipos.positions.scheme import read_bench, read_scheme
+from multipos.positions.benches import read_bench
+from multipos.positions.scheme import read_scheme
 from multipos.sensor.model import build_model
 
 MODEL = build_model("own-quadratic", ("ax", "ay", "az"), ("x", "y", "z"))
