@@ -27,7 +27,7 @@ import shutil
 import stat
 import sys
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -89,30 +89,19 @@ class Pipe(os.PathLike[str]):
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self._kept: weakref.finalize[[str], Pipe] | None = None
+        self._kept: Unpacked | None = None
 
     def __str__(self) -> str:
         return "stdin" if self._source == STDIN else self._source
 
     def __fspath__(self) -> str:
         if self._kept is None:
-            import tempfile  # slow to import, and seldom needed
+            with _opened(self._source) as stream:
+                self._kept = Unpacked(str(self), self._limited(stream), "")
+        return os.fspath(self._kept)
 
-            handle, path = tempfile.mkstemp(prefix="multipos-")
-            self._kept = weakref.finalize(self, _remove, path)
-            try:
-                with os.fdopen(handle, "wb") as kept, _opened(self._source) as stream:
-                    self._copy(stream, kept)
-            except BaseException:
-                self.close()
-                raise
-        found = self._kept.peek()
-        if found is None:
-            raise OSError(errno.EPIPE, "the pipe has been read already")
-        return str(found[2][0])
-
-    def _copy(self, stream: BinaryIO, kept: BinaryIO) -> None:
-        """Copy what comes, but for what has no end: a device, or more than can be."""
+    def _limited(self, stream: BinaryIO) -> Iterator[bytes]:
+        """Yield what comes, but for what has no end: a device, or more than can be."""
         device = False
         with contextlib.suppress(OSError):  # of a stream without a number
             device = stat.S_ISCHR(os.fstat(stream.fileno()).st_mode) and not stream.isatty()
@@ -124,12 +113,12 @@ class Pipe(os.PathLike[str]):
                     f"{self}: more than {(_DEVICE if device else _MOST) >> 20} MiB came, and no "
                     "end; put what is wanted into a file."
                 )
-            kept.write(piece)
+            yield piece
 
     def close(self) -> None:
         """Let go of what was kept."""
         if self._kept is not None:
-            self._kept()
+            self._kept.close()
 
 
 def is_pipe(path: StrPath) -> bool:
@@ -182,36 +171,33 @@ def _remove(path: str) -> None:
 
 
 class Unpacked(os.PathLike[str]):
-    """What was in a packed file, as a path.
+    """What was in a packed file, as a path."""
 
-    Attributes
-    ----------
-    header : tuple of str or None
-        The names of its columns, where no line of it has them.
-    """
-
-    def __init__(
-        self,
-        source: str,
-        stream: Iterable[bytes],
-        suffix: str,
-        header: tuple[str, ...] | None = None,
-    ) -> None:
+    def __init__(self, source: str, stream: Iterable[bytes], suffix: str) -> None:
         import tempfile  # slow to import, and seldom needed
 
         self._source = source
-        self.header = header
         handle, path = tempfile.mkstemp(prefix="multipos-", suffix=suffix)
         self._kept = weakref.finalize(self, _remove, path)
         self._path = path
-        with os.fdopen(handle, "wb") as kept:
-            if isinstance(stream, io.IOBase):
-                shutil.copyfileobj(stream, kept)
-            else:
-                kept.writelines(stream)
+        try:
+            with os.fdopen(handle, "wb") as kept:
+                if isinstance(stream, io.IOBase):
+                    shutil.copyfileobj(stream, kept)
+                else:
+                    kept.writelines(stream)
+        except BaseException:
+            self.close()
+            raise
 
     def __str__(self) -> str:
         return self._source
 
     def __fspath__(self) -> str:
+        if not self._kept.alive:
+            raise OSError(errno.EPIPE, "the pipe has been read already")
         return self._path
+
+    def close(self) -> None:
+        """Let go of what was kept."""
+        self._kept()

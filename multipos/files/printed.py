@@ -415,4 +415,4 @@ def unpack_printed(path: os.PathLike[str], printed: Printed) -> Unpacked:
             for text in Records(printed).text(stream):
                 yield f"{text}\n".encode()
 
-    return Unpacked(str(path), lines(), ".tsv", printed.names or None)
+    return Unpacked(str(path), lines(), ".tsv")

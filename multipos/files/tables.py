@@ -26,7 +26,7 @@ from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, Raw, read
 from multipos.files.csv_columns import Column as Column
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
-from multipos.files.printed import Printed, Records, find_printed, holds_number
+from multipos.files.printed import Records, find_printed, holds_number
 from multipos.files.spelling import StrPath
 from multipos.results import frozen
 
@@ -308,19 +308,23 @@ def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
 
 
 def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
-    """Read a table cell by cell, quotes included."""
-    numbered = _numbered(_decode(path, raw, what))
-    printed = find_printed([line for _, line in numbered])
-    if printed is not None:
-        return _read_records(path, numbered, printed, sha256)
-    if not numbered:
+    """Read a table cell by cell, quotes included, or lines that a program printed."""
+    lines = _numbered(_decode(path, raw, what))
+    printed = find_printed([line for _, line in lines])
+    if not lines:
         raise MultiposError(f"{path}: the file is empty; give a header and rows of {what}.")
-    delimiter = next((mark for mark in ";\t" if mark in numbered[0][1]), ",")
-    records = _records(path, numbered, delimiter)
+    said, delimiter = "", next((mark for mark in ";\t" if mark in lines[0][1]), ",")
+    if printed is not None:
+        delimiter = "\t"
+        said = f"lines were read as printed: {printed.forms[0][:60]}"
+        rows = Records(printed).text([line for _, line in lines])
+        lines = [(number, row) for (number, _), row in zip(lines, rows, strict=True) if row]
+    records = _records(path, lines, delimiter)
     first = next(records)
     header = [cell.strip() for cell in first.cells]
-    if _are_numbers(header):  # nothing names the columns
-        header = [str(i + 1) for i in range(len(header))]
+    if printed is not None or _are_numbers(header):  # names do not stand in a line of their own
+        names = printed.names if printed is not None and printed.names else [""] * len(header)
+        header = [name or str(i) for i, name in enumerate(names, 1)]
         records = itertools.chain([first], records)
     _check_header(path, header)
     found = _filled(path, records, header)
@@ -330,31 +334,10 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     columns = {
         name: list(map(str.strip, column)) for name, column in zip(header, cells, strict=True)
     }
-    columns, read_as = cleaned_columns(str(path), columns, commas_between=delimiter == ",")
-    lines = [record.end for record in found]
-    return Table(str(path), columns, len(found), lines, sha256, delimiter, read_as=read_as)
-
-
-def _read_records(
-    path: StrPath, numbered: Sequence[tuple[int, str]], printed: Printed, sha256: str
-) -> Table:
-    """Read lines that a program printed."""
-    lines = Records(printed).text(line for _, line in numbered)
-    pairs = zip((number for number, _ in numbered), lines, strict=True)
-    rows = [(number, text.split("\t")) for number, text in pairs if text]
-    names = printed.names or tuple(str(i + 1) for i in range(len(rows[0][1])))
-    header = [name or str(i + 1) for i, name in enumerate(names)]
-    _check_header(path, header)
-    cells = zip(*(cells for _, cells in rows), strict=True)
-    columns, read_as = cleaned_columns(
-        str(path), {n: [*c] for n, c in zip(header, cells, strict=True)}, commas_between=False
-    )
-    said = "; ".join(
-        filter(None, [f"lines were read as printed: {printed.forms[0][:60]}", read_as])
-    )
-    return Table(
-        str(path), columns, len(rows), [number for number, _ in rows], sha256, read_as=said
-    )
+    columns, marks = cleaned_columns(str(path), columns, commas_between=delimiter == ",")
+    read_as = "; ".join(filter(None, (said, marks)))
+    ends, mark = [record.end for record in found], "," if printed else delimiter
+    return Table(str(path), columns, len(found), ends, sha256, mark, read_as=read_as)
 
 
 def _decode(path: StrPath, raw: bytes, what: str) -> str:
@@ -603,36 +586,14 @@ def to_parquet(parts: Iterable[Mapping[str, Any]]) -> Iterator[bytes]:
     for part in parts:
         group = pa.table({name: pa.array(_as_objects(column)) for name, column in part.items()})
         if writer is None:
-            writer = parquet.ParquetWriter(pa.PythonFile(_Passing(stream), mode="w"), group.schema)
+            writer = parquet.ParquetWriter(stream, group.schema)
         writer.write_table(group)
-        yield _taken(stream)
     if writer is not None:
         writer.close()
-    yield _taken(stream)
+    yield stream.getvalue()
 
 
 def _as_objects(column: Column) -> Column:
     """Return texts as Python's, which repeat and are kept once."""
     is_text = isinstance(column, np.ndarray) and column.dtype.kind == "U"
     return column.astype(object) if is_text else column  # type: ignore[union-attr]
-
-
-class _Passing(io.RawIOBase):
-    """What is written goes to a stream that is emptied in between, and has no places of its own."""
-
-    def __init__(self, stream: io.BytesIO) -> None:
-        self._stream = stream
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, raw: Any) -> int:
-        return self._stream.write(raw)
-
-
-def _taken(stream: io.BytesIO) -> bytes:
-    """Return what is in a stream, and empty it."""
-    raw = stream.getvalue()
-    stream.seek(0)
-    stream.truncate()
-    return raw

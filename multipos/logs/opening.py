@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.csv_columns import unix_lines
 from multipos.files.handed import content_of, find_copies, take_in
 from multipos.files.marks import Marks, may_have_marks, read_marks
 from multipos.files.pipes import Unpacked, is_folder, rereadable, unpack_text
@@ -31,7 +30,7 @@ from multipos.logs.extras import Noted
 from multipos.logs.layout import Layout, cells_of, find_layout, is_comment
 from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
-from multipos.logs.text_logs import HEAD, open_text
+from multipos.logs.text_logs import HEAD, head_lines, open_text
 
 _WIDE, _LINES = 1 << 22, 4  # bytes of a head that may hold only so many lines
 
@@ -95,32 +94,28 @@ def open_log(
 
 def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
     """Return a log of text, of lines that a program printed the records that they hold."""
-    if b"\0" in head:
-        return open_text(path, head, names)  # which refuses it
-    printed = find_printed(_first_lines(head))
+    printed = find_printed(head_lines(path, head))
     if printed is None:
-        return _open_rows(path, head, names)
+        return _open_rows(path, head, None, names)
     path = unpack_printed(path, printed)
-    log = _open_rows(path, _read_head(path), names)
+    log = _open_rows(path, _read_head(path), printed.names, names)
     count = len(printed.forms)
     said = "each line is a record" if count == 1 else f"a record is {count} lines"
     return _noted(log, "log-source", f"{said}, as a program printed it: {printed.forms[0][:60]}")
 
 
-def _first_lines(head: bytes) -> list[str]:
-    """Return the lines of a head, but for a last one that it may cut."""
-    lines = unix_lines(head).decode("utf-8", "replace").split("\n")
-    return lines[:-1] if len(head) >= HEAD and len(lines) > 1 else lines
-
-
-def _open_rows(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
+def _open_rows(
+    path: os.PathLike[str],
+    head: bytes,
+    header: Sequence[str] | None,
+    names: Sequence[str] | None,
+) -> Log:
     """Return a log of rows, whose numbers may have marks between thousands or be registers."""
-    lines = _first_lines(head)
-    header = path.header if isinstance(path, Unpacked) else None
+    lines = head_lines(path, head)
     layout = find_layout(str(path), lines, header)
     rows = (cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :])
     if not may_have_marks(row for row in rows if len(row) == layout.width):
-        return open_text(path, head, names)
+        return open_text(path, head, layout, names)
     columns = names or layout.header or [str(i + 1) for i in range(layout.width)]
     marks = read_marks(
         str(path),
@@ -129,10 +124,12 @@ def _open_rows(path: os.PathLike[str], head: bytes, names: Sequence[str] | None)
         commas_between=layout.delimiter == ",",
     )
     if not marks:
-        return open_text(path, head, names)
+        return open_text(path, head, layout, names)
     cleaned = (_cleaned(line, layout, marks) for line in _lines_of(path))
-    path = Unpacked(str(path), cleaned, ".tsv", header)
-    log = _noted(open_text(path, _read_head(path), names), "log-source", marks.said(columns))
+    path = Unpacked(str(path), cleaned, ".tsv")
+    head = _read_head(path)
+    layout = find_layout(str(path), head_lines(path, head), header)
+    log = _noted(open_text(path, head, layout, names), "log-source", marks.said(columns))
     bits = zip(log.columns, marks.bits, strict=True)
     return replace(log, registers={name: each for name, each in bits if each > 0})
 

@@ -23,7 +23,6 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import unix_lines
-from multipos.files.pipes import Unpacked
 from multipos.files.printed import COMMENTS, Records, find_printed
 from multipos.files.spelling import of_cell
 from multipos.files.tables import Column, Table
@@ -138,12 +137,16 @@ class _Text:
         return frozenset(name for name, is_date in flags if is_date)
 
 
-def open_text(path: os.PathLike[str], head: bytes, given: Sequence[str] | None) -> Log:
-    """Return a log of text, whose first bytes are given."""
+def head_lines(path: os.PathLike[str], head: bytes) -> list[str]:
+    """Return the lines of the first bytes of a text, without one that may be cut."""
     lines = _decode(path, unix_lines(head)).split("\n")
-    if len(head) >= HEAD and len(lines) > 1:
-        lines = lines[:-1]  # its last line may be cut
-    layout = find_layout(str(path), lines, path.header if isinstance(path, Unpacked) else None)
+    return lines[:-1] if len(head) >= HEAD and len(lines) > 1 else lines
+
+
+def open_text(
+    path: os.PathLike[str], head: bytes, layout: Layout, given: Sequence[str] | None
+) -> Log:
+    """Return a log of text, whose first bytes and layout are given."""
     named = name_header(str(path), layout.header, layout.width, given)
     cut = _cut_row(path, layout)
     text = _Text(path, named.columns, layout, _begin(head, layout.first), cut.end)
