@@ -309,7 +309,7 @@ class _Pieces:
         self._header: list[str] = []
         self._mark, self._line = ",", 1
         self._pieces: list[_Piece] = []
-        self._numbers: list[Sequence[int]] = []
+        self._numbers: list[NDArray[np.int64]] = []
         self.rows = 0
 
     @property
@@ -336,7 +336,7 @@ class _Pieces:
             if set(map(methodcaller("count", self._mark), kept)) != {len(self._header) - 1}:
                 return False
             self._pieces.append(_Piece(start, end, self.rows))
-            self._numbers.append(_shifted(places, self._line))
+            self._numbers.append(self._line + np.asarray(places, dtype=np.int64))
             self.rows += len(kept)
         self._line += text.count("\n")
         return True
@@ -351,7 +351,7 @@ class _Pieces:
             Cells(self._raw, self._pieces, self.rows, place, self._mark)
             for place in range(len(self._header))
         ]
-        return Plain(self._header, columns, _joined(self._numbers), self._mark)
+        return Plain(self._header, columns, np.concatenate(self._numbers), self._mark)
 
 
 def unix_lines(raw: bytes) -> bytes:
@@ -378,17 +378,3 @@ def _kept(text: str) -> tuple[list[str], Sequence[int]]:
         if line.strip() and not line.lstrip().startswith("#")
     ]
     return [lines[place] for place in places], places
-
-
-def _shifted(places: Sequence[int], line: int) -> Sequence[int]:
-    if isinstance(places, range):
-        return range(places.start + line, places.stop + line)
-    return [place + line for place in places]
-
-
-def _joined(numbers: Sequence[Sequence[int]]) -> Lines:
-    """Return the line numbers of all rows, which take no memory where they follow each other."""
-    first, count = numbers[0][0], sum(map(len, numbers))
-    if numbers[-1][-1] - first + 1 == count:
-        return range(first, first + count)
-    return np.concatenate([np.asarray(part, dtype=np.int64) for part in numbers])

@@ -11,6 +11,7 @@ are taken in which nothing moves, the quietest third, and the triad is looked fo
 least there while its direction changes.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -62,37 +63,6 @@ def _variation(means: Array) -> float:
     return float(high - low) / usual
 
 
-def name_columns(
-    source: str, header: Sequence[str] | None, width: int, given: Sequence[str] | None
-) -> tuple[str, ...]:
-    """Return the names of the columns: as given, by the header, or 1, 2, 3, ….
-
-    A column that the header leaves without a name has its number.
-
-    Raises
-    ------
-    UsageError
-        Not as many names are given as there are columns.
-    MultiposError
-        A name appears twice.
-    """
-    if given is not None:
-        if len(given) != width:
-            raise UsageError(
-                f"--columns names {len(given)} columns, but {source} has {width}; name each."
-            )
-        header = given
-    names = tuple(name or str(i + 1) for i, name in enumerate(header or [""] * width))
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            raise MultiposError(
-                f"{source}: column '{name}' appears twice; rename one or give --columns."
-            )
-        seen.add(name)
-    return names
-
-
 class Named(NamedTuple):
     """The columns of a log: their names, without units, and how the header has them."""
 
@@ -105,20 +75,34 @@ class Named(NamedTuple):
 def name_header(
     source: str, header: Sequence[str] | None, width: int, given: Sequence[str] | None
 ) -> Named:
-    """Return the columns that a header names, units in brackets aside, or those given for it.
+    """Return the columns: as given, by the header, units in brackets aside, or 1, 2, 3, ….
+
+    A column that the header leaves without a name has its number.
 
     Raises
     ------
-    UsageError, MultiposError
-        As of `name_columns`.
+    UsageError
+        Not as many names are given as there are columns.
+    MultiposError
+        A name appears twice.
     """
-    if given is not None or header is None:
-        columns = name_columns(source, None, width, given)
-        return Named(columns, columns, frozenset(), given is None)
-    bare = [headers.split_unit(name)[0] for name in header]
+    if given is not None and len(given) != width:
+        raise UsageError(
+            f"--columns names {len(given)} columns, but {source} has {width}; name each."
+        )
+    cells = [""] * width if header is None else [*header]
+    bare = [headers.split_unit(name)[0] for name in cells]
     unlike = len(set(bare)) == len(bare)  # else the units tell the columns apart
-    columns = name_columns(source, bare if unlike else header, width, None)
-    pairs = list(zip(columns, header, strict=True))
+    names = given or (bare if unlike else cells)
+    columns = tuple(name or str(i) for i, name in enumerate(names, 1))
+    twice = next((name for name, count in Counter(columns).items() if count > 1), None)
+    if twice is not None:
+        raise MultiposError(
+            f"{source}: column '{twice}' appears twice; rename one or give --columns."
+        )
+    if given is not None or header is None:
+        return Named(columns, columns, frozenset(), given is None)
+    pairs = list(zip(columns, cells, strict=True))
     nameless = frozenset(name for name, cell in pairs if not cell)
     return Named(columns, tuple(cell or name for name, cell in pairs), nameless, False)
 
