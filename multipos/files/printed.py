@@ -57,14 +57,16 @@ _BETWEEN = re.compile(r"[:=({\[<>|,;)}\]\"'\t]+")
 _XYZ = re.compile(r"[xyz]", re.IGNORECASE)
 
 
-def _tokens(number: str) -> re.Pattern[str]:
-    return re.compile(
-        rf"(?P<index>{_INDEX})|(?P<date>(?<![\w.]){DATE.pattern})"
-        rf"|(?P<number>(?<![\w.^*])(?:0[xX][0-9a-fA-F]+|{number}|nan\b|NaN\b))"
-    )
+def _number_or_date(number: str) -> str:
+    """Return the pattern of what may be a cell, without groups."""
+    date = re.sub(r"\((?!\?)", "(?:", DATE.pattern)
+    return rf"(?<![\w.]){date}|(?<![\w.^*])(?:0[xX][0-9a-fA-F]+|{number}|nan\b|NaN\b)"
 
 
-_TOKENS = {",": _tokens(_COMMA), ".": _tokens(_PLAIN)}
+_NUMBER_OR_DATE = {",": _number_or_date(_COMMA), ".": _number_or_date(_PLAIN)}
+_TOKENS = {
+    decimal: re.compile(rf"(?P<index>{_INDEX})|{cell}") for decimal, cell in _NUMBER_OR_DATE.items()
+}
 
 
 class _Line(NamedTuple):
@@ -84,7 +86,7 @@ def _taken_apart(line: str, decimal: str) -> _Line:
     line = _LEFT_OUT.sub("", line).rstrip()
     texts, cells, begin = [], [], 0
     for found in _TOKENS[decimal].finditer(line):
-        if found.lastgroup != "index" and not found["index"]:
+        if not found["index"]:
             texts.append(line[begin : found.start()])
             cells.append(found[0].strip())
             begin = found.end()
@@ -132,6 +134,7 @@ class Records:
     def __init__(self, printed: Printed) -> None:
         """Begin before the first record."""
         self._printed = printed
+        self._lines = [_pattern(form, printed.decimal) for form in printed.forms]
         self._held: list[str] = []
         self._due = 0  # line of the record that comes next
 
@@ -143,22 +146,32 @@ class Records:
 
     def _taken(self, line: str) -> list[str]:
         """Take up a line; return the cells of the record that it ends."""
-        forms = self._printed.forms
-        parts = _taken_apart(line, self._printed.decimal)
-        form = parts.form
-        if form not in forms:
-            return []
-        if form != forms[self._due] and form == forms[0]:
+        line = _LEFT_OUT.sub("", line).strip() if "\x1b" in line else line.strip()
+        found = self._lines[self._due].fullmatch(line)
+        if found is None and self._due and (found := self._lines[0].fullmatch(line)):
             self._held, self._due = [], 0  # the record before is not whole
-        if form != forms[self._due]:
+        if found is None:
             return []
-        self._held += parts.cells
+        self._held += [cell.strip() for cell in found.groups()]
         self._due += 1
-        if self._due < len(forms):
+        if self._due < len(self._lines):
             return []
         cells = self._printed.row(self._held)
         self._held, self._due = [], 0
         return cells
+
+
+def _pattern(form: str, decimal: str) -> re.Pattern[str]:
+    """Return the pattern of lines of a form, its numbers as groups."""
+    parts = []
+    for part in re.findall(r"\w+|\s|\W", form):
+        if part == _MARK:
+            parts.append(f"({_NUMBER_OR_DATE[decimal]})")
+        elif part.isspace():
+            parts.append(r"\s+")
+        else:
+            parts.append(part if part.isalnum() else rf"\s*{re.escape(part)}\s*")
+    return re.compile("".join(parts).replace(r"\s*\s*", r"\s*"))
 
 
 def find_printed(lines: Sequence[str]) -> Printed | None:
