@@ -10,8 +10,7 @@ share are here; each target has a file of its own.
 
 import math
 from collections.abc import Callable
-from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,79 +25,84 @@ from multipos.sensor.calibration import Calibration, hidden_turn, rms_before
 from multipos.sensor.gravity import FieldKind
 
 Written = tuple[str, list[Finding]]  # the text of a file, and what is said of it
+Write = Callable[[Calibration, laws.Correction, Wish], Written]
 
 _LARGEST_ID = 2**31 - 1  # autopilots keep it as a whole number of 32 bits with a sign
 _CALLED = {"px4": "PX4", "ardupilot": "ArduPilot", "inav": "INAV"}
 
 
-def parameter_target(
-    name: str,
-    formula: str,
-    *,
-    raw: Literal["readings", "counts", "m/s^2"],
-    write: Callable[[Calibration, laws.Correction, Wish], Written],
-    suffix: str,
-    thermal: bool = False,
-    takes: tuple[str, ...] = (),
-    rounded: Callable[[Calibration, laws.Correction], laws.Correction] = lambda _, law: law,
-    tesla: float | None = None,
-    offset_alone: bool = False,
-) -> Target:
-    """Return a target whose consumer applies a matrix and an offset.
+class Form(NamedTuple):
+    """What a consumer does with a kind of sensor.
 
-    Parameters
+    Attributes
     ----------
-    name : str
     formula : str
         Terms of its law: LINEAR or DIAGONAL of `multipos.exports.laws`.
-    raw : str
-        What the consumer holds: the readings, counts from the zero of its driver, or m/s².
     write : function
         Return the text of a file and findings from a calibration, its law in the consumer's unit,
         and what the user asks for.
-    suffix : str
-        Of its files.
+    raw : str
+        What the consumer holds: the readings, counts from the zero of its driver, or m/s².
     thermal : bool
         Whether the consumer lets the offset drift with temperature.
-    takes : tuple of str
-        Options of `export` that it has.
     rounded : function
         Return a law in the consumer's unit as a file of whole numbers holds it.
     tesla : float, optional
-        The consumer's unit of a magnetic field, of a target for magnetometers.
+        The consumer's unit of a magnetic field, of magnetometers.
     offset_alone : bool
         Whether it takes the offset and no matrix.
     """
-    of_target = partial(laws.reduce_to, thermal=thermal, tesla=tesla, offset_alone=offset_alone)
 
-    def conversion(calibration: Calibration) -> tuple[float, float]:
-        """Return what the consumer holds for a unit of the readings, and the reading of its 0."""
-        laws.check_inputs(calibration, name, thermal=thermal)
-        metres = laws.in_metres(calibration, name, tesla) if raw == "m/s^2" else 1.0
-        return metres, 0.0 if raw == "readings" else laws.raw_zero(calibration)
+    formula: str
+    write: Write
+    raw: Literal["readings", "counts", "m/s^2"] = "m/s^2"
+    thermal: bool = False
+    rounded: Callable[[Calibration, laws.Correction], laws.Correction] = lambda _, law: law
+    tesla: float | None = None
+    offset_alone: bool = False
 
-    def write_file(calibration: Calibration, wish: Wish) -> Exported:
-        metres, zero = conversion(calibration)
-        law = of_target(calibration, formula, name, allow_lossy=wish.allow_lossy)
-        held = rounded(calibration, law.correction.of_raw_in(metres, zero))
-        text, found = write(calibration, held, wish)
-        if law.lost:
-            said = _residual_error(calibration, law, _CALLED.get(name, name), tesla)
-            found = [Finding("lossy", "warning", said), *found]
-        if calibration.convention == "gravity":
-            said = f"the sign of the force is that of specific force, which {name} uses"
-            found.append(Finding("convention-turned", "note", said))
-        given = held.of_raw_in(1.0 / metres, -zero * metres)
-        return Exported(
-            name,
-            text,
-            findings=in_order(found),
-            difference=laws.largest_difference(calibration, given, tesla),
-            unit=calibration.field.unit,
-        )
 
-    field: FieldKind = "gravity" if tesla is None else "magnetic"
-    return Target(name, write_file, suffix, takes=takes, fields=(field,))
+def parameter_target(name: str, suffix: str, *forms: Form, takes: tuple[str, ...] = ()) -> Target:
+    """Return a target whose consumer applies a matrix and an offset, of the kinds of its forms."""
+    by_kind: dict[FieldKind, Form] = {
+        "gravity" if form.tesla is None else "magnetic": form for form in forms
+    }
+
+    def write(calibration: Calibration, wish: Wish) -> Exported:
+        return _written(name, by_kind[calibration.field.kind], calibration, wish)
+
+    return Target(name, write, suffix, takes=takes, fields=tuple(by_kind))
+
+
+def _written(name: str, form: Form, calibration: Calibration, wish: Wish) -> Exported:
+    laws.check_inputs(calibration, name, thermal=form.thermal)
+    metres = laws.in_metres(calibration, name, form.tesla) if form.raw == "m/s^2" else 1.0
+    zero = 0.0 if form.raw == "readings" else laws.raw_zero(calibration)
+    law = laws.reduce_to(
+        calibration,
+        form.formula,
+        name,
+        allow_lossy=wish.allow_lossy,
+        thermal=form.thermal,
+        tesla=form.tesla,
+        offset_alone=form.offset_alone,
+    )
+    held = form.rounded(calibration, law.correction.of_raw_in(metres, zero))
+    text, found = form.write(calibration, held, wish)
+    if law.lost:
+        said = _residual_error(calibration, law, _CALLED.get(name, name), form.tesla)
+        found = [Finding("lossy", "warning", said), *found]
+    if calibration.convention == "gravity":
+        said = f"the sign of the force is that of specific force, which {name} uses"
+        found.append(Finding("convention-turned", "note", said))
+    given = held.of_raw_in(1.0 / metres, -zero * metres)
+    return Exported(
+        name,
+        text,
+        findings=in_order(found),
+        difference=laws.largest_difference(calibration, given, form.tesla),
+        unit=calibration.field.unit,
+    )
 
 
 def _residual_error(

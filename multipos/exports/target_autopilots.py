@@ -50,7 +50,6 @@ References
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -64,22 +63,24 @@ from multipos.sensor.calibration import Calibration
 from multipos.units import STANDARD_GRAVITY
 
 _Values = list[tuple[str, float | int]]  # of parameters, by name
+_Naming = Callable[[int], tuple[str, ...]]  # of the parameters of an instance
 
 _GAUSS, _MILLIGAUSS = 1e-4, 1e-7
 _UPPER = ((0, 1), (0, 2), (1, 2))  # of eq. (2), where x, y, z of the off-diagonals stand
 _REFERENCE = 35.0  # [°C], t of eq. (1) is counted from it
 _UNIT = 1e-6
 _REAL32, _INT32 = 9, 6  # MAV_PARAM_TYPE
+_BESIDE = 1.0  # what ground stations accept beside the diagonal of a magnetometer's matrix
 
 
-# --- what both have in common
+# --- PX4 and ArduPilot: a table of what each calls its parameters and does with them
 
 
 def _numbered(instance: int) -> str:
     return "" if instance == 1 else str(instance)  # the first has none
 
 
-def _names(templates: str) -> Callable[[int], tuple[str, ...]]:
+def _names(templates: str) -> _Naming:
     """Return what names the parameters of an instance, each that has an axis for all three."""
 
     def names(i: int) -> tuple[str, ...]:
@@ -93,86 +94,16 @@ def _names(templates: str) -> Callable[[int], tuple[str, ...]]:
     return names
 
 
-def _values(
-    calibration: Calibration, law: Correction, names: tuple[str, ...], sign: float = 1.0
-) -> _Values:
-    """Return offset, diagonal and, where named, off-diagonals, that single precision is to hold."""
-    beside = [law.matrix[place] for place in _UPPER]
-    values = np.concatenate([sign * law.offset, np.diag(law.matrix), beside])[: len(names)].tolist()
-    for name, value in zip(names, values, strict=True):
-        if value or "ODI" not in name:
-            parameters.require_writable(calibration, name, value, np.finfo(np.float32))
-    return list(zip(names, values, strict=True))
-
-
-def _identified(found: _Values, sensor: str, wish: Wish, *, px4: bool) -> list[Finding]:
-    """Put the ID of the device before its parameters, or say that there is none."""
-    if wish.device_id is not None:
-        found.insert(0, (sensor, wish.device_id))
-        return []
-    text = f"{sensor} is missing; ArduPilot will ask for a calibration"
-    if px4:
-        text = f"{sensor} is missing; PX4 will ignore the file"
-    return [Finding("no-device-id", "warning", text, "Add --device-id.")]
-
-
-def _turned(law: Correction) -> list[str]:
-    """Return what is said of the turn that a symmetric matrix leaves open."""
-    if np.allclose(law.turn, np.eye(3)):
-        return []
-    return ["the matrix is the symmetric root: orientations were unknown, and so is a turn"]
-
-
-_target = partial(parameters.parameter_target, raw="m/s^2", takes=("instance", "device_id"))
-
-
-# --- PX4
-
-_PX4_INSTANCES = range(4)
-
-
 _px4_names = _names("CAL_ACC{i}_{axis}OFF CAL_ACC{i}_{axis}SCALE")
 _px4_mag_names = _names("CAL_MAG{i}_{axis}OFF CAL_MAG{i}_{axis}SCALE CAL_MAG{i}_{axis}ODIAG")
 _px4_slopes = _names("TC_A{i}_X1_{place} TC_A{i}_X2_{place} TC_A{i}_X3_{place}")
 _px4_limits = _names("TC_A{i}_TREF TC_A{i}_TMIN TC_A{i}_TMAX")
-
-
-# By kind of field: names of parameters, the sensor in that of its ID, what the flight stack does.
-_PX4_SENSED = {
-    "gravity": (_px4_names, "ACC", "corrected = (raw - OFF{thermal}) SCALE, in m/s^2"),
-    "magnetic": (
-        _px4_mag_names,
-        "MAG",
-        "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it",
-    ),
-}
-
-
-def _params_text(head: list[str], found: _Values) -> str:
-    """Return the file of QGroundControl: lines of a name and a value, with the type of each."""
-    lines = [
-        *(f"# {line}" for line in head),
-        "#",
-        "# Vehicle-Id Component-Id Name Value Type",
-        *(
-            f"1\t1\t{name}\t{value!r}\t{_INT32 if isinstance(value, int) else _REAL32}"
-            for name, value in found
-        ),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _write_px4(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
-    instance = parameters.require_instance(wish, "px4", _PX4_INSTANCES)
-    names, sensor, equation = _PX4_SENSED[calibration.field.kind]
-    found = _values(calibration, law, names(instance))
-    missing = _identified(found, f"CAL_{sensor}{instance}_ID", wish, px4=True)
-    thermal = ""
-    if law.drift is not None:
-        found += _px4_thermal(law.drift, instance, wish.device_id)
-        thermal = f" - sum of X_k (t - {law.drift.reference:.6g})^k"
-    head = [*parameters.origin(calibration), *_turned(law), equation.format(thermal=thermal)]
-    return _params_text(head, found), missing
+_ardupilot_names = _names("INS_ACC{n}OFFS_{axis} INS_ACC{n}SCAL_{axis}")
+_ardupilot_mag_names = _names("COMPASS_OFS{n}_{axis} COMPASS_DIA{n}_{axis} COMPASS_ODI{n}_{axis}")
+_ardupilot_slopes = _names(
+    "INS_TCAL{i}_ACC1_{axis} INS_TCAL{i}_ACC2_{axis} INS_TCAL{i}_ACC3_{axis}"
+)
+_ardupilot_limits = _names("INS_ACC{i}_CALTEMP INS_TCAL{i}_TMIN INS_TCAL{i}_TMAX")
 
 
 def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
@@ -187,113 +118,7 @@ def _px4_thermal(drift: Drift, instance: int, device_id: int | None) -> _Values:
     ]
 
 
-PX4 = _target(
-    "px4",
-    DIAGONAL,
-    write=_write_px4,
-    suffix=".params",
-    thermal=True,
-)
-
-PX4_MAGNETOMETER = _target(
-    "px4",
-    LINEAR,
-    write=_write_px4,
-    suffix=".params",
-    tesla=_GAUSS,
-)
-
-
-# --- ArduPilot
-
-_ARDUPILOT_INSTANCES = range(1, 4)
-_BESIDE = 1.0  # what ground stations accept beside the diagonal of a magnetometer's matrix
-
-
-_ardupilot_names = _names("INS_ACC{n}OFFS_{axis} INS_ACC{n}SCAL_{axis}")
-_ardupilot_mag_names = _names("COMPASS_OFS{n}_{axis} COMPASS_DIA{n}_{axis} COMPASS_ODI{n}_{axis}")
-_ardupilot_slopes = _names(
-    "INS_TCAL{i}_ACC1_{axis} INS_TCAL{i}_ACC2_{axis} INS_TCAL{i}_ACC3_{axis}"
-)
-_ardupilot_limits = _names("INS_ACC{i}_CALTEMP INS_TCAL{i}_TMIN INS_TCAL{i}_TMAX")
-
-
-class _Sensed(NamedTuple):
-    """How ArduPilot holds a kind of sensor."""
-
-    names: Callable[[int], tuple[str, ...]]
-    sign: float  # of the offset
-    device: str  # the parameter with its ID
-    equation: str
-    offset: float  # the largest that ground stations accept [m/s², milligauss]
-    scale: tuple[float, float]  # between which they accept it
-    beyond: Callable[[str], Finding]
-
-
-def _acceleration_beyond(text: str) -> Finding:
-    return Finding("beyond-target", "warning", text, "Check the unit and the convention.")
-
-
-def _field_beyond(text: str) -> Finding:
-    return Finding("beyond-target", "warning", text, "Check the unit and the axes.")
-
-
-_ARDUPILOT_SENSED = {
-    "gravity": _Sensed(
-        _ardupilot_names,
-        1.0,
-        "INS_ACC{number}_ID",
-        "corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
-        3.5,
-        (0.8, 1.2),
-        _acceleration_beyond,
-    ),
-    "magnetic": _Sensed(
-        _ardupilot_mag_names,
-        -1.0,
-        "COMPASS_DEV_ID{number}",
-        "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
-        1800.0,
-        (0.2, 5.0),
-        _field_beyond,
-    ),
-}
-
-
-def _beyond(found: _Values, sensed: _Sensed) -> list[Finding]:
-    """Return what the ground stations do not accept."""
-    offset, (low, high) = sensed.offset, sensed.scale
-    bad = [name for name, value in found[:3] if abs(value) > offset]
-    bad += [name for name, value in found[3:6] if not low <= value <= high]
-    bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
-    if not bad:
-        return []
-    text = f"{', '.join(bad)} exceed what ArduPilot accepts"
-    return [sensed.beyond(text)]
-
-
-def _parm_text(head: list[str], found: _Values) -> str:
-    """Return the file of Mission Planner: lines of a name and a value."""
-    lines = [*(f"# {line}" for line in head), *(f"{name},{value!r}" for name, value in found)]
-    return "\n".join(lines) + "\n"
-
-
-def _write_ardupilot(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
-    instance = parameters.require_instance(wish, "ardupilot", _ARDUPILOT_INSTANCES)
-    sensed = _ARDUPILOT_SENSED[calibration.field.kind]
-    found = _values(calibration, law, sensed.names(instance), sensed.sign)
-    findings = _beyond(found, sensed)
-    device = sensed.device.format(number=_numbered(instance))
-    findings += _identified(found, device, wish, px4=False)
-    thermal = ""
-    if law.drift is not None:
-        found += _ardupilot_thermal(law.drift, instance)
-        thermal = " - p(t) + p(CALTEMP)"
-    equation = sensed.equation.format(thermal=thermal)
-    return _parm_text([*parameters.origin(calibration), *_turned(law), equation], found), findings
-
-
-def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
+def _ardupilot_thermal(drift: Drift, instance: int, _: int | None) -> _Values:
     """Return the parameters of eq. (1)."""
     slopes = (drift.about(_REFERENCE).slopes / _UNIT).ravel().tolist()
     limits = (drift.reference, drift.low, drift.high)
@@ -304,20 +129,156 @@ def _ardupilot_thermal(drift: Drift, instance: int) -> _Values:
     ]
 
 
-ARDUPILOT = _target(
-    "ardupilot",
-    DIAGONAL,
-    write=_write_ardupilot,
+def _acceleration_beyond(text: str) -> Finding:
+    return Finding("beyond-target", "warning", text, "Check the unit and the convention.")
+
+
+def _field_beyond(text: str) -> Finding:
+    return Finding("beyond-target", "warning", text, "Check the unit and the axes.")
+
+
+class _Stack(NamedTuple):
+    """How a flight stack writes the parameters of all its sensors."""
+
+    name: str
+    suffix: str
+    instances: range
+    without_id: str  # what it does with a file that names no device
+    columns: tuple[str, ...]  # of its file
+    line: str  # of a value
+    thermal: Callable[[Drift, int, int | None], _Values]
+    drift: str  # of the offset, in its equation
+
+
+class _Sensed(NamedTuple):
+    """How a flight stack holds a kind of sensor."""
+
+    names: _Naming
+    device: str  # the parameter with its ID
+    equation: str
+    sign: float = 1.0  # of the offset
+    offset: float = np.inf  # the largest that ground stations accept [m/s², milligauss]
+    scale: tuple[float, float] = (-np.inf, np.inf)  # between which they accept it
+    beyond: Callable[[str], Finding] = _acceleration_beyond
+
+
+_PX4 = _Stack(
+    name="PX4",
+    suffix=".params",
+    instances=range(4),
+    without_id="PX4 will ignore the file",
+    columns=("#", "# Vehicle-Id Component-Id Name Value Type"),
+    line="1\t1\t{name}\t{value!r}\t{kind}",
+    thermal=_px4_thermal,
+    drift=" - sum of X_k (t - {reference:.6g})^k",
+)
+_ARDUPILOT = _Stack(
+    name="ArduPilot",
     suffix=".parm",
-    thermal=True,
+    instances=range(1, 4),
+    without_id="ArduPilot will ask for a calibration",
+    columns=(),
+    line="{name},{value!r}",
+    thermal=_ardupilot_thermal,
+    drift=" - p(t) + p(CALTEMP)",
+)
+_PX4_ACCELEROMETER = _Sensed(
+    _px4_names, "CAL_ACC{i}_ID", "corrected = (raw - OFF{thermal}) SCALE, in m/s^2"
+)
+_PX4_MAGNETOMETER = _Sensed(
+    _px4_mag_names,
+    "CAL_MAG{i}_ID",
+    "corrected = S (raw - OFF), in gauss, S = SCALE on its diagonal, ODIAG off it",
+)
+_ARDUPILOT_ACCELEROMETER = _Sensed(
+    _ardupilot_names,
+    "INS_ACC{n}_ID",
+    "corrected = (raw - OFFS{thermal}) SCAL, in m/s^2",
+    offset=3.5,
+    scale=(0.8, 1.2),
+)
+_ARDUPILOT_MAGNETOMETER = _Sensed(
+    _ardupilot_mag_names,
+    "COMPASS_DEV_ID{n}",
+    "corrected = S (raw + OFS), in milligauss, S = DIA on its diagonal, ODI off it",
+    sign=-1.0,
+    offset=1800.0,
+    scale=(0.2, 5.0),
+    beyond=_field_beyond,
 )
 
-ARDUPILOT_MAGNETOMETER = _target(
+
+def _values(
+    calibration: Calibration, law: Correction, names: tuple[str, ...], sign: float = 1.0
+) -> _Values:
+    """Return offset, diagonal and, where named, off-diagonals, that single precision is to hold."""
+    beside = [law.matrix[place] for place in _UPPER]
+    values = np.concatenate([sign * law.offset, np.diag(law.matrix), beside])[: len(names)].tolist()
+    for name, value in zip(names, values, strict=True):
+        if value or "ODI" not in name:
+            parameters.require_writable(calibration, name, value, np.finfo(np.float32))
+    return list(zip(names, values, strict=True))
+
+
+def _turned(law: Correction) -> list[str]:
+    """Return what is said of the turn that a symmetric matrix leaves open."""
+    if np.allclose(law.turn, np.eye(3)):
+        return []
+    return ["the matrix is the symmetric root: orientations were unknown, and so is a turn"]
+
+
+def _beyond(found: _Values, sensed: _Sensed) -> list[Finding]:
+    """Return what the ground stations do not accept; those of PX4 take anything."""
+    if not np.isfinite(sensed.offset):
+        return []
+    offset, (low, high) = sensed.offset, sensed.scale
+    bad = [name for name, value in found[:3] if abs(value) > offset]
+    bad += [name for name, value in found[3:6] if not low <= value <= high]
+    bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
+    return [sensed.beyond(f"{', '.join(bad)} exceed what ArduPilot accepts")] if bad else []
+
+
+def _of_stack(stack: _Stack, sensed: _Sensed) -> parameters.Write:
+    """Return what writes the parameters of a kind of sensor of a flight stack."""
+
+    def write(calibration: Calibration, law: Correction, wish: Wish) -> parameters.Written:
+        instance = parameters.require_instance(wish, stack.name.lower(), stack.instances)
+        found = _values(calibration, law, sensed.names(instance), sensed.sign)
+        findings = _beyond(found, sensed)
+        device = sensed.device.format(i=instance, n=_numbered(instance))
+        if wish.device_id is None:
+            text = f"{device} is missing; {stack.without_id}"
+            findings.append(Finding("no-device-id", "warning", text, "Add --device-id."))
+        else:
+            found.insert(0, (device, wish.device_id))
+        thermal = ""
+        if law.drift is not None:
+            found += stack.thermal(law.drift, instance, wish.device_id)
+            thermal = stack.drift.format(reference=law.drift.reference)
+        equation = sensed.equation.format(thermal=thermal)
+        head = [*parameters.origin(calibration), *_turned(law), equation]
+        lines = [*(f"# {line}" for line in head), *stack.columns]
+        for name, value in found:
+            kind = _INT32 if isinstance(value, int) else _REAL32
+            lines.append(stack.line.format(name=name, value=value, kind=kind))
+        return "\n".join(lines) + "\n", findings
+
+    return write
+
+
+PX4 = parameters.parameter_target(
+    "px4",
+    _PX4.suffix,
+    parameters.Form(DIAGONAL, _of_stack(_PX4, _PX4_ACCELEROMETER), thermal=True),
+    parameters.Form(LINEAR, _of_stack(_PX4, _PX4_MAGNETOMETER), tesla=_GAUSS),
+    takes=("instance", "device_id"),
+)
+ARDUPILOT = parameters.parameter_target(
     "ardupilot",
-    LINEAR,
-    write=_write_ardupilot,
-    suffix=".parm",
-    tesla=_MILLIGAUSS,
+    _ARDUPILOT.suffix,
+    parameters.Form(DIAGONAL, _of_stack(_ARDUPILOT, _ARDUPILOT_ACCELEROMETER), thermal=True),
+    parameters.Form(LINEAR, _of_stack(_ARDUPILOT, _ARDUPILOT_MAGNETOMETER), tesla=_MILLIGAUSS),
+    takes=("instance", "device_id"),
 )
 
 
@@ -384,9 +345,6 @@ def _write_inav(calibration: Calibration, law: Correction, _: Wish) -> parameter
 
 INAV = parameters.parameter_target(
     "inav",
-    DIAGONAL,
-    raw="counts",
-    write=_write_inav,
-    suffix=".txt",
-    rounded=_rounded_for_inav,
+    ".txt",
+    parameters.Form(DIAGONAL, _write_inav, raw="counts", rounded=_rounded_for_inav),
 )

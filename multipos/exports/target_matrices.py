@@ -173,12 +173,7 @@ def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
 
 
 KALIBR = parameters.parameter_target(
-    "kalibr",
-    LINEAR,
-    raw="m/s^2",
-    write=_write_kalibr,
-    suffix=".yaml",
-    takes=("stability",),
+    "kalibr", ".yaml", parameters.Form(LINEAR, _write_kalibr), takes=("stability",)
 )
 
 
@@ -243,11 +238,7 @@ def _write_imu_calib(calibration: Calibration, law: Correction, _: Wish) -> para
 
 
 ROS = parameters.parameter_target(
-    "ros-imu-calib",
-    LINEAR,
-    raw="readings",
-    write=_write_imu_calib,
-    suffix=".yaml",
+    "ros-imu-calib", ".yaml", parameters.Form(LINEAR, _write_imu_calib, raw="readings")
 )
 
 
@@ -286,11 +277,7 @@ def _write_imucal(calibration: Calibration, law: Correction, _: Wish) -> paramet
 
 
 IMUCAL = parameters.parameter_target(
-    "imucal",
-    LINEAR,
-    raw="readings",
-    write=_write_imucal,
-    suffix=".json",
+    "imucal", ".json", parameters.Form(LINEAR, _write_imucal, raw="readings")
 )
 
 
@@ -314,10 +301,6 @@ def _write_magnetometer(calibration: Calibration, law: Correction, _: Wish) -> p
 
 ROS_MAGNETOMETER = parameters.parameter_target(
     "ros",
-    LINEAR,
-    raw="m/s^2",
-    write=_write_magnetometer,
-    suffix=".yaml",
-    tesla=1.0,
-    offset_alone=True,
+    ".yaml",
+    parameters.Form(LINEAR, _write_magnetometer, tesla=1.0, offset_alone=True),
 )

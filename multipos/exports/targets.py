@@ -13,13 +13,7 @@ from multipos.bias_stability.stability_result import Stability, load_stability
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import Parts, split_parts
 from multipos.exports.target import Exported, Target, Wish
-from multipos.exports.target_autopilots import (
-    ARDUPILOT,
-    ARDUPILOT_MAGNETOMETER,
-    INAV,
-    PX4,
-    PX4_MAGNETOMETER,
-)
+from multipos.exports.target_autopilots import ARDUPILOT, INAV, PX4
 from multipos.exports.target_c import C
 from multipos.exports.target_correction import correction_of, write_correction
 from multipos.exports.target_matrices import IMUCAL, KALIBR, ROS, ROS_MAGNETOMETER, write_noise
@@ -31,8 +25,6 @@ from multipos.sensor.nominal import read_nominal
 
 # In the order of the documentation.
 TARGETS: tuple[Target, ...] = (C, ROS, PX4, ARDUPILOT, ROS_MAGNETOMETER, IMUCAL, KALIBR, INAV)
-# Of the names that accelerometers have too.
-_MAGNETOMETERS: tuple[Target, ...] = (PX4_MAGNETOMETER, ARDUPILOT_MAGNETOMETER)
 TargetName = Literal["c", "ros-imu-calib", "px4", "ardupilot", "imucal", "kalibr", "inav", "ros"]
 Unit = Literal["g", "m/s^2"]
 
@@ -149,13 +141,12 @@ def export(
 
 def _target(to: str, *, single: bool, field: Field) -> Target:
     """Return the target that is asked for, of magnetometers or of accelerometers."""
-    if named_target(to) is None:
-        names = ", ".join(target.name for target in TARGETS)
-        raise UsageError(f"--to takes {names}, got '{to}'.")
-    every = [each for each in (*TARGETS, *_MAGNETOMETERS) if field.kind in each.fields]
-    target = next((each for each in every if each.name == to), None)
+    target = named_target(to)
     if target is None:
-        names = ", ".join(each.name for each in every)
+        names = ", ".join(each.name for each in TARGETS)
+        raise UsageError(f"--to takes {names}, got '{to}'.")
+    if field.kind not in target.fields:
+        names = ", ".join(each.name for each in TARGETS if field.kind in each.fields)
         raise MultiposError(f"{to} takes no {field.sensor.lower()}; export it --to {names}.")
     if single and not target.is_code:
         codes = ", ".join(target.name for target in TARGETS if target.is_code)
