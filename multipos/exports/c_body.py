@@ -2,9 +2,9 @@
 
 `function_body` returns the body of the function. `needed_steps` and `counted_steps` return how many
 steps it takes, over the forces of `force_grid`, and `steps_in_words` says so; `exact_inverse` and
-`exact_normal_inverse` return matrices correctly rounded; `literal`, `signed_sum` and
-`written_factors` write numbers, sums and terms; `environment_range` and `slope_in_the_middle`
-return where a column lies and dh/df there.
+`exact_normal_inverse` return matrices correctly rounded; `stepped` writes steps and
+`written_factors` terms; `environment_range` and `slope_in_the_middle` return where a column lies
+and dh/df there.
 
 A linear model is one matrix product, f = T (raw − o). Anything else is solved by a fixed number
 of steps of
@@ -33,11 +33,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.exports.c_text import Real, Statement, literal
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.factors import FUNCTIONS, Code, Factor
 from multipos.numerics.terms import CONSTANT, Term, linear_term
@@ -138,18 +140,21 @@ def _contraction(calibration: Calibration, slope: Array) -> float:
     return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
 
 
-def steps_in_words(steps: int, rho: float) -> str:
-    """Return how a function with so many steps computes."""
-    return f"{steps} steps, each shrinking the error at least {1.0 / max(rho, 1e-16):.3g} times"
-
-
 # Output, product of force components, and its coefficient: a number times a named constant.
 _RestTerm = tuple[int, Term, tuple[float, str]]
 _Exact = NDArray[np.object_]  # of fractions
 
 
-def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
-    """Return the body of the function, and in words how it computes.
+class Body(NamedTuple):
+    """Statements of a function, in words how it computes, and whether it calls the C library."""
+
+    statements: list[Statement]
+    how: str
+    library: bool = False
+
+
+def function_body(calibration: Calibration, *, single: bool) -> Body:
+    """Return the body of the function.
 
     Raises
     ------
@@ -160,23 +165,18 @@ def function_body(calibration: Calibration, *, single: bool) -> tuple[str, str]:
     return writer.linear() if writer.is_linear else writer.polynomial()
 
 
-def literal(value: float, single: bool) -> str:
-    """Return a number as C reads it back, to the last digit.
+def steps_in_words(steps: int, rho: float) -> str:
+    """Return how a function with so many steps computes."""
+    return f"{steps} steps, each shrinking the error at least {1.0 / max(rho, 1e-16):.3g} times"
 
-    Raises
-    ------
-    MultiposError
-        The precision cannot hold it.
-    """
-    with np.errstate(over="ignore"):
-        held = np.float32(value) if single else np.float64(value)
-    if not np.isfinite(held):
-        raise MultiposError(
-            f"a number of the C file would be {value:.3g}, beyond "
-            f"{'single' if single else 'double'} precision; fit readings in a unit nearer to "
-            f"their size{', or leave out --float' if single else ''}."
-        )
-    return f"{held!s}f" if single else repr(float(held))
+
+def stepped(
+    real: Real, unknowns: Sequence[str], steps: int, inner: list[Statement], ends: Sequence[str]
+) -> list[Statement]:
+    """Return the statements of so many steps from zero, and of what is given in the end."""
+    zeros = ", ".join(f"{name} = {real.number(0.0)}" for name in unknowns)
+    loop = (f"for (int step = 0; step < {steps}; ++step)", inner)
+    return [f"{real.kind} {zeros};", loop, *(f"accel[{k}] = {end};" for k, end in enumerate(ends))]
 
 
 def exact_inverse(A: Array) -> Array:
@@ -219,7 +219,7 @@ class _Writer:
         self._calibration = calibration
         self._model = calibration.model
         self._single = single
-        self._kind = "float" if single else "double"
+        self._real = Real(single)
         self._sensed = [COMPONENTS[i] for i in self._model.sensed_axes]
         self._theta = self._model.coefficients(calibration.parameters)
         self._middle = {
@@ -237,31 +237,24 @@ class _Writer:
         bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
         return all(term in bare for term in self._model.basis_terms)
 
-    def linear(self) -> tuple[str, str]:
-        lines = ["{", *self._offsets()]
+    def linear(self) -> Body:
+        lines: list[Statement] = [*self._offsets()]
         for k, row in enumerate(self._inverse):
-            total = self._sum([(value, f"d{i}") for i, value in enumerate(row)])
-            lines.append(f"    accel[{k}] = {total};")
-        return "\n".join([*lines, "}"]) + "\n", "one matrix product"
+            lines.append(f"accel[{k}] = {self._total(row, 'd')};")
+        return Body(lines, "one matrix product")
 
-    def polynomial(self) -> tuple[str, str]:
+    def polynomial(self) -> Body:
         steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
-        unknowns = ", ".join(f"{axis} = {self._number(0.0)}" for axis in self._sensed)
         constants, coefficients = self._coefficients()
         inner = self._functions(coefficients)
         inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
-        lines = [
-            "{",
-            *self._offsets(),
-            *(f"    const {self._kind} {line};" for line in self._shifts(constants) + constants),
-            f"    {self._kind} {unknowns};",
-            f"    for (int step = 0; step < {steps}; ++step) {{",
-            *(f"        {line}" for line in inner),
-            "    }",
-            *(f"    accel[{k}] = {axis};" for k, axis in enumerate(self._sensed)),
-            "}",
-        ]
-        return "\n".join(lines) + "\n", steps_in_words(steps, rho)
+        named = [f"const {self._real.kind} {each};" for each in self._shifts(constants) + constants]
+        lines = stepped(self._real, self._sensed, steps, [*inner], self._sensed)
+        return Body([*self._offsets(), *named, *lines], steps_in_words(steps, rho))
+
+    def _total(self, weights: Array, name: str) -> str:
+        """Return the sum of numbers times variables that are counted."""
+        return self._real.sum((value, f"{name}{i}") for i, value in enumerate(weights))
 
     def _functions(self, coefficients: list[_RestTerm]) -> list[str]:
         """Name the values of the functions of each axis that stand in the terms."""
@@ -270,11 +263,11 @@ class _Writer:
         for axis in self._sensed:
             for factor in {f.function: f for f in used if f.variable == axis}.values():
                 value = self._written(_code(factor).value, axis)
-                lines.append(f"const {self._kind} {_code(factor).prefix}{axis} = {value};")
+                lines.append(f"const {self._real.kind} {_code(factor).prefix}{axis} = {value};")
         return lines
 
     def _written(self, template: str, variable: str) -> str:
-        return template.format(v=variable, zero=self._number(0.0), one=self._number(1.0))
+        return template.format(v=variable, zero=self._real.number(0.0), one=self._real.number(1.0))
 
     @property
     def _is_redundant(self) -> bool:
@@ -283,12 +276,11 @@ class _Writer:
     def _square(self, coefficients: list[_RestTerm]) -> list[str]:
         lines = []
         for i in range(len(self._bias)):
-            rest = self._sum(self._rest_of(i, coefficients))
-            less = f" - ({rest})" if rest != self._number(0.0) else ""
-            lines.append(f"const {self._kind} r{i} = d{i}{less};")
+            rest = self._rest_of(i, coefficients)
+            less = f" - ({self._real.sum(rest)})" if any(value for value, _ in rest) else ""
+            lines.append(f"const {self._real.kind} r{i} = d{i}{less};")
         for k, axis in enumerate(self._sensed):
-            total = self._sum([(v, f"r{i}") for i, v in enumerate(self._inverse[k])])
-            lines.append(f"{axis} = {total};")
+            lines.append(f"{axis} = {self._total(self._inverse[k], 'r')};")
         return lines
 
     def _redundant(self, coefficients: list[_RestTerm]) -> list[str]:
@@ -298,13 +290,13 @@ class _Writer:
         for i in outputs:
             parts = self._rest_of(i, coefficients)
             parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
-            lines.append(f"const {self._kind} r{i} = d{i} - ({self._sum(parts)});")
+            lines.append(f"const {self._real.kind} r{i} = d{i} - ({self._real.sum(parts)});")
         for k in range(len(self._sensed)):
             gradient = [f"({self._slope_of(i, k, coefficients)}) * r{i}" for i in outputs]
-            lines.append(f"const {self._kind} g{k} = {' + '.join(gradient)};")
+            lines.append(f"const {self._real.kind} g{k} = {' + '.join(gradient)};")
         normal = exact_normal_inverse(self._slope)
         for k, axis in enumerate(self._sensed):
-            lines.append(f"{axis} += {self._sum([(v, f'g{j}') for j, v in enumerate(normal[k])])};")
+            lines.append(f"{axis} += {self._total(normal[k], 'g')};")
         return lines
 
     def _rest_of(self, i: int, coefficients: list[_RestTerm]) -> list[tuple[float, str]]:
@@ -324,7 +316,7 @@ class _Writer:
                 turn = f"({self._written(slope, axis)})"
                 product = f"{product} * {turn}" if product else turn
             parts.append((c * weight, product))
-        return self._sum(parts)
+        return self._real.sum(parts)
 
     def _offsets(self) -> list[str]:
         """Write all that is read before anything is written: raw and accel may be one array."""
@@ -335,11 +327,11 @@ class _Writer:
             if bias != held:
                 text = f"({text})" if held else text
                 text = f"{text} {self._less(bias - held)}"
-            lines.append(f"    const {self._kind} d{i} = {text};")
+            lines.append(f"const {self._real.kind} d{i} = {text};")
         return lines
 
     def _less(self, value: float) -> str:
-        return f"{'-' if value > 0.0 else '+'} {self._number(abs(value))}"
+        return f"{'-' if value > 0.0 else '+'} {self._real.number(abs(value))}"
 
     def _shifts(self, constants: list[str]) -> list[str]:
         """Write the other columns about their middle, those that the constants use."""
@@ -380,7 +372,7 @@ class _Writer:
             shifted = [part for part in shifted if part[1]]
         else:
             shifted.append((fixed, ""))
-        return self._sum(_collected(shifted))
+        return self._real.sum(_collected(shifted))
 
     def _by_force(self, row: Array) -> dict[Term, list[tuple[float, Term]]]:
         """Return an output's coefficients by product of force, each with its other columns."""
@@ -425,32 +417,12 @@ class _Writer:
                 factors.append(f"{_code(factor).prefix}{factor.variable}")
         return " * ".join(factors)
 
-    def _sum(self, parts: list[tuple[float, str]]) -> str:
-        pieces = [
-            (value, self._piece(abs(float(value)), product)) for value, product in parts if value
-        ]
-        return signed_sum(pieces) or self._number(0.0)
-
-    def _piece(self, size: float, product: str) -> str:
-        if product and size == 1.0:
-            return product
-        return f"{self._number(size)} * {product}" if product else self._number(size)
-
-    def _number(self, value: float) -> str:
-        return literal(value, self._single)
-
 
 def _held_by_both(value: float) -> float:
     """Return a number that single precision holds, so that both are about the same middle."""
     with np.errstate(over="ignore"):  # what overflows is refused when it is written in single
         held = float(np.float32(value))
     return held if math.isfinite(held) else value
-
-
-def signed_sum(pieces: Sequence[tuple[float, str]]) -> str:
-    """Return a sum in the order it is given, each piece written for the size of its number."""
-    signed = " ".join(f"{'-' if value < 0.0 else '+'} {piece}" for value, piece in pieces)
-    return signed.removeprefix("+ ") if signed[:1] != "-" else f"-{signed[2:]}"
 
 
 def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:

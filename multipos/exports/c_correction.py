@@ -25,11 +25,13 @@ because single precision cannot count the milliseconds of a day.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from multipos import __version__
-from multipos.exports.c_body import environment_range, literal, signed_sum, written_factors
+from multipos.exports.c_body import environment_range, written_factors
+from multipos.exports.c_text import Real, Statement, function
 from multipos.exports.parts import Correction
 from multipos.exports.target_c import c_source, comment
 from multipos.files.numbers import number
@@ -92,9 +94,9 @@ def correction_source(c: Correction, name: str, *, single: bool) -> str:
     """Return the C99 file, with the calibration's function in front where there is one."""
     before = "" if c.calibration is None else c_source(c.calibration, name, single=single) + "\n"
     state, start, correct = declarations(c, name, single=single)
-    body = "\n".join(_Writer(c, name, single).lines())
-    begin = f"{start}\n{{\n    *state = ({name}_state){{0}};\n}}"
-    return f"{before}{_header(c, name, single)}\n{state}\n\n{begin}\n\n{correct}\n{body}\n"
+    begin = function(start, [f"*state = ({name}_state){{0}};"])
+    body = function(correct, _Writer(c, name, single).statements())
+    return f"{before}{_header(c, name, single)}\n{state}\n\n{begin}\n{body}"
 
 
 def _header(c: Correction, name: str, single: bool) -> str:
@@ -139,24 +141,22 @@ def _described(r: Regression, single: bool) -> list[str]:
 
 
 class _Writer:
-    """Turn a correction into the lines of its function."""
+    """Turn a correction into the statements of its function."""
 
     def __init__(self, c: Correction, name: str, single: bool) -> None:
         self._c, self._name, self._single = c, name, single
-        self._kind = "float" if single else "double"
+        self._real = Real(single)
 
-    def lines(self) -> list[str]:
-        c, body = self._c, []
-        used = self._read()
-        body += [f"    const {self._kind} x{i} = in[{i}];" for i in used]
-        body += ["    int beyond = 0;", ""]
-        body += self._refused()
+    def statements(self) -> list[Statement]:
+        c = self._c
+        body: list[Statement] = [f"const {self._real.kind} x{i} = in[{i}];" for i in self._read()]
+        body += ["int beyond = 0;", "", *self._refused()]
         body += [] if self._needs_force else self._moved()
         if c.calibration is not None:
             body += self._compensated(c.calibration)
         for k in range(len(c.regressions)):
             body += self._regression(k)
-        return ["{", *body, "    return beyond;", "}"]
+        return [*body, "return beyond;"]
 
     def _read(self) -> list[int]:
         """Return the inputs that are read one by one; a calibration reads its own as an array."""
@@ -167,17 +167,14 @@ class _Writer:
             names |= set(c.calibration.model.environment)
         return [i for i, name in enumerate(c.inputs) if name in names]
 
-    def _number(self, value: float) -> str:
-        return literal(value, self._single)
-
     def _inside(self, value: float, towards: float) -> str:
         """Return a bound, in single precision the nearest number that is not beyond it."""
         if self._single:
             held = np.float32(value)
             if (float(held) - value) * np.sign(towards) < 0.0:
                 held = np.nextafter(held, np.float32(towards))
-            return self._number(float(held))
-        return self._number(value)
+            value = float(held)
+        return self._real.number(value)
 
     def _expression(self, r: Regression, name: str) -> str:
         """Return what holds a variable of a regression."""
@@ -196,12 +193,12 @@ class _Writer:
     def _refused(self) -> list[str]:
         """Write what returns 2: nothing of the state may have been changed by then."""
         tests = [f"!(time > -{LARGEST!r} && time < {LARGEST!r})"]
-        most = self._number(_NUMBERS[self._single])
+        most = self._real.number(_NUMBERS[self._single])
         for source in self._sources():
             x = self._column(source)
             tests.append(f"!({x} > -{most} && {x} < {most})")
         tests.append("state->started && !(time > state->time)")
-        return [f"    if ({test}) return 2;" for test in tests]
+        return [f"if ({test}) return 2;" for test in tests]
 
     def _sources(self) -> list[str]:
         """Return the inputs that rates are made of."""
@@ -215,139 +212,135 @@ class _Writer:
     def _needs_force(self) -> bool:
         return any(column in self._c.forces for column, _ in self._c.rates)
 
-    def _moved(self) -> list[str]:
+    def _moved(self) -> list[Statement]:
         """Write eq. (2) of the rates, and the memory of the row."""
-        c, kind = self._c, self._kind
-        lines = []
+        c, kind = self._c, self._real.kind
+        lines: list[Statement] = []
         if c.rates:
-            cast = "(float)" if self._single else ""
-            span = "(time - state->time)" if cast else "time - state->time"
-            lines += ["    if (state->started) {", f"        const {kind} dt = {cast}{span};"]
+            span = "(float)(time - state->time)" if self._single else "time - state->time"
+            inner = [f"const {kind} dt = {span};"]
             windows = list(dict.fromkeys(w for _, w in c.rates))
             for w, window in enumerate(windows):
-                T = self._number(filter_time(window))
-                lines.append(f"        const {kind} s{w} = {self._number(1.0)} / ({T} + dt);")
+                one, T = self._real.number(1.0), self._real.number(filter_time(window))
+                inner.append(f"const {kind} s{w} = {one} / ({T} + dt);")
             for j, (column, window) in enumerate(c.rates):
                 s, x = f"s{windows.index(window)}", self._column(column)
-                lines += [
-                    f"        const {kind} a{j} = state->behind[{j}] + ({x} - state->last[{j}]);",
-                    f"        const {kind} m{j} = a{j} * dt * {s};",
-                    f"        state->behind[{j}] = a{j} - m{j};",
-                    f"        state->rate[{j}] += (m{j} - state->rate[{j}] * dt) * {s};",
+                inner += [
+                    f"const {kind} a{j} = state->behind[{j}] + ({x} - state->last[{j}]);",
+                    f"const {kind} m{j} = a{j} * dt * {s};",
+                    f"state->behind[{j}] = a{j} - m{j};",
+                    f"state->rate[{j}] += (m{j} - state->rate[{j}] * dt) * {s};",
                 ]
-            lines.append("    }")
+            lines.append(("if (state->started)", inner))
         for j, (column, _) in enumerate(c.rates):
-            lines.append(f"    state->last[{j}] = {self._column(column)};")
-        return [*lines, "    state->time = time;", "    state->started = 1;"]
+            lines.append(f"state->last[{j}] = {self._column(column)};")
+        return [*lines, "state->time = time;", "state->started = 1;"]
 
-    def _compensated(self, calibration: Calibration) -> list[str]:
-        kind, c = self._kind, self._c
+    def _compensated(self, calibration: Calibration) -> list[Statement]:
+        kind, c = self._real.kind, self._c
         environment = calibration.model.environment
-        lines = [f"    {kind} force[{len(c.forces)}];"]
+        lines: list[Statement] = [f"{kind} force[{len(c.forces)}];"]
         if environment:
-            lines.append(f"    {kind} env[{len(environment)}];")
+            lines.append(f"{kind} env[{len(environment)}];")
             for j, name in enumerate(environment):
-                lines.append(f"    env[{j}] = {self._column(name)};")
-                lines += self._held(f"env[{j}]", environment_range(calibration, name), "    ")
+                lines.append(f"env[{j}] = {self._column(name)};")
+                lines += self._held(f"env[{j}]", environment_range(calibration, name))
         env = "env, " if environment else ""
-        lines.append(f"    {self._name}_compensate(in, {env}force);")
+        lines.append(f"{self._name}_compensate(in, {env}force);")
         lines += self._force_beyond(calibration)
         return lines + (self._moved() if self._needs_force else [])
 
     def _force_beyond(self, calibration: Calibration) -> list[str]:
         """Write what tells forces that were not applied, as `apply` does."""
         seen, axes = applied(calibration), list(calibration.model.sensed_axes)
+        number = self._real.number
         squares = " + ".join(f"force[{i}] * force[{i}]" for i in range(len(axes)))
-        lines = [f"    const {self._kind} size = {squares};"]
-        limits = [self._number(seen.limit(size) ** 2) for size in (seen.sphere, seen.largest)]
+        limits = [number(seen.limit(size) ** 2) for size in (seen.sphere, seen.largest)]
         tests = [f"size <= {limits[0]}"]
         if seen.sphere != seen.largest:
+            sides = zip(*map(np.ndarray.tolist, seen.box(axes)), strict=True)
             box = [
-                f"force[{i}] >= {self._number(low)} && force[{i}] <= {self._number(high)}"
-                for i, (low, high) in enumerate(
-                    zip(*map(np.ndarray.tolist, seen.box(axes)), strict=True)
-                )
+                f"force[{i}] >= {number(low)} && force[{i}] <= {number(high)}"
+                for i, (low, high) in enumerate(sides)
             ]
             tests.append(f"(size <= {limits[1]} && {' && '.join(box)})")
-        return [*lines, f"    if (!({' || '.join(tests)})) beyond = 1;"]
+        test = " || ".join(tests)
+        return [f"const {self._real.kind} size = {squares};", f"if (!({test})) beyond = 1;"]
 
-    def _held(self, name: str, limits: tuple[float, float], indent: str) -> list[str]:
+    def _held(self, name: str, limits: tuple[float, float]) -> list[str]:
         low, high = self._inside(limits[0], np.inf), self._inside(limits[1], -np.inf)
         return [
-            f"{indent}if (!({name} >= {low})) {{ {name} = {low}; beyond = 1; }}",
-            f"{indent}else if ({name} > {high}) {{ {name} = {high}; beyond = 1; }}",
+            f"if (!({name} >= {low})) {{ {name} = {low}; beyond = 1; }}",
+            f"else if ({name} > {high}) {{ {name} = {high}; beyond = 1; }}",
         ]
 
-    def _regression(self, k: int) -> list[str]:
+    def _regression(self, k: int) -> list[Statement]:
         """Write the prediction of a regression, and its output."""
         c, r = self._c, self._c.regressions[k]
-        lines = ["", f"    {self._kind} p{k};"]
+        lines: list[Statement] = ["", f"{self._real.kind} p{k};"]
         segments = len(r.edges) + 1
         if r.branch_column is None:
-            lines += self._chain(k, r.segments, "    ")
+            lines.append(self._chain(k, r.segments))
         else:
             b = c.branched.index(k)
             rate = self._expression(r, r.branch_column)
-            zero = self._number(0.0)
+            zero = self._real.number(0.0)
+            heating, cooling = r.segments[:segments], r.segments[segments:]
             lines += [
-                f"    if ({rate} > {zero}) state->cooling[{b}] = 0;",
-                f"    if ({rate} < {zero}) state->cooling[{b}] = 1;",
-                f"    if (!state->cooling[{b}]) {{",
-                *self._chain(k, r.segments[:segments], "        "),
-                "    } else {",
-                *self._chain(k, r.segments[segments:], "        "),
-                "    }",
+                f"if ({rate} > {zero}) state->cooling[{b}] = 0;",
+                f"if ({rate} < {zero}) state->cooling[{b}] = 1;",
+                (
+                    f"if (!state->cooling[{b}])",
+                    [self._chain(k, heating)],
+                    "else",
+                    [self._chain(k, cooling)],
+                ),
             ]
         value = f"{self._column(c.corrected[k])} - p{k}" if c.corrected else f"p{k}"
-        return [*lines, f"    out[{k}] = {value};"]
+        return [*lines, f"out[{k}] = {value};"]
 
-    def _chain(self, k: int, segments: Sequence[Segment], indent: str) -> list[str]:
+    def _chain(self, k: int, segments: Sequence[Segment]) -> Statement:
         """Write the segments of one branch, each behind the edge above it."""
         r = self._c.regressions[k]
-        if not r.edges or r.segment_variable is None:
-            return [f"{indent}{{", *self._segment(k, segments[0], f"{indent}    "), f"{indent}}}"]
-        lines = []
-        x = self._expression(r, r.segment_variable)
-        for i, s in enumerate(segments):
-            test = f"if ({x} < {self._inside(r.edges[i], np.inf)}) " if i < len(r.edges) else ""
-            lines.append(f"{indent}{'} else ' if i else ''}{test}{{")
-            lines += self._segment(k, s, f"{indent}    ")
-        return [*lines, f"{indent}}}"]
+        edges = r.edges if r.segment_variable is not None else ()
+        tests = [
+            f"if ({self._expression(r, str(r.segment_variable))} < {self._inside(edge, np.inf)})"
+            for edge in edges
+        ]
+        chain: list[Any] = []
+        for i, s in enumerate(segments[: len(edges) + 1]):
+            head = " ".join(["else"] * bool(i) + tests[i : i + 1])
+            chain += [head, self._segment(k, s)]
+        return tuple(chain)
 
-    def _segment(self, k: int, s: Segment, indent: str) -> list[str]:
-        r = self._c.regressions[k]
+    def _segment(self, k: int, s: Segment) -> list[str]:
+        r, kind = self._c.regressions[k], self._real.kind
         lines = []
         variables: dict[str, str] = {}
         for name, limits in _limits(r, s).items():
             variables[name] = f"v{len(variables)}"
-            lines.append(f"{indent}{self._kind} {variables[name]} = {self._expression(r, name)};")
-            lines += self._held(variables[name], limits, indent)
+            lines.append(f"{kind} {variables[name]} = {self._expression(r, name)};")
+            lines += self._held(variables[name], limits)
         every = s.terms if s.region is None else s.region.terms
         rows = [] if s.region is None else s.region.factor.tolist()
         entries = [[(g, t) for g, t in zip(row, every, strict=True) if g] for row in rows]
-        used = {*s.terms, *(term for row in entries for _, term in row)}
+        values = [(b, t) for b, t in zip(s.values.tolist(), s.terms, strict=True) if b]
+        used = {term for row in (values, *entries) for _, term in row}
         names: dict[Term, str] = {CONSTANT: ""}
         for term in filter(used.__contains__, every):
             factors = written_factors(term, variables, self._single)
             if len(factors) > 1:
                 names[term] = f"t{len(names)}"
-                lines.append(f"{indent}const {self._kind} {names[term]} = {' * '.join(factors)};")
+                lines.append(f"const {kind} {names[term]} = {' * '.join(factors)};")
             else:  # no factor is left of a power of 0
                 names[term] = "".join(factors)
-        values = zip(s.values.tolist(), s.terms, strict=True)
-        lines.append(f"{indent}p{k} = {self._sum(values, names)};")
+        lines.append(f"p{k} = {self._sum(values, names)};")
         for i, row in enumerate(entries):  # summed as `Region.leverage` does
-            lines += [
-                f"{indent}{'' if i else f'{self._kind} '}z = {self._sum(row, names)};",
-                f"{indent}{'h += z * z' if i else f'{self._kind} h = z * z'};",
-            ]
+            lines.append(f"{'' if i else f'{kind} '}z = {self._sum(row, names)};")
+            lines.append("h += z * z;" if i else f"{kind} h = z * z;")
         if s.region is not None:
-            lines.append(f"{indent}if (h > {self._number(s.region.limit)}) beyond = 1;")
+            lines.append(f"if (h > {self._real.number(s.region.limit)}) beyond = 1;")
         return lines
 
     def _sum(self, parts: Iterable[tuple[float, Term]], names: Mapping[Term, str]) -> str:
-        """Return a sum in the order it is given, values of 1 by their weight alone."""
-        pieces = [
-            (b, " * ".join(filter(None, [self._number(abs(b)), names[term]]))) for b, term in parts
-        ]
-        return signed_sum(pieces) or self._number(0.0)
+        return self._real.sum((value, names[term]) for value, term in parts)

@@ -22,12 +22,14 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import (
+    Body,
     force_grid,
-    literal,
     needed_steps,
     slope_in_the_middle,
+    stepped,
     steps_in_words,
 )
+from multipos.exports.c_text import Real
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -71,46 +73,35 @@ _OPERATIONS = {
 }
 
 
-def expression_body(calibration: Calibration, *, single: bool) -> tuple[str, str, bool]:
-    """Return the body, in words how it computes, and whether it calls the C library's math.
+def expression_body(calibration: Calibration, *, single: bool) -> Body:
+    """Return the body of the function.
 
     Raises
     ------
     MultiposError
         The steps would not converge.
     """
-    model = calibration.model
+    model, real = calibration.model, Real(single)
     sensed = list(model.sensed_axes)
     slope = slope_in_the_middle(calibration)[:, sensed]
-    kind, axes = "float" if single else "double", [COMPONENTS[i] for i in sensed]
-    start = ", ".join(f"{axis} = {literal(0.0, single)}" for axis in axes)
+    axes = [COMPONENTS[i] for i in sensed]
     try:
         if len(model.outputs) > len(sensed):
             raise MultiposError("more outputs than axes")  # whose steps are Newton's
         steps, rho = needed_steps(calibration, slope, single=single)
-        lines, library = _write_step(calibration, np.asarray(np.linalg.inv(slope)), single)
-        how, ends = steps_in_words(steps, rho), axes
+        lines, library = _write_step(calibration, np.asarray(np.linalg.inv(slope)), real)
+        how, unknowns, ends = steps_in_words(steps, rho), axes, axes
     except MultiposError:
         steps = _newton_steps(calibration, single)
-        lines, library = _write_step(calibration, None, single)
+        lines, _ = _write_step(calibration, None, real)
         how, library = f"{steps} steps of Newton's; NAN where they do not converge", True
-        start += f", moved = {literal(0.0, single)}"
-        settled = literal(_SETTLED[single], single)
-        ends = [f"moved < {settled} ? {axis} : NAN" for axis in axes]
-    body = [
-        "{",
-        *(f"    const {kind} d{i} = raw[{i}];" for i in range(len(model.outputs))),
-        f"    {kind} {start};",
-        f"    for (int step = 0; step < {steps}; ++step) {{",
-        *(f"        {line}" for line in lines),
-        "    }",
-        *(f"    accel[{k}] = {end};" for k, end in enumerate(ends)),
-        "}",
-    ]
-    return "\n".join(body) + "\n", how, library
+        unknowns = [*axes, "moved"]
+        ends = [f"moved < {real.number(_SETTLED[single])} ? {axis} : NAN" for axis in axes]
+    offsets = [f"const {real.kind} d{i} = raw[{i}];" for i in range(len(model.outputs))]
+    return Body([*offsets, *stepped(real, unknowns, steps, [*lines], ends)], how, library)
 
 
-def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], list[str]]:
+def unseen_part(calibration: Calibration, real: Real) -> tuple[list[str], list[str]]:
     """Return what the one component that no output senses adds to the outputs.
 
     Returns
@@ -134,8 +125,7 @@ def unseen_part(calibration: Calibration, *, single: bool) -> tuple[list[str], l
     names = [list(COMPONENTS), [f"env[{j}]" for j in range(len(model.environment))]]
     part = casadi.densify(with_it[added] - less[added])
     function = casadi.Function("part", [force, env], [part], {"cse": True})
-    kind = "float" if single else "double"
-    lines, _ = _write(function, names, [f"const {kind} part{i}" for i in added], single)
+    lines, _ = _write(function, names, [f"const {real.kind} part{i}" for i in added], real)
     return lines, parts
 
 
@@ -173,7 +163,7 @@ def _newton_steps(calibration: Calibration, single: bool) -> int:
 
 
 def _write_step(
-    calibration: Calibration, inverse: Array | None, single: bool
+    calibration: Calibration, inverse: Array | None, real: Real
 ) -> tuple[list[str], bool]:
     """Return one step as lines of C: of eq. (1) with P, of eq. (2) without."""
     import casadi
@@ -186,18 +176,14 @@ def _write_step(
     full[sensed] = force
     outputs = _outputs_at(calibration, full, env)
     left = raw - outputs
-    axes = [COMPONENTS[i] for i in sensed]
-    results = axes
+    axes = results = [COMPONENTS[i] for i in sensed]
     if inverse is not None:
         moved = force + casadi.DM(inverse) @ left
     else:
         slope = casadi.jacobian(outputs, force)
-        square = slope.shape[0] == slope.shape[1]
-        step = (
-            casadi.inv_minor(slope) @ left
-            if square
-            else casadi.inv_minor(slope.T @ slope) @ (slope.T @ left)
-        )
+        if slope.shape[0] > slope.shape[1]:
+            slope, left = slope.T @ slope, slope.T @ left
+        step = casadi.inv_minor(slope) @ left
         moved = casadi.vertcat(force + step, casadi.sum1(casadi.fabs(step)))
         results = [*axes, "moved"]
     names = [
@@ -206,7 +192,7 @@ def _write_step(
         [f"d{i}" for i in range(len(model.outputs))],
     ]
     function = casadi.Function("step", [force, env, raw], [casadi.densify(moved)], {"cse": True})
-    return _write(function, names, results, single)
+    return _write(function, names, results, real)
 
 
 def _outputs_at(calibration: Calibration, force: Any, env: Any) -> Any:
@@ -221,12 +207,11 @@ def _outputs_at(calibration: Calibration, force: Any, env: Any) -> Any:
 
 
 def _write(
-    step: Any, names: list[list[str]], ends: list[str], single: bool
+    step: Any, names: list[list[str]], ends: list[str], real: Real
 ) -> tuple[list[str], bool]:
     """Write out CasADi's operations, each result under a name of its own."""
     codes = _codes()
-    words = {"one": literal(1.0, single), "zero": literal(0.0, single), "f": "f" * single}
-    kind = "float" if single else "double"
+    words = {"one": real.number(1.0), "zero": real.number(0.0), "f": real.f}
     held: dict[int, str] = {}
     lines, results, library = [], [], False
     for k in range(step.n_instructions()):
@@ -236,7 +221,7 @@ def _write(
             held[into[0]] = names[operands[0]][operands[1]]
             continue
         if code == "const":
-            number = literal(step.instruction_constant(k), single)
+            number = real.number(step.instruction_constant(k))
             held[into[0]] = f"({number})" if number.startswith("-") else number
             continue
         if code == "output":
@@ -245,7 +230,7 @@ def _write(
         template = _OPERATIONS[code]
         library |= "{f}" in template
         text = template.format(*(held[i] for i in operands), **words)
-        lines.append(f"const {kind} v{k} = {text};")
+        lines.append(f"const {real.kind} v{k} = {text};")
         held[into[0]] = f"v{k}"
     # All of a step is computed from the force before it.
     lines += [f"{axis} = {value};" for axis, value in results]

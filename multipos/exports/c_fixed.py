@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.exports.c_body import counted_steps, exact_inverse
-from multipos.exports.c_programs import array, fill
+from multipos.exports.c_text import Statement, array, fill
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
 from multipos.results import frozen
@@ -280,64 +280,52 @@ def fixed_test(fixed: FixedPoint, name: str) -> str:
     )
 
 
-def fixed_body(fixed: FixedPoint) -> str:
-    """Return the body of the function."""
+def fixed_body(fixed: FixedPoint) -> list[Statement]:
+    """Return the statements of the function."""
     K, M = fixed.linear.shape
-    lines = ["{", f"    int64_t f[{K}];"]
+    lines: list[Statement] = [f"int64_t f[{K}];"]
     if fixed.products:
-        lines.append(f"    int64_t first[{K}];")
+        lines.append(f"int64_t first[{K}];")
     to = "first" if fixed.products else "f"
+    half = 1 << fixed.shift >> 1
     for k in range(K):
         parts = [_times(int(fixed.linear[k, i]), f"raw[{i}]") for i in range(M)]
-        lines += _shifted(f"{to}[{k}]", [*parts, _constant(fixed, k)], fixed.shift)
+        parts.append(f"INT64_C({int(fixed.constant[k]) + half})")
+        lines += _wrapped(f"{to}[{k}] = ({' + '.join(parts)}) >> {fixed.shift};", 1)
     if fixed.products:
         lines += _steps(fixed, K)
-    return "\n".join([*lines, *_saturated(K), "}"]) + "\n"
+    return [
+        *lines,
+        f"for (int k = 0; k < {K}; ++k)",
+        "    accel[k] = f[k] > INT32_MAX   ? INT32_MAX",
+        "               : f[k] < INT32_MIN ? INT32_MIN",
+        "                                  : (int32_t)f[k];",
+    ]
 
 
 def _times(factor: int, what: str) -> str:
     return f"(int64_t){factor} * {what}"
 
 
-def _constant(fixed: FixedPoint, k: int) -> str:
-    """Return c and the half that rounds, of eq. (1)."""
-    return f"INT64_C({int(fixed.constant[k]) + (1 << fixed.shift >> 1)})"
+def _wrapped(text: str, depth: int) -> list[str]:
+    return wrap(text, 90 - 4 * depth, subsequent_indent="    ", break_long_words=False)
 
 
-def _shifted(target: str, parts: list[str], shift: int) -> list[str]:
-    """Return a sum that is shifted to the right, wrapped between its parts."""
-    return _wrapped(f"{target} = ({' + '.join(parts)}) >> {shift};", 4)
-
-
-def _wrapped(text: str, indent: int) -> list[str]:
-    first, rest = " " * indent, " " * (indent + 4)
-    return wrap(text, 90, initial_indent=first, subsequent_indent=rest, break_long_words=False)
-
-
-def _steps(fixed: FixedPoint, K: int) -> list[str]:
+def _steps(fixed: FixedPoint, K: int) -> list[Statement]:
     held = fixed.held
-    lines = [
-        f"    for (int k = 0; k < {K}; ++k)",
-        "        f[k] = first[k];",
-        f"    for (int step = 0; step < {fixed.steps}; ++step) {{",
-        f"        for (int k = 0; k < {K}; ++k)",
-        f"            f[k] = f[k] > {held} ? {held} : f[k] < -{held} ? -{held} : f[k];",
+    inner = [
+        f"for (int k = 0; k < {K}; ++k)",
+        f"    f[k] = f[k] > {held} ? {held} : f[k] < -{held} ? -{held} : f[k];",
     ]
     for q, (a, b) in enumerate(fixed.products):
-        lines.append(f"        const int64_t p{q} = (f[{a}] * f[{b}]) >> {fixed.product_shift};")
-    half = 1 << fixed.quadratic_shift >> 1
-    for k in range(K):
-        row = fixed.quadratic[k].tolist()
-        parts = [f"{_times(v, f'p{q}')}" for q, v in enumerate(row) if v] + [f"INT64_C({half})"]
+        inner.append(f"const int64_t p{q} = (f[{a}] * f[{b}]) >> {fixed.product_shift};")
+    half = f"INT64_C({1 << fixed.quadratic_shift >> 1})"
+    for k, row in enumerate(fixed.quadratic.tolist()):
+        parts = [*(_times(v, f"p{q}") for q, v in enumerate(row) if v), half]
         text = f"f[{k}] = first[{k}] - (({' + '.join(parts)}) >> {fixed.quadratic_shift});"
-        lines += _wrapped(text, 8)
-    return [*lines, "    }"]
-
-
-def _saturated(K: int) -> list[str]:
+        inner += _wrapped(text, 2)
     return [
-        f"    for (int k = 0; k < {K}; ++k)",
-        "        accel[k] = f[k] > INT32_MAX   ? INT32_MAX",
-        "                   : f[k] < INT32_MIN ? INT32_MIN",
-        "                                      : (int32_t)f[k];",
+        f"for (int k = 0; k < {K}; ++k)",
+        "    f[k] = first[k];",
+        (f"for (int step = 0; step < {fixed.steps}; ++step)", inner),
     ]

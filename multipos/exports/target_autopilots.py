@@ -129,6 +129,16 @@ def _ardupilot_thermal(drift: Drift, instance: int, _: int | None) -> _Values:
     ]
 
 
+def _px4_without_id(device: str) -> Finding:
+    text = f"{device} is missing; PX4 will ignore the file"
+    return Finding("no-device-id", "warning", text, "Add --device-id.")
+
+
+def _ardupilot_without_id(device: str) -> Finding:
+    text = f"{device} is missing; ArduPilot will ask for a calibration"
+    return Finding("no-device-id", "warning", text, "Add --device-id.")
+
+
 def _acceleration_beyond(text: str) -> Finding:
     return Finding("beyond-target", "warning", text, "Check the unit and the convention.")
 
@@ -143,7 +153,7 @@ class _Stack(NamedTuple):
     name: str
     suffix: str
     instances: range
-    without_id: str  # what it does with a file that names no device
+    without_id: Callable[[str], Finding]  # of the parameter with the ID
     columns: tuple[str, ...]  # of its file
     line: str  # of a value
     thermal: Callable[[Drift, int, int | None], _Values]
@@ -166,7 +176,7 @@ _PX4 = _Stack(
     name="PX4",
     suffix=".params",
     instances=range(4),
-    without_id="PX4 will ignore the file",
+    without_id=_px4_without_id,
     columns=("#", "# Vehicle-Id Component-Id Name Value Type"),
     line="1\t1\t{name}\t{value!r}\t{kind}",
     thermal=_px4_thermal,
@@ -176,7 +186,7 @@ _ARDUPILOT = _Stack(
     name="ArduPilot",
     suffix=".parm",
     instances=range(1, 4),
-    without_id="ArduPilot will ask for a calibration",
+    without_id=_ardupilot_without_id,
     columns=(),
     line="{name},{value!r}",
     thermal=_ardupilot_thermal,
@@ -247,8 +257,7 @@ def _of_stack(stack: _Stack, sensed: _Sensed) -> parameters.Write:
         findings = _beyond(found, sensed)
         device = sensed.device.format(i=instance, n=_numbered(instance))
         if wish.device_id is None:
-            text = f"{device} is missing; {stack.without_id}"
-            findings.append(Finding("no-device-id", "warning", text, "Add --device-id."))
+            findings.append(stack.without_id(device))
         else:
             found.insert(0, (device, wish.device_id))
         thermal = ""

@@ -28,14 +28,14 @@ import numpy as np
 
 from multipos import __version__
 from multipos.errors import MultiposError, UsageError
-from multipos.exports import c_expression, c_fixed, c_programs
+from multipos.exports import c_expression, c_fixed, c_text
 from multipos.exports.c_body import (
     environment_range,
     function_body,
-    literal,
     slope_in_the_middle,
     written_factors,
 )
+from multipos.exports.c_text import Real, Statement, fill, function, literal
 from multipos.exports.target import Exported, Target, Wish
 from multipos.files.numbers import number, table, uncertain
 from multipos.files.spelling import visible
@@ -80,7 +80,7 @@ def tilt_header(calibration: Calibration) -> list[str]:
     return lines
 
 
-def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metres: bool) -> str:
+def tilt_function(calibration: Calibration, name: str, real: Real, *, in_metres: bool) -> str:
     """Return the function.
 
     Raises
@@ -89,68 +89,63 @@ def tilt_function(calibration: Calibration, name: str, *, single: bool, in_metre
         Two axes of a model whose third component C cannot write.
     """
     axes = calibration.model.sensed_axes
-    kind, f = ("float", "f") if single else ("double", "")
+    kind, f = real.kind, real.f
     env = ", env" if calibration.model.environment else ""
     unit = STANDARD_GRAVITY if in_metres else 1.0
-    lines = [tilt_signature(calibration, name, single), "{", f"    {kind} f[{len(axes)}];"]
-    lines.append(f"    {name}_compensate(raw{env}, f);")
-    degrees = literal(180.0 / np.pi, single)
+    degrees = real.number(180.0 / np.pi)
     sign = "" if calibration.sign > 0.0 else "-"
+    lines: list[Statement] = [f"{kind} f[{len(axes)}];", f"{name}_compensate(raw{env}, f);"]
     if len(axes) == len(COMPONENTS):
         for k in range(3):
             i, j = (other for other in range(3) if other != k)
             across = f"sqrt{f}(f[{i}] * f[{i}] + f[{j}] * f[{j}])"
-            lines.append(f"    tilt_deg[{k}] = {degrees} * atan2{f}({sign}f[{k}], {across});")
-        return "\n".join([*lines, "}"]) + "\n"
+            lines.append(f"tilt_deg[{k}] = {degrees} * atan2{f}({sign}f[{k}], {across});")
+        return function(tilt_signature(calibration, name, real.single), lines)
     if len(axes) == 2:
-        lines += _third(calibration, name, single, unit)
-    one, size = literal(1.0, single), magnitude_of(calibration)
+        lines += _third(calibration, name, real, unit)
+    one, size = real.number(1.0), magnitude_of(calibration)
     for k, room in enumerate((beyond_vertical(calibration) / size).tolist()):
-        limit = literal(1.0 + room, single)
+        limit = real.number(1.0 + room)
         clipped = f"fmax{f}(-{one}, fmin{f}({one}, s{k}))"
         lines += [
-            f"    const {kind} s{k} = {sign}f[{k}] / {literal(size * unit, single)};",
-            f"    const int seen{k} = s{k} <= {limit} && -s{k} <= {limit};",
-            f"    tilt_deg[{k}] = seen{k} ? {degrees} * asin{f}({clipped}) : NAN;",
+            f"const {kind} s{k} = {sign}f[{k}] / {real.number(size * unit)};",
+            f"const int seen{k} = s{k} <= {limit} && -s{k} <= {limit};",
+            f"tilt_deg[{k}] = seen{k} ? {degrees} * asin{f}({clipped}) : NAN;",
         ]
-    return "\n".join([*lines, "}"]) + "\n"
+    return function(tilt_signature(calibration, name, real.single), lines)
 
 
-def _third(calibration: Calibration, name: str, single: bool, unit: float) -> list[str]:
+def _third(calibration: Calibration, name: str, real: Real, unit: float) -> list[Statement]:
     """Return eq. (1), where the model has the component that no output senses."""
     if not calibration.model.has_terms:
-        lines, parts = c_expression.unseen_part(calibration, single=single)
+        lines, parts = c_expression.unseen_part(calibration, real)
     else:
-        lines, parts = [], _of_third(calibration, single)
+        lines, parts = [], _of_third(calibration, real)
     if not any(parts):
         return []
-    kind, f = ("float", "f") if single else ("double", "")
+    kind, f = real.kind, real.f
     env = ", env" if calibration.model.environment else ""
-    (third,) = calibration.model.unseen_axes
+    third = COMPONENTS[calibration.model.unseen_axes[0]]
     sensed = [COMPONENTS[i] for i in calibration.model.sensed_axes]
-    size = literal(magnitude_of(calibration) ** 2, single)
+    size, zero = real.number(magnitude_of(calibration) ** 2), real.number(0.0)
     sign = "" if calibration.sign > 0.0 else "-"
-    scale = "" if unit == 1.0 else f" / {literal(unit, single)}"
-    seen = [f"        const {kind} {axis} = f[{k}]{scale};" for k, axis in enumerate(sensed)]
+    scale = "" if unit == 1.0 else f" / {real.number(unit)}"
     left = " - ".join([size, *(f"{axis} * {axis}" for axis in sensed)])
-    zero, tolerance = literal(0.0, single), literal(XTOL, single)
     less = [f"raw[{i}] - ({part})" if part else f"raw[{i}]" for i, part in enumerate(parts)]
-    return [
-        f"    {kind} before = {zero};",
-        f"    for (int turn = 0; turn < {STEPS}; ++turn) {{",
-        *seen,
-        f"        const {kind} {COMPONENTS[third]} = {sign}sqrt{f}(fmax{f}({zero}, {left}));",
-        f"        if (fabs{f}({COMPONENTS[third]} - before) <= {tolerance})",
-        "            break;",
-        f"        before = {COMPONENTS[third]};",
-        *(f"        {line}" for line in lines),
-        f"        const {kind} less[{len(less)}] = {{{', '.join(less)}}};",
-        f"        {name}_compensate(less{env}, f);",
-        "    }",
+    inner = [
+        *(f"const {kind} {axis} = f[{k}]{scale};" for k, axis in enumerate(sensed)),
+        f"const {kind} {third} = {sign}sqrt{f}(fmax{f}({zero}, {left}));",
+        f"if (fabs{f}({third} - before) <= {real.number(XTOL)})",
+        "    break;",
+        f"before = {third};",
+        *lines,
+        f"const {kind} less[{len(less)}] = {{{', '.join(less)}}};",
+        f"{name}_compensate(less{env}, f);",
     ]
+    return [f"{kind} before = {zero};", (f"for (int turn = 0; turn < {STEPS}; ++turn)", inner)]
 
 
-def _of_third(calibration: Calibration, single: bool) -> list[str]:
+def _of_third(calibration: Calibration, real: Real) -> list[str]:
     """Return what terms with the unseen component add to each output, in C; '' for nothing."""
     model = calibration.model
     third = COMPONENTS[model.unseen_axes[0]]
@@ -159,7 +154,7 @@ def _of_third(calibration: Calibration, single: bool) -> list[str]:
     result = []
     for row in theta.tolist():
         parts = [
-            " * ".join([literal(value, single), *written_factors(term, index, single)])
+            " * ".join([real.number(value), *written_factors(term, index, real.single)])
             for value, term in zip(row, model.basis_terms, strict=True)
             if value and any(factor.variable == third for factor in term.factors)
         ]
@@ -197,21 +192,22 @@ def c_source(
     require_identifier(name)
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
-    if not calibration.model.has_terms:
-        body, how, library = c_expression.expression_body(calibration, single=single)
-    else:
-        (body, how), library = function_body(calibration, single=single), False
-    include = "#include <math.h>\n\n" if library or tilt else ""
+    real, model = Real(single), calibration.model
+    write = function_body if model.has_terms else c_expression.expression_body
+    body = write(calibration, single=single)
+    lines, unit = body.statements, "m/s^2" if in_metres else _unit(calibration)
     if in_metres:
-        body = _in_metres(body, calibration, single)
+        metres = real.number(STANDARD_GRAVITY)
+        lines = [*lines, *(f"accel[{k}] *= {metres};" for k in range(len(model.sensed_axes)))]
     if tilt and calibration.field.angle != "tilt":
         raise UsageError("--tilt is of accelerometers; a magnetic field is not level.")
     if in_metres and calibration.field.unit != "g":
         raise UsageError("--output-unit is of forces; a field is in the unit of its size.")
-    head = _header(calibration, name, how, "m/s^2" if in_metres else _unit(calibration), tilt)
-    text = f"{head}\n{include}{signature(calibration, name, single)}\n{body}"
+    include = "#include <math.h>\n\n" if body.library or tilt else ""
+    head = _header(calibration, name, body.how, unit, tilt)
+    text = f"{head}\n{include}{function(signature(calibration, name, single), lines)}"
     if tilt:
-        text += "\n" + tilt_function(calibration, name, single=single, in_metres=in_metres)
+        text += "\n" + tilt_function(calibration, name, real, in_metres=in_metres)
     return of_field(text, calibration)
 
 
@@ -229,22 +225,14 @@ def fixed_source(fixed: c_fixed.FixedPoint, name: str) -> str:
     how = "one matrix product" if not fixed.products else f"{1 + fixed.steps} steps"
     unit = _unit(fixed.calibration)
     head = _header(fixed.calibration, name, how, unit, False, c_fixed.fixed_notes(fixed, name))
-    text = (
-        f"{head}\n#include <stdint.h>\n\n{c_fixed.fixed_defines(fixed, name)}\n"
-        f"{c_fixed.fixed_signature(fixed.calibration, name)}\n{c_fixed.fixed_body(fixed)}"
+    text = f"{head}\n#include <stdint.h>\n\n{c_fixed.fixed_defines(fixed, name)}\n" + function(
+        c_fixed.fixed_signature(fixed.calibration, name), c_fixed.fixed_body(fixed)
     )
     return of_field(text, fixed.calibration)
 
 
 def _unit(calibration: Calibration) -> str:
     return calibration.field.unit or "1 where the field is as at calibration"
-
-
-def _in_metres(body: str, calibration: Calibration, single: bool) -> str:
-    """Return the body of the function with its answer turned from g to m/s² at the end."""
-    axes = len(calibration.model.sensed_axes)
-    last = "\n".join(f"    accel[{k}] *= {literal(STANDARD_GRAVITY, single)};" for k in range(axes))
-    return f"{body.rstrip().removesuffix('}')}{last}\n}}\n"
 
 
 def signature(calibration: Calibration, name: str, single: bool) -> str:
@@ -261,34 +249,31 @@ def c_test(
     tilt: bool = False,
 ) -> str:
     """Return a C99 program that checks the function against values from Python."""
-    kind = "float" if single else "double"
+    real, field = Real(single), calibration.field
     raw, env, force = _vectors(calibration, single)
-    tolerance, unit = "5e-7f" if single else "1e-9", calibration.field.unit
+    tolerance, unit = "5e-7f" if single else "1e-9", field.unit
     if unit != "g":
-        size = calibration.field.magnitude
-        tolerance = literal((5e-7 if single else 1e-9) * float(f"{size:.0e}"), single)
+        size = float(f"{field.magnitude:.0e}")
+        tolerance = real.number((5e-7 if single else 1e-9) * size)
     if in_metres:
         force = force * STANDARD_GRAVITY
         tolerance, unit = "5e-6f" if single else "1e-8", "m/s^2"
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
-    text = "\n".join(array(key, values, single) for key, values in arrays)
-    call = ", ".join(f"{key}[i]" for key, _ in arrays[:-1])
+    words = {"name": name, "kind": real.kind, "call": ", ".join(f"{k}[i]" for k, _ in arrays[:-1])}
     declared, checked, library = f"{signature(calibration, name, single)};", "", ""
     if tilt:
-        text += "\n" + array("angle", _angles(calibration, raw, env), single)
+        arrays.append(("angle", _angles(calibration, raw, env)))
         declared += f"\n{tilt_signature(calibration, name, single)};"
-        checked, library = _tilt_check(name, call, kind, single), "#include <math.h>\n"
-    filled = c_programs.fill(
+        checked, library = _tilt_check(real, words), "#include <math.h>\n"
+    filled = fill(
         "test.c",
-        name=name,
-        kind=kind,
+        **words,
         unit=unit,
         tolerance=tolerance,
-        call=call,
         declared=declared,
         checked=checked,
         library=library,
-        arrays=text,
+        arrays="\n".join(array(key, values, single) for key, values in arrays),
         count=len(raw),
         axes=force.shape[1],
     )
@@ -302,11 +287,11 @@ def _angles(calibration: Calibration, raw: Array, env: Array) -> Array:
     return np.asarray(np.degrees(tilt_at_rest(calibration, rest, columns).tilt))
 
 
-def _tilt_check(name: str, call: str, kind: str, single: bool) -> str:
+def _tilt_check(real: Real, words: dict[str, str]) -> str:
     """Return the lines that hold the sines of the angles to those of Python, NAN to NAN."""
-    words = {"f": "f", "tolerance": "2e-6f"} if single else {"f": "", "tolerance": "1e-9"}
-    turn = literal(np.pi / 180.0, single)
-    return c_programs.fill("test_tilt.c", name=name, call=call, kind=kind, turn=turn, **words)
+    tolerance = "2e-6f" if real.single else "1e-9"
+    turn = real.number(np.pi / 180.0)
+    return fill("test_tilt.c", **words, f=real.f, turn=turn, tolerance=tolerance)
 
 
 def _require_held(calibration: Calibration, single: bool) -> None:
@@ -421,7 +406,7 @@ def array(name: str, values: Array, single: bool) -> str:
         ["NAN" if value != value else literal(value, single) for value in row]
         for row in values.tolist()
     ]
-    return c_programs.array(name, "float" if single else "double", cells)
+    return c_text.array(name, Real(single).kind, cells)
 
 
 def _write(calibration: Calibration, wish: Wish) -> Exported:

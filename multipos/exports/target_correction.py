@@ -20,7 +20,7 @@ from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range
 from multipos.exports.c_correction import correction_source, declarations, rounding
-from multipos.exports.c_programs import fill
+from multipos.exports.c_text import fill
 from multipos.exports.parts import Correction
 from multipos.exports.target import Exported
 from multipos.exports.target_c import array, require_identifier

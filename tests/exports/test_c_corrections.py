@@ -374,11 +374,11 @@ def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, toward
     """Of doubles .1 is below and .7 above its nearest in single precision."""
     near = np.float32(value) + np.spacing(np.float32(value)) * np.arange(-1, 2, dtype=np.float32)
     inside = [float(x) for x in near if (float(x) - value) * towards >= 0.0]
-    writer = SimpleNamespace(_single=True, _number=float)
+    writer = SimpleNamespace(_single=True, _real=SimpleNamespace(number=float))
     wanted = min(inside, key=lambda x: abs(x - value))
     assert _Writer._inside(writer, value, towards) == wanted
     writer._inside = lambda *given: _Writer._inside(writer, *given)
-    lower, upper = _Writer._held(writer, "t", (value, value), "")
+    lower, upper = _Writer._held(writer, "t", (value, value))
     assert f"t = {wanted};" in (lower if towards > 0.0 else upper)
 
 

@@ -11,7 +11,8 @@ import pytest
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports.c_body import _held_by_both, exact_inverse, exact_normal_inverse, literal
+from multipos.exports.c_body import _held_by_both, exact_inverse, exact_normal_inverse
+from multipos.exports.c_text import literal
 from multipos.exports.target import self_test
 from multipos.exports.targets import export
 

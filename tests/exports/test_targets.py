@@ -14,7 +14,7 @@ from multipos.cli import main
 from multipos.commands import export
 from multipos.exports import targets
 from multipos.exports.laws import LINEAR
-from multipos.exports.parameters import parameter_target
+from multipos.exports.parameters import Form, parameter_target
 from multipos.finding import Finding
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "exports.md"
@@ -28,16 +28,12 @@ def calibration(source=None):
     return mp.fit(dataclasses.replace(readings, source=source) if source else readings)
 
 
-PLAIN = parameter_target(
-    "plain",
-    LINEAR,
-    raw="readings",
-    write=lambda cal, law, wish: (
-        json.dumps({"plain T": law.matrix.tolist(), "o": law.offset.tolist()}),
-        [Finding("plain", "warning", "as plain as can be")],
-    ),
-    suffix=".txt",
-)
+def plain(cal, law, wish):
+    text = json.dumps({"plain T": law.matrix.tolist(), "o": law.offset.tolist()})
+    return text, [Finding("plain", "warning", "as plain as can be")]
+
+
+PLAIN = parameter_target("plain", ".txt", Form(LINEAR, plain, raw="readings"))
 
 
 def test_every_target_is_on_the_page_and_no_two_share_a_name():
