@@ -18,14 +18,9 @@ that the least-squares answer is met: f <- f + (K0'K0)⁻¹ J' (d − K0 f − n
 Single precision subtracts a bias in two parts, the second being what the first cannot hold.
 
 The error of (1) shrinks at least by rho, the largest norm of 1 − P dh/df over twice the calibrated
-force and the calibrated environment, so that
-
-    steps = log(tolerance / largest force) / log(rho)                                      (3)
-
-of them are enough wherever the force is up to a third beyond what was calibrated; where rho
-exceeds one half nothing is written. Where fewer digits are asked for, in single precision and in
-whole numbers, the steps are taken on a grid of forces up to a third beyond what was calibrated, and
-as many are written as bring all of it within the tolerance.
+force and the calibrated environment; where rho exceeds one half nothing is written. Steps are taken
+on a grid of forces up to a third beyond what was calibrated, and as many are written as bring all
+of it within the tolerance: 1e-13 g, in single precision half a digit, in whole numbers half a bit.
 """
 
 import itertools
@@ -49,6 +44,7 @@ _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
 _SLOWEST = 0.5
 _REACH = 4.0 / 3.0  # times it, over which steps are counted one by one
 _TOLERANCE = 1e-13  # [g], in double precision
+_ROUNDING = 2.0**-48  # of the largest reading: beyond it steps gain nothing
 _SINGLE = 3e-8  # of the largest calibrated force: half a digit of single precision
 _GRID = 9
 _MOST = 40  # steps
@@ -68,7 +64,7 @@ def slope_in_the_middle(calibration: Calibration) -> Array:
 
 
 def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tuple[int, float]:
-    """Return the number of steps, eq. (3), and rho; `slope` (M, K) is K0.
+    """Return the number of steps and rho; `slope` (M, K) is K0.
 
     Raises
     ------
@@ -83,11 +79,10 @@ def needed_steps(calibration: Calibration, slope: Array, *, single: bool) -> tup
             f"{_HEADROOM * largest:.3g} g (contraction {rho:.2g}, at most {_SLOWEST} is safe); "
             "drop terms whose coefficient is not significant, or use apply."
         )
-    if single:
-        return counted_steps(calibration, slope, _SINGLE * largest), rho
-    reach = np.sqrt(3.0) * _HEADROOM * largest
-    needed = np.log(_TOLERANCE / reach) / np.log(max(rho, 1e-16))
-    return 1 + int(np.ceil(needed)), rho
+    raw = np.abs(calibration.readings.values).max()
+    rounding = _ROUNDING * float(raw * np.linalg.norm(np.linalg.pinv(slope), ord=2))
+    tolerance = _SINGLE * largest if single else max(_TOLERANCE, rounding)
+    return counted_steps(calibration, slope, tolerance), rho
 
 
 def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> int:

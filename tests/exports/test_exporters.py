@@ -638,12 +638,17 @@ def test_a_calibration_whose_rms_is_no_number_is_not_exported(to):
 
 
 def test_how_many_steps_by_hand():
-    """2 · .02 · 2 g = .08 a step; ln(1e-13/(2 √3))/ln .08 = 12.3, and one to spare."""
-    # eq. (3) of exports.c_body
-    up = mp.read_scheme("fibonacci-24").up
-    cal = mp.fit(mp.Readings(up + 0.02 * up**2, up=up), model="own-quadratic")
+    """2 · .02 · 2 g = .08 a step at most; at 4/3 g and at -4/3 g step by step to 1e-13 g."""
+    up = mp.read_scheme("faces-6").up
+    cal = mp.fit(mp.Readings(up + 0.02 * up**2, up=up), model="1 + x + y + z + own^2")
     steps, rho = needed_steps(cal, cal.sensitivity, single=False)
-    assert (steps, rho) == (14, pytest.approx(0.08, rel=1e-9))
+    needed = 0
+    for true in (4.0 / 3.0, -4.0 / 3.0):
+        f = [0.0]
+        while abs(f[-1] - true) > 1e-13:
+            f.append(true + 0.02 * true**2 - 0.02 * f[-1] ** 2)
+        needed = max(needed, len(f) - 1)
+    assert (steps, rho) == (needed, pytest.approx(0.08, rel=1e-9))
 
 
 @pytest.mark.parametrize(
