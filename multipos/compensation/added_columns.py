@@ -1,9 +1,9 @@
 """What a table of raw readings gets beside its columns: force, and what is asked of it, row by row.
 
-`add_columns` returns the columns. `check_columns`, `check_outside` and `check_beside` refuse what
-does not fit, `wanted_columns` names what is read; `found_applying` returns what is found about
-force, `find_outside` and `find_turn` parts of it, and `refusal` the error of rows
-outside, the first of which `place_outside` names.
+`prepare` refuses what does not fit, `check_outside` a way with rows outside, and returns an
+`Application`, which makes the columns; `wanted_columns` names what is read. `found_applying`
+returns what is found about force, `find_outside` and `find_turn` parts of it, and `refusal` the
+error of rows outside.
 
 Added are ``f_x``, ``f_y``, ``f_z`` [g] for the axes that the sensor has, in the calibration's
 convention, on request their uncertainties ``u_f_x``, ``U_f_x`` …, the noise of one reading included
@@ -24,14 +24,15 @@ to 360° by the east, without declination:
     n = b − (b·u) u,     e = n × u,     heading = atan2(x·e, x·n).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from multipos.compensation.parity import FAULT_LEVEL, parity
-from multipos.compensation.reading_noise import ReadingUncertainty
+from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
 from multipos.diagnostics.model_error import find_hidden
 from multipos.errors import MultiposError, UsageError
 from multipos.files import tables
@@ -39,6 +40,7 @@ from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.numerics.terms import largest_value
 from multipos.positions.headers import require_units
+from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.inverse import has_other_solutions, require_response
 from multipos.sensor.tilt import at_rest, reading_noise, tilt_at_rest, triad_tilt, zeros_of_force
@@ -46,81 +48,153 @@ from multipos.uncertainty.unseen_terms import unseen_covariance
 from multipos.uncertainty.validity import applied
 
 _TOGETHER = 1 << 12  # rows, whose arrays stay in the processor's cache
-
-
 _PLAIN = 8 * _TOGETHER  # without uncertainties, whose arrays are the larger ones
 
-
 Outside = Literal["flag", "clamp", "refuse"]
-
-
 OUTSIDE: tuple[Outside, ...] = get_args(Outside)
 
 
-def add_columns(
-    calibration: Calibration,
-    table: tables.Table,
-    *,
-    tilt: bool,
-    uncertainty: ReadingUncertainty | None,
-    outside: Outside,
-    beside: Calibration | None = None,
-) -> dict[str, Array]:
-    """Return the columns that a table gets, each row from itself alone, in order."""
-    together = _PLAIN if uncertainty is None else _TOGETHER
-    if table.rows > 2 * together:
-        starts = range(0, table.rows, together)
-        some = [_rows_of(table, start, together) for start in starts]
-        how: dict[str, Any] = {
-            "tilt": tilt,
-            "uncertainty": uncertainty,
-            "outside": outside,
-            "beside": beside,
+@frozen(eq=True)
+class Application:
+    """What a table gets beside its columns: made once, asked for every piece of a log.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    tilt : bool
+    uncertainty : ReadingUncertainty or None
+        Of the force, where it is asked for.
+    outside : str
+    beside : Calibration or None
+        As of `multipos.apply`.
+    """
+
+    calibration: Calibration
+    tilt: bool
+    uncertainty: ReadingUncertainty | None
+    outside: Outside
+    beside: Calibration | None
+
+    @property
+    def noise(self) -> str | None:
+        """Which noise of one reading the uncertainties hold; None where there are none."""
+        return None if self.uncertainty is None else self.uncertainty.noise.text
+
+    def columns(self, table: tables.Table) -> dict[str, Array]:
+        """Return the columns that a table gets, each row from itself alone, in order."""
+        together = _PLAIN if self.uncertainty is None else _TOGETHER
+        if table.rows > 2 * together:
+            starts = range(0, table.rows, together)
+            parts = [self.columns(_rows_of(table, start, together)) for start in starts]
+            return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        c, model = self.calibration, self.calibration.model
+        require_response(model, c.parameters, c.mean_environment)
+        raw = np.column_stack([table.number(name, largest=LARGEST) for name in c.outputs])
+        terms = [term for _, term in model.keys]
+        environment = {
+            name: table.number(name, largest=largest_value(terms, name))
+            for name in model.environment
         }
-        parts = [add_columns(calibration, part, **how) for part in some]
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    require_response(calibration.model, calibration.parameters, calibration.mean_environment)
-    raw = np.column_stack([table.number(name, largest=LARGEST) for name in calibration.outputs])
-    terms = [term for _, term in calibration.model.keys]
-    environment = {
-        name: table.number(name, largest=largest_value(terms, name))
-        for name in calibration.model.environment
-    }
-    beyond, clamped = _environment_outside(calibration, table, environment)
-    if outside == "clamp":
-        environment = clamped
-    axes = list(calibration.model.sensed_axes)
-    noise = None if uncertainty is None else uncertainty.noise.of(table)
-    tilts: dict[str, Array] = {}
-    if tilt:
-        rest = at_rest(calibration, raw, environment)
-        force, tilts = rest[:, axes], _tilts(calibration, rest, environment, uncertainty, noise)
-        beyond |= np.any([np.isnan(tilts[f"tilt_{COMPONENTS[i]}_deg"]) for i in axes], axis=0)
-    else:
-        force = calibration.compensate(raw, environment)
-    beyond |= ~applied(calibration).holds(force, axes)
-    if not calibration.model.has_terms:
-        beyond |= has_other_solutions(
-            calibration.model,
-            calibration.parameters,
-            raw,
-            environment,
-            found=force,
-            reach=float(np.linalg.norm(calibration.reference, axis=1).max()),
-        )
-    symbol = calibration.field.symbol
-    added = _by_axis(f"{symbol}_{{}}", axes, force)
-    if uncertainty is not None and noise is not None:
-        u, U = uncertainty.of_force(force, environment, noise)
-        added |= _by_axis(f"u_{symbol}_{{}}", axes, u) | _by_axis(f"U_{symbol}_{{}}", axes, U)
-    added |= tilts
-    if beside is not None:
-        added["heading_deg"] = _heading(force, beside, table)
-    if len(calibration.outputs) > len(axes):
-        odd = parity(calibration, raw, force, environment, reading_noise(calibration))
-        added["parity"] = odd.size
-        added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
-    return {**added, "outside": beyond.astype(np.int64)}
+        beyond, clamped = _environment_outside(c, table, environment)
+        if self.outside == "clamp":
+            environment = clamped
+        axes = list(model.sensed_axes)
+        noise = None if self.uncertainty is None else self.uncertainty.noise.of(table)
+        tilts: dict[str, Array] = {}
+        if self.tilt:
+            rest = at_rest(c, raw, environment)
+            force, tilts = rest[:, axes], _tilts(c, rest, environment, self.uncertainty, noise)
+            beyond |= np.any([np.isnan(tilts[f"tilt_{COMPONENTS[i]}_deg"]) for i in axes], axis=0)
+        else:
+            force = c.compensate(raw, environment)
+        beyond |= ~applied(c).holds(force, axes)
+        if not model.has_terms:
+            reach = float(np.linalg.norm(c.reference, axis=1).max())
+            beyond |= has_other_solutions(
+                model, c.parameters, raw, environment, found=force, reach=reach
+            )
+        symbol = c.field.symbol
+        added = _by_axis(f"{symbol}_{{}}", axes, force)
+        if self.uncertainty is not None and noise is not None:
+            u, U = self.uncertainty.of_force(force, environment, noise)
+            added |= _by_axis(f"u_{symbol}_{{}}", axes, u) | _by_axis(f"U_{symbol}_{{}}", axes, U)
+        added |= tilts
+        if self.beside is not None:
+            added["heading_deg"] = _heading(force, self.beside, table)
+        if len(c.outputs) > len(axes):
+            odd = parity(c, raw, force, environment, reading_noise(c))
+            added["parity"] = odd.size
+            added["fault"] = (odd.p < FAULT_LEVEL).astype(np.int64)
+        return {**added, "outside": beyond.astype(np.int64)}
+
+    def place(self, table: tables.Table, row: int) -> str:
+        """Return the place of a row outside: at the column of the model that is, if one is."""
+        columns = {name: table.number(name) for name in self.calibration.model.environment}
+        _, clamped = _environment_outside(self.calibration, table, columns)
+        apart = (name for name in columns if columns[name][row] != clamped[name][row])
+        return table.where(row, next(apart, self.calibration.outputs[0]))
+
+    def samples(self, table: tables.Table, columns: Iterable[str]) -> Findings:
+        """Return what the rows of a table say of the noise that they are taken to have."""
+        return () if self.uncertainty is None else self.uncertainty.find_samples(table, columns)
+
+    def findings(self, samples: Findings, beyond: int, rows: int) -> Findings:
+        """Return what was found about compensated force and its uncertainties."""
+        held = () if self.uncertainty is None else self.uncertainty.held
+        said = (*held, *samples, *find_turn(self.calibration, self.beside))
+        return found_applying(self.calibration, said, beyond, rows)
+
+
+def prepare(
+    calibration: Calibration,
+    source: str,
+    columns: Collection[str],
+    units: Mapping[str, str],
+    *,
+    tilt: bool = False,
+    uncertainty: bool = False,
+    reading_sd: ArrayLike | None = None,
+    parameters_only: bool = False,
+    outside: Outside = "flag",
+    beside: Calibration | None = None,
+) -> Application:
+    """Return what a table or log of these columns gets.
+
+    Raises
+    ------
+    MultiposError
+        A column is missing, has another unit, or is one that is added.
+    UsageError
+        Options say nothing, or the opposite.
+    """
+    check_outside(outside)
+    _check_beside(calibration, beside, tilt)
+    wanted = asked_uncertainty(
+        calibration, source, columns, uncertainty, reading_sd, parameters_only
+    )
+    for each in filter(None, (calibration, beside)):
+        _check_columns(each, source, columns, units)
+    # What one reading gets, every reading gets.
+    one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
+    one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
+    one |= {} if wanted is None else dict.fromkeys(wanted.noise.columns, np.ones(1))
+    alone = Application(calibration, tilt, wanted, outside, None)
+    added = alone.columns(tables.Table(source, one, rows=1))
+    for name in (*added, *(("heading_deg",) if beside is not None else ())):
+        if name in columns:
+            raise MultiposError(
+                f"{source}: column '{name}' is there already; rename it, apply writes it."
+            )
+    return replace(alone, beside=beside)
+
+
+def wanted_columns(*calibrations: Calibration | None) -> tuple[str, ...]:
+    """Return the columns that calibrations are applied to: what they need, and noise of rows."""
+    names: list[str] = []
+    for each in filter(None, calibrations):
+        stated = (f"u_{output}" for output in each.outputs)
+        names += [*each.outputs, *each.model.environment, *stated]
+    return tuple(names)
 
 
 def _heading(field: Array, beside: Calibration, table: tables.Table) -> Array:
@@ -137,7 +211,7 @@ def _heading(field: Array, beside: Calibration, table: tables.Table) -> Array:
     return np.where(level & (found < 360.0), found, np.where(level, 0.0, np.nan))
 
 
-def check_beside(calibration: Calibration, beside: Calibration | None, tilt: bool) -> None:
+def _check_beside(calibration: Calibration, beside: Calibration | None, tilt: bool) -> None:
     """Refuse a heading without a magnetometer and an accelerometer, and a tilt of the former."""
     if tilt and calibration.field.angle != "tilt":
         raise UsageError("--tilt is of accelerometers; a magnetometer has --with ACCEL.json.")
@@ -204,50 +278,18 @@ def check_outside(outside: str) -> None:
         raise UsageError(f"--outside takes {', '.join(OUTSIDE)}, got '{outside}'.")
 
 
-def check_columns(
-    calibration: Calibration,
-    source: str,
-    columns: Mapping[str, tables.Column] | tuple[str, ...],
-    tilt: bool,
-    uncertainty: ReadingUncertainty | None,
-    units: Mapping[str, str],
-    beside: Calibration | None = None,
+def _check_columns(
+    calibration: Calibration, source: str, columns: Collection[str], units: Mapping[str, str]
 ) -> None:
-    """Refuse a table that lacks a column, has it in another unit, or has one that is added."""
-    for name in (*calibration.outputs, *calibration.model.environment):
+    """Refuse a table that lacks a column, or has it in another unit."""
+    model = calibration.model
+    for name in (*calibration.outputs, *model.environment):
         if name not in columns:
             raise MultiposError(
                 f"{source}: no column '{name}', which this calibration needs; "
                 f"the columns are {', '.join(columns)}."
             )
-    if beside is not None:
-        check_columns(beside, source, columns, False, None, units)
-    model = calibration.model
     require_units(source, units, model.outputs, model.environment, model.unit)
-    # What one reading gets, every reading gets.
-    one = {name: calibration.readings.values[:1, i] for i, name in enumerate(calibration.outputs)}
-    one |= {n: calibration.readings.environment[n][:1] for n in calibration.model.environment}
-    one |= {} if uncertainty is None else dict.fromkeys(uncertainty.noise.columns, np.ones(1))
-    added = add_columns(
-        calibration,
-        tables.Table(source, one, rows=1),
-        tilt=tilt,
-        uncertainty=uncertainty,
-        outside="flag",
-    )
-    for name in (*added, *(("heading_deg",) if beside is not None else ())):
-        if name in columns:
-            raise MultiposError(
-                f"{source}: column '{name}' is there already; rename it, apply writes it."
-            )
-
-
-def place_outside(calibration: Calibration, table: tables.Table, row: int) -> str:
-    """Return the place of a row that is outside: at the column of the model that is, if one is."""
-    columns = {name: table.number(name) for name in calibration.model.environment}
-    _, clamped = _environment_outside(calibration, table, columns)
-    apart = (name for name in columns if columns[name][row] != clamped[name][row])
-    return table.where(row, next(apart, calibration.outputs[0]))
 
 
 def refusal(where: str, beyond: int, rows: int) -> MultiposError:
@@ -270,12 +312,6 @@ def _environment_outside(
         beyond |= (column < low) | (column > high)
         clamped[name] = np.clip(column, low, high)
     return beyond, clamped
-
-
-def wanted_columns(calibration: Calibration) -> tuple[str, ...]:
-    """Return the columns that a calibration is applied to: what it needs, and the noise of rows."""
-    stated = (f"u_{output}" for output in calibration.outputs)
-    return (*calibration.outputs, *calibration.model.environment, *stated)
 
 
 def found_applying(c: Calibration, of_noise: Findings, beyond: int, rows: int) -> Findings:

@@ -11,20 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.compensation.added_columns import (
-    Outside,
-    add_columns,
-    check_beside,
-    check_columns,
-    check_outside,
-    find_turn,
-    found_applying,
-    place_outside,
-    refusal,
-    wanted_columns,
-)
+from multipos.compensation.added_columns import Outside, prepare, refusal, wanted_columns
 from multipos.compensation.applying_logs import apply_log
-from multipos.compensation.reading_noise import asked_uncertainty
 from multipos.files import handed, tables
 from multipos.finding import Findings, in_order
 from multipos.logs.opening import open_log
@@ -141,41 +129,28 @@ def apply(
             f"needs a Calibration, got {type(calibration).__name__}; for a regression call "
             "`multipos.correct`, and `multipos.load` reads a calibration from its file."
         )
-    check_outside(outside)
-    check_beside(calibration, beside, tilt)
+    options: dict[str, Any] = {
+        "tilt": tilt,
+        "uncertainty": uncertainty,
+        "reading_sd": reading_sd,
+        "parameters_only": parameters_only,
+        "outside": outside,
+        "beside": beside,
+    }
     data = handed.take_in(data, "data", calibration.outputs)
     if not isinstance(data, Mapping):  # a log of any kind that the command reads
-        whole = apply_log(
-            calibration,
-            open_log(data),
-            tilt=tilt,
-            uncertainty=uncertainty,
-            reading_sd=reading_sd,
-            parameters_only=parameters_only,
-            outside=outside,
-            beside=beside,
-        )
+        whole = apply_log(calibration, open_log(data), **options)
         columns = whole.columns()
         return Applied(columns, whole.noise, in_order((*whole.log.left_out, *whole.findings)))
     given = tables.read_table(data, what="data")
     table, units = plain_names(given)
-    asked = wanted_columns(calibration)
-    table, _ = under_names(table, asked if beside is None else (*asked, *wanted_columns(beside)))
-    wanted = asked_uncertainty(
-        calibration, table.source, table.columns, uncertainty, reading_sd, parameters_only
-    )
-    check_columns(calibration, table.source, table.columns, tilt, wanted, units, beside)
-    added = add_columns(
-        calibration, table, tilt=tilt, uncertainty=wanted, outside=outside, beside=beside
-    )
-    if outside == "refuse" and added["outside"].any():
-        where = place_outside(calibration, table, int(np.argmax(added["outside"])))
-        raise refusal(where, int(added["outside"].sum()), table.rows)
+    table, _ = under_names(table, wanted_columns(calibration, beside))
+    asked = prepare(calibration, table.source, table.columns, units, **options)
+    added = asked.columns(table)
+    beyond = int(added["outside"].sum())
+    if outside == "refuse" and beyond:
+        where = asked.place(table, int(np.argmax(added["outside"])))
+        raise refusal(where, beyond, table.rows)
     kept = {name: copy(column) for name, column in given.columns.items()}  # the caller's own stay
-    said: Findings = ()
-    if wanted is not None:
-        said = (*wanted.held, *wanted.find_samples(table, table.columns))
-    said = (*said, *find_turn(calibration, beside))
-    findings = found_applying(calibration, said, int(added["outside"].sum()), table.rows)
-    noise = None if wanted is None else wanted.noise.text
-    return Applied({**kept, **added}, noise, findings)
+    findings = asked.findings(asked.samples(table, table.columns), beyond, table.rows)
+    return Applied({**kept, **added}, asked.noise, findings)

@@ -8,23 +8,11 @@ written piece by piece. `digits_written` returns to how many digits added column
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from multipos.compensation.added_columns import (
-    Outside,
-    add_columns,
-    check_beside,
-    check_columns,
-    check_outside,
-    find_turn,
-    found_applying,
-    place_outside,
-    refusal,
-    wanted_columns,
-)
-from multipos.compensation.reading_noise import ReadingUncertainty, asked_uncertainty
+from multipos.compensation.added_columns import Application, prepare, refusal, wanted_columns
 from multipos.files import tables
 from multipos.finding import Findings
 from multipos.logs.opening import read_log
@@ -41,12 +29,9 @@ class AppliedLog:
 
     Attributes
     ----------
-    calibration : Calibration
+    application : Application
+        What every piece gets.
     log : Log
-    tilt, outside
-        As for `apply`.
-    uncertainty : ReadingUncertainty or None
-        Of the force, where it is asked for.
     progress : callable or None
         Called with how much of the log has been read, 0 to 1.
     rows, beyond : int
@@ -55,29 +40,22 @@ class AppliedLog:
         What is wrong with the uncertainties, as the first piece shows it.
     """
 
-    calibration: Calibration
+    application: Application
     log: Log
-    tilt: bool = False
-    uncertainty: ReadingUncertainty | None = None
-    outside: Outside = "flag"
     progress: Callable[[float], object] | None = None
     rows: int = 0
     beyond: int = 0
     samples: Findings = ()
-    beside: Calibration | None = None
 
     @property
     def noise(self) -> str | None:
         """Which noise of one reading the uncertainties hold; None where there are none."""
-        return None if self.uncertainty is None else self.uncertainty.noise.text
+        return self.application.noise
 
     @property
     def findings(self) -> Findings:
         """What was found about force and its uncertainties, of the rows done so far."""
-        wanted = self.uncertainty
-        of_noise = () if wanted is None else (*wanted.held, *self.samples)
-        of_noise = (*of_noise, *find_turn(self.calibration, self.beside))
-        return found_applying(self.calibration, of_noise, self.beyond, self.rows)
+        return self.application.findings(self.samples, self.beyond, self.rows)
 
     def __iter__(self) -> Iterator[str]:
         """Yield header and rows; under 'refuse' the error comes when all rows have been seen."""
@@ -88,7 +66,7 @@ class AppliedLog:
             if not begun:
                 yield tables.format_csv(dict.fromkeys((*header, *added), ()), self._delimiter)
             begun = True
-            if not self.beyond or self.outside != "refuse":
+            if not self.beyond or self.application.outside != "refuse":
                 yield self._text(piece, added)
 
     def parts(self) -> Iterator[dict[str, tables.Column]]:
@@ -113,35 +91,29 @@ class AppliedLog:
     ) -> Iterator[tuple[Piece, dict[str, Array]]]:
         """Yield pieces with what is added to them; under 'refuse' the error comes at the end."""
         self.rows = self.beyond = 0
-        first = None
+        asked, first = self.application, None
         for piece in self.log.read(self._needed, carried, texts):
-            if self.uncertainty is not None and self.rows == 0:
-                self.samples = self.uncertainty.find_samples(piece.table, self.log.columns)
-            added = add_columns(
-                self.calibration,
-                piece.table,
-                tilt=self.tilt,
-                uncertainty=self.uncertainty,
-                outside=self.outside,
-                beside=self.beside,
-            )
+            if self.rows == 0:
+                self.samples = asked.samples(piece.table, self.log.columns)
+            added = asked.columns(piece.table)
             beyond = added["outside"].astype(bool)
             if first is None and beyond.any():
-                first = place_outside(self.calibration, piece.table, int(np.argmax(beyond)))
+                first = asked.place(piece.table, int(np.argmax(beyond)))
             self.rows += piece.table.rows
             self.beyond += int(beyond.sum())
             yield piece, added
             if self.progress is not None:
                 self.progress(piece.done)
-        if first is not None and self.outside == "refuse":
+        if first is not None and asked.outside == "refuse":
             raise refusal(first, self.beyond, self.rows)
 
     @property
     def _needed(self) -> tuple[str, ...]:
-        needed = [*self.calibration.outputs, *self.calibration.model.environment]
-        needed += () if self.uncertainty is None else self.uncertainty.noise.columns
-        if self.beside is not None:
-            needed += [*self.beside.outputs, *self.beside.model.environment]
+        asked = self.application
+        needed: list[str] = []
+        for each in filter(None, (asked.calibration, asked.beside)):
+            needed += [*each.outputs, *each.model.environment]
+        needed += () if asked.uncertainty is None else asked.uncertainty.noise.columns
         return tuple(dict.fromkeys(needed))
 
     @property
@@ -167,31 +139,20 @@ def digits_written(added: Iterable[str]) -> dict[str, int]:
     return {name: _DIGITS for name in added if name.startswith(("u_", "U_"))}
 
 
-def apply_log(
-    calibration: Calibration,
-    log: Log,
-    *,
-    tilt: bool = False,
-    uncertainty: bool = False,
-    reading_sd: ArrayLike | None = None,
-    parameters_only: bool = False,
-    outside: Outside = "flag",
-    beside: Calibration | None = None,
-    progress: Callable[[float], object] | None = None,
-) -> AppliedLog:
+def apply_log(calibration: Calibration, log: Log, **options: Any) -> AppliedLog:
     """Return a log with the compensated force beside its columns, to be written piece by piece.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    log : Log
+    **options
+        Of `multipos.apply`.
 
     Raises
     ------
     MultiposError
         A column is missing. Bad cells and refused rows are found when the pieces are read.
     """
-    check_outside(outside)
-    check_beside(calibration, beside, tilt)
-    asked = wanted_columns(calibration)
-    log = called_as(log, asked if beside is None else (*asked, *wanted_columns(beside)))
-    wanted = asked_uncertainty(
-        calibration, log.source, log.columns, uncertainty, reading_sd, parameters_only
-    )
-    check_columns(calibration, log.source, log.columns, tilt, wanted, log.units, beside)
-    return AppliedLog(calibration, log, tilt, wanted, outside, progress, beside=beside)
+    log = called_as(log, wanted_columns(calibration, options.get("beside")))
+    return AppliedLog(prepare(calibration, log.source, log.columns, log.units, **options), log)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.compensation.added_columns import add_columns
+from multipos.compensation.added_columns import Application
 from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.c_body import environment_range
@@ -83,7 +83,7 @@ def expected_rows(c: Correction, drive: Drive, *, single: bool) -> Expected:
     beyond = np.zeros(n, dtype=bool)
     if c.calibration is not None:
         table = Table("the rows", columns, rows=n)
-        added = add_columns(c.calibration, table, tilt=False, uncertainty=None, outside="clamp")
+        added = Application(c.calibration, False, None, "clamp", None).columns(table)
         beyond |= np.asarray(added["outside"]).astype(bool)
         columns |= {name: added[name] for name in c.forces}
     out = np.empty((n, len(c.regressions)))
