@@ -8,7 +8,7 @@ from multipos.files.tables import Source
 from multipos.fitting.regress_columns import regress
 from multipos.plots.regressions import regression_figure
 from multipos.regression.observations import join_runs
-from multipos.regression.regression_text import regression_sentence, regression_text
+from multipos.reports.regression_text import regression_sentence, regression_text
 
 INPUTS = ("data",)
 OUTPUT = Output(

@@ -35,6 +35,7 @@ from multipos.regression.piecewise import Plan
 from multipos.regression.prediction import thermal_balance
 from multipos.regression.regression import Regression, Regressions
 from multipos.regression.remarks import (
+    find_collinear,
     find_imbalance,
     find_in_choice,
     find_in_segments,
@@ -234,6 +235,7 @@ def _describe(plan: Plan, response: str, read: Observations, cut: Cut) -> Regres
         balance=balance,
         findings=(
             *find_in_segments(segments),
+            *find_collinear(model, read.data),
             *find_jumps(cut.variable, junctions),
             *find_imbalance(balance),
             *find_switch_on(read.data),

@@ -2,21 +2,28 @@
 
 `find_order` says by what rows are neighbours, `find_in_choice` what the choice of terms and each
 segment leave open, `find_in_segments` where nothing tests a segment and where its rows are
-correlated, `find_jumps` where the model jumps, `find_imbalance` where nothing was measured in
-thermal balance, `find_switch_on` that one switch-on says nothing of the next.
+correlated, `find_collinear` variables that nearly follow from others, `find_jumps` where the model
+jumps, `find_imbalance` where nothing was measured in thermal balance, `find_switch_on` that one
+switch-on says nothing of the next.
 """
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
+from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.regression.junctions import Junction
 from multipos.regression.observations import Data, Observations
 from multipos.regression.piecewise import Plan
 from multipos.regression.regression import Balance, Regression
+from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
+from multipos.regression.variation import variance_inflation
 
 _MOST_NAMED = 3  # terms that are left out
+_INFLATED = 10.0  # variance of a coefficient, over what its column alone would give
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
 
@@ -67,6 +74,34 @@ def _named(segments: Sequence[Segment]) -> Iterator[tuple[str, Segment]]:
     """Yield segments with what they are called."""
     for number, segment in enumerate(segments, start=1):
         yield f"segment {number}" if len(segments) > 1 else "the model", segment
+
+
+def find_collinear(result: Regression, data: Data) -> Findings:
+    """Name the variable of each segment that nearly follows from others, where none tells it.
+
+    Judged by their linear terms: products and powers of one variable depend on where its zero is.
+    """
+    place = result.segment_of(data.columns)
+    found = []
+    for number, (where, segment) in enumerate(_named(result.segments)):
+        linear = [v for v in result.variables if linear_term(v) in segment.terms]
+        if not segment.significant or CONSTANT not in segment.terms or len(linear) < 2:
+            continue
+        rows = data.take(np.flatnonzero(place == number))
+        columns = within_runs(np.column_stack([rows.columns[v] for v in linear]), rows)[0]
+        inflation = dict(zip(linear, variance_inflation(columns).tolist(), strict=True))
+        tested = {c.term: c.p if c.p_robust is None else c.p_robust for c in segment.coefficients}
+        beyond = [v for v in linear if inflation[v] > _INFLATED]
+        weak = [v for v in beyond if tested[v] > 1.0 - result.confidence]
+        if weak:
+            name = max(weak, key=tested.__getitem__)
+            others = ", ".join([v for v in beyond if v != name][:_MOST_NAMED])
+            text = (
+                f"{where}: {name} nearly follows from {others}: the variance of its coefficient is "
+                f"{inflation[name]:.3g} times as large, and its value undetermined"
+            )
+            found.append(Finding("collinear-terms", "warning", text, f"Leave out {name}."))
+    return tuple(found)
 
 
 def find_jumps(variable: str | None, junctions: Sequence[Junction]) -> Findings:

@@ -2,7 +2,7 @@
 
 `term_variances` returns the variance of every term over the table, `varying` the columns that vary
 enough, and `by_degree` the order in which they are asked. `Contributions` tells whether
-coefficients cancel.
+coefficients cancel. `variance_inflation` says how far columns follow from each other.
 
 **Variation.** A chamber that heats and cools by 1 °C/min holds rate² constant between its soaks. A
 coefficient of it is then found from the noise of the thermometer, takes the place of the constant,
@@ -27,6 +27,11 @@ its F.
 
 **Segments that join.** Where they are fitted without a jump, terms of all rows are judged over all
 rows, and a coefficient may change at an edge where its term varies, by (1), on both sides.
+
+**Inflation.** With R_j² of column j by the others, u² of its coefficient is 1/(1 − R_j²) times that
+of the column alone: the diagonal of the inverse of their correlations.
+
+Source of the inflation: D. W. Marquardt, Technometrics 12, 1970 (ten and more is too much).
 """
 
 from collections.abc import Mapping, Sequence
@@ -79,6 +84,13 @@ def varying(design: Array, variances: Array, order: Sequence[int]) -> list[int]:
             kept.append(j)
             basis.append(left / length)
     return kept
+
+
+def variance_inflation(columns: Array) -> Array:
+    """Return 1/(1 − R²) (m,) of columns (n, m), about their means, that do not depend linearly."""
+    about = columns - columns.mean(axis=0)
+    R = np.linalg.qr(about / np.linalg.norm(about, axis=0), mode="r")
+    return np.asarray((np.linalg.inv(R) ** 2).sum(axis=1))
 
 
 def by_degree(terms: Sequence[Term]) -> list[int]:

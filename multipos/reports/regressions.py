@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.files.numbers import chance, number, uncertain
+from multipos.files.numbers import number
 from multipos.files.pipes import is_folder, is_there
 from multipos.files.spelling import StrPath
 from multipos.files.tables import Table, read_table
@@ -21,12 +21,19 @@ from multipos.finding import serious
 from multipos.numerics.arrays import Array, Places
 from multipos.plots.regressions import complete_rows, corrected_rows, draw_path
 from multipos.plots.style import COLOURS
-from multipos.regression.junctions import Junction
 from multipos.regression.regression import Regression, Regressions, all_of, require_same_data
-from multipos.regression.regression_text import regression_sentence
-from multipos.regression.segment import Segment, format_span
 from multipos.reports.certificate import Content
 from multipos.reports.laboratory import lab_fields, read_lab
+from multipos.reports.regression_text import (
+    has_own_path,
+    jumps_and_balance,
+    outline,
+    path_table,
+    regression_sentence,
+    span_of,
+    terms_table,
+    tests_table,
+)
 from multipos.reports.sections import (
     LONG_TABLE,
     Figure,
@@ -101,7 +108,7 @@ def _first(r: Regression, sections: list[Section]) -> tuple[Section, list[Sectio
     rest[0] = replace(figures, paragraphs=(), figures=figures.figures[1:])
     rest[place] = replace(holds, tables=holds.tables[1:])
     first = replace(figures, figures=figures.figures[:1], tables=holds.tables[:1])
-    return first, [each for each in rest if each.figures or each.tables]
+    return first, [each for each in rest if each.paragraphs or each.figures or each.tables]
 
 
 def _titled(response: str | None, title: str) -> str:
@@ -151,91 +158,31 @@ def _knowledge(r: Regression, of: Titled) -> Section:
 
 
 def _tests(r: Regression, of: Titled) -> Section:
-    """Return the paper's table: F of every segment against its critical value."""
-    ends = (f"F_{r.confidence:g}", "F_robust", "R²", "rms")
-    header = ("segment", "n", "k", "n − k − 1", "F", *ends)
-    rows = []
-    for s in r.segments:
-        robust = "-" if s.robust is None else number(s.robust.F)
-        mark = "" if s.significant else " (not significant)"
-        rows.append(
-            (
-                f"{_span(r, s)}{mark}",
-                str(s.n),
-                str(s.dof[0]),
-                str(s.dof[1]),
-                number(s.F),
-                f"{s.F_critical:.4f}",
-                robust,
-                number(s.r2),
-                number(s.rms, 3),
-            )
-        )
-    caption = "F of every segment, against what chance exceeds"
-    tables = [PageTable(caption, header, tuple(rows))]
-    if r.junctions:
-        jumps = tuple(
-            (f"{j.edge:.6g}{_branch(j)}", uncertain(j.jump, j.u), number(j.U, 2))
-            for j in r.junctions
-        )
-        caption = f"Largest jump at every edge of {r.segment_variable}"
-        tables.append(PageTable(caption, ("edge", "jump(u)", "U"), jumps))
-    return Section(of("Tests"), tables=tuple(tables))
-
-
-def _branch(j: Junction) -> str:
-    return f", {j.branch}" if j.branch else ""
+    said = tuple(f"{name.capitalize()} {text}." for name, text in jumps_and_balance(r))
+    return Section(of("Tests"), paragraphs=said, tables=(tests_table(r),))
 
 
 def _terms(r: Regression, of: Titled) -> Section:
     tables = []
-    for s in r.segments:
-        rows = tuple(
-            (
-                c.term,
-                uncertain(c.value, c.u if c.u_robust is None else c.u_robust),
-                number(c.t if c.t_robust is None else c.t_robust),
-                chance(c.p if c.p_robust is None else c.p_robust),
-            )
-            for c in s.coefficients
-        )
-        caption = f"Segment {_span(r, s)}"
-        tables.append(PageTable(caption, ("term", "value(u)", "t", "p"), rows))
+    for i, s in enumerate(r.segments):
+        tables.append(terms_table(s, span_of(r, i)))
         limits = tuple((v, number(low, 6), number(high, 6)) for v, (low, high) in s.limits.items())
-        header = ("variable", "from", "to")
-        tables.append(PageTable("fitted over", header, limits))
+        tables.append(PageTable("fitted over", ("variable", "from", "to"), limits))
     return Section(of("Terms"), tables=tuple(tables))
 
 
 def _paths(r: Regression, of: Titled) -> list[Section]:
     """Return how the terms were chosen, drawn and in numbers."""
-    chosen = [s for s in r.segments if s.path][: 1 if r.continuous else None]
-    if not chosen:
-        return []
     figures, tables = [], []
-    for s in chosen:
-        span = "all segments" if r.continuous else _span(r, s)
-        height = 0.8 + 0.22 * len(s.path)
-        figures.append(
-            Figure(
-                f"Path of terms, {span}",
-                "F of every step; a diamond is the runner-up.",
-                partial(draw_svg, height, partial(draw_path, s)),
-            )
-        )
-        rows = tuple(
-            (
-                str(step.step),
-                f"{'+' if step.action == 'add' else '−'} {step.term}",
-                number(step.F, 5),
-                chance(step.p),
-                "-" if step.runner_up is None else f"{step.runner_up.term} {step.runner_up.F:.4g}",
-            )
-            for step in s.path
-        )
-        header = ("step", "term", "F", "p", "runner-up")
-        tables.append(PageTable(f"Steps, {span}", header, rows, left=2))
-    return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))]
+    for i, s in enumerate(r.segments):
+        if not (s.path and has_own_path(r, i)):
+            continue
+        span = "all segments" if r.continuous else span_of(r, i)
+        draw = partial(draw_svg, 0.8 + 0.22 * len(s.path), partial(draw_path, s))
+        said = "F of every step; a diamond is the runner-up."
+        figures.append(Figure(f"Path of terms, {span}", said, draw))
+        tables.append(path_table(s, f"Steps, {span}"))
+    return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))] if tables else []
 
 
 def _figures(r: Regression, table: Table | None, of: Titled) -> Section:
@@ -304,16 +251,9 @@ def _method(several: Sequence[Regression]) -> Section:
     rows = [
         ("Data", r.source or "from memory"),
         ("SHA-256 of the data", r.sha256 or "-"),
-        ("Rows, left out", f"{r.n}, {r.dropped}"),
-        ("Method", r.method + "".join(f", {k} {v:g}" for k, v in r.thresholds.items())),
+        *((name.capitalize(), text) for name, text in outline(r)),
         ("Candidates", ", ".join(r.candidates)),
-        *((f"Rate {name}", f"window {w:.6g}") for name, w in r.rates.items()),
-        ("Rates", "of past rows" if r.causal else "of rows before and after"),
         ("Confidence", f"{r.confidence:g}"),
         ("Computed", f"{r.created}, multipos {r.version}"),
     ]
     return method_section(rows)
-
-
-def _span(r: Regression, s: Segment) -> str:
-    return format_span(r.range_variable, s.range, s.branch)

@@ -20,6 +20,7 @@ from multipos.numerics.least_squares import solve
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.regression.prediction import predict_uncertainty
 from multipos.regression.region import region_factor
+from multipos.reports.regression_text import regression_text
 
 
 def write(path, columns):
@@ -648,3 +649,35 @@ def test_terms_that_share_a_column_and_a_segment_of_none(terms, kink, rows, tmp_
     assert_allclose(found.predict(table)[t < kink], 0.0)
     after = mp.correct(again, {"T": [61.0, 59.0, -30.0], "H": [0.0] * 3})
     assert list(after["outside"]) == [1, 0, 0]
+
+
+def test_a_variable_that_nearly_follows_from_others_is_named_and_left_out():
+    """device = ambient − 5 × rate but for .01: the inflation is by R² of the others."""
+    rng = np.random.default_rng(3)
+    ambient, rate = rng.uniform(-20.0, 60.0, 200), rng.uniform(-1.0, 1.0, 200)
+    device = ambient - 5.0 * rate + 0.01 * rng.standard_normal(200)
+    columns = {"T": device, "ambient": ambient, "rate": rate}
+    columns["y"] = 1.0 + 0.1 * ambient + 0.1 * rng.standard_normal(200)
+    found = mp.regress(columns, response="y", variables="T,ambient,rate")
+    (said,) = [each for each in found.findings if each.code == "collinear-terms"]
+    assert found.segments[0].significant
+    assert len(said.text) <= 160
+    name = said.action.removeprefix("Leave out ").removesuffix(".")
+    kept = [v for v in ("T", "ambient", "rate") if v != name]
+    others = np.column_stack([np.ones(200), *(columns[v] for v in kept)])
+    left = columns[name] - others @ np.linalg.lstsq(others, columns[name], rcond=None)[0]
+    inflation = float(((columns[name] - columns[name].mean()) ** 2).sum() / (left @ left))
+    assert said.level == "warning"
+    assert f"{inflation:.3g} times" in said.text
+    again = mp.regress(columns, response="y", variables=kept)
+    assert "collinear-terms" not in {each.code for each in again.findings}
+    u = [{c.term: c.u for c in r.segments[0].coefficients}[kept[0]] for r in (found, again)]
+    assert u[1] < u[0] / 100.0
+
+
+def test_a_mean_alone_prints_no_nan():
+    rng = np.random.default_rng(4)
+    columns = {"x": rng.standard_normal(50), "y": rng.standard_normal(50)}
+    found = mp.regress(columns, response="y", variables="x", stepwise=True)
+    assert [str(term) for term in found.segments[0].terms] == ["1"]
+    assert "nan" not in regression_text(found)

@@ -14,7 +14,7 @@ from scipy.stats import t
 from multipos.errors import MultiposError
 from multipos.numerics.selection import Thresholds
 from multipos.numerics.terms import parse_terms
-from multipos.regression import region, regression_text, segmentation, variation
+from multipos.regression import region, segmentation, variation
 from multipos.regression.correlation import _long_run, bandwidth, time_order
 from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import _same, _still, _usual_time, _usual_window, join_runs
@@ -23,7 +23,6 @@ from multipos.regression.prediction import hold_inside
 from multipos.regression.rates import default_window, rows_of_runs
 from multipos.regression.region import Region
 from multipos.regression.regression import Regression, _balance
-from multipos.regression.regression_text import _segment_text
 from multipos.regression.robust import _by_law, _general, _tested, robust_fit
 from multipos.regression.runs import within_runs
 from multipos.regression.segment import Between, combined_variance
@@ -36,6 +35,7 @@ from multipos.regression.whitening import (
     _less,
     _likelihoods,
 )
+from multipos.reports.regression_text import has_own_path, terms_table
 
 
 @dataclass
@@ -233,19 +233,11 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
 
 
 @pytest.mark.parametrize(("continuous", "shown"), [(True, [1, 3]), (False, [0, 1, 2, 3])])
-def test_segments_that_are_fitted_together_share_their_path(continuous, shown, monkeypatch):
+def test_segments_that_are_fitted_together_share_their_path(continuous, shown):
     """Two of a rising branch and two of a falling one."""
-    for name in ("_outline", "_jumps", "_balanced", "_segment_text", "_runs_text"):
-        monkeypatch.setattr(regression_text, name, lambda of: [])
-    monkeypatch.setattr(regression_text, "_overview", lambda r: "")
-    monkeypatch.setattr(regression_text, "_path_text", lambda segment: [f"path {segment.number}"])
-    segments = [
-        SimpleNamespace(number=i, branch=branch, range=(0.0, 1.0), left_out=())
-        for i, branch in enumerate(("rising", "rising", "falling", "falling"))
-    ]
-    r = SimpleNamespace(segments=segments, continuous=continuous, range_variable="t")
-    said = [line for line in regression_text._text(r) if line.startswith("path")]
-    assert said == [f"path {i}" for i in shown]
+    segments = [SimpleNamespace(branch=b) for b in ("rising", "rising", "falling", "falling")]
+    r = SimpleNamespace(segments=segments, continuous=continuous)
+    assert [i for i in range(4) if has_own_path(r, i)] == shown
 
 
 def test_a_balance_is_of_one_variable():
@@ -449,8 +441,8 @@ def test_the_rounding_of_a_leverage():
 
 def test_coefficients_of_a_segment_stand_with_their_u():
     one = SimpleNamespace(term="v^2", value=-2.5, u=0.013, t=-192.3, p=0.04)
-    (text,) = _segment_text(SimpleNamespace(robust=None, coefficients=[one]))
-    assert text.splitlines()[-1].split() == ["v^2", "-2.500(13)", "-192.3", "0.040"]
+    table = terms_table(SimpleNamespace(robust=None, coefficients=[one]), "")
+    assert table.rows == (("v^2", "-2.500(13)", "-192.3", "0.040"),)
 
 
 def test_a_gap_is_more_than_five_usual_steps():
