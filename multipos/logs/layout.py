@@ -11,6 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import islice
 from typing import NamedTuple
 
@@ -172,11 +173,16 @@ def cells_of(line: str, mark: str) -> list[str]:
     """Return the cells of one line, without white space around them."""
     if not mark:
         return line.split()
-    try:
-        cells = next(csv.reader([line], delimiter=mark), [])
-    except csv.Error:
-        cells = line.split(mark)
+    cells = line.split(mark)
+    if '"' in line:
+        with suppress(csv.Error):
+            cells = next(csv.reader([line], delimiter=mark), [])
     return [cell.strip() for cell in cells]
+
+
+def has_open_quote(line: str, mark: str) -> bool:
+    """Tell whether a quote of a line is not closed, where quotes stand around cells."""
+    return mark != "" and line.count('"') % 2 > 0
 
 
 def number_of(cell: str, mark: str) -> float | None:
@@ -297,7 +303,7 @@ def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
 
 
 def _refuse_open_quote(source: str, line: Line) -> None:
-    if line.text.count('"') % 2:
+    if has_open_quote(line.text, '"'):
         raise MultiposError(
             f"{source}: line {line.number}: a quote is not closed; check the quotes of that line."
         )

@@ -7,7 +7,6 @@ numbers, or become so without comments, empty lines and a separator behind the l
 by cell, so that what is bad is named, or is no number where that may be.
 """
 
-import csv
 import os
 import re
 from codecs import BOM_UTF8
@@ -32,6 +31,7 @@ from multipos.logs.layout import (
     Layout,
     cells_of,
     find_layout,
+    has_open_quote,
     is_comment,
     is_number,
     number_of,
@@ -77,36 +77,6 @@ def _rows_only(layout: Layout, content: str, first: int) -> Rows:
 def is_row(line: str) -> bool:
     """Tell whether a line is neither empty nor a comment."""
     return bool(line.strip()) and not is_comment(line)
-
-
-def split_rows(
-    source: str, lines: Sequence[str], numbers: Sequence[int], delimiter: str
-) -> list[list[str]]:
-    """Return the cells of rows of text, whose line numbers are given; a row is one line.
-
-    Raises
-    ------
-    MultiposError
-        Of a quote that is not closed, or a cell of more than 128 KiB.
-    """
-    if not delimiter:
-        return [line.split() for line in lines]
-    reader = csv.reader(lines, delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
-    reason = ""
-    try:
-        for row in reader:
-            if reader.line_num > len(rows) + 1:
-                break
-            rows.append([cell.strip() for cell in row])
-    except csv.Error as error:
-        reason = "" if "end of data" in str(error) else str(error)
-    if len(rows) < len(lines):  # a quote that is not closed has swallowed what follows it
-        raise MultiposError(
-            f"{source}: line {numbers[len(rows)]}: {reason or 'a quote is not closed'}; check the "
-            "quotes of that line."
-        )
-    return rows
 
 
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
@@ -346,7 +316,7 @@ def _load(layout: Layout, content: str, rows: int, index: list[int]) -> Array:
     mark, width = layout.delimiter, layout.width
     every = all(layout.numeric) or not mark  # then NumPy counts the cells of every row
     if not every and any(
-        line.count(mark) != width - 1 or line.count('"') % 2 for line in _lines_of(content)
+        line.count(mark) != width - 1 or has_open_quote(line, mark) for line in _lines_of(content)
     ):
         raise ValueError
     values = np.loadtxt(
@@ -386,33 +356,23 @@ def _parse_slowly(text: _Text, rows: Rows, table: Table, wanted: Wanted) -> Tabl
 
 def _cells(text: _Text, rows: Rows, first: int, *, lenient: bool) -> list[list[str]]:
     """Return the cells of rows; empty ones where a row has too few or too many and that is fine."""
-    mark = text.layout.delimiter
-    try:
-        cells = split_rows(str(text.path), rows.lines, rows.numbers, mark)
-    except MultiposError:
-        if not lenient:
-            raise
-        cells = [_cells_of(line, mark) for line in rows.lines]
-    width = len(text.columns)
-    for i, row in enumerate(cells):
-        if len(row) == width:
+    mark, width = text.layout.delimiter, len(text.columns)
+    cells = [cells_of(line, mark) for line in rows.lines]
+    for i, line in enumerate(rows.lines):
+        is_open = has_open_quote(line, mark)
+        if len(cells[i]) == width and not is_open:
             continue
         if not lenient:
+            where = f"line {rows.numbers[i]}"
             raise MultiposError(
-                f"{text.path}: row {first + i + 1} (line {rows.numbers[i]}) has {len(row)} cells "
-                f"where there are {width} columns, the last '{text.columns[-1]}'; correct it, or "
-                "give --drop-bad to leave such rows out."
+                f"{text.path}: {where}: a quote is not closed; check the quotes of that line."
+                if is_open
+                else f"{text.path}: row {first + i + 1} ({where}) has {len(cells[i])} cells where "
+                f"there are {width} columns, the last '{text.columns[-1]}'; correct it, or give "
+                "--drop-bad to leave such rows out."
             )
         cells[i] = [""] * width
     return cells
-
-
-def _cells_of(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one row, none where its quotes are not closed."""
-    try:
-        return split_rows("", [line], [0], delimiter)[0]
-    except MultiposError:
-        return []
 
 
 def _lenient(cells: Sequence[str], mark: str) -> Array:
