@@ -7,11 +7,13 @@ and again numbers sensors, or samples of a packet. They are sensors where readin
 one row to the next than from one round to the next.
 """
 
+import os
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import IO, NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -94,8 +96,7 @@ def share_of(progress: Progress | None, done: int, count: int) -> Progress | Non
     return None if progress is None else lambda part: progress((done + part) / count)
 
 
-_IN_MEMORY = 1 << 19  # numbers
-_SMALL = 1 << 12  # numbers: smaller pieces, which cost more than what they hold, are joined
+_IN_MEMORY = 1 << 22  # bytes
 _LATEST = 1e25  # of the other columns: no clock counts so far, in picoseconds neither
 _FAR = 1e6  # times the median of a column: no sensor reads so much, a damaged number does
 
@@ -155,60 +156,47 @@ class Kept(Protocol):
 
 
 class Store:
-    """Columns (k, n) in pieces, the older ones in a temporary file when they are many."""
+    """Columns (k, n) in pieces, in a temporary file when they are many."""
 
     def __init__(self) -> None:
+        import tempfile  # slow to import, and not needed to fit
+
+        self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115  # closed below
+        self._closing = weakref.finalize(self, self._file.close)
+        self._shapes: list[tuple[int, ...]] = []  # of the pieces
         self._first = 0  # row of the first piece
-        self._new: list[Array] = []
-        self._filed: list[tuple[int, ...]] = []  # shapes of the pieces in the file
-        self._file: IO[bytes] | None = None
+        self._begin = 0  # where in the file it begins
 
     def add(self, piece: Array) -> None:
         """Keep the rows that follow."""
         if not piece.shape[1]:
             return
-        if self._new and self._new[-1].size + piece.size <= _SMALL:
-            piece = np.concatenate([self._new.pop(), piece], axis=1)
-        self._new.append(piece)
-        if sum(each.size for each in self._new) > _IN_MEMORY:
-            if self._file is None:
-                import tempfile  # slow to import, and seldom needed
-
-                self._file = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `close`
-            self._file.seek(0, 2)
-            for each in self._new:
-                self._file.write(np.ascontiguousarray(each).data)
-                self._filed.append(each.shape)
-            self._new = []
+        self._file.seek(0, os.SEEK_END)
+        self._file.write(np.ascontiguousarray(piece).tobytes())
+        self._shapes.append(piece.shape)
 
     def pieces(self) -> Iterator[tuple[int, Array]]:
         """Yield the first row and the numbers of each piece, in order."""
-        first = self._first
-        if self._file is not None:
-            self._file.seek(0)
-            for width, rows in self._filed:
-                numbers = np.frombuffer(self._file.read(8 * width * rows))
-                yield first, numbers.reshape(width, rows)
-                first += rows
-        for piece in self._new:
-            yield first, piece
-            first += piece.shape[1]
+        first, place = self._first, self._begin
+        for width, rows in [*self._shapes]:
+            self._file.seek(place)
+            numbers = np.frombuffer(self._file.read(8 * width * rows))
+            yield first, numbers.reshape(width, rows)
+            first, place = first + rows, place + numbers.nbytes
 
     def forget(self, row: int) -> None:
-        """Let go of the rows before one, as far as that is easy."""
-        filed = sum(rows for _, rows in self._filed)
-        if self._file is not None and self._first + filed <= row:
+        """Let go of the pieces before a row."""
+        while self._shapes and self._first + self._shapes[0][1] <= row:
+            width, rows = self._shapes.pop(0)
+            self._first += rows
+            self._begin += 8 * width * rows
+        if not self._shapes:
             self._file.truncate(0)
-            self._filed = []
-            self._first += filed
-        while not self._filed and self._new and self._first + self._new[0].shape[1] <= row:
-            self._first += self._new.pop(0).shape[1]
+            self._begin = 0
 
     def close(self) -> None:
         """Let go of everything that is kept."""
-        if self._file is not None:
-            self._file.close()
-        self._new = []
+        self._closing()
 
 
 class Samples(Kept):

@@ -745,8 +745,8 @@ def test_rows_that_are_kept_in_a_file_and_let_go(monkeypatch):
     def kept():
         return [(first, piece.tolist()) for first, piece in store.pieces()]
 
-    old, new = (0, table[:, :8].tolist()), (8, table[:, 8:].tolist())
-    for row, left in ((0, [old, new]), (7, [old, new]), (8, [new]), (10, [new]), (11, [])):
+    parts = [(first, table[:, first:last].tolist()) for first, last in ((0, 4), (4, 8), (8, 11))]
+    for row, left in ((0, parts), (7, parts[1:]), (8, parts[2:]), (10, parts[2:]), (11, [])):
         store.forget(row)
         assert kept() == left
     store.add(table[:, :3])

@@ -556,16 +556,14 @@ def test_the_head_of_a_log_of_many_columns_has_its_first_lines(tmp_path):
 
 
 def test_pieces_that_were_kept_in_a_file_come_back(monkeypatch):
-    """As they were given; those that are small are joined with the one before."""
-    monkeypatch.setattr("multipos.logs.samples._SMALL", 12)
-    monkeypatch.setattr("multipos.logs.samples._IN_MEMORY", 30)
+    monkeypatch.setattr("multipos.logs.samples._IN_MEMORY", 240)
     table = np.random.default_rng(1).normal(size=(4, 13))
     store = Store()
     for first, last in ((0, 5), (5, 5), (5, 8), (8, 10), (10, 11), (11, 13)):
         store.add(table[:, first:last])
     found = list(store.pieces())
     store.close()
-    assert [first for first, _ in found] == [0, 5, 8, 11]
+    assert [first for first, _ in found] == [0, 5, 8, 10, 11]
     assert (np.concatenate([piece for _, piece in found], axis=1) == table).all()
 
 
