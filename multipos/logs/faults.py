@@ -9,7 +9,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.finding import Finding, Level
-from multipos.logs.rest_means import Counts, RestMean, is_one_code
+from multipos.logs.rest_means import RestMean, is_one_code
 from multipos.logs.rests import Rest, Survey
 from multipos.logs.samples import Kept, Samples
 from multipos.numerics.arrays import SMALLEST, Array, median
@@ -308,23 +308,14 @@ def find_saturated(samples: Kept, rest: Rest, found: RestMean, survey: Survey) -
     """Return what is said of outputs that are cut off at an extreme of the log in one rest."""
     said = []
     for j, upper in suspects(found, survey):
-        values, counts = _values(samples, rest, j)
+        (outputs,) = samples.read([rest])
+        values, counts = np.unique(outputs[j], return_counts=True)
         inward = counts[::-1] if upper else counts
         if is_saturated(inward.tolist()):
             value = float(values[-1] if upper else values[0])
             name = samples.outputs[j]
             said.append(at_one_value(name, "saturated", value, int(inward[0]), found.n))
     return said
-
-
-def _values(samples: Kept, rest: Rest, j: int) -> tuple[Array, Counts]:
-    """Return the values of an output in a rest, in order, and how many samples have each."""
-    parts = [
-        piece[j, max(rest.start - first, 0) : max(rest.end - first, 0)]
-        for first, piece in samples.pieces()
-    ]
-    values, counts = np.unique(np.concatenate(parts), return_counts=True)
-    return values, counts
 
 
 def find_second_unit(survey: Survey) -> list[Finding]:
