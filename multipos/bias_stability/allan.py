@@ -1,7 +1,7 @@
 """The overlapping Allan deviation of samples in any number, and its covariance under noise laws.
 
 - `Phases` takes samples up and returns the sums of eq. (1), over the lengths of `octaves`; `starts`
-  is M.
+  is M, and `pooled_variances` makes eq. (1) of the sums of several records.
 - `law_variances` is eq. (2) of one of each law, `flicker_excess` what flicker noise sampled at
   instants has beyond it.
 - `variance_covariance` is eq. (4), `phase_covariance` eq. (3).
@@ -120,6 +120,12 @@ class Phases:
 def starts(n: int, length: int) -> int:
     """Return M of eq. (1); a record takes no part in averages over more than a third of it."""
     return n - 2 * length + 1 if 3 * length <= n else 0
+
+
+def pooled_variances(sums: Array, lengths: Sequence[int], records: Sequence[int]) -> Array:
+    """Return eq. (1) (T,) of the sums of records of so many samples, added up."""
+    scale = [2.0 * m**2 * sum(starts(n, m) for n in records) for m in lengths]
+    return np.asarray(sums / scale)
 
 
 def law_variances(lengths: Array) -> Array:

@@ -259,9 +259,8 @@ def _trends(
     recorded = trends.describe([replace(each, temperature=None) for each in blocks], lengths)
     if recorded.time_constant is None:
         return found
-    return replace(
-        found,
-        found={**found.found, trends.WARM_UP: recorded.found[trends.WARM_UP]},
+    return found._replace(
+        coefficients={**found.coefficients, trends.WARM_UP: recorded.coefficients[trends.WARM_UP]},
         time_constant=recorded.time_constant,
         transients=recorded.transients,
     )

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multipos.bias_stability import trends
-from multipos.bias_stability.allan import starts
+from multipos.bias_stability.allan import pooled_variances
 from multipos.bias_stability.noise_laws import degrees_of_freedom
 from multipos.bias_stability.stability_result import (
     Estimate,
@@ -49,7 +49,7 @@ class Values:
             white_noise=self._law(found, 0, 1.0 / root, f"{self._unit}/sqrt(Hz)"),
             bias_instability=self._law(found, 1, 1.0, self._unit),
             random_walk=self._law(found, 2, root, f"{self._unit}/sqrt(s)"),
-            drift=self._estimate(found.found[trends.DRIFT], self._rate, f"{self._unit}/s"),
+            drift=self._estimate(found.coefficients[trends.DRIFT], self._rate, f"{self._unit}/s"),
             warm_up=self._warm_up(found),
             temperature_coefficient=self._temperature(found, index),
         )
@@ -58,8 +58,7 @@ class Values:
         sums = np.zeros(len(self._lengths))
         for each in self._raw:
             sums[: each.sums.shape[1]] += each.sums[index]
-        scale = [2.0 * m**2 * sum(starts(n, m) for n in self._samples) for m in self._lengths]
-        return np.asarray(np.sqrt(sums / scale))
+        return np.asarray(np.sqrt(pooled_variances(sums, self._lengths, self._samples)))
 
     def _law(self, found: trends.Description, law: int, factor: float, unit: str) -> Estimate:
         value, u = found.laws.root(law, 1.0)
@@ -73,16 +72,16 @@ class Values:
     def _warm_up(self, found: trends.Description) -> WarmUp | None:
         if found.time_constant is None:
             return None
-        amplitude = self._estimate(found.found[trends.WARM_UP], 1.0, self._unit)
+        amplitude = self._estimate(found.coefficients[trends.WARM_UP], 1.0, self._unit)
         constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
         lowest = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
         times = np.log(max(abs(amplitude.value) / lowest, 1.0))
         return WarmUp(amplitude, constant, float(constant.value * times))
 
     def _temperature(self, found: trends.Description, index: int) -> TemperatureCoefficient | None:
-        if trends.TEMPERATURE not in found.found:
+        if trends.TEMPERATURE not in found.coefficients:
             return None
-        change = self._estimate(found.found[trends.TEMPERATURE], 1.0, f"{self._unit}/degC")
+        change = self._estimate(found.coefficients[trends.TEMPERATURE], 1.0, f"{self._unit}/degC")
         micro_g = ppm = None
         if self._unit in MICRO_G:
             micro_g = change.scaled(MICRO_G[self._unit], "ug/degC")

@@ -16,6 +16,7 @@ from scipy.stats import multivariate_normal
 import multipos as mp
 from multipos import plots
 from multipos.bias_stability import trends
+from multipos.bias_stability.noise_laws import Laws
 from multipos.bias_stability.stability_text import stability_sentence
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
@@ -476,7 +477,9 @@ def test_the_likelihood_of_a_trend_by_a_normal_density():
     rng = np.random.default_rng(4)
     blocks = trends.Blocks(640, 16, rng.standard_normal(40), None, np.zeros(1))
     squares = np.array([3.0, 0.0, 0.02])
-    found = trends._least_squares([blocks], ("drift",), None, squares)
+    found = trends._least_squares(
+        [blocks], ("drift",), None, Laws(squares, np.zeros((3, 3)), 0, 0.0, 0)
+    )
     C = trends._covariance(40, 16, squares)
     X = np.column_stack([np.ones(40), blocks.time - blocks.time.mean()])
     b = np.linalg.solve(X.T @ np.linalg.solve(C, X), X.T @ np.linalg.solve(C, blocks.values))
