@@ -23,13 +23,14 @@ same to the last bit.
 import itertools
 import math
 from functools import cached_property
+from itertools import compress
 from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.exports.c_body import counted_steps, exact_inverse
+from multipos.exports.c_body import counted_steps, exact_inverse, slope_in_the_middle
 from multipos.exports.c_text import Statement, array, fill
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term
@@ -116,20 +117,13 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
     sensed = list(model.sensed_axes)
     _require_quadratic(c, sensed)
     theta = model.coefficients(c.parameters)
-    columns = [
-        next(i for i, t in enumerate(model.basis_terms) if t.along == axis)
-        for axis in (COMPONENTS[i] for i in sensed)
-    ]
-    bias = np.zeros(len(c.outputs))
-    second: dict[tuple[int, int], Array] = {}
-    for column, term in enumerate(model.basis_terms):
-        if not term.factors:
-            bias = theta[:, column]
-        elif (pair := _pair(term, sensed)) is not None:
-            second[pair] = theta[:, column]
-    P = exact_inverse(theta[:, columns])
-    R, largest = _raw_per_unit(c), float(np.linalg.norm(c.reference, axis=1).max())
-    per = _per_unit(c)
+    slope = slope_in_the_middle(c)[:, sensed]
+    bias = model.predict(c.parameters, np.zeros((1, 3)), {})[0]
+    pairs = [_pair(term, sensed) for term in model.basis_terms]
+    second = theta[:, [pair is not None for pair in pairs]]
+    P = exact_inverse(slope)
+    R, per = _raw_per_unit(c), _per_unit(c)
+    largest = float(np.linalg.norm(c.reference, axis=1).max())
     scaled, offset = P * (per / R), -(P @ bias) * per
     shift = _shift(np.abs(scaled).sum(axis=1).max(), _SUM)
     shift = min(shift, _shift(np.abs(offset).max(), _CONSTANT))
@@ -140,13 +134,11 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
             "unit of the readings with --unit, or leave out --fixed."
         )
     t = max(0, (held * held // _SUM).bit_length())
-    D = np.zeros((len(sensed), len(second)))
-    if second:
-        D = P @ np.column_stack(list(second.values())) * (2.0**t / per)
-    r = _shift(np.abs(D).sum(axis=1).max(initial=0.0), _SUM) if second else 0
+    D = P @ second * (2.0**t / per)
+    r = _shift(np.abs(D).sum(axis=1).max(), _SUM)
     quadratic = _whole(D, r)
     used = np.asarray(quadratic.any(axis=0))
-    steps = counted_steps(c, theta[:, columns], _TOLERANCE / per) if used.any() else 0
+    steps = counted_steps(c, slope, _TOLERANCE / per) if used.any() else 0
     if steps > _MOST_STEPS:
         raise MultiposError(
             f"--fixed: the second order of this model takes more than {_MOST_STEPS} steps; drop "
@@ -159,7 +151,7 @@ def find_fixed_point(calibration: Calibration) -> FixedPoint:
         linear=_whole(scaled, shift),
         constant=_whole(offset, shift),
         shift=shift,
-        products=tuple(pair for pair, kept in zip(second, used.tolist(), strict=True) if kept),
+        products=tuple(compress(filter(None, pairs), used.tolist())),
         quadratic=quadratic[:, used],
         product_shift=t,
         quadratic_shift=r,

@@ -1,7 +1,7 @@
 """Consumers of a matrix and an offset: Kalibr, ROS and the Python package imucal.
 
 `write_noise` writes the noise of a static record for Kalibr or ROS; `densities` returns white noise
-and random walk of it, and `white_noise` that of each output.
+and random walk of it.
 
 Kalibr [1]_: YAML of an IMU, with its scale-misalignment matrix and noise densities.
 raw = M C a + b in m/s², with the specific force a in case axes. Kalibr takes the axes of its sensor
@@ -150,26 +150,29 @@ def densities(calibration: Calibration, stability: Stability) -> tuple[float, fl
             f"the stability is in '{stability.unit}', but Kalibr takes m/s^2; give stability "
             "CAL.json with --calibration."
         )
-    walk = max(stability.outputs[name].random_walk.value for name in names)
-    return float(metres * max(white_noise(stability, names))), float(metres * walk)
+    white, walk = _noise(stability, names, metres)
+    return max(white), max(walk)
 
 
-def white_noise(stability: Stability, names: Iterable[str]) -> list[float]:
-    """Return the white noise of outputs, in the unit of a static record.
+def _noise(
+    stability: Stability, names: Iterable[str], metres: float
+) -> tuple[list[float], list[float]]:
+    """Return white noise and random walk of outputs, `metres` of whose unit are one m/s².
 
     Raises
     ------
     MultiposError
         Noise of another kind hides that of an output: a density of zero is none.
     """
-    white = {name: float(stability.outputs[name].white_noise.value) for name in names}
-    for name, value in white.items():
-        if not value > 0.0:
+    outputs = [(name, stability.outputs[name]) for name in names]
+    for name, each in outputs:
+        if not each.white_noise.value > 0.0:
             raise MultiposError(
                 f"slow noise hides the white noise of '{name}', and a density of zero is none; "
                 "record the sensor at rest, where nothing moves it."
             )
-    return list(white.values())
+    white = [float(metres * each.white_noise.value) for _, each in outputs]
+    return white, [float(metres * each.random_walk.value) for _, each in outputs]
 
 
 KALIBR = parameters.parameter_target(
@@ -198,9 +201,7 @@ def write_noise(stability: Stability, to: str) -> Exported:
             "calibration with --calibration."
         )
     metres = MICRO_G[stability.unit] * 1e-6 * STANDARD_GRAVITY
-    white = [metres * each for each in white_noise(stability, stability.outputs)]
-    walk = [float(metres * each.random_walk.value) for each in stability.outputs.values()]
-    rate = float(stability.sample_rate)
+    white, walk = _noise(stability, stability.outputs, metres)
     if to == "kalibr":
         head = "# of the accelerometer; gyroscopes are not measured in static positions"
         lines = [head, *_noise_lines(max(white), max(walk), stability)]
@@ -210,8 +211,8 @@ def write_noise(stability: Stability, to: str) -> Exported:
             f"a message of ROS has three accelerations, but the stability is of {len(white)} "
             "outputs; give stability all three."
         )
-    diagonal = [0.0] * 9
-    diagonal[::4] = [value**2 * rate for value in white]
+    rate = float(stability.sample_rate)
+    diagonal = np.diag([value**2 * rate for value in white]).ravel().tolist()
     unknown = [-1.0, *[0.0] * 8]
     lines = [
         f"# sensor_msgs/Imu, of one message at {rate:g} Hz; -1: not measured",
