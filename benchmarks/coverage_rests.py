@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from multipos.logs.joining import settle_together
+from multipos.logs.common_noise import settle_together
 from multipos.logs.rest_means import RestMean, RestSum, rest_means
 
 Array = np.ndarray[Any, Any]

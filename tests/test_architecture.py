@@ -199,7 +199,6 @@ UNLISTED = [
     "logs/clock.py",
     "logs/extras.py",
     "logs/faults.py",
-    "logs/joining.py",
     "logs/layout.py",
     "logs/log_columns.py",
     "logs/opening.py",
@@ -208,7 +207,6 @@ UNLISTED = [
     "logs/rests.py",
     "logs/samples.py",
     "logs/still.py",
-    "logs/text_logs.py",
     "logs/waved.py",
 ]
 

@@ -173,7 +173,7 @@ class RestMean(Result):
         Squares of its slowest cosines, over their mean if its samples were independent.
     common : array
         How many times the u of eq. (1) the u is by what all rests of a log have in common, else 1
-        (`multipos.logs.joining`).
+        (`multipos.logs.common_noise`).
     """
 
     n: int

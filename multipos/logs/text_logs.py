@@ -1,6 +1,7 @@
 """Logs that are text, read in pieces of some megabytes.
 
-`open_text` returns the log of a file, `open_lines` that of text which still comes, a `LiveText`.
+`head_lines` returns the first lines of a file and `open_text` its log, `open_lines` that of text
+which still comes, a `LiveText`.
 
 The columns of a piece are had by NumPy's reader in one step where its lines are nothing but rows of
 numbers, or become so without comments, empty lines and a separator behind the last cell; else cell
@@ -67,14 +68,14 @@ def _rows_only(layout: Layout, content: str, first: int) -> Rows:
     lines = _lines_of(content)
     numbers: Sequence[int] = range(first, first + len(lines))
     if any(mark in content for mark in COMMENTS) or not all(map(str.strip, lines)):
-        numbers = [number for number, line in zip(numbers, lines, strict=True) if is_row(line)]
+        numbers = [number for number, line in zip(numbers, lines, strict=True) if _is_row(line)]
         lines = [lines[number - first] for number in numbers]
     if layout.trailing:
         lines = [line.rstrip().removesuffix(layout.delimiter) for line in lines]
     return Rows(lines, numbers)
 
 
-def is_row(line: str) -> bool:
+def _is_row(line: str) -> bool:
     """Tell whether a line is neither empty nor a comment."""
     return bool(line.strip()) and not is_comment(line)
 
@@ -221,7 +222,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     body = block.rstrip(b"\r\n")
     start = body.rfind(b"\n") + 1
     line = body[start:].decode("utf-8", "replace")
-    if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
+    if body.count(b"\n") < 2 or not _is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = (line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…").replace("\t", " ")
     text = f"the last row, '{shown}', is incomplete and was omitted"

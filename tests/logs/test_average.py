@@ -16,7 +16,7 @@ import multipos as mp
 from multipos.cli import main
 from multipos.logs.averaging import average
 from multipos.logs.faults import _semi_axes, compare_scales, find_faults, suspects
-from multipos.logs.joining import Match, _from_ranges, match_directions
+from multipos.logs.matching import Match, _from_ranges, match_directions
 from multipos.logs.opening import open_log, read_log
 from multipos.logs.rest_means import RestMean
 

@@ -11,8 +11,8 @@ from scipy.special import stdtrit
 from scipy.stats import f
 
 import multipos as mp
-from multipos.logs import joining
-from multipos.logs.joining import settle_together
+from multipos.logs import common_noise
+from multipos.logs.common_noise import settle_together
 from multipos.logs.rest_means import RestSum, rest_means
 
 N = 400
@@ -64,20 +64,20 @@ def session(rng, noise, corner, count=12, n=N):
 
 def test_shapes_and_growths_against_their_spectra():
     """Cosines and contrasts of flicker noise as integrals over 1/f, of a walk by hand."""
-    # eq. (2) of logs.joining
+    # eq. (2) of logs.common_noise
 
     def power(f, k):  # of cos πkt over 0 … 1
         away = np.array([f - k / 2.0, f + k / 2.0])
         return abs(0.5 * np.sum(np.sinc(away) * np.exp(-1j * np.pi * away))) ** 2
 
-    flicker_shape, walk_shape = joining._shapes()
+    flicker_shape, walk_shape = common_noise._shapes()
     for k in (1, 2, 5, 8):
         inside = quad(lambda f, k=k: 2.0 * power(f, k) / f, 1e-9, 60.0, limit=2000)[0]
         # blocks of 1/128 take some (8/128)² off the last of them
         assert flicker_shape[k - 1] == pytest.approx(inside, rel=4e-3)
         assert walk_shape[k - 1] == 1.0 / k**2
     contrast = quad(lambda f: (np.sinc(f) - np.sinc(16.0 * f)) ** 2 / f, 1e-9, 60.0, limit=2000)[0]
-    growths = joining._growths()
+    growths = common_noise._growths()
     assert growths[0] == pytest.approx(contrast, rel=1e-3)  # of 1e-4 above 60
     # of a walk about its middle with a = 1/2 and b = 8: a/6 + b/6 − a/2 + a²/(6 b), K² = π² A
     assert growths[1] == pytest.approx(math.pi**2 * (1 / 12 + 8 / 6 - 1 / 4 + 0.25 / 48), rel=1e-12)
@@ -166,9 +166,9 @@ def test_a_log_says_once_that_its_means_do_not_settle():
 
 
 def test_the_law_of_very_many_rests_is_known_no_better_than_its_grid():
-    mean = 1.0 + joining._shapes()[0]
+    mean = 1.0 + common_noise._shapes()[0]
     rows = np.random.default_rng(6).chisquare(1, (20_000, 1, 8)) * mean
-    law = joining.find_law(rows, np.ones((20_000, 1), dtype=bool), np.ones(20_000))
+    law = common_noise.find_law(rows, np.ones((20_000, 1), dtype=bool), np.ones(20_000))
     assert law is not None
     assert not law.walk
     assert law.amplitude == pytest.approx(1.0, rel=0.2)  # nodes are 17 % apart
@@ -179,8 +179,8 @@ def test_slow_cosines_against_quick_ones_by_f():
     """Means 3 and 1 of three rests: F of 3 on 6 and 12 degrees of freedom."""
     rows = np.tile([4.0, 2.0, 9.0, 9.0, 0.5, 1.5, 0.5, 1.5], (3, 1))
     p = float(f.sf(3.0, 6, 12))
-    assert joining._falls(rows, 1.01 * p)
-    assert not joining._falls(rows, 0.99 * p)
+    assert common_noise._falls(rows, 1.01 * p)
+    assert not common_noise._falls(rows, 0.99 * p)
 
 
 def test_one_loud_rest_of_nine_says_nothing_and_all_of_them_do():
@@ -189,15 +189,15 @@ def test_one_loud_rest_of_nine_says_nothing_and_all_of_them_do():
     usable, length = np.ones((9, 1), dtype=bool), np.ones(9)
     one = np.ones((9, 1, 8))
     one[4, 0, 0] = 91.0  # as much together
-    assert joining.find_law(one, usable, length) is None
-    assert joining.find_law(whole, usable, length).walk
+    assert common_noise.find_law(one, usable, length) is None
+    assert common_noise.find_law(whole, usable, length).walk
 
 
 def test_what_a_law_promises_by_hand():
-    # eq. (3) of logs.joining
+    # eq. (3) of logs.common_noise
     # μ as the module says, by three digits
     for walk, power, growth in ((False, 1, 2.39), (True, 2, 11.6)):
-        law = joining.Law(walk, 0.8, 0.5, 0.1)
+        law = common_noise.Law(walk, 0.8, 0.5, 0.1)
         square, dof = law.square(np.array([1.0, 2.0]))
         expected = 0.8 + growth * 0.5 * np.array([1.0, 2.0]) ** power
         np.testing.assert_allclose(square, expected, rtol=4e-3)
@@ -206,7 +206,7 @@ def test_what_a_law_promises_by_hand():
 
 
 def test_slow_cosines_are_those_of_scipy():
-    # eq. (1) of logs.joining
+    # eq. (1) of logs.common_noise
     samples = np.random.default_rng(4).standard_normal((2, 600)).cumsum(axis=1)
     total = RestSum(600, 2)
     total.feed(samples)

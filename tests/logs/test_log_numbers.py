@@ -12,10 +12,11 @@ from scipy.stats import chi2, ortho_group
 
 import multipos as mp
 from multipos.logs import (
+    common_noise,
     faults,
-    joining,
     layout,
     log_columns,
+    matching,
     opening,
     rest_means,
     rests,
@@ -23,9 +24,10 @@ from multipos.logs import (
     waved,
 )
 from multipos.logs.clock import read_dates, unwrap
+from multipos.logs.common_noise import _alike, _are_usual
 from multipos.logs.faults import find_stuck, find_wrapped
-from multipos.logs.joining import _alike, _are_usual, _from_lines, _match_rows
 from multipos.logs.log_columns import _variation
+from multipos.logs.matching import _from_lines, _match_rows
 from multipos.logs.rest_means import (
     RestMean,
     _allan_line,
@@ -215,7 +217,7 @@ def test_runs_are_settled_once_they_have_ended():
 
 def test_rests_of_one_direction_are_given_to_its_positions_in_turn():
     up = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.6, 0.8]])
-    assert joining._spread_over([2, 0, 1, 3, 2, 1], SimpleNamespace(up=up)) == [0, 2, 1, 3, 0, 1]
+    assert matching._spread_over([2, 0, 1, 3, 2, 1], SimpleNamespace(up=up)) == [0, 2, 1, 3, 0, 1]
 
 
 # --- faults
@@ -371,7 +373,7 @@ def test_outputs_are_judged_together_unless_they_differ(by, together):
     """Cube roots of means on ν are normal: 4.5 ν (∛(s/s̄) − 1)² against χ² of one at 1 %."""
     usable = np.ones((10, 3), dtype=bool)
     usable[:, 1] = False
-    dof = joining._DOF * 10
+    dof = common_noise._DOF * 10
 
     def off(x):
         mean = (x + 1.0) / 2.0
@@ -395,7 +397,7 @@ def test_a_rest_far_beyond_the_others_takes_no_part(few, by):
     usable[:, 0] = True
     usable[1:] |= few
     usable[0] |= not few
-    dof = joining._DOF * usable[0].sum()
+    dof = common_noise._DOF * usable[0].sum()
     limit = chi2.isf(1e-3, dof) / chi2.ppf(0.5, dof)
     size = np.where(usable, [[by * limit], [0.9], [1.0], [1.0]], 77.0)
     assert _are_usual(size, usable).tolist() == [by < 1.0, True, True, True]
@@ -403,13 +405,13 @@ def test_a_rest_far_beyond_the_others_takes_no_part(few, by):
 
 def test_what_a_memory_makes_likely():
     """Cosines with the density of a first-order process; each its own level."""
-    rows = np.random.default_rng(1).chisquare(1.0, (6, joining.COSINES)) + 0.1
+    rows = np.random.default_rng(1).chisquare(1.0, (6, common_noise.COSINES)) + 0.1
     logs = []
-    for memory in joining._MEMORIES:
-        shape = 1.0 / (1.0 + (joining._ORDER / memory) ** 2)
+    for memory in common_noise._MEMORIES:
+        shape = 1.0 / (1.0 + (common_noise._ORDER / memory) ** 2)
         level = np.mean(rows.mean(axis=0) / shape)
         logs.append(np.sum(np.log(level * shape) + 1.0))
-    assert joining._with_memory(rows) == pytest.approx(-0.5 * 6 * min(logs), rel=1e-9)
+    assert common_noise._with_memory(rows) == pytest.approx(-0.5 * 6 * min(logs), rel=1e-9)
 
 
 def test_how_the_size_of_means_varies():
@@ -579,16 +581,16 @@ def test_a_head_may_end_inside_a_letter():
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_rests_far_beyond_the_median_take_no_part(outputs):
     """At one in a thousand of χ²/ν over its median, whose ν is that of all usable outputs."""
-    nu = outputs / float(joining._WEIGHT @ joining._WEIGHT)
+    nu = outputs / float(common_noise._WEIGHT @ common_noise._WEIGHT)
     limit = chi2.isf(1e-3, nu) / chi2.median(nu)
     size = np.tile([1.0, 1.3, 0.8, 1.0, 1.1, 0.9, 1.0], (2, 1)).T
     size[3] = 0.99 * limit
     usable = np.ones((7, 2), dtype=bool)
     usable[:, outputs:] = False
     size[:, outputs:] = 1e9
-    assert joining._are_usual(size, usable).tolist() == [True] * 7
+    assert common_noise._are_usual(size, usable).tolist() == [True] * 7
     size[3, :outputs] = 1.01 * limit
-    assert np.flatnonzero(~joining._are_usual(size, usable)).tolist() == [3]
+    assert np.flatnonzero(~common_noise._are_usual(size, usable)).tolist() == [3]
 
 
 def test_what_is_common_to_rests_raises_their_u():
@@ -596,13 +598,13 @@ def test_what_is_common_to_rests_raises_their_u():
     each = mean_of(
         u=np.array([0.2, 0.3]), dof=np.array([9.0, 5.0]), drift_factor=np.array([2.0, 1.0])
     )
-    found = joining._raised(
+    found = common_noise._raised(
         each, np.array([True, False]), np.array([0.25, 0.01]), np.array([4.0, 2.0])
     )
     assert_allclose(found.u, [0.5, 0.3])
     assert_allclose(found.common, [0.5 * 2.0 / 0.2, 1.0])
     assert_allclose(found.dof, [4.0, 5.0])
-    found = joining._raised(
+    found = common_noise._raised(
         each, np.ones(2, dtype=bool), np.array([0.25, 0.16]), np.array([0.3, 70.0])
     )
     assert_allclose(found.dof, [1.0, 5.0])
@@ -640,27 +642,27 @@ def test_the_law_that_cosines_make_likeliest(walk, size, amplitude):
     """χ² of one about α + A λ^(1 + walk) φ_k; A as its mean and sd say, by its likelihood."""
     rng = np.random.default_rng(2)
     length = rng.uniform(0.5, 2.0, 9)
-    shapes = joining._shapes()
+    shapes = common_noise._shapes()
     grown = np.outer(length ** (1 + walk), shapes[walk])
-    rows = (size + amplitude * grown) * rng.chisquare(1.0, (9, joining.COSINES))
+    rows = (size + amplitude * grown) * rng.chisquare(1.0, (9, common_noise.COSINES))
     wanted = []
     for kind, phi in enumerate(shapes):
         for free in (0, 1):
             logs, sizes = [], []
-            for ratio in joining._RATIOS:
+            for ratio in common_noise._RATIOS:
                 m = 1.0 + ratio * np.outer(length ** (1 + kind), phi)
                 alpha = min(1.0, np.mean(rows / m)) if free else 1.0
                 logs.append(-0.5 * np.sum(np.log(alpha * m) + rows / (alpha * m)))
                 sizes.append(alpha)
             best = int(np.argmax(logs))
-            A = np.array(sizes) * joining._RATIOS
-            weight = np.exp(np.array(logs) - max(logs)) * joining._RATIOS
+            A = np.array(sizes) * common_noise._RATIOS
+            weight = np.exp(np.array(logs) - max(logs)) * common_noise._RATIOS
             mean = np.average(A, weights=weight)
             sd = math.sqrt(np.average((A - mean) ** 2, weights=weight))
-            law = (bool(kind), sizes[best], A[best], max(sd, joining._STEP * A[best]))
-            wanted.append((max(logs) - free * joining._LOWER - kind * joining._WALK, law))
+            law = (bool(kind), sizes[best], A[best], max(sd, common_noise._STEP * A[best]))
+            wanted.append((max(logs) - free * common_noise._LOWER - kind * common_noise._WALK, law))
     score, law = max(wanted)
-    found, likelihood = joining._most_likely(rows, length)
+    found, likelihood = common_noise._most_likely(rows, length)
     assert_allclose(found, law, rtol=1e-6)
     assert likelihood == pytest.approx(score)
 
@@ -1040,7 +1042,7 @@ def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):
         for j in range(2)
     ])  # fmt: skip
     rho = cosines / memory[:, None]
-    size = rho @ joining._WEIGHT
+    size = rho @ common_noise._WEIGHT
     usual = np.array([True, True, False, True])
     wide, nu = np.array([9.0, 0.01, 7.0, 5.0]), np.array([11.0, 12.0, 13.0, 14.0])
     seen = []
@@ -1055,10 +1057,10 @@ def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):
         seen.append((shown, which, length))
         return SimpleNamespace(square=lambda length: (wide, nu)) if len(seen) == 1 else None
 
-    monkeypatch.setattr(joining, "_are_usual", are_usual)
-    monkeypatch.setattr(joining, "_alike", lambda size, usable: [[1], [0]])
-    monkeypatch.setattr(joining, "find_law", find_law)
-    settled = joining.settle_together(found, lengths)
+    monkeypatch.setattr(common_noise, "_are_usual", are_usual)
+    monkeypatch.setattr(common_noise, "_alike", lambda size, usable: [[1], [0]])
+    monkeypatch.setattr(common_noise, "find_law", find_law)
+    settled = common_noise.settle_together(found, lengths)
     shown, which, length = seen[0]
     assert_allclose(shown, rho[:, [1]])
     assert which[:, 0].tolist() == (usable[:, 1] & usual).tolist()
@@ -1070,7 +1072,7 @@ def test_rests_of_one_sensor_have_the_law_of_their_cosines(monkeypatch):
         own = math.sqrt(square[i]) if raised[i] else u[i, 1]
         assert_allclose(each.u, [u[i, 0], own])
         assert each.dof.tolist() == [50.0, nu[i] if raised[i] else 50.0]
-    assert joining.settle_together(found[:1], lengths[:1]) == found[:1]
+    assert common_noise.settle_together(found[:1], lengths[:1]) == found[:1]
 
 
 @pytest.mark.parametrize(
@@ -1083,7 +1085,7 @@ def test_rests_have_a_law_in_common_by_all_and_without_the_loudest(
 ):
     """Of few rests the levels shrink by the square of their share of 36; what falls must fit."""
     rng = np.random.default_rng(2)
-    rho = rng.chisquare(2.0, (6, 2, joining.COSINES))
+    rho = rng.chisquare(2.0, (6, 2, common_noise.COSINES))
     usable = np.ones((6, 2), dtype=np.bool_)
     usable[1, 0] = usable[4, 1] = False
     rho[3, 1] *= 50.0
@@ -1097,22 +1099,24 @@ def test_rests_have_a_law_in_common_by_all_and_without_the_loudest(
         return bool(both[place])
 
     def large(given, at):
-        assert at == pytest.approx(level * joining._LEVEL * (1.0 if len(given) == 10 else 2.5))
+        assert at == pytest.approx(level * common_noise._LEVEL * (1.0 if len(given) == 10 else 2.5))
         return answer(given, "large", grown)
 
     def falls(given, at):
-        assert at == pytest.approx(level * joining._FALL * (1.0 if len(given) == 10 else 2.5))
+        assert at == pytest.approx(level * common_noise._FALL * (1.0 if len(given) == 10 else 2.5))
         return answer(given, "falls", fallen)
 
-    monkeypatch.setattr(joining, "_is_large", large)
-    monkeypatch.setattr(joining, "_falls", falls)
-    monkeypatch.setattr(joining, "_with_memory", lambda rows: 7.0)
+    monkeypatch.setattr(common_noise, "_is_large", large)
+    monkeypatch.setattr(common_noise, "_falls", falls)
+    monkeypatch.setattr(common_noise, "_with_memory", lambda rows: 7.0)
     monkeypatch.setattr(
-        joining, "_most_likely", lambda rows, length: ("law", 7.0 + joining._LOWER + beyond)
+        common_noise,
+        "_most_likely",
+        lambda rows, length: ("law", 7.0 + common_noise._LOWER + beyond),
     )
-    law = joining.find_law(rho, usable, np.full(6, 9.0))
+    law = common_noise.find_law(rho, usable, np.full(6, 9.0))
     assert (law == "law") is found
     assert ("large", 0) in asked
     alone = np.zeros((6, 2), dtype=np.bool_)
     alone[3, 1] = True
-    assert joining.find_law(rho, alone, np.full(6, 9.0)) is None
+    assert common_noise.find_law(rho, alone, np.full(6, 9.0)) is None
