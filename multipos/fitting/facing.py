@@ -25,9 +25,7 @@ from multipos.positions import orientations
 from multipos.positions.attitudes import CONVENTIONS
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import (
-    Model,
-)
+from multipos.sensor.model import Model
 
 
 def note_names(readings: Readings, model: Model) -> Readings:

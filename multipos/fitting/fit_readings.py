@@ -42,13 +42,7 @@ from multipos.positions.scheme import Scheme
 from multipos.sensor.bench import StatedBench
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Chosen, Estimator, Excluded
-from multipos.sensor.gravity import (
-    Field,
-    FieldKind,
-    Gravity,
-    check_field_kind,
-    signed_size,
-)
+from multipos.sensor.gravity import Field, FieldKind, check_field_kind, signed_size
 from multipos.sensor.model import (
     DRIFT,
     GAUGES,
@@ -551,7 +545,7 @@ def _gravity_of(budget: Budget | None, local: Field | None) -> Field | None:
         return local
     if local is not None:
         raise UsageError("the options and the budget's [gravity] both state it; give one.")
-    return Gravity(*budget.gravity)
+    return Field(*budget.gravity)
 
 
 def _with_rolls(calibration: Calibration) -> Calibration:

@@ -20,7 +20,6 @@ from multipos.sensor.gravity import (
     POWERS,
     Field,
     FieldKind,
-    Gravity,
     MagneticField,
     check_field_kind,
 )
@@ -77,7 +76,7 @@ class StatedBench:
             raise UsageError("--gravity-u needs --gravity.")
         if self.latitude is not None:
             try:
-                return Gravity(size=normal_gravity(self.latitude, self.height or 0.0))
+                return Field(size=normal_gravity(self.latitude, self.height or 0.0))
             except ValueError as error:
                 raise UsageError(str(error)) from None
         if gravity is None:
@@ -88,7 +87,7 @@ class StatedBench:
             )
         if not 1.0 <= gravity <= 100.0:
             raise UsageError(f"--gravity must be in m/s², such as 9.81, got {gravity}.")
-        return Gravity(size=gravity, u=u or 0.0)
+        return Field(size=gravity, u=u or 0.0)
 
     def field_of(self, outputs: tuple[str, ...], unit: str, gravity: Field | None) -> Field:
         """Return the field that is stated, or that names and unit of the outputs show.

@@ -36,14 +36,7 @@ from multipos.files.records import (
     Share,
     Text,
 )
-from multipos.files.schema import (
-    NOWHERE,
-    OPTIONAL,
-    As,
-    Saved,
-    Stored,
-    schema_of,
-)
+from multipos.files.schema import NOWHERE, OPTIONAL, As, Saved, Stored, schema_of
 from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor

@@ -1,8 +1,8 @@
 """The field that a triad senses: gravity or magnetic, its size, and what its uncertainty does.
 
 A triad turned in a field of constant size reads y = b + K f, |f| the size: known, or one where it
-is not. What is said of the field stands in one object, a `Field`, and a kind of field is a class of
-it in `KINDS`, `Gravity` or `MagneticField`: its words, the unit of the reference (g; the unit of
+is not. What is said of the field stands in one object, a `Field`, which is gravity, or of another
+kind of `KINDS`, a `MagneticField`: its words, the unit of the reference (g; the unit of
 the field; none of a field of unknown size, which is one), what files and options say of its size.
 Estimation sees a vector of a size and nothing else. `field_sensed` takes the kind from outputs and
 their unit, `field_of_file` from a calibration file, `check_field_kind` refuses one that is none;
@@ -46,7 +46,7 @@ FieldKind = Literal["gravity", "magnetic"]
 
 @frozen(eq=True)
 class Field:
-    """What a triad senses: what every kind of field answers.
+    """What a triad senses: gravity, as accelerometers sense it, and what every other kind answers.
 
     Attributes
     ----------
@@ -76,16 +76,16 @@ class Field:
     u: float = 0.0
     size_unit: str = "m/s^2"
 
-    kind: ClassVar[FieldKind]
-    sensor: ClassVar[str]
-    quantity: ClassVar[str]
-    symbol: ClassVar[str]
-    towards: ClassVar[str]
-    angle: ClassVar[str]
-    nominal_unit: ClassVar[str]
-    same_everywhere: ClassVar[bool]
-    in_c: ClassVar[str]
-    beyond: ClassVar[tuple[float, ...]]
+    kind: ClassVar[FieldKind] = "gravity"
+    sensor: ClassVar[str] = "Accelerometer"
+    quantity: ClassVar[str] = "force"
+    symbol: ClassVar[str] = "f"
+    towards: ClassVar[str] = "up"
+    angle: ClassVar[str] = "tilt"
+    nominal_unit: ClassVar[str] = "g"
+    same_everywhere: ClassVar[bool] = True
+    in_c: ClassVar[str] = "accel"
+    beyond: ClassVar[tuple[float, ...]] = (2.0, 5.0)
 
     @property
     def value(self) -> float:
@@ -95,17 +95,17 @@ class Field:
     @property
     def magnitude(self) -> float:
         """The size of the reference, in `unit`."""
-        return self.value
+        return gravity_ratio(self.size)
 
     @property
     def full_scale(self) -> float:
         """The size that percentages are of: one g, or the magnetic field itself."""
-        return self.value
+        return 1.0
 
     @property
     def unit(self) -> str:
         """The unit of the reference: g, that of the size, or none."""
-        raise NotImplementedError
+        return "g"
 
     @property
     def printed(self) -> str:
@@ -120,22 +120,24 @@ class Field:
     @property
     def text(self) -> str:
         """Its size in words."""
+        if self.size is None:
+            return "local, one g"
         return f"{self.size:.10g} {self.size_unit}, u = {self.u:.3g} {self.size_unit}"
 
     def vector(self, convention: str) -> str:
-        """Return what the compensated vector is called."""
-        raise NotImplementedError
+        """Return what the compensated vector is called under a convention."""
+        return "specific force" if convention == "specific-force" else "gravity"
 
     def lines(self, convention: str) -> list[tuple[str, str]]:
         """Return what a summary says of the field: names and values."""
-        raise NotImplementedError
+        return [("convention", convention), ("gravity", self.text)]
 
     def shown(self, size: float, form: str = "", unit: str = "") -> str:
         """Return a size in the unit of the reference as people read it, 2 mg, 120 nT or .3 %.
 
         A size of force is given in a form and a unit, mg or µg, where a table has one.
         """
-        return in_unit(size, self.unit) if self.unit else f"{100.0 * size:.3g} %"
+        return f"{_PER_G[unit] * size:{form}} {unit}" if unit else in_unit(size, self.unit)
 
     def worded(self, text: str) -> str:
         """Return a sentence about accelerometers as it is said of a sensor of the field."""
@@ -143,98 +145,29 @@ class Field:
 
     def row(self, position: str) -> str:
         """Return what a row of readings is called, given what its position is."""
-        raise NotImplementedError
-
-    def level_angle(self, size: float) -> str:
-        """Return the angle of an inclinometer near level that a size is; of others nothing."""
-        return ""
-
-    def zero(self, force: Any, reading: Any) -> Any:
-        """Return what states the zero of an output: its offset as a force, or as a reading."""
-        raise NotImplementedError
-
-    def stated(self) -> dict[str, Any]:
-        """Return the options of a bench, as `multipos.fit` takes them, that state its size."""
-        raise NotImplementedError
-
-    @property
-    def of_gravity(self) -> dict[str, Any] | None:
-        """What a calibration file says of gravity; None where it has no stated size."""
-        return None
-
-    @property
-    def of_field(self) -> dict[str, Any] | None:
-        """What a calibration file says of another field; None of gravity."""
-        return None
-
-
-@frozen(eq=True)
-class Gravity(Field):
-    """Gravity, as accelerometers sense it."""
-
-    kind = "gravity"
-    sensor = "Accelerometer"
-    quantity = "force"
-    symbol = "f"
-    towards = "up"
-    angle = "tilt"
-    nominal_unit = "g"
-    same_everywhere = True
-    in_c = "accel"
-    beyond = (2.0, 5.0)
-
-    @property
-    def magnitude(self) -> float:
-        """The size of the reference [g]."""
-        return gravity_ratio(self.size)
-
-    @property
-    def full_scale(self) -> float:
-        """One g."""
-        return 1.0
-
-    @property
-    def unit(self) -> str:
-        """The unit of the reference."""
-        return "g"
-
-    @property
-    def text(self) -> str:
-        """Its size in words."""
-        return "local, one g" if self.size is None else super().text
-
-    def vector(self, convention: str) -> str:
-        """Return what the compensated vector is called under a convention."""
-        return "specific force" if convention == "specific-force" else "gravity"
-
-    def lines(self, convention: str) -> list[tuple[str, str]]:
-        """Return the convention and the size."""
-        return [("convention", convention), ("gravity", self.text)]
-
-    def shown(self, size: float, form: str = "", unit: str = "") -> str:
-        """Return a size of force [g] as people read it, or in mg or µg in a form."""
-        return f"{_PER_G[unit] * size:{form}} {unit}" if unit else super().shown(size)
-
-    def row(self, position: str) -> str:
-        """Return what its position is called."""
         return position
 
     def level_angle(self, size: float) -> str:
-        """Return the tilt near level that a size of force [g] is."""
+        """Return the tilt near level that a size of force [g] is; of other fields nothing."""
         return in_unit(math.degrees(size), "deg")
 
     def zero(self, force: Any, reading: Any) -> Any:
-        """Return the offset as a force."""
+        """Return what states the zero of an output: its offset as a force, or as a reading."""
         return force
 
     def stated(self) -> dict[str, Any]:
-        """Return the options that state its size."""
+        """Return the options of a bench, as `multipos.fit` takes them, that state its size."""
         return {"field": self.kind, "gravity": self.size}
 
     @property
     def of_gravity(self) -> dict[str, Any] | None:
         """What a calibration file says of gravity; None where it has no stated size."""
         return None if self.size is None else {"value": self.size, "u": self.u}
+
+    @property
+    def of_field(self) -> dict[str, Any] | None:
+        """What a calibration file says of another field; None of gravity."""
+        return None
 
 
 @frozen(eq=True)
@@ -253,6 +186,16 @@ class MagneticField(Field):
     same_everywhere = False
     in_c = "field"
     beyond = ()
+
+    @property
+    def magnitude(self) -> float:
+        """The size of the reference, in `unit`."""
+        return self.value
+
+    @property
+    def full_scale(self) -> float:
+        """The magnetic field itself."""
+        return self.value
 
     @property
     def unit(self) -> str:
@@ -277,6 +220,10 @@ class MagneticField(Field):
         """Return the size; a magnetic field has no convention."""
         return [("field", self.text)]
 
+    def shown(self, size: float, form: str = "", unit: str = "") -> str:
+        """Return a size in its unit, in percent of a field of size one."""
+        return in_unit(size, self.unit) if self.unit else f"{100.0 * size:.3g} %"
+
     def worded(self, text: str) -> str:
         """Return a sentence as it is said of a magnetometer.
 
@@ -292,6 +239,10 @@ class MagneticField(Field):
         """Return 'reading', however it was held."""
         return "reading"
 
+    def level_angle(self, size: float) -> str:
+        """Return nothing: a field's direction is not level."""
+        return ""
+
     def zero(self, force: Any, reading: Any) -> Any:
         """Return hard iron, which is of the readings."""
         return reading
@@ -300,6 +251,10 @@ class MagneticField(Field):
         """Return the options that state its size."""
         size = None if self.size is None else f"{self.size}{self.size_unit}"
         return {"field": self.kind, "field_size": size}
+
+    @property
+    def of_gravity(self) -> None:
+        """Nothing: a calibration file says this of gravity."""
 
     @property
     def of_field(self) -> dict[str, Any] | None:
@@ -315,7 +270,7 @@ def field_of_file(
     if of_field is not None:
         kind = KINDS[of_field["kind"]]
         return kind(of_field["size"], of_field["u"], of_field["unit"] or kind().size_unit)
-    return GRAVITY if of_gravity is None else Gravity(of_gravity["value"], of_gravity["u"])
+    return GRAVITY if of_gravity is None else Field(of_gravity["value"], of_gravity["u"])
 
 
 def field_sensed(outputs: Sequence[str], unit: str, asked: str | None = None) -> Field:
@@ -323,8 +278,8 @@ def field_sensed(outputs: Sequence[str], unit: str, asked: str | None = None) ->
     return KINDS[field_of_outputs(outputs, unit, None, asked)]()
 
 
-KINDS: dict[str, type[Field]] = {each.kind: each for each in (Gravity, MagneticField)}
-GRAVITY = Gravity()
+KINDS: dict[str, type[Field]] = {each.kind: each for each in (Field, MagneticField)}
+GRAVITY = Field()
 MAGNETIC = MagneticField()
 POWERS = {"T": 0, "mT": -3, "uT": -6, "nT": -9, "G": -4, "mG": -7}  # of ten, in tesla
 _PER_G = {"mg": 1e3, "µg": 1e6}
@@ -347,7 +302,7 @@ _WORDS = (
     (r"local gravity|(?<!--)(?<!\{)gravity", "the field"),
     (r"forces", "fields"),
     (r"Forces", "Fields"),
-    (r"force and(?: of)? tilt|force and tilt", "field"),
+    (r"force and(?: of)? tilt", "field"),
     (r"(?<!--)(?<!\{)force", "field"),
     (r"Force", "Field"),
     (r"Accelerometer", "Magnetometer"),

@@ -15,13 +15,7 @@ from multipos.sensor.compiled import OutputFormula, Source
 from multipos.sensor.expressions import ExpressionModel, Symbol
 from multipos.sensor.formulas import Formula
 from multipos.sensor.model import Model, check_axes
-from multipos.sensor.model_text import (
-    EACH,
-    SHARED,
-    ParsedModel,
-    StatedParameter,
-    parsed_from_dict,
-)
+from multipos.sensor.model_text import EACH, SHARED, ParsedModel, StatedParameter, parsed_from_dict
 
 Fixed = Sequence[tuple[str, str, float]]  # output, name, value
 
