@@ -693,15 +693,12 @@ def read_sections(source: Source) -> Sections:
         Missing, empty, of another form, or a section with fewer than two rows.
     """
     given = take_in(source, "sections", ("position", "start", "end"))
-    if not isinstance(given, Mapping):
-        given = rereadable(given)
-    of_json = _from_json(given) if isinstance(given, os.PathLike) and _is_json(given) else None
-    if of_json is not None:
-        where, found = str(given), of_json
-    elif isinstance(given, Mapping) and "position" not in given:
-        where, found = "sections", given
-    else:
+    given = given if isinstance(given, Mapping) else rereadable(given)
+    by_label = _by_label(given)
+    if by_label is None:
         where, found = _from_table(read_table(given, what="sections"))
+    else:
+        where, found = "sections" if isinstance(given, Mapping) else str(given), by_label
     if not found:
         raise MultiposError(f"{where}: no sections; give a start and an end for each position.")
     return Sections(
@@ -727,27 +724,20 @@ def _from_table(table: Table) -> tuple[str, Mapping[str, Any]]:
     }
 
 
-def _is_json(path: os.PathLike[str]) -> bool:
-    """Tell by the ending, or by the brace it begins with: a pipe has no ending."""
-    if str(path).lower().endswith((".jsonl", ".ndjson")):  # a table, of lines
-        return False
-    if str(path).lower().endswith(".json"):
-        return True
-    return read_bytes(path, "sections").lstrip().startswith(b"{")
+def _by_label(given: Mapping[str, Any] | os.PathLike[str]) -> Mapping[str, Any] | None:
+    """Return sections by label; None of a table: JSON by its ending, or the brace it begins with.
 
-
-def _from_json(path: os.PathLike[str]) -> Mapping[str, Any] | None:
-    """Return sections by label; None where the file holds a table, of records or columns."""
-    found = read_json_value(path, "sections")
-    if isinstance(found, dict) and not isinstance(found.get("position"), list):
-        return found
-    if isinstance(found, dict) or (
-        isinstance(found, list) and found and isinstance(found[0], dict)
-    ):
-        return None
-    raise MultiposError(
-        f'{path}: sections are {{"label": {{"start": row, "end": row}}}}, got another form.'
-    )
+    A pipe has no ending.
+    """
+    found: Any = given
+    if not isinstance(given, Mapping):
+        name = str(given).lower()
+        is_json = name.endswith(".json") or read_bytes(given, "sections").lstrip()[:1] == b"{"
+        if not is_json or name.endswith((".jsonl", ".ndjson")):
+            return None
+        found = read_json_value(given, "sections")
+    labelled = isinstance(found, Mapping) and isinstance(found.get("position", {}), Mapping)
+    return found if labelled else None
 
 
 def _section(where: str, label: str, each: Any) -> Rest:
