@@ -22,7 +22,7 @@ from multipos.plots.style import (
     write_title,
 )
 from multipos.verification.comparison import Comparison
-from multipos.verification.recalibration import YEAR, dates_of, expanded_apart
+from multipos.verification.recalibration import DAY, YEAR, dates_of, expanded_apart
 from multipos.verification.regression_repeats import RegressionComparison
 from multipos.verification.repeat_drift import since_1970
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PANELS = 3  # beside each other
-_DAY = 86400.0  # s
 _CAPS: dict[str, Any] = {"capsize": 2.0, "capthick": 1.0}
 _BESIDE = 0.1  # of a run, between outputs, so that no bar hides another
 
@@ -99,9 +98,9 @@ def draw_chart(comparison: Comparison, index: int, axes: "Axes") -> None:
     found, change = comparison.calibrations, comparison.changes[index]
     at = dates_of(found, since_1970(found))
     values = comparison.values[:, index]
-    dated = np.ptp(at) >= _DAY
+    dated = np.ptp(at) >= DAY
     x = 1970.0 + at / YEAR if dated else np.arange(1.0, len(found) + 1.0)
-    U = np.array([expanded_apart(c)[index] for c in found])
+    U = expanded_apart(found, at // DAY)[:, index]
     if change.per_year is not None:
         line = np.array([x.min(), x.max()])
         away = line - np.mean(x)

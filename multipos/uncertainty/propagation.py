@@ -43,6 +43,8 @@ from multipos.uncertainty.budgets import OF_FORCE_ALONE, Budget, BudgetSource, Q
 from multipos.uncertainty.common_causes import Cleared, clear_scatter
 from multipos.uncertainty.sensitivities import is_bounded, parameter_effects
 
+GRAVITY = "gravity"
+
 
 @frozen
 class Row(Result):
@@ -58,7 +60,7 @@ class Row(Result):
     unit, distribution : str
     dof : (p,) array
     common : bool
-        Whether it is the same in every repeated calibration.
+        Whether it is the same at all positions, and in calibrations repeated on one day.
     contained : (p,) bool array
         Where the residual noise holds it already, so that it is not added.
     sensitivity : (p,) array
@@ -113,10 +115,16 @@ class Evaluation(Result, Drawn, Tabular):
         """Covariance (p, p) of the parameters."""
         return np.asarray(sum(row.added for row in self.rows))
 
-    @cached_property
-    def independent(self) -> Array:
-        """Covariance (p, p) of what differs from one repeated calibration to the next."""
-        return np.asarray(sum(row.added for row in self.rows if not row.common))
+    def apart(self, *, same_day: bool) -> "Evaluation":
+        """Return the budget of what a calibration does not share with another.
+
+        Gravity is shared by all; level, and what else is common to all positions, on one day only.
+        """
+
+        def is_shared(row: Row) -> bool:
+            return row.common and (same_day or row.quantity == GRAVITY)
+
+        return replace(self, rows=tuple(row for row in self.rows if not is_shared(row)))
 
     @cached_property
     def dof(self) -> Array:
@@ -308,7 +316,7 @@ def find_quantities(calibration: Calibration, budget: Budget) -> list[Quantity]:
     stated = budget.quantities.get("gravity")
     same = stated is not None and stated.u == gravity.u
     law, dof = (stated.distribution, stated.dof) if stated and same else ("normal", math.inf)
-    return [Quantity("gravity", gravity.u, gravity.size_unit, law, dof), *found]
+    return [Quantity(GRAVITY, gravity.u, gravity.size_unit, law, dof), *found]
 
 
 def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:

@@ -31,8 +31,9 @@ from multipos.regression.regression import Regression, Regressions, all_of, load
 from multipos.results import Drawn, Result, data_frame, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
+from multipos.uncertainty.propagation import GRAVITY, evaluate_budget
 from multipos.verification.consistency import Judgement, judge_repeats
-from multipos.verification.recalibration import Change, LimitsSource, find_changes
+from multipos.verification.recalibration import Change, LimitsSource, days_of, find_changes
 from multipos.verification.regression_repeats import RegressionComparison, compare_regressions
 from multipos.verification.repeat_drift import find_drift, since_1970
 from multipos.verification.repeat_findings import find_repeats
@@ -71,6 +72,8 @@ class Comparison(Judgement, Result, Drawn):
     findings : tuple of Finding
     changes : tuple of Change
         Between the first and the last; empty for several methods on the same readings.
+    common : str
+        What its test leaves out as common, beside gravity, and for how many days; empty of none.
     """
 
     calibrations: tuple[Calibration, ...]
@@ -86,12 +89,21 @@ class Comparison(Judgement, Result, Drawn):
     per: str
     times: str
     changes: tuple[Change, ...] = ()
+    common: str = ""
 
     @property
     def largest(self) -> Change | None:
         """The change with the largest E_n."""
         judged = [each for each in self.changes if math.isfinite(each.En)]
         return max(judged, key=lambda each: each.En, default=None)
+
+    def _largest(self) -> dict[str, Any] | None:
+        """The largest E_n, and the chance that any parameter has one as large (Šidák)."""
+        most = self.largest
+        if most is None:
+            return None
+        of_any = -math.expm1(len(self.changes) * math.log1p(-most.p)) if most.p < 1.0 else 1.0
+        return {"name": most.name, "En": most.En, "p": of_any}
 
     def to_pandas(self) -> Any:
         """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
@@ -141,7 +153,8 @@ class Comparison(Judgement, Result, Drawn):
                 plain(each) | {"per_year": each.per_year and plain(each.per_year._asdict())}
                 for each in self.changes
             ],
-            "largest": self.largest and {"name": self.largest.name, "En": self.largest.En},
+            "largest": self._largest(),
+            "common": self.common,
             "drift_per": self.per,
             "drift_times": self.times,
             "findings": [finding.to_dict() for finding in self.findings],
@@ -211,11 +224,12 @@ def _compare(
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
     drift = find_drift(found, values)
-    same = _same_readings(found)
+    same, at = _same_readings(found), since_1970(found)
+    day = days_of(found, at)
     if same:
         judged = Judgement.of_methods(found, values)
     else:
-        judged = judge_repeats(found, values, 1.0 - confidence)
+        judged = judge_repeats(found, values, day, 1.0 - confidence)
     findings = () if same else (*find_repeats(found), *judged.findings)
     if len(found) < _LEAST and not same:
         text = f"{len(found)} repeats determine stability poorly"
@@ -229,10 +243,24 @@ def _compare(
         sd=sd,
         range=np.ptp(values, axis=0),
         bias_stability=_of_biases(found[0], sd),
-        changes=() if same else find_changes(found, since_1970(found), limits),
+        changes=() if same else find_changes(found, at, limits),
+        common="" if same else _common(found, day),
         **drift._asdict(),
         **vars(judged) | {"findings": in_order(findings)},
     )
+
+
+def _common(found: Sequence[Calibration], day: Array) -> str:
+    """Say what calibrations of one day have in common, beside gravity."""
+    rows = (row for c in found for row in evaluate_budget(c).rows)
+    names = dict.fromkeys(r.quantity for r in rows if r.common and r.quantity != GRAVITY)
+    if not names:
+        return ""
+    days = len(set(day.tolist()))
+    listed = ", ".join(names)
+    if days == 1:
+        return f"common to all, of one day: gravity, {listed}"
+    return f"common to all: gravity; to calibrations of one day, here {days}: {listed}"
 
 
 def _files(runs: Sequence[Run]) -> tuple[str, ...]:

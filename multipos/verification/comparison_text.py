@@ -51,7 +51,9 @@ def runs_text(found: Comparison) -> str:
 def changes_text(found: Comparison) -> str:
     """Return the table of changes between the first and the last; nothing where there is none."""
     header, rows = change_rows(plain(found.to_dict()))
-    return numbers.table(header, rows, left=2) if rows else ""
+    if not rows:
+        return ""
+    return "\n\n".join(filter(None, (numbers.table(header, rows, left=2), found.common)))
 
 
 def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -59,14 +61,11 @@ def change_rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     header = ["parameter", "unit", "change", "U", "E_n", "per year", "U", "limit", "within", "due"]
     rows, changes = [], found.get("changes") or ()
     units = {each["name"]: each["unit"] for each in found["parameters"]}
-    largest: dict[str, float] = {}  # rows of one unit keep one
-    for each in changes:
-        unit = units.get(each["name"], "")
-        size = max(abs(or_nan(each["change"])), or_nan(each["U"]))
-        largest[unit] = max(largest.get(unit, 0.0), size)
-    for each in changes:
-        rate, unit = each["per_year"], units.get(each["name"], "")
-        factor, shown = numbers.readable_unit(largest[unit], unit)
+    sizes = [numbers.most_of(or_nan(each["change"]), or_nan(each["U"])) for each in changes]
+    named = [units.get(each["name"], "") for each in changes]
+    shared = numbers.common_units(zip(named, sizes, strict=True))  # rows of one unit keep one
+    for each, unit in zip(changes, named, strict=True):
+        rate, (factor, shown) = each["per_year"], shared[unit]
         rows.append(
             [
                 each["name"],
@@ -163,7 +162,8 @@ def _agreement(found: Mapping[str, Any]) -> str:
     agree = sum(each["En"] is not None and each["En"] <= 1.0 for each in changes)
     said = (
         f"{agree} of {len(changes)} parameters agree with the first calibration's within U "
-        f"(largest E_n {numbers.plain_number(largest['En'])}, {largest['name']})."
+        f"(largest E_n {numbers.plain_number(largest['En'])}, {largest['name']}, "
+        f"{numbers.p_in_words(largest['p'])} of any)."
     )
     limited = [each for each in changes if each["within"] is not None]
     if limited:

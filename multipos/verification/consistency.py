@@ -5,8 +5,9 @@
 - `is_apart` says whether outputs have no noise in common.
 
 R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
-independent between the repeats (gravity, the level of the table and other quantities common to
-all are left out). If nothing moved, all estimate one p, and with the weighted mean p̄
+independent between the repeats (gravity, common to all, is left out, and so are level and what else
+the bench budget states within one day). If nothing moved, all estimate one p, and with the weighted
+mean p̄
 
     Q = sum_r (p_r - p̄)' C_r⁻¹ (p_r - p̄),        p̄ = (sum C_r⁻¹)⁻¹ sum C_r⁻¹ p_r.           (1)
 
@@ -24,6 +25,10 @@ That is done for every output, which has a scatter of its own, and the p values 
 outputs are combined by Fisher's method, exactly as well:
 
     -2 sum_i ln p_i   is χ² on 2 M degrees of freedom.                                       (3)
+
+Level and bench differ from day to day, with the covariance L of each day. Q is then that of (1)
+within every day, and of the days: their p̄ with (sum C_r⁻¹)⁻¹ + L. Of that only the share w was
+estimated, and ν becomes ν/w².
 
 Outputs that share one scatter (pooled, or correlated in the fit) are one family in (2), and
 (3) is not needed. That the scatter is one number is itself tested by Bartlett's test.
@@ -122,13 +127,22 @@ class Judgement:
 
 @frozen
 class _Family:
-    """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,)."""
+    """Parameters that share one scatter: their cofactors K_r (R, d, d), s_r² and ν_r (R,).
+
+    `of_days` (R, d, d) is L of the day of each, zero where all are of one day.
+    """
 
     members: Places
     name: str
     cofactors: Array
     variances: Array
     dof: Array
+    of_days: Array
+
+    def share(self, covariances: Array) -> float:
+        """Return w: which share of the variances was estimated."""
+        own, days = (np.einsum("rii->ri", each) for each in (covariances, self.of_days))
+        return float(np.mean(own / (own + days))) if days.any() else 1.0
 
     @property
     def scatter(self) -> tuple[Array, float]:
@@ -143,17 +157,21 @@ class _Family:
         return np.where(known, self.variances, pooled), nu
 
 
-def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> Judgement:
+def judge_repeats(
+    found: Sequence[Calibration], values: Array, day: Array, level: float
+) -> Judgement:
     """Judge R repeated calibrations by eqs. (1) to (3).
 
     Parameters
     ----------
     found : sequence of R Calibration
     values : (R, p) array
+    day : (R,) array
+        That each was made on: what is common to one day is not in its test.
     level : float
         Probability of a false alarm.
     """
-    families = _families(found)
+    families = _families(found, day)
     repeats, p = values.shape
     chi2, scatter_dof, tails = np.empty(p), np.empty(p), np.empty(p)
     outcome: list[tuple[float, float, float]] = []  # Q, its degrees of freedom, ν
@@ -162,10 +180,12 @@ def judge_repeats(found: Sequence[Calibration], values: Array, level: float) -> 
         factor, nu = family.scatter
         covariances = family.cofactors * factor[:, None, None]
         mine = values[:, family.members]
-        q = _quadratic(mine, covariances)
+        nu = nu / family.share(covariances) ** 2
+        q = _by_days(mine, covariances, family.of_days, day)
         outcome.append((q, len(family.members) * (repeats - 1.0), nu))
         for place, member in enumerate(family.members.tolist()):
-            single = _quadratic(mine[:, [place]], covariances[:, [place]][:, :, [place]])
+            alone = np.ix_(range(repeats), [place], [place])
+            single = _by_days(mine[:, [place]], covariances[alone], family.of_days[alone], day)
             chi2[member], scatter_dof[member] = single, nu
             tails[member] = f_tail(single / (repeats - 1.0), repeats - 1.0, nu)
         estimated = np.isfinite(family.dof)
@@ -223,29 +243,48 @@ def judge_together(
     return statistic, dof, chi2_tail(statistic, dof), words.several
 
 
-def _quadratic(values: Array, covariances: Array) -> float:
-    """Q of eq. (1) for values (R, d) with covariances (R, d, d)."""
+def _by_days(values: Array, covariances: Array, of_days: Array, day: Array) -> float:
+    """Q of eq. (1) where days differ by L: that within each day, and that of their means."""
+    if not of_days.any():
+        return _quadratic(values, covariances)[0]
+    total, means, spread = 0.0, [], []
+    for one in np.unique(day):
+        mine = day == one
+        q, mean, covariance = _quadratic(values[mine], covariances[mine])
+        total += q
+        means.append(mean)
+        spread.append(covariance + of_days[mine].mean(axis=0))
+    return total + _quadratic(np.array(means), np.array(spread))[0]
+
+
+def _quadratic(values: Array, covariances: Array) -> tuple[float, Array, Array]:
+    """Q of eq. (1) for values (R, d) with covariances (R, d, d), p̄ and its covariance."""
+    nothing = math.nan, values[0] * math.nan, covariances[0] * math.nan
     scale = np.sqrt(np.einsum("rii->i", covariances) / len(values))  # units differ by powers of ten
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
-        return math.nan
+        return nothing
     scaled = values / scale
     try:
         weights = np.linalg.inv(covariances / np.outer(scale, scale))
         mean = np.linalg.solve(weights.sum(axis=0), np.einsum("rij,rj->i", weights, scaled))
+        covariance = np.linalg.inv(weights.sum(axis=0)) * np.outer(scale, scale)
     except np.linalg.LinAlgError:  # in a file a combination may be known exactly
-        return math.nan
+        return nothing
     left = scaled - mean
-    return float(np.einsum("ri,rij,rj->", left, weights, left))
+    return float(np.einsum("ri,rij,rj->", left, weights, left)), mean * scale, covariance
 
 
-def _families(found: Sequence[Calibration]) -> list[_Family]:
+def _families(found: Sequence[Calibration], day: Array) -> list[_Family]:
     """Return the parameters grouped by what scatter they are judged by."""
     budgets = [evaluate_budget(c) for c in found]
-    covariances = np.array([budget.independent for budget in budgets])
+    covariances = np.array([budget.apart(same_day=True).covariance for budget in budgets])
+    of_days = np.zeros_like(covariances)
+    if (day != day[0]).any():
+        both = [budget.apart(same_day=False).covariance for budget in budgets]
+        of_days = np.array(both) - covariances
     output_of, count = found[0].model.output_of, len(found[0].outputs)
-    apart = all(
-        is_apart(c, covariance, output_of) for c, covariance in zip(found, covariances, strict=True)
-    )
+    whole = zip(found, covariances + of_days, strict=True)
+    apart = all(is_apart(c, covariance, output_of) for c, covariance in whole)
     members = {"all outputs": list(range(count))}
     if apart:
         members = {name: [i] for i, name in enumerate(found[0].outputs)}
@@ -257,9 +296,9 @@ def _families(found: Sequence[Calibration]) -> list[_Family]:
         ratio = np.array([left.ratio[mine].mean() for left in cleared])
         variances = ratio * [_scatter(c, mine) for c in found]
         variances = np.where(np.isinf(dof), 1.0, variances)  # NaN without degrees of freedom
-        block = covariances[:, group][:, :, group]
-        positive = np.where(variances > 0.0, variances, math.nan)
-        families.append(_Family(group, name, block / positive[:, None, None], variances, dof))
+        block, days = (each[:, group][:, :, group] for each in (covariances, of_days))
+        positive = np.where(variances > 0.0, variances, math.nan)[:, None, None]
+        families.append(_Family(group, name, block / positive, variances, dof, days))
     return families
 
 

@@ -1,14 +1,18 @@
 """Is it still the same instrument? Changes of a recalibration, their rate, and the next due date.
 
 - `find_changes` returns the `Change` of each parameter, with its `Rate`.
-- `dates_of` returns when calibrations were made, `expanded_apart` the U of what they do not share.
+- `dates_of` returns when calibrations were made, `days_of` on which day, in UTC.
+- `expanded_apart` returns the U of what they do not share.
 
 Of a parameter p with values p₁ of the first calibration and p_R of the last, each with the expanded
-uncertainty U of what they do not share (budget and gravity taken out),
+uncertainty U of what they do not share (gravity taken out, and level and what else the bench budget
+states where both are of one day),
 
     change = p_R − p₁,    U² = U₁² + U_R²,    E_n = |change| / U,                             (1)
 
-E_n ≤ 1 says that both agree (ISO/IEC 17043 uses it between laboratories). Over the time T between
+E_n ≤ 1 says that both agree (ISO/IEC 17043 uses it between laboratories). Of m parameters one is
+beyond 1 by chance more often: with the p of the largest change over its u by Student's t, the
+chance that any of them is as large is 1 − (1 − p)^m at most (Šidák). Over the time T between
 two calibrations the rate is change / T with U / T. For three and more it is the slope of the
 weighted straight line, w = 1/u²,
 
@@ -39,17 +43,19 @@ import numpy as np
 
 from multipos.errors import UsageError
 from multipos.files.limits import Limit, read_limits
+from multipos.files.numbers import pretty_unit, readable_unit
 from multipos.files.spelling import StrPath, near
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors
+from multipos.numerics.quantiles import chi2_quantile, coverage_factor, coverage_factors, t_tail
 from multipos.results import Keyed, frozen
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import in_tesla
-from multipos.uncertainty.propagation import evaluate_budget
+from multipos.uncertainty.propagation import evaluate_budget, welch_satterthwaite
 
 LimitsSource = StrPath | dict[str, Any]
 Stated = float | tuple[float | None, float | None]  # a limit on |change|, or the two of the value
-YEAR = 365.25 * 86400.0  # s
+DAY = 86400.0  # s
+YEAR = 365.25 * DAY  # s
 _LEVEL = 0.05  # at which χ² rejects a straight line
 _LONGEST = 10.0  # years to a due date
 _SHORTEST = 1.0 / 365.25  # years between calibrations, below which there is no rate
@@ -74,6 +80,8 @@ class Change(Keyed):
     output, term, name : str
     change, U, En : float
         Eq. (1); U and En are NaN where a calibration has no degrees of freedom.
+    p : float
+        Chance of as large a change, of this parameter alone.
     per_year : Rate or None
         Eq. (2); None where the dates are not a day apart.
     limit : float, or pair of float or None, or None
@@ -90,6 +98,7 @@ class Change(Keyed):
     change: float
     U: float
     En: float
+    p: float
     per_year: Rate | None
     limit: Stated | None
     within: bool | None
@@ -116,11 +125,15 @@ def find_changes(
     """
     last = found[-1]
     at = dates_of(found, seconds)
-    years = (at - at[0]) / YEAR
-    U = np.array([expanded_apart(c) for c in found])
+    years, day = (at - at[0]) / YEAR, at // DAY
     values = np.array([c.parameters for c in found])
-    change, both = values[-1] - values[0], np.hypot(U[0], U[-1])
-    rates = _rates(years, values, U, last) if np.ptp(years) >= _SHORTEST else None
+    ends = [_apart(c, same_day=bool(day[0] == day[-1])) for c in (found[0], last)]
+    change = values[-1] - values[0]
+    both = np.hypot(*(expanded(c, *of) for c, of in zip((found[0], last), ends, strict=True)))
+    tails = _tails(change, *ends)
+    rates = None
+    if np.ptp(years) >= _SHORTEST:
+        rates = _rates(years, values, expanded_apart(found, day), last)
     stated = _stated_limits(limits, last)
     changes = []
     for i, (name, (output, term)) in enumerate(zip(last.names, last.model.keys, strict=True)):
@@ -135,6 +148,7 @@ def find_changes(
                 change=float(change[i]),
                 U=float(both[i]),
                 En=float(abs(change[i]) / both[i]) if both[i] > 0.0 else math.nan,
+                p=tails[i],
                 per_year=rate,
                 limit=stated.get(name),
                 within=bool(low <= value <= high) if limited else None,
@@ -144,12 +158,41 @@ def find_changes(
     return tuple(changes)
 
 
-def expanded_apart(c: Calibration) -> Array:
-    """Return U (p,) of what a calibration does not share with others."""
-    variance = np.diag(evaluate_budget(c).independent)
-    alone = np.isclose(variance, c.u**2, rtol=1e-9, atol=0.0)
-    dof = np.where(alone, c.parameter_dof, c.dof_of_outputs)
-    return np.asarray(coverage_factors(c.confidence, dof) * np.sqrt(variance))
+def days_of(found: Sequence[Calibration], seconds: Array | None) -> Array:
+    """Return the day of each calibration, in UTC since 1970."""
+    return dates_of(found, seconds) // DAY
+
+
+def expanded_apart(found: Sequence[Calibration], day: Array) -> Array:
+    """Return U (R, p) of what calibrations do not all share, each of its day."""
+    same = bool((day == day[0]).all())
+    return np.array([expanded(c, *_apart(c, same_day=same)) for c in found])
+
+
+def expanded(c: Calibration, u: Array, dof: Array) -> Array:
+    """Return U (p,) at the confidence of a calibration."""
+    return np.asarray(coverage_factors(c.confidence, dof) * u)
+
+
+def _apart(c: Calibration, *, same_day: bool) -> tuple[Array, Array]:
+    """Return u and degrees of freedom (p,) of what a calibration does not share with another."""
+    budget = evaluate_budget(c).apart(same_day=same_day)
+    u = np.sqrt(np.diag(budget.covariance))
+    alone = np.isclose(u**2, c.u**2, rtol=1e-9, atol=0.0)
+    stated = any(row.common for row in budget.rows)
+    return u, np.where(alone, c.parameter_dof, budget.dof if stated else c.dof_of_outputs)
+
+
+def _tails(change: Array, *ends: tuple[Array, Array]) -> list[float]:
+    """Return the chance of each change, by Student's t on the degrees of freedom of both u."""
+    u = np.array([of[0] for of in ends])
+    dof = welch_satterthwaite(u, np.array([of[1] for of in ends]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = change / np.hypot(*u)
+    pairs = zip(t.tolist(), dof.tolist(), strict=True)
+    return [
+        t_tail(value, nu) if math.isfinite(value) and nu > 0 else math.nan for value, nu in pairs
+    ]
 
 
 def _seconds(created: str) -> float:
@@ -255,7 +298,19 @@ def _in_unit(value: float, unit: str, name: str, c: Calibration) -> float:
     factor = _RELATIVE.get(unit) if factor is None else factor
     if factor is None and name.startswith("bias_") and in_tesla(unit) and in_tesla(own):
         return value * (in_tesla(unit) or 1.0) / (in_tesla(own) or 1.0)
-    if factor is None:
-        known = ", ".join(dict.fromkeys((own, *_RELATIVE, *(_OF_G if name[:4] == "bias" else ()))))
-        raise UsageError(f"--limits: '{unit}' is no unit of {name}; give one of {known}.")
-    return value * factor * scale
+    if factor is not None:
+        return value * factor * scale
+    printed = _printed_units(own)
+    named = pretty_unit(unit.replace("μ", "µ"))
+    for one in (named, re.sub(r"^u", "µ", named)):
+        if one in printed:
+            return value / printed[one]
+    known = (own, *_RELATIVE, *(_OF_G if name[:4] == "bias" else ()), *printed)
+    listed = ", ".join(dict.fromkeys(known))
+    raise UsageError(f"--limits: '{unit}' is no unit of {name}; give one of {listed}.")
+
+
+def _printed_units(own: str) -> dict[str, float]:
+    """Return the units that a quantity may be printed in, each with its factor."""
+    shown = (readable_unit(10.0**exponent, own) for exponent in range(-15, 10))
+    return {unit: factor for factor, unit in shown}

@@ -151,3 +151,72 @@ def test_what_is_limited_and_where_it_is():
     assert _bounds((-2.0, None), 0.5, 1.5) == (-2.0, np.inf, 1.5)
     assert _bounds(3.0, 0.5, 1.5) == (-3.0, 3.0, 1.0)
     assert _bounds(None, 0.5, 1.5) == (-np.inf, np.inf, 1.5)
+
+
+def levelled(created, seed, **how):
+    return calibration(created, seed=seed, budget={"level": {"u_deg": 0.1}}, **how)
+
+
+def test_level_is_common_to_calibrations_of_one_day_only(files):
+    """By hand: of two days the variances of level, .1° in µg of the zeros, are in U twice."""
+    same = mp.compare(*files(levelled("2024-01-01", 1), levelled("2024-01-01", 2)))
+    apart = mp.compare(*files(levelled("2024-01-01", 1), levelled("2024-01-02", 2)))
+    first, last = same.calibrations
+    for i, (a, b) in enumerate(zip(same.changes, apart.changes, strict=True)):
+        whole = np.hypot(first.U[i], last.U[i])
+        assert pytest.approx(whole, rel=0.1) == b.U
+        assert a.U <= b.U * (1.0 + 1e-9)
+    assert max(b.U / a.U for a, b in zip(same.changes, apart.changes, strict=True)) > 3.0
+    assert "one day, here 2: level" in apart.common
+    assert same.common == "common to all, of one day: gravity, level"
+
+
+@pytest.mark.parametrize("dates", [("01", "01"), ("01", "02")])
+def test_pairs_that_differ_by_their_noise_and_level_agree(files, dates):
+    """Of forty pairs in which nothing moved two are beyond 5 %, and beyond 1e-3 hardly one."""
+    rng = np.random.default_rng(8)
+    beyond = largest = 0
+    for run in range(40):
+        errors = np.radians(0.1) * rng.standard_normal((2, 2))
+        if dates[0] == dates[1]:
+            errors[1] = errors[0]
+        made = []
+        for i, (about_x, about_y) in enumerate(errors):
+            turn = np.eye(3) + np.array(
+                [[0, 0, about_y], [0, 0, -about_x], [-about_y, about_x, 0.0]]
+            )
+            noise = np.random.default_rng(2 * run + i).standard_normal(UP.shape)
+            values = UP @ turn.T + 2e-4 * noise
+            data = mp.Readings(values, unit="g", up=UP)
+            cal = mp.fit(data, budget={"level": {"u_deg": 0.1}}, orientation_sd=0.0).to_dict()
+            day = f"2024-01-{dates[i]}T10:00:00+00:00"
+            made.append(json.loads(json.dumps(cal | {"created": day}, default=float)))
+        found = mp.compare(*files(*made))
+        beyond += not found.consistent
+        largest += found.to_dict()["largest"]["p"] < 0.05
+    assert beyond <= 6
+    assert largest <= 6
+
+
+def test_the_largest_of_many_changes_has_a_p_of_all_of_them(files):
+    # 1 − (1 − p)^12, Šidák
+    found = mp.compare(*files(calibration("2024-01-01"), calibration("2026-01-01", 0.0101, 2)))
+    p = found.to_dict()["largest"]["p"]
+    assert p == pytest.approx(1.0 - (1.0 - found.largest.p) ** 12)
+    assert 0.0 < found.largest.p < p
+
+
+@pytest.mark.parametrize(
+    ("limit", "size"),
+    [
+        ("2500µV", 2.5e-3),
+        ("2500uV", 2.5e-3),
+        ("2.5mV", 2.5e-3),
+        ("25000 nV", 2.5e-5),
+        ("1V", 1.0),
+    ],
+)
+def test_limits_take_every_unit_that_is_printed(files, limit, size):
+    paths = files(calibration("2024-01-01"), calibration("2026-01-01", 0.0106, 2))
+    found = mp.compare(*paths, limits=f"bias={limit}")
+    assert [each.limit for each in found.changes if each.limit] == pytest.approx([size] * 3)

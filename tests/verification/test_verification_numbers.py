@@ -30,7 +30,7 @@ from multipos.verification.agreement import _orientation_error, _taken
 from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt_errors
 from multipos.verification.coefficients import ratios_to_k1
 from multipos.verification.comparison_text import change_rows
-from multipos.verification.consistency import _quadratic, _scatter, is_apart
+from multipos.verification.consistency import _by_days, _quadratic, _scatter, is_apart
 from multipos.verification.recalibration import _in_unit
 from multipos.verification.regression_checks import _family_factor
 from multipos.verification.regression_repeats import compare_regressions
@@ -59,7 +59,21 @@ def test_the_sum_of_squares_of_repeats_is_that_of_least_squares():
         np.concatenate([W @ x for W, x in zip(roots, values, strict=True)]),
     )
     left = right - rows @ np.linalg.solve(rows.T @ rows, rows.T @ right)
-    assert _quadratic(values, covariances) == pytest.approx(left @ left, rel=1e-8)
+    assert _quadratic(values, covariances)[0] == pytest.approx(left @ left, rel=1e-8)
+
+
+def test_days_that_differ_by_their_level_are_judged_as_one_covariance_of_all_repeats():
+    """Two repeats of one day and one of another: L is between those of a day as well."""
+    values, day = np.random.default_rng(11).normal(size=(3, 2)), np.array([0, 0, 1])
+    covariances, L = np.array([definite(2, seed) for seed in range(3)]), definite(2, 7)
+    V = np.kron(day[:, None] == day, L)
+    for r in range(3):
+        V[2 * r : 2 * r + 2, 2 * r : 2 * r + 2] += covariances[r]
+    W = np.linalg.inv(np.linalg.cholesky(V))
+    rows, right = W @ np.tile(np.eye(2), (3, 1)), W @ values.ravel()
+    left = right - rows @ np.linalg.solve(rows.T @ rows, rows.T @ right)
+    found = _by_days(values, covariances, np.array([L] * 3), day)
+    assert found == pytest.approx(left @ left, rel=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -505,8 +519,8 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
     K, known = (np.array([definite(n, 5 * n + r) for r in range(4)]) for n in (2, 1))
     variances, dof = np.array([0.3, 0.02, 0.5, 0.9]), np.array([7.0, 9.0, 8.0, 12.0])
     families = [
-        consistency._Family(np.array([0, 2]), "a", K, variances, dof),
-        consistency._Family(np.array([1]), "b", known, np.ones(4), np.full(4, np.inf)),
+        consistency._Family(np.array([0, 2]), "a", K, variances, dof, 0.0 * K),
+        consistency._Family(np.array([1]), "b", known, np.ones(4), np.full(4, np.inf), 0.0 * known),
     ]
     outcome = []
 
@@ -514,9 +528,10 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
         outcome.extend(found)
         return 5.5, 4.0, 0.012, "test"
 
-    monkeypatch.setattr(consistency, "_families", lambda found: families)
+    monkeypatch.setattr(consistency, "_families", lambda found, day: families)
     monkeypatch.setattr(consistency, "judge_together", together)
-    found = consistency.judge_repeats([SimpleNamespace(names=("p", "q", "r"))], values, level)
+    named, day = [SimpleNamespace(names=("p", "q", "r"))], np.zeros(4)
+    found = consistency.judge_repeats(named, values, day, level)
     pooled = dof @ variances / dof.sum()
     Q, p = np.empty(3), np.empty(3)
     for i, v in ((0, pooled * K[:, 0, 0]), (2, pooled * K[:, 1, 1]), (1, known[:, 0, 0])):
@@ -526,7 +541,7 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
     assert_allclose(found.p, p, rtol=1e-6)
     assert_allclose(found.scatter_dof, [36.0, np.inf, 36.0])
     assert found.dof.tolist() == [3.0] * 3
-    assert outcome[0][0] == pytest.approx(_quadratic(values[:, [0, 2]], pooled * K))
+    assert outcome[0][0] == pytest.approx(_quadratic(values[:, [0, 2]], pooled * K)[0])
     assert [each[1:] for each in outcome] == [(6.0, 36.0), (3.0, math.inf)]
     assert outcome[1][0] == pytest.approx(Q[1])
     order, moved = np.argsort(p), []
@@ -542,7 +557,8 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
     assert said.p == pytest.approx(chi2.sf(statistic, 3), rel=1e-6)
     assert "noise of a differs" in said.text
     families[0] = replace(families[0], variances=np.array([0.3, 0.2, 0.5, 0.9]))
-    found = consistency.judge_repeats([SimpleNamespace(names=("p", "q", "r"))], values, level)
+    named, day = [SimpleNamespace(names=("p", "q", "r"))], np.zeros(4)
+    found = consistency.judge_repeats(named, values, day, level)
     assert found.findings == ()
 
 
