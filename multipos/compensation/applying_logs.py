@@ -15,7 +15,7 @@ import numpy as np
 from multipos.compensation.added_columns import Application, prepare, refusal, wanted_columns
 from multipos.files import tables
 from multipos.finding import Findings
-from multipos.logs.opening import read_log
+from multipos.logs.opening import joined
 from multipos.logs.table import Log, Piece, called_as
 from multipos.numerics.arrays import Array
 from multipos.sensor.calibration import Calibration
@@ -77,14 +77,8 @@ class AppliedLog:
 
     def columns(self) -> dict[str, tables.Column]:
         """Return all columns at once; what is added to them is computed piece by piece."""
-        found: dict[str, list[Array]] = {}
-        for _, added in self._applied(()):
-            for name, column in added.items():
-                found.setdefault(name, []).append(column)
-        return {
-            **read_log(self.log),
-            **{name: np.concatenate(all_) for name, all_ in found.items()},
-        }
+        parts = list(self.parts())
+        return {name: joined([part[name] for part in parts]) for name in parts[0]} if parts else {}
 
     def _applied(
         self, carried: Sequence[str], texts: Sequence[str] = ()

@@ -100,13 +100,28 @@ def asked_uncertainty(
     columns : names
     uncertainty, reading_sd, parameters_only
         As of `multipos.apply`.
+
+    Raises
+    ------
+    MultiposError
+        `u_…` stands beside some outputs only.
+    UsageError
+        Options say nothing, or the opposite; `reading_sd` is no standard deviation.
     """
     check_noise_options(uncertainty, reading_sd, parameters_only)
     if not uncertainty:
         return None
-    noise = _choose_noise(
-        calibration, source, tuple(columns), reading_sd, parameters_only=parameters_only
-    )
+    none = np.zeros(len(calibration.outputs))
+    stated = none if reading_sd is None else spread_reading_sd(reading_sd, (1, len(none)))[0]
+    if parameters_only:
+        noise = Noise("none: parameters and budget only", (), none)
+    elif names := _stated_columns(calibration, source, tuple(columns)):
+        noise = Noise(f"{', '.join(names)} of the data", names, none)
+    elif reading_sd is not None:
+        noise = Noise("--reading-sd", (), stated)
+    else:
+        text = "that of an averaged reading of the calibration"
+        noise = Noise(text, (), reading_noise(calibration), own=True)
     return ReadingUncertainty(calibration, noise, evaluate_budget(calibration))
 
 
@@ -120,38 +135,6 @@ def check_noise_options(
         raise UsageError("--parameters-only goes with --uncertainty.")
     if reading_sd is not None and parameters_only:
         raise UsageError("--parameters-only leaves out the noise that --reading-sd states.")
-
-
-def _choose_noise(
-    calibration: Calibration,
-    source: str,
-    columns: Sequence[str],
-    reading_sd: ArrayLike | None,
-    *,
-    parameters_only: bool,
-) -> Noise:
-    """Return the noise that a reading of a table has.
-
-    Raises
-    ------
-    MultiposError
-        `u_…` stands beside some outputs only.
-    UsageError
-        `reading_sd` is no standard deviation.
-    """
-    m = len(calibration.outputs)
-    if reading_sd is not None:
-        stated = spread_reading_sd(reading_sd, (1, m))[0]
-    if parameters_only:
-        return Noise("none: parameters and budget only", (), np.zeros(m))
-    names = _stated_columns(calibration, source, columns)
-    if names:
-        return Noise(f"{', '.join(names)} of the data", names, np.zeros(m))
-    if reading_sd is not None:
-        return Noise("--reading-sd", (), stated)
-    return Noise(
-        "that of an averaged reading of the calibration", (), reading_noise(calibration), own=True
-    )
 
 
 def _stated_columns(

@@ -18,7 +18,6 @@ import numpy as np
 from multipos.compensation.added_columns import Application
 from multipos.compensation.correction import read_predictors
 from multipos.errors import MultiposError, UsageError
-from multipos.exports.c_body import environment_range
 from multipos.exports.c_correction import correction_source, declarations, rounding
 from multipos.exports.c_text import fill
 from multipos.exports.parts import Correction
@@ -176,28 +175,18 @@ def _fastest(c: Correction, name: str) -> float:
 
 def _range(c: Correction, name: str) -> tuple[float, float]:
     """Return what a column covered, as far as the files tell."""
-    pairs = [pair for r in c.regressions for pair in _fitted(r, name)]
+    pairs: list[tuple[float, float]] = []
+    for r in c.regressions:
+        pairs += [s.limits[name] for s in r.segments if name in s.limits]
+        pairs += [s.range for s in r.segments if name == r.segment_variable]
     if c.calibration is not None:
-        pairs += _calibrated(c.calibration, name)
+        readings = c.calibration.readings
+        seen = {n: readings.environment[n] for n in c.calibration.model.environment}
+        seen |= zip(c.calibration.outputs, readings.values.T, strict=True)
+        pairs += [(float(seen[n].min()), float(seen[n].max())) for n in (name,) if n in seen]
     if not pairs:
         return -1.0, 1.0
     return min(low for low, _ in pairs), max(high for _, high in pairs)
-
-
-def _fitted(r: Regression, name: str) -> list[tuple[float, float]]:
-    """Return what a column covered in each segment of a regression."""
-    limits = [s.limits[name] for s in r.segments if name in s.limits]
-    return limits + [s.range for s in r.segments if name == r.segment_variable]
-
-
-def _calibrated(c: Calibration, name: str) -> list[tuple[float, float]]:
-    """Return what a column covered at calibration."""
-    if name in c.model.environment:
-        return [environment_range(c, name)]
-    if name not in c.outputs:
-        return []
-    seen = c.readings.values[:, c.outputs.index(name)]
-    return [(float(seen.min()), float(seen.max()))]
 
 
 _TESTED = 60  # rows of the self-test

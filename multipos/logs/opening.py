@@ -167,10 +167,10 @@ def read_log(log: Log) -> dict[str, Column]:
     for piece in log.read((), log.numeric, texts):
         for name in log.columns:
             columns[name].append(piece.table.columns[name])
-    return {name: _joined(parts) for name, parts in columns.items() if parts}
+    return {name: joined(parts) for name, parts in columns.items() if parts}
 
 
-def _joined(parts: list[Any]) -> Column:
+def joined(parts: list[Any]) -> Column:
     """Return the column that its pieces make: an array, or a list of texts."""
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)
