@@ -61,8 +61,7 @@ class Design(Keyed, Drawn, Tabular):
     included : int
     u : tuple of mappings
         {output, term, name, unit, before, after} of each parameter, where a calibration is
-        included: its standard uncertainty with the included positions, and with all. `before` is
-        None where a model that is stated otherwise is not determined by the included positions.
+        included: its standard uncertainty with the included positions, and with all.
     towards : str
         What the positions point along: 'up', or 'field' of a magnetometer.
     log_det, optimum_log_det : float
@@ -152,9 +151,8 @@ def _before_and_after(found: Design) -> str:
     rows = []
     for entry in found.u:
         before, after = entry["before"], entry["after"]
-        fall = "" if before is None else f"{100.0 * (1.0 - after / before):.1f}"
-        known = "" if before is None else number(before)
-        rows.append([entry["name"], known, number(after), entry["unit"], fall])
+        fall = f"{100.0 * (1.0 - after / before):.1f}"
+        rows.append([entry["name"], number(before), number(after), entry["unit"], fall])
     return table(["parameter", "u before", "u after", "unit", "falls by %"], rows)
 
 
@@ -247,9 +245,9 @@ def design(
         What can be reached (`multipos.positions.scheme`); any direction where not given.
     include : scheme, path, columns or Calibration, optional
         Positions already measured, which stay: the others are the next best ones. Of a
-        calibration, or the path of its file, model, axes, sensor and noise hold as well where they
-        are not stated, and the result has u before and after; `reading_sd` is then in the unit of
-        the readings.
+        calibration, or the path of its file, model, axes and sensor hold as well, and the noise
+        where it is not stated; the result has u before and after, and `reading_sd` is then in the
+        unit of the readings.
     region : as `candidates`, optional
         Directions over which I averages.
     move_time : (s, s/degree), optional
@@ -269,7 +267,8 @@ def design(
     Raises
     ------
     UsageError
-        Too few positions, an unknown criterion or bench, options that contradict each other.
+        Too few positions, an unknown criterion or bench, options that contradict each other or an
+        included calibration.
     MultiposError
         An included calibration that states no noise, or whose model has other columns.
     RankError
@@ -362,15 +361,12 @@ def begin_design(
     """
     calibration = _calibration_of(include)
     if calibration is not None:
-        begun = begin_otherwise(
-            calibration,
-            model=model,
-            axes=axes,
-            inputs=inputs,
-            unknown_orientation=unknown_orientation,
-            orientation_sd=orientation_sd,
-            reading_sd=reading_sd,
-        )
+        if unknown_orientation or any(each is not None for each in (model, axes, inputs)):
+            raise UsageError(
+                "--include CAL.json has model, axes and inputs of its own; leave out --model, "
+                "--axes, --inputs and --unknown-orientation, or include a scheme."
+            )
+        begun = begin_otherwise(calibration, orientation_sd, reading_sd)
         return begun.setting, begun.up, begun
     setting = assessment.read_setting(
         "linear" if model is None else model,
@@ -395,7 +391,7 @@ def _u_of(begun: Begun, further: Array) -> tuple[dict[str, Any], ...]:
     model = begun.setting.model
     pieces = information_of(begun.setting, further).sum(axis=0)
     after = begun.u(pieces).tolist()
-    before = begun.u(np.zeros_like(pieces)).tolist() if begun.identifiable else [None] * len(after)
+    before = begun.u(np.zeros_like(pieces)).tolist()
     columns = zip(model.keys, model.names, model.units, before, after, strict=True)
     return tuple(
         {
@@ -597,7 +593,7 @@ def design_sentence(found: Design) -> str:
         f"{len(found.positions)} positions reach {100.0 * found.efficiency:.1f} % of the best "
         f"{found.criterion} efficiency per position on the sphere"
     )
-    falls = [math.log(e["after"] / e["before"]) for e in found.u if e["before"] is not None]
+    falls = [math.log(e["after"] / e["before"]) for e in found.u]
     if not falls:
         return f"{text}."
     fall = 100.0 * (1.0 - math.exp(sum(falls) / len(falls)))

@@ -1,4 +1,4 @@
-"""The best N positions: exchange of candidates, restarts, polish, or every choice there is.
+"""The best N positions: exchange of candidates, restarts, polish.
 
 `choose` returns choices of candidates, best first, and `exchange` one that no replacement of a
 position improves. `polish` moves positions freely on the sphere, `polish_largest` those of
@@ -13,9 +13,9 @@ Z_i], C = diag(1, −1) and S = C + W (N M)⁻¹ W',
 
 so that all candidates are tried for a position at once. One position after another takes its best
 replacement until none improves (Fedorov's exchange, in the manner of Cook and Nachtsheim);
-random starts guard against local optima. Where there are few choices all are tried. On the sphere
-the positions of the best starts then move freely (BFGS along the gradient (3) of
-`multipos.designs.information`), because a list of directions hardly holds the best ones.
+random starts guard against local optima. On the sphere the positions of the best starts then move
+freely (BFGS along the gradient (3) of `multipos.designs.information`), because a list of directions
+hardly holds the best ones.
 
 Sources: V. V. Fedorov, Theory of Optimal Experiments, 1972; R. D. Cook, C. J. Nachtsheim,
 Technometrics 22, 1980.
@@ -23,22 +23,16 @@ Technometrics 22, 1980.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from itertools import combinations_with_replacement, islice
 
 import numpy as np
 
 from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array, Places
-from multipos.numerics.factoring import log_determinant
 
 Choice = Places
 
-_TINY = float(np.finfo(float).tiny)
-_SINGULAR = -30.0  # ln of what rounding may leave of a determinant that is 0, over its diagonal
-_ALL = 20_000  # choices that are tried one and all
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
 _H = 1e-5  # [rad], of central differences
@@ -81,8 +75,6 @@ def choose(
     """
     n = len(rows[0])
     fixed = tuple(Z[:0] for Z in rows) if included is None else included
-    if math.comb(n + count - 1, count) <= _ALL:
-        return _try_all(rows, count, criterion, fixed)
     found: dict[tuple[int, ...], float] = {}
     for _ in range(starts):
         choice = rng.integers(n, size=count)
@@ -158,12 +150,15 @@ class _State:
         falls = np.zeros(len(self.rows[0]))
         for b, Z in enumerate(self.rows):
             S = _bordered(self.own[b], self.left[b], Z[leaving], leaving)
-            S.join_signs()
-            determinant = S.determinant()
+            S += np.diag(np.repeat([1.0, -1.0], Z.shape[1]))
+            determinant = _determinant(S)
             determinants *= determinant
             if self.criterion.weight is not None:
                 T = _bordered(self.own_b[b], self.left_b[b], Z[leaving], leaving)
-                falls += S.trace_solved(T, determinant)
+                sound = np.abs(determinant) > 1e-12  # else that replacement loses a parameter
+                S[~sound] = np.eye(S.shape[1])
+                solved = np.einsum("nij,nji->n", np.linalg.inv(S), T)
+                falls += np.where(sound, solved, -np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.criterion.weight is None:
                 return np.asarray(np.log(np.abs(determinants)))
@@ -183,86 +178,21 @@ def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]
     return own, left
 
 
-@dataclass(eq=False)
-class _Bordered:
-    """[[own_j, cross_j], [cross_j', last]] for each candidate j; plain numbers where K = 1."""
-
-    own: Array
-    cross: Array
-    last: Array
-
-    def join_signs(self) -> None:
-        """Add C = diag(1, −1)."""
-        one = np.eye(self.own.shape[1])
-        self.own, self.last = self.own + one, self.last - one
-
-    def determinant(self) -> Array:
-        if self.own.shape[1] == 1:
-            return np.asarray(self.own[:, 0, 0] * self.last[0, 0] - self.cross[:, 0, 0] ** 2)
-        return np.asarray(np.linalg.det(self.matrices()))
-
-    def trace_solved(self, other: "_Bordered", determinant: Array) -> Array:
-        """Return tr(S⁻¹ T), −inf where S is singular: that replacement loses a parameter."""
-        sound = np.abs(determinant) > 1e-12
-        if self.own.shape[1] == 1:
-            top = (
-                self.last[0, 0] * other.own[:, 0, 0]
-                + self.own[:, 0, 0] * other.last[0, 0]
-                - 2.0 * self.cross[:, 0, 0] * other.cross[:, 0, 0]
-            )
-            return np.where(sound, top / np.where(sound, determinant, 1.0), -np.inf)
-        result = np.full(len(sound), -np.inf)
-        S, T = self.matrices()[sound], other.matrices()[sound]
-        result[sound] = np.trace(np.linalg.solve(S, T), axis1=1, axis2=2)
-        return result
-
-    def matrices(self) -> Array:
-        n, k, _ = self.own.shape
-        S = np.empty((n, 2 * k, 2 * k))
-        S[:, :k, :k], S[:, :k, k:] = self.own, self.cross
-        S[:, k:, :k], S[:, k:, k:] = self.cross.transpose(0, 2, 1), self.last
-        return S
-
-
-def _bordered(own: Array, left: Array, leaving_rows: Array, leaving: int) -> _Bordered:
+def _bordered(own: Array, left: Array, leaving_rows: Array, leaving: int) -> Array:
+    """Return W C W' (n, 2K, 2K) of eq. (1) for each candidate in place of the one that leaves."""
     n, k, p = left.shape
     cross = (left.reshape(n * k, p) @ leaving_rows.T).reshape(n, k, k)
-    return _Bordered(own, cross, own[leaving])
+    S = np.empty((n, 2 * k, 2 * k))
+    S[:, :k, :k], S[:, :k, k:] = own, cross
+    S[:, k:, :k], S[:, k:, k:] = cross.transpose(0, 2, 1), own[leaving]
+    return S
 
 
-def _try_all(
-    rows: Blocks, count: int, criterion: Criterion, fixed: Blocks
-) -> list[tuple[float, Choice]]:
-    n = len(rows[0])
-    total = count + len(fixed[0])
-    single = [Z.transpose(0, 2, 1) @ Z / total for Z in rows]
-    base = [np.einsum("nkp,nkq->pq", Z, Z) / total for Z in fixed]
-    best: tuple[float, Choice] = (-math.inf, np.zeros(count, dtype=np.intp))
-    every = combinations_with_replacement(range(n), count)
-    while part := list(islice(every, 2000)):
-        choices = np.array(part, dtype=np.intp)
-        matrices = [S[choices].sum(axis=1) + M for S, M in zip(single, base, strict=True)]
-        for row in np.argsort(-_roughly(matrices, criterion))[:3]:
-            value = objective(tuple(M[row] for M in matrices), criterion)
-            if value > best[0] + 1e-12:
-                best = value, choices[row]
-    return [best]
-
-
-def _roughly(matrices: list[Array], criterion: Criterion) -> Array:
-    """Return the criterion of many information matrices at once; singular ones come last."""
-    value = np.zeros(len(matrices[0]))
-    for b, M in enumerate(matrices):
-        sign, size = log_determinant(M)
-        diagonal = np.maximum(np.einsum("nii->ni", M), _TINY)
-        sound = (sign > 0.0) & (size > _SINGULAR + np.log(diagonal).sum(axis=1))
-        if criterion.weight is None:
-            value += np.where(sound, size, -np.inf)
-        else:
-            safe = np.where(sound[:, None, None], M, np.eye(M.shape[1]))
-            trace = np.trace(np.linalg.solve(safe, criterion.weight[b][None]), axis1=1, axis2=2)
-            value -= np.where(sound & (trace > 0.0), trace, np.inf)  # rounding may make it negative
-    return value
+def _determinant(S: Array) -> Array:
+    if S.shape[1] > 2:
+        return np.asarray(np.linalg.det(S))
+    # of outputs by themselves, thousands a search: in numbers at once it takes a tenth
+    return np.asarray(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0])
 
 
 def polish(

@@ -1,7 +1,7 @@
 """Prospects: what more positions bring to a calibration.
 
 `begin` returns what a calibration brings to the design of further positions, `begin_otherwise` the
-same where some of it is stated otherwise, `rank_positions` the best next ones; `measured` and
+same where the noise is stated otherwise, `rank_positions` the best next ones; `measured` and
 `information_of` are the parts of which `capture` makes its next pose.
 
 With the information N of the positions measured and I(u) of each further one at u, both of
@@ -18,13 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.designs.assessment import read_setting
-from multipos.designs.information import Setting, log_det
+from multipos.designs.information import Setting, make_setting
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation.correlated_rows import order_in_time
-from multipos.files.spelling import Names
 from multipos.numerics.arrays import SMALLEST, Array, Mask
-from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.benches import read_bench
 from multipos.positions.readings import diagonal
 from multipos.positions.scheme import Scheme
@@ -64,11 +61,6 @@ class Begun:
     fixed: Array
     towards: str
 
-    @property
-    def identifiable(self) -> bool:
-        """Whether the positions measured separate the parameters by themselves."""
-        return log_det((self.present,)) > -math.inf
-
     def u(self, further: Array) -> Array:
         """Return u (…, p) with the information (…, p, p) of further positions, eq. (1)."""
         return np.asarray(np.sqrt(_variances(self.present + further) * self.covered + self.fixed))
@@ -91,64 +83,26 @@ def begin(calibration: Calibration) -> Begun:
 
 
 def begin_otherwise(
-    calibration: Calibration,
-    *,
-    model: ModelText | Model | None = None,
-    axes: Names | None = None,
-    inputs: Names | None = None,
-    unknown_orientation: bool = False,
-    orientation_sd: float | None = None,
-    reading_sd: float | None = None,
+    calibration: Calibration, orientation_sd: float | None, reading_sd: float | None
 ) -> Begun:
-    """Return what a calibration brings to a design where some of it is stated otherwise.
+    """Return what a calibration brings to a design whose noise is stated otherwise, where it is.
 
-    Of another model parameters that the calibration has not are zero, and N is that of its
-    positions alone; by another noise N⁻¹ is the covariance as it stands. `orientation_sd` is in
-    degrees, `reading_sd` in the unit of the readings.
+    N⁻¹ is then the covariance as it stands. `orientation_sd` is in degrees, `reading_sd` in the
+    unit of the readings.
     """
     begun = begin(calibration)
-    own, setting = begun.setting.model, begun.setting
-    unknown = math.isinf(setting.orientation_sd)
-    others = model is not None or axes is not None or inputs is not None
-    others = others or (unknown_orientation and not unknown)
-    noises = orientation_sd is not None or reading_sd is not None
-    if not others and not noises:
+    if orientation_sd is None and reading_sd is None:
         return begun
-    taken = own if model is None else model
-    stated = read_setting(
-        Formula(taken.text) if isinstance(taken, Model) else taken,
-        axes or own.axes,
-        inputs or own.inputs,
-        unknown_orientation or (unknown and orientation_sd is None),
-        orientation_sd,
-        1.0,
-        outputs=own.outputs,
-        unit=own.unit,
-    ).stated
-    if others:
-        setting = replace(setting, model=stated.model, parameters=_shared(stated, setting))
-    if others or orientation_sd is not None:
-        keep = orientation_sd is None and not unknown_orientation
-        spread = setting.orientation_sd if keep else stated.orientation_sd
-        setting = replace(setting, orientation_sd=spread)
+    setting = begun.setting
+    if orientation_sd is not None:
+        stated = make_setting(setting.model, orientation_sd=orientation_sd)
+        setting = replace(setting, orientation_sd=stated.orientation_sd)
     if reading_sd is not None:
         if not reading_sd > 0.0:
             raise UsageError(f"--reading-sd must be above 0, got {reading_sd}.")
-        setting = replace(setting, sd=np.full(len(own.outputs), reading_sd))
-    p = len(setting.model.keys)
+        setting = replace(setting, sd=np.full(len(setting.model.outputs), reading_sd))
     present = information_of(setting, begun.up).sum(axis=0) + np.diag(setting.model.beliefs)
-    fixed = np.zeros(p) if others else begun.fixed
-    return Begun(setting, begun.up, present, np.ones(p), fixed, begun.towards)
-
-
-def _shared(stated: Setting, own: Setting) -> Array:
-    """Return the parameters of another model, those of the calibration where it has them."""
-    assert own.parameters is not None
-    known = dict(zip(own.model.keys, own.parameters.tolist(), strict=True))
-    keys = stated.model.keys
-    nominal = np.zeros(len(keys)) if stated.parameters is None else stated.parameters
-    pairs = zip(keys, nominal.tolist(), strict=True)
-    return np.array([known.get(key, value) for key, value in pairs])
+    return replace(begun, setting=setting, present=present, covered=np.ones_like(begun.covered))
 
 
 def _without_drift(begun: Begun, kept: Mask) -> Begun:
@@ -159,9 +113,13 @@ def _without_drift(begun: Begun, kept: Mask) -> Begun:
         model=begun.setting.model.without_drift(),
         parameters=begun.setting.parameters[kept],
     )
-    present = begun.present[np.ix_(kept, kept)]
-    covered, fixed = begun.covered[kept], begun.fixed[kept]
-    return Begun(setting, begun.up, present, covered, fixed, begun.towards)
+    return replace(
+        begun,
+        setting=setting,
+        present=begun.present[np.ix_(kept, kept)],
+        covered=begun.covered[kept],
+        fixed=begun.fixed[kept],
+    )
 
 
 def rank_positions(
