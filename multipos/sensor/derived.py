@@ -21,6 +21,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.rotations import rotation_vector
 from multipos.sensor.model import Model
 
 Value = dict[str, float]  # {"value": …, "u": …}
@@ -112,19 +113,13 @@ def _differentiate(
     """Return a function of the linear part (batch, M, 4) and its derivative (q, p)."""
     to_linear = model.linear_map(environment)
     linear = to_linear @ parameters
-    step = np.full(linear.size, _STEP * (np.abs(linear).max() or 1.0))  # 1: readings all zero
-    values, gradient = _central(
-        lambda batch: function(batch.reshape(-1, *linear.shape)), linear.ravel(), step
-    )
-    return values, gradient @ to_linear.reshape(linear.size, -1)
-
-
-def _central(function: Callable[[Array], Array], values: Array, step: Array) -> tuple[Array, Array]:
-    """Return function(values) and its derivative (q, p) by central differences."""
-    nudges = np.diag(step)
-    batch = function(np.concatenate([values[None], values + nudges, values - nudges]))
-    size = len(values)
-    return batch[0], ((batch[1 : size + 1] - batch[size + 1 :]) / (2.0 * step[:, None])).T
+    step = _STEP * (np.abs(linear).max() or 1.0)  # 1: readings all zero
+    nudges = step * np.eye(linear.size)
+    flat, size = linear.ravel(), linear.size
+    nudged = np.concatenate([flat[None], flat + nudges, flat - nudges])
+    batch = function(nudged.reshape(-1, *linear.shape))
+    gradient = ((batch[1 : size + 1] - batch[size + 1 :]) / (2.0 * step)).T
+    return batch[0], gradient @ to_linear.reshape(size, -1)
 
 
 def _intrinsic_vector(linear: Array) -> Array:
@@ -135,29 +130,15 @@ def _intrinsic_vector(linear: Array) -> Array:
     for i, j in ((0, 1), (0, 2), (1, 2)):
         cross = np.linalg.norm(np.cross(axes[:, i], axes[:, j]), axis=1)
         angles.append(np.arctan2(cross, np.einsum("bi,bi->b", axes[:, i], axes[:, j])))
-    mounting = _rotation_vector(axes)
+    mounting = _mounting(axes)
     return np.column_stack(
         [sensitivity, bias / sensitivity, np.degrees(np.array(angles).T), np.degrees(mounting)]
     )
 
 
-def _rotation_vector(axes: Array) -> Array:
+def _mounting(axes: Array) -> Array:
     """Return rho of eq. (3); NaN where the input axes form a left-handed set."""
     left, _, right = np.linalg.svd(axes)
     turned = (left @ right).transpose(0, 2, 1)  # Exp([rho]x)
-    doubled = np.stack(
-        [
-            turned[:, 2, 1] - turned[:, 1, 2],
-            turned[:, 0, 2] - turned[:, 2, 0],
-            turned[:, 1, 0] - turned[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = np.linalg.norm(doubled, axis=1) / 2.0
-    angle = np.arctan2(sine, (np.trace(turned, axis1=1, axis2=2) - 1.0) / 2.0)
-    # angle/sin(angle) -> 1 for the small rotations of a mounting
-    factor = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 1.0)
-    vector: Array = np.where(
-        (np.linalg.det(turned) > 0.0)[:, None], factor[:, None] * doubled / 2.0, np.nan
-    )
-    return vector
+    vectors = np.array([rotation_vector(each) for each in turned])
+    return np.where((np.linalg.det(turned) > 0.0)[:, None], vectors, np.nan)

@@ -5,14 +5,8 @@
 An `ExpressionModel` answers what every `Model` does.
 
 Formulas come as a line of text or a file (`multipos.sensor.model_text`). Exact derivatives
-(`multipos.sensor.compiled`) take them through the same likelihood as every other model. A parameter
-with bounds is searched for as t, without bounds,
-
-    p = low + (high - low)(1 + sin t)/2,    p = low - 1 + sqrt(t^2 + 1)  or its mirror,     (2)
-
-and one with a prior N(start, sd^2) adds ((p - start)/sd)^2 to what the search makes least.
-
-Source of (2): F. James, MINUIT Reference Manual, CERN Program Library D506, section 1.3.
+(`multipos.sensor.compiled`) take them through the same likelihood as every other model, bounds and
+priors through the same search (`multipos.sensor.stated_parameters`).
 """
 
 from collections.abc import Mapping
@@ -23,7 +17,6 @@ from typing import Any, Literal
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask, Places
 from multipos.numerics.terms import Term
 from multipos.results import frozen
@@ -31,8 +24,6 @@ from multipos.sensor.compiled import Compiled, OutputFormula, compile_model
 from multipos.sensor.model import Block, Gauge, Model, RollGauge
 from multipos.sensor.model_text import SHARED, ParsedModel, StatedParameter, parsed_dict
 from multipos.units import unit_per
-
-_INSIDE = 1e-6  # of the way between bounds that a start keeps from them, where (2) has no slope
 
 
 @frozen(eq=True)
@@ -65,8 +56,6 @@ class ExpressionModel(Model):
         What is known of each parameter.
     fixed : mapping of (output, name) to float
         Parameters that are held at a value, and so are none.
-    inner : bool
-        Whether parameters are the t of eq. (2).
     """
 
     _: KW_ONLY
@@ -77,7 +66,6 @@ class ExpressionModel(Model):
     shared_by: tuple[tuple[int, ...], ...] = ()
     quantities: tuple[StatedParameter, ...] = ()
     fixed: tuple[tuple[str, str, float], ...] = ()
-    inner: bool = False
 
     @cached_property
     def keys(self) -> tuple[tuple[str, Term], ...]:
@@ -218,112 +206,10 @@ class ExpressionModel(Model):
         """Whether each output is linear in its parameters, and nothing more is said of them."""
         return self.apart and not self.compiled.curved.any()
 
-    @property
-    def shares_parameters(self) -> bool:
-        """Whether outputs have parameters in common."""
-        return bool(self.shared)
-
-    @property
-    def ties_outputs(self) -> bool:
-        """Whether shared parameters or priors forbid to fit output by output."""
-        return bool(self.shared) or bool(self.beliefs.any())
-
-    @property
-    def apart(self) -> bool:
-        """Whether nothing but readings says anything of parameters, of each output its own."""
-        return not (self.bounded or self.ties_outputs)
-
     @cached_property
     def columns(self) -> tuple[Places, ...]:
         """For each output, where its parameters stand among the columns of all outputs."""
         return tuple(np.arange(part.start, part.stop) for part in self.slices)
-
-    @cached_property
-    def starts(self) -> Array:
-        """Where the search for each parameter starts (p,), NaN where nothing is stated."""
-        given = [np.nan if q.start is None else q.start for q in self.quantities]
-        return np.array(given, dtype=np.float64)
-
-    @cached_property
-    def beliefs(self) -> Array:
-        """The information of the priors (p,), 0 where there is none."""
-        return np.array([0.0 if q.sd is None else q.sd**-2 for q in self.quantities])
-
-    @property
-    def bounded(self) -> bool:
-        """Whether a parameter has bounds, and is not searched for as t yet."""
-        return not self.inner and any(quantity.bounded for quantity in self.quantities)
-
-    def belief(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
-        outer, slope = self.outward(parameters)[:2] if self.inner else (parameters, 1.0)
-        root = np.sqrt(self.beliefs)
-        centre = np.where(root > 0.0, np.nan_to_num(self.starts), outer)
-        return root * (outer - centre), root * slope
-
-    def within(self, parameters: Array) -> Array:
-        """Return parameters (p,) within their bounds."""
-        low = [quantity.low for quantity in self.quantities]
-        return np.clip(parameters, low, [quantity.high for quantity in self.quantities])
-
-    def unbounded(self) -> "ExpressionModel":
-        """Return the model of the t of eq. (2)."""
-        return replace(self, inner=True)
-
-    def outward(self, inner: Array) -> tuple[Array, Array, Array]:
-        """Return the parameters of eq. (2), their slopes and second derivatives, (p,), by t."""
-        outer, slope, second = inner.copy(), np.ones(len(inner)), np.zeros(len(inner))
-        for i, q in enumerate(self.quantities):
-            t = inner[i]
-            if np.isfinite(q.low) and np.isfinite(q.high):
-                half = (q.high - q.low) / 2.0
-                outer[i], slope[i] = q.low + half * (1.0 + np.sin(t)), half * np.cos(t)
-                second[i] = (q.low + q.high) / 2.0 - outer[i]
-            elif q.bounded:
-                side = 1.0 if np.isfinite(q.low) else -1.0
-                end = q.low if np.isfinite(q.low) else q.high
-                root = np.hypot(t, 1.0)
-                outer[i], slope[i] = end + side * (root - 1.0), side * t / root
-                second[i] = side * root**-3
-        return outer, slope, second
-
-    def bend(self, inner: Array, gradient: Array) -> Array:
-        """Return what the curvature of eq. (2) adds to the information of t, (p,), 0 or more.
-
-        Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
-        is to keep a step short; `gradient` (p,) is g by t.
-        """
-        if not self.inner:
-            return np.zeros(len(inner))
-        _, slope, second = self.outward(inner)
-        added = -gradient * second / np.where(slope == 0.0, np.inf, slope)
-        return np.asarray(np.fmax(0.0, added))
-
-    def inward(self, outer: Array) -> Array:
-        """Return t of eq. (2), (p,), a little inside the bounds."""
-        inner = outer.copy()
-        for i, q in enumerate(self.quantities):
-            if np.isfinite(q.low) and np.isfinite(q.high):
-                share = (outer[i] - q.low) / (q.high - q.low)
-                inner[i] = np.arcsin(2.0 * np.clip(share, _INSIDE, 1.0 - _INSIDE) - 1.0)
-            elif q.bounded:
-                away = outer[i] - q.low if np.isfinite(q.low) else q.high - outer[i]
-                away = max(away, _INSIDE)
-                inner[i] = np.sqrt(away * (away + 2.0))
-        return inner
-
-    def at_bounds(self, parameters: Array) -> Findings:
-        """Name the parameters (p,) that ended at a bound."""
-        said = []
-        for name, q, value in zip(self.names, self.quantities, parameters.tolist(), strict=True):
-            reach = _INSIDE * min(q.high - q.low, max(abs(value), 1.0))
-            for word, end in (("low", q.low), ("high", q.high)):
-                if abs(value - end) <= reach:
-                    text = (
-                        f"`{name}` is at its bound, {word} = {end:g}; the best fit may lie beyond"
-                    )
-                    said.append(Finding("at-bound", "warning", text, "Widen the bound."))
-        return tuple(said)
 
     def only(self, output: str) -> "ExpressionModel":
         """Return the model of one output alone, which shares no parameter."""

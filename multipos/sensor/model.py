@@ -30,7 +30,6 @@ from numpy.typing import ArrayLike
 from multipos.errors import UsageError
 from multipos.files.records import LONGEST
 from multipos.files.spelling import Names, listed, near, split_names
-from multipos.finding import Findings
 from multipos.numerics.arrays import COMPONENTS, Array, Environment, Mask, Places
 from multipos.numerics.factors import MODULUS, Factor, function_forms
 from multipos.numerics.terms import (
@@ -44,9 +43,10 @@ from multipos.numerics.terms import (
     split_terms,
 )
 from multipos.positions.headers import axes_by_name
-from multipos.results import Result, frozen
+from multipos.results import frozen
 from multipos.sensor.gravity import GRAVITY, Field
 from multipos.sensor.model_text import StatedParameter
+from multipos.sensor.stated_parameters import StatedModel
 from multipos.units import unit_per
 
 DRIFT = "drift"  # the column and term of a session's drift
@@ -106,7 +106,7 @@ ROLL_GAUGES: tuple[RollGauge, ...] = get_args(RollGauge)
 
 
 @frozen(eq=True)
-class Model(Result):
+class Model(StatedModel):
     """The terms of each output, with the names and units of the parameters.
 
     Attributes
@@ -454,67 +454,24 @@ class Model(Result):
         return True
 
     @property
-    def apart(self) -> bool:
-        """Whether nothing but readings says anything of parameters, of each output its own."""
-        return True
-
-    @property
     def shares_parameters(self) -> bool:
         """Whether outputs have parameters in common."""
-        return False
+        return bool((self.output_of == len(self.outputs)).any())
 
     @property
     def ties_outputs(self) -> bool:
         """Whether shared parameters or priors forbid to fit output by output."""
-        return False
+        return self.shares_parameters or bool(self.beliefs.any())
 
     @property
+    def apart(self) -> bool:
+        """Whether nothing but readings says anything of parameters, of each output its own."""
+        return not (self.bounded or self.ties_outputs)
+
+    @cached_property
     def quantities(self) -> tuple[StatedParameter, ...]:
-        """What is stated of each parameter, nothing where they are coefficients of terms."""
-        return ()
-
-    @property
-    def starts(self) -> Array:
-        """Where the search for each parameter starts (p,), NaN where nothing is stated."""
-        return np.full(len(self.keys), np.nan)
-
-    @property
-    def beliefs(self) -> Array:
-        """The information of the parameters' priors (p,), 0 where there is none."""
-        return np.zeros(len(self.keys))
-
-    def belief(self, parameters: Array) -> tuple[Array, Array]:
-        """Return the excess (p,) of parameters over their priors in sd, and its slopes (p,)."""
-        return np.zeros(len(parameters)), np.zeros(len(parameters))
-
-    @property
-    def bounded(self) -> bool:
-        """Whether a parameter has bounds."""
-        return False
-
-    def within(self, parameters: Array) -> Array:
-        """Return parameters (p,) within their bounds."""
-        return parameters
-
-    def at_bounds(self, parameters: Array) -> Findings:
-        """Name the parameters (p,) that ended at a bound."""
-        return ()
-
-    def unbounded(self) -> "Model":
-        """Return the model of parameters without bounds, which `inward` and `outward` turn."""
-        return self
-
-    def inward(self, outer: Array) -> Array:
-        """Return the unbounded parameters (p,) of parameters."""
-        return outer
-
-    def outward(self, inner: Array) -> tuple[Array, Array, Array]:
-        """Return the parameters of unbounded ones, their slopes and second derivatives, (p,)."""
-        return inner, np.ones(len(inner)), np.zeros(len(inner))
-
-    def bend(self, inner: Array, gradient: Array) -> Array:
-        """Return what the curvature of bounds adds to the information of unbounded ones, (p,)."""
-        return np.zeros(len(inner))
+        """What is stated of each parameter: nothing where they are coefficients of terms."""
+        return tuple(map(StatedParameter, self.names))
 
     def second_derivatives(
         self, parameters: Array, force: Array, environment: Environment

@@ -115,10 +115,7 @@ def _sensitivity(c: Calibration, force: Array) -> tuple[Array, Array]:
 
     At forces (n, K) along the sensed axes, in the mean environment of the readings.
     """
-    environment = {
-        name: np.full(len(force), float(np.mean(c.readings.environment[name])))
-        for name in c.model.environment
-    }
+    environment = {name: np.full(len(force), mean) for name, mean in c.mean_environment.items()}
     full = np.zeros((len(force), len(COMPONENTS)))
     full[:, list(c.model.sensed_axes)] = force
     inverse, by_parameter = inverse_sensitivities(c.model, c.parameters, full, environment)

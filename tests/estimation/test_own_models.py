@@ -144,7 +144,7 @@ def written(folder, parameters, outputs):
 @pytest.mark.parametrize("bounds", ["low = 0.5, high = 2", "high = 2", "low = -1e30, high = 2"])
 def test_bounds_that_do_not_bind_change_nothing_beside_one_that_does(tmp_path, bounds):
     """Readings of a straight line: k ends at its bound 0, where eq. (2) has no slope."""
-    # eq. (2) of sensor.expressions
+    # eq. (1) of sensor.stated_parameters
     up = mp.read_scheme("all-26").up
     values = 1.001 * up + 0.005 * np.random.default_rng(7).standard_normal(up.shape)
 
@@ -252,7 +252,7 @@ def test_bounds_hold_and_are_said(tmp_path):
 
 def test_what_bounds_are_searched_as_by_hand(tmp_path):
     """k in −.01 … .03 as .01 + .02 sin t, s from .5 on as .5 − 1 + √(t² + 1)."""
-    # eq. (2) of sensor.expressions
+    # eq. (1) of sensor.stated_parameters
     stated = "k = {start = 0.01, low = -0.01, high = 0.03}\ns = {start = 1, low = 0.5}"
     model = mp.fit(readings(), model=written(tmp_path, stated, SATURATING_FILE)).model
     names = [name.partition("_")[0] for name in model.names]
