@@ -33,7 +33,7 @@ class StatedModel(Result):
     Attributes
     ----------
     inner : bool
-        Whether parameters are the t of eq. (1).
+        Whether parameters are the unbounded ones, t of eq. (1).
     """
 
     inner: bool = field(default=False, kw_only=True)
@@ -77,11 +77,11 @@ class StatedModel(Result):
         return np.clip(parameters, low, [quantity.high for quantity in self.quantities])
 
     def unbounded(self) -> Self:
-        """Return the model of the t of eq. (1)."""
+        """Return the model of parameters without bounds, which `inward` and `outward` turn."""
         return replace(self, inner=True)
 
     def outward(self, inner: Array) -> tuple[Array, Array, Array]:
-        """Return the parameters of eq. (1), their slopes and second derivatives, (p,), by t."""
+        """Return the parameters of unbounded ones, their slopes and second derivatives, (p,)."""
         outer, slope, second = inner.copy(), np.ones(len(inner)), np.zeros(len(inner))
         for i, q in enumerate(self.quantities):
             t = inner[i]
@@ -98,7 +98,7 @@ class StatedModel(Result):
         return outer, slope, second
 
     def bend(self, inner: Array, gradient: Array) -> Array:
-        """Return what the curvature of eq. (1) adds to the information of t, (p,), 0 or more.
+        """Return what the curvature of bounds adds to the information of unbounded ones, (p,).
 
         Near a bound at which the best fit lies p' is next to nothing, and −g p''/p' is all there
         is to keep a step short; `gradient` (p,) is g by t.
@@ -110,7 +110,7 @@ class StatedModel(Result):
         return np.asarray(np.fmax(0.0, added))
 
     def inward(self, outer: Array) -> Array:
-        """Return t of eq. (1), (p,), a little inside the bounds."""
+        """Return the unbounded parameters (p,) of parameters, a little inside the bounds."""
         inner = outer.copy()
         for i, q in enumerate(self.quantities):
             if np.isfinite(q.low) and np.isfinite(q.high):
