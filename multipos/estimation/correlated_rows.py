@@ -46,23 +46,35 @@ orientations leave one misfit a row, which shows ρ less: the half of the prior 
 dρ (1 − ρ)^−⅜, between flat and that of a long correlation. At 24 rows with ρ = .9 U covers 91 %
 (flat 87, the other 93), and healthy sets pay 1.25 of it (1.17, 1.29).
 
+Rows of a log that never rests (`multipos.logs.turned`; a column `turn_rate` ω says so) have errors
+that follow the motion of a hand, which no law describes. Their misfits e, along the force and over
+their u, are cut into B = 24 blocks in order. With X their design, and three columns ω² n more for
+the bias that a lever arm brings (n the slopes of e by the readings), leaving a block out moves
+the estimate by
+
+    d_b = (X'X − X_b'X_b)⁻¹ X_b'e_b,     cov = (B − 1)/B Σ_b d_b d_b',                      (6)
+
+the jackknife of blocks, with B − p − 3 degrees of freedom.
+
 Sources: D. M. Cooper, R. Thompson, Biometrika 64, 1977 (the restricted likelihood of (2));
-G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4).
+G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4); H. R. Künsch, Ann. Statist. 17,
+1989 (6).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from math import inf, log, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
-from multipos.numerics.arrays import Array, Mask, Places, count_different, row_keys
+from multipos.numerics.arrays import SMALLEST, Array, Mask, Places, count_different, row_keys
 from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
 from multipos.numerics.recursions import recur
-from multipos.positions.headers import RUN
+from multipos.positions.headers import RUN, TURN_RATE
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.results import frozen
@@ -86,6 +98,7 @@ _ROWS = 20_000  # more are taken as means of neighbours
 _FAINT = 0.2  # of ρ, below which rows are as good as independent
 _STEPS = 40  # of a search for U in logarithms
 _NEAR = 1e-9
+_BLOCKS = 24
 _COVERAGE = 0.95  # that of `posteriors`
 _ROUNDING = 1e-12  # of the largest reading, below which a residual is nothing
 
@@ -108,6 +121,8 @@ def spread_correlation(
     row, along the force. Left as they are: fits that are robust, expressions, readings whose
     covariance is given or that have other columns beside them, positions that are only uncertain.
     """
+    if TURN_RATE in readings.environment and estimator is Estimator.UNKNOWN:
+        return _never_at_rest(solution, readings)
     order = order_in_time(readings) if solution.model.has_terms else None
     asked = are_asked(solution.model, readings, solution.reference, estimator)
     if solution.robust_weight is not None or (order is None and not asked):
@@ -137,7 +152,8 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     if not model.has_terms or readings.covariance is not None:
         return False
     # what varies with a column is for the model, and its tests, to say
-    if set(readings.environment) - {_TIME, RUN, "approach"}:
+    others = set(readings.environment) - {_TIME, RUN, "approach"}
+    if others and TURN_RATE not in others:
         return False
     if estimator is Estimator.LINEAR:
         many = len(reference) >= _FEWEST
@@ -215,10 +231,41 @@ def _known_in_time(solution: Solution, readings: Readings, order: Places) -> Sol
 
 
 def _unknown(solution: Solution, readings: Readings, order: Places | None) -> Solution:
-    """Judge the misfit along the force: n'e with M'n = f, M the slopes of the outputs."""
-    n, model = len(readings), solution.model
-    degrees = float(n - len(solution.parameters))
-    force = solution.reference
+    """Judge the misfit along the force."""
+    degrees = float(len(readings) - len(solution.parameters))
+    along = _along_the_force(solution, readings)
+    if along is None or degrees < 2.0:
+        return solution
+    if (
+        order is None
+        and not _are_beyond_chance(
+            along.error[None], np.zeros(len(readings), dtype=np.intp), degrees
+        )[0]
+    ):
+        return solution
+    if order is None:
+        worth = _judge(along.design, along.error)
+    else:
+        shares = along.shares[order]
+        (worth,) = _judge_in_time([along.design[order]], [along.error[order]], shares @ shares.T)
+    return _with(solution, [(tuple(range(len(solution.model.outputs))), slice(None), worth)])
+
+
+class _Along(NamedTuple):
+    """Misfits along the force, over their standard deviations."""
+
+    error: Array  # (n,)
+    design: Array  # (n, p), its slopes by the parameters
+    slopes: Array  # (n, M), those by the readings
+    shares: Array  # (n, M), of the outputs in its noise
+
+
+def _along_the_force(solution: Solution, readings: Readings) -> _Along | None:
+    """Return the misfits n'e with M'n = f, M the slopes of the outputs; None where there is none.
+
+    Left out are residuals that are rounding, and outputs that do not respond.
+    """
+    model, force = solution.model, solution.reference
     slopes = model.force_jacobian(solution.parameters, force, readings.environment)
     # M'⁻¹ f but for its length, which a slope of nothing leaves defined
     across = cofactors_of(slopes.transpose(1, 2, 0))
@@ -226,22 +273,46 @@ def _unknown(solution: Solution, readings: Readings, order: Places | None) -> So
     whitened = normal * sd_of_rows(solution, readings)
     sd = np.sqrt(np.einsum("nm,nm->n", whitened, whitened))
     quiet = np.abs(solution.residuals).max() <= _ROUNDING * np.abs(readings.values).max()
-    if quiet or not (sd > 0.0).all() or degrees < 2.0:
-        return solution
-    error = np.sum(normal * solution.residuals, axis=1) / sd
-    if (
-        order is None
-        and not _are_beyond_chance(error[None], np.zeros(n, dtype=np.intp), degrees)[0]
-    ):
-        return solution
+    if quiet or not (sd > 0.0).all():
+        return None
     jacobian = parameter_jacobian(model, solution.parameters, force, readings.environment)
-    design = np.einsum("nm,nmp->np", normal / sd[:, None], jacobian)
-    if order is None:
-        worth = _judge(design, error)
-    else:
-        along = (whitened / sd[:, None])[order]
-        (worth,) = _judge_in_time([design[order]], [error[order]], along @ along.T)
-    return _with(solution, [(tuple(range(len(model.outputs))), slice(None), worth)])
+    normal = normal / sd[:, None]
+    return _Along(
+        error=np.sum(normal * solution.residuals, axis=1),
+        design=np.einsum("nm,nmp->np", normal, jacobian),
+        slopes=normal,
+        shares=whitened / sd[:, None],
+    )
+
+
+def _never_at_rest(solution: Solution, readings: Readings) -> Solution:
+    """Return the solution of rows that follow each other while they turn with U of eq. (6)."""
+    along = _along_the_force(solution, readings)
+    p = len(solution.parameters)
+    if along is None or len(readings) < 2 * _BLOCKS:
+        return solution
+    square = readings.environment[TURN_RATE] ** 2
+    arm = along.slopes * (square / max(float(square.max()), SMALLEST))[:, None]
+    weight = np.ones(len(readings)) if solution.robust_weight is None else solution.robust_weight
+    X = np.column_stack([along.design, arm]) * np.sqrt(weight)[:, None]
+    e = along.error * np.sqrt(weight)
+    whole = X.T @ X
+    moved = np.array(
+        [
+            np.linalg.lstsq(whole - X[b].T @ X[b], X[b].T @ e[b], rcond=None)[0][:p]
+            for b in np.array_split(np.arange(len(e)), _BLOCKS)
+        ]
+    )
+    covariance = (_BLOCKS - 1.0) / _BLOCKS * moved.T @ moved
+    ratio = np.sqrt(np.diag(covariance) / np.diag(solution.covariance))
+    dof = float(_BLOCKS - X.shape[1])
+    return replace(
+        solution,
+        covariance=covariance,
+        inflation=solution.inflation * ratio,
+        parameter_dof=np.full(p, dof),
+        dof=np.full(len(solution.dof), dof),
+    )
 
 
 def sd_of_rows(solution: Solution, readings: Readings) -> Array:

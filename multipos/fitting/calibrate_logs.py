@@ -24,9 +24,11 @@ from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import FitOptions, takes_options
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import RestOptions, average
+from multipos.logs.clock import time_columns
 from multipos.logs.faults import SaturatedRestsError
-from multipos.logs.log_columns import magnetic_outputs
+from multipos.logs.log_columns import choose_outputs, magnetic_outputs
 from multipos.logs.opening import less_copies, open_log
+from multipos.logs.rests import NoRestError
 from multipos.logs.table import Log
 from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.numerics.terms import Formula, ModelText
@@ -144,7 +146,7 @@ def _rests_or_rows(
     each = [magnetic_outputs(log, names, field, unit) for log in opened]
     first = each[0] if each else None
     if first is None or any(outputs != first for outputs in each):
-        return averaged(opened, **options)
+        return _rests_or_turned(opened, averaged, names, options)
     from multipos.logs.waved import holds_most, moves, read_rows, waved
 
     signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
@@ -157,6 +159,29 @@ def _rests_or_rows(
         if found is not None and holds_most(found, len(values)):
             return found
     return waved(opened, first, values, environment)
+
+
+def _rests_or_turned(
+    opened: Sequence[Log],
+    averaged: Callable[..., Averages],
+    names: tuple[str, ...] | None,
+    options: dict[str, Any],
+) -> "Averages | Waved":
+    """Return the means of rests, or the windows of an accelerometer that is turned all the time."""
+    try:
+        return averaged(opened, **options)
+    except NoRestError:
+        from multipos.logs.turned import turned
+
+        if len(opened) > 1:
+            raise
+        timed = filter(None, (*time_columns(opened[0]), options.get("time_column")))
+        outputs = choose_outputs(opened[0], names, [*timed]).names
+        signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
+        found = turned(opened[0], outputs, signed=signed, drop_bad=drop_bad)
+        if found is None:
+            raise
+        return found
 
 
 def _averaged(opened: Sequence[Log], *, set_aside: bool, **options: Any) -> Averages:

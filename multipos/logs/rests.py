@@ -96,6 +96,10 @@ _AHEAD = 3  # blocks beyond the last still window that may still be rest
 _QUIETEST = 0.1  # of the threshold: no output is taken to be quieter
 
 
+class NoRestError(MultiposError):
+    """Nothing in a log is at rest."""
+
+
 class Rest(NamedTuple):
     """Rows of a log in which nothing moves, `end` not included."""
 
@@ -406,7 +410,7 @@ class Survey:
             return Limits(size, np.inf, frozen)
         noise, slow = _valley(self._counts[1], 0, quietest, _BETWEEN_SLOW)
         if noise > _MOTION * half_range:
-            raise MultiposError(
+            raise NoRestError(
                 f"the log has no rest: even where it is quietest it varies by {noise:.3g} (one "
                 f"standard deviation), {100 * noise / half_range:.0f} % of what the positions "
                 "change; hold the sensor still, or give --threshold or --sections."

@@ -10,6 +10,7 @@ from multipos.errors import MultiposError
 from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import Clock, time_columns
+from multipos.logs.ellipsoids import covers, usual_turn
 from multipos.logs.faults import fault_and_way, find_saturated, find_second_unit, find_wrapped
 from multipos.logs.log_columns import choose_outputs
 from multipos.logs.rest_means import RestMean, RestSum, rest_means
@@ -17,6 +18,7 @@ from multipos.logs.rests import (
     Finder,
     Grid,
     Limits,
+    NoRestError,
     Rest,
     Sections,
     Survey,
@@ -31,6 +33,9 @@ from multipos.positions.attitudes import COLUMNS
 from multipos.positions.headers import unused_columns
 from multipos.results import frozen
 
+_POSE_DEG = 20.0  # from row to row
+_MOVED = 0.05  # of the largest reading: a sensor in one position has a smaller half range
+_TURNED = 0.05  # of the half range, that a rest does not drift by
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
 
 
@@ -143,13 +148,17 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
         found = None
         if known is None:
             assert limits is not None
+            _refuse_poses(samples)
             found = _detect(samples, grid, limits, notes)
             known = [("", rest) for rest in found.rests]
             notes += found.notes
+        rests = average_rests(samples, known, grid, survey, None if found else limits)
+        if found is not None:
+            _require_still(log.source, rests, survey)
         return StillLog(
             log=log,
             outputs=outputs.names,
-            rests=tuple(average_rests(samples, known, grid, survey, None if found else limits)),
+            rests=tuple(rests),
             short=() if found is None else tuple(map(samples.in_log, found.short)),
             shortest=grid.shortest if found is None else found.shortest,
             survey=survey,
@@ -272,7 +281,7 @@ def _limits(
                 f"multipos fit {Path(source).name}{how}."
             ) from None
         if source:
-            raise MultiposError(f"{source}: {error}{found_so_far(notes)}") from None
+            raise type(error)(f"{source}: {error}{found_so_far(notes)}") from None
         return None  # rests that are known need none; motion in them is then not looked for
 
 
@@ -302,12 +311,43 @@ def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Findin
         )
         said.append(Finding("vibration", "note", text))
     if not rests:
-        raise MultiposError(
+        raise NoRestError(
             f"{samples.log.source}: no rest of {shortest} samples in {samples.rows} rows at "
             f"threshold {limits.size:.3g}{would_take(short, shortest, samples.rate)}; hold the "
             f"sensor still, or give --sections{found_so_far([*notes, *said])}."
         )
     return _Found(rests, short, shortest, finder.frozen(), said)
+
+
+def _refuse_poses(samples: Samples) -> None:
+    """Refuse rows without time that are a position each."""
+    if samples.rate is not None or len(samples.outputs) != 3:
+        return
+    _, piece = next(samples.pieces())
+    values = piece[:3].T
+    turn = usual_turn(values) if covers(values) else 0.0
+    if turn > _POSE_DEG:
+        name = Path(samples.log.source).name
+        raise MultiposError(
+            f"{samples.log.source}: rows without time turn by {turn:.0f} degrees from one to the "
+            "next: each is a position, not a sample of a log; type multipos fit "
+            f"{name} --unknown-orientation."
+        )
+
+
+def _require_still(source: str, rests: Sequence[Still], survey: Survey) -> None:
+    """Refuse a log of which most of what moves least turns, as a rest does not."""
+    half_range = float((survey.highest - survey.lowest).max()) / 2.0
+    size = float(np.abs([survey.highest, survey.lowest]).max())
+    if len(survey.lowest) != 3 or half_range < _MOVED * size:
+        return
+    turning = [float(np.linalg.norm(each.found.drift)) > _TURNED * half_range for each in rests]
+    if sum(turning) > len(rests) / 2.0:
+        raise NoRestError(
+            f"{source}: no rest: {sum(turning)} of the {len(rests)} stretches in which the sensor "
+            f"moves least turn by more than {_TURNED:.0%} of 1 g; hold it still in each position, "
+            "or turn it slowly in all directions for a minute or more and use calibrate."
+        )
 
 
 def _adapted(samples: Samples, shortest: int) -> Finding:

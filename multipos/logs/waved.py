@@ -26,6 +26,7 @@ from multipos.files.spelling import quoted
 from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
+from multipos.logs.ellipsoids import off_the_ellipsoid
 from multipos.logs.table import Log
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Places, median
 from multipos.positions.readings import Readings
@@ -160,7 +161,7 @@ def waved(
     said = "rows are taken as they are, each a direction of its own"
     if len(rows) < len(values):
         said = f"{len(rows)} of {len(values)} rows are kept, even over directions and time"
-    findings = [Finding("waved", "note", said), *_cut_off(outputs, values)]
+    findings = [Finding("waved", "note", said), *find_cut_off(outputs, values)]
     if _LEAST * stride > len(values) > _LEAST:
         text = f"noise is correlated over {stride} rows, so that U of {len(values)} is too small"
         action = f"Record {_LEAST * stride} rows or more."
@@ -184,7 +185,7 @@ def worth_keeping(values: Array) -> tuple[Places, int]:
     n = len(values)
     if values.shape[1] != len(COMPONENTS):
         return np.linspace(0, n - 1, min(n, _KEPT)).astype(np.intp), 1
-    misfit, away = _off_the_ellipsoid(values)
+    misfit, away = off_the_ellipsoid(values)
     stride = _stride(misfit, away)
     count = min(n, _KEPT, max(n // stride, _LEAST))
     rows = ((np.arange(count) + 0.5) * n / count).astype(np.intp)
@@ -198,30 +199,6 @@ def worth_keeping(values: Array) -> tuple[Places, int]:
         even = ((np.arange(cap) + 0.5) * len(own) / cap).astype(np.intp)
         kept.append(own[even] if len(own) > cap else own)
     return rows[np.sort(np.concatenate(kept))], stride
-
-
-def _off_the_ellipsoid(values: Array) -> tuple[Array, Array]:
-    """Return the misfit (n,) of rows to the ellipsoid through them, and their directions (n, 3).
-
-    Where the readings have none, directions are those about their mean.
-    """
-    middle, scale = values.mean(axis=0), float(values.std()) or 1.0
-    y = (values - middle) / scale
-    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    design = np.column_stack([*(y[:, i] * y[:, j] for i, j in pairs), y])
-    p = np.linalg.lstsq(design, np.ones(len(y)), rcond=None)[0]
-    A = np.zeros((3, 3))
-    for (i, j), value in zip(pairs, p.tolist(), strict=False):
-        A[i, j] += 0.5 * value
-        A[j, i] += 0.5 * value
-    size, vectors = np.linalg.eigh(A)
-    if not (size > 0.0).all():
-        return np.zeros(len(y)), y
-    centre = -0.5 * np.linalg.solve(A, p[6:])
-    root = vectors * np.sqrt(size / (1.0 + centre @ A @ centre)) @ vectors.T
-    field = (y - centre) @ root
-    length = np.linalg.norm(field, axis=1)
-    return length - 1.0, field / np.where(length > 0.0, length, 1.0)[:, None]
 
 
 def _stride(misfit: Array, along: Array) -> int:
@@ -250,7 +227,7 @@ def _squares_of(along: Array) -> Places:
     return np.asarray((face * _SQUARES + cell[0]) * _SQUARES + cell[1])
 
 
-def _cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:
+def find_cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:
     """Find outputs that stay at one end of their range for several rows while others move."""
     cut = []
     for i, output in enumerate(outputs):

@@ -452,6 +452,7 @@ def unit_of_outputs(
     return asked
 
 
+TURN_RATE = "turn_rate"  # of rows of a log that never rests
 RUN = "run"  # a label of rows between a switch-on, or a mounting, and the next
 SOAKS = ("soak", RUN, "cycle", "chamber")  # beside a temperature: labels of stays at one
 

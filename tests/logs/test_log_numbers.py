@@ -25,6 +25,7 @@ from multipos.logs import (
 )
 from multipos.logs.clock import read_dates, unwrap
 from multipos.logs.common_noise import _alike, _are_usual
+from multipos.logs.ellipsoids import off_the_ellipsoid
 from multipos.logs.faults import find_stuck, find_wrapped
 from multipos.logs.log_columns import _variation
 from multipos.logs.matching import _from_lines, _match_rows
@@ -52,7 +53,7 @@ from multipos.logs.rests import (
 from multipos.logs.samples import Samples, Store, Timing, _turns, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines
-from multipos.logs.waved import _cut_off, _off_the_ellipsoid, _squares_of, worth_keeping
+from multipos.logs.waved import _squares_of, find_cut_off, worth_keeping
 
 # --- clocks and cells
 
@@ -278,7 +279,7 @@ def test_rows_off_an_ellipsoid_and_their_directions():
     C = np.diag([30.0, 40.0, 50.0]) @ (np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
     size = np.ones(400)
     size[77] = 1.02
-    misfit, away = _off_the_ellipsoid((size[:, None] * u) @ C.T + [7.0, -20.0, 11.0])
+    misfit, away = off_the_ellipsoid((size[:, None] * u) @ C.T + [7.0, -20.0, 11.0])
     assert misfit[77] == pytest.approx(0.02, abs=1e-3)
     assert np.abs(np.delete(misfit, 77)).max() < 1e-3
     assert_allclose(np.linalg.norm(away, axis=1), 1.0)
@@ -287,7 +288,7 @@ def test_rows_off_an_ellipsoid_and_their_directions():
     assert_allclose(turn @ turn.T, np.eye(3), atol=5e-3)
     t, a = rng.normal(size=(2, 30))  # of a hyperboloid there are none
     saddle = np.column_stack([np.cosh(t) * np.cos(a), np.cosh(t) * np.sin(a), np.sinh(t)])
-    assert not _off_the_ellipsoid(saddle)[0].any()
+    assert not off_the_ellipsoid(saddle)[0].any()
 
 
 def test_directions_are_counted_by_squares_of_a_cube():
@@ -325,12 +326,12 @@ def test_readings_cut_off_at_an_end(run, found):
     rng = np.random.default_rng(3)
     values = rng.uniform(-1.0, 1.0, (20, 3))
     values[6 : 6 + run, 1] = -2.0
-    said = _cut_off(("a", "b", "c"), values)
+    said = find_cut_off(("a", "b", "c"), values)
     assert bool(said) is found
     if found:
         assert said[0].text == "readings of 'b' are saturated in rows 7 to 10"
         values[6:10, 2] = 0.3  # the others did not move
-        assert not _cut_off(("a", "b", "c"), values)
+        assert not find_cut_off(("a", "b", "c"), values)
 
 
 # --- rests and positions
@@ -809,7 +810,7 @@ def test_rests_within_two_degrees_are_named(off, named):
     ("last", "cut"),
     [("5,6", True), ("5,6.5,z\n", False), ("5,6.x,z", True), ("5,6.x,z\n", False), ("5,,z", False)],
 )
-def test_a_last_row_that_is_cut_off(last, cut, tmp_path):
+def test_a_last_row_that_isfind_cut_off(last, cut, tmp_path):
     layout = SimpleNamespace(delimiter=",", width=3, numeric=(True, True, False))
     path = tmp_path / "log.csv"
     for above in ("a,b,c\n1,2,x\n", "a,b,c\n" + "1,2,x\n" * 12_000):
