@@ -444,6 +444,10 @@ OF_RESIDUALS: tuple[Callable[..., Finding | None], ...] = (
 # What a finding explains is not said beside it: rows alike because of a soak are no drift.
 _BY_ROWS = ("denied-noise", "placement", "unequal-noise")
 _EXPLAINED = {
+    "no-rests": (
+        *("time-correlated", "replaced", "drift", "slipped", "settling", "hysteresis"),
+        *("unequal-noise", "denied-noise", "outlier"),
+    ),
     "zero-per-soak": ("time-correlated",),
     "no-redundancy": ("no-dof",),
     "no-residuals": ("no-dof",),

@@ -54,7 +54,8 @@ the estimate by
 
     d_b = (X'X − X_b'X_b)⁻¹ X_b'e_b,     cov = (B − 1)/B Σ_b d_b d_b',                      (6)
 
-the jackknife of blocks, with B − p − 3 degrees of freedom.
+the jackknife of blocks, with B − p − 3 degrees of freedom. The effective number of rows is n times
+the mean ratio of the variances of independent rows to these.
 
 Sources: D. M. Cooper, R. Thompson, Biometrika 64, 1977 (the restricted likelihood of (2));
 G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4); H. R. Künsch, Ann. Statist. 17,
@@ -306,12 +307,17 @@ def _never_at_rest(solution: Solution, readings: Readings) -> Solution:
     covariance = (_BLOCKS - 1.0) / _BLOCKS * moved.T @ moved
     ratio = np.sqrt(np.diag(covariance) / np.diag(solution.covariance))
     dof = float(_BLOCKS - X.shape[1])
+    rows = len(e) * float(np.mean(1.0 / np.maximum(ratio, 1.0) ** 2))
+    components = solution.variance_components or VarianceComponents()
     return replace(
         solution,
         covariance=covariance,
         inflation=solution.inflation * ratio,
         parameter_dof=np.full(p, dof),
         dof=np.full(len(solution.dof), dof),
+        variance_components=replace(
+            components, effective_rows=dict.fromkeys(solution.model.outputs, rows)
+        ),
     )
 
 

@@ -47,6 +47,8 @@ _NEAR = 0.15
 # Earth's magnetic field, and a little beyond; other units may as well be counts.
 _EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
+_FEW = 9  # rests: as many as there are parameters
+_LITTLE = 0.2  # of the log
 _CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
 
 
@@ -168,20 +170,31 @@ def _rests_or_turned(
     options: dict[str, Any],
 ) -> "Averages | Waved":
     """Return the means of rests, or the windows of an accelerometer that is turned all the time."""
+    found, nothing = None, None
     try:
-        return averaged(opened, **options)
-    except NoRestError:
+        found = averaged(opened, **options)
+    except NoRestError as error:
+        nothing = error
+    if found is None or _hold_little(found):
         from multipos.logs.turned import turned
 
-        if len(opened) > 1:
-            raise
         timed = filter(None, (*time_columns(opened[0]), options.get("time_column")))
         outputs = choose_outputs(opened[0], names, [*timed]).names
         signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
-        found = turned(opened[0], outputs, signed=signed, drop_bad=drop_bad)
-        if found is None:
-            raise
-        return found
+        alone = len(opened) == 1
+        windows = turned(opened[0], outputs, signed=signed, drop_bad=drop_bad) if alone else None
+        if windows is not None:
+            return windows
+    if found is None:
+        assert nothing is not None
+        raise nothing
+    return found
+
+
+def _hold_little(found: Averages) -> bool:
+    """Tell whether rests are few and short, as where a sensor that is turned slows down."""
+    held = sum(rest.rows.end - rest.rows.start for rest in found.rests)
+    return len(found.rests) < _FEW and held < _LITTLE * found.rests[-1].rows.end
 
 
 def _averaged(opened: Sequence[Log], *, set_aside: bool, **options: Any) -> Averages:

@@ -34,6 +34,8 @@ from multipos.positions.headers import unused_columns
 from multipos.results import frozen
 
 _POSE_DEG = 20.0  # from row to row
+_ALL_AROUND = 0.7  # of the half range: standard deviation of all directions together
+_RESOLVED = 1e-17  # a smaller half range is none to the survey
 _MOVED = 0.05  # of the largest reading: a sensor in one position has a smaller half range
 _TURNED = 0.05  # of the half range, that a rest does not drift by
 _GAP = 3.0  # usual steps of the time: a longer one is a gap
@@ -339,15 +341,21 @@ def _require_still(source: str, rests: Sequence[Still], survey: Survey) -> None:
     """Refuse a log of which most of what moves least turns, as a rest does not."""
     half_range = float((survey.highest - survey.lowest).max()) / 2.0
     size = float(np.abs([survey.highest, survey.lowest]).max())
-    if len(survey.lowest) != 3 or half_range < _MOVED * size:
+    if len(survey.lowest) != 3 or half_range < max(_MOVED * size, _RESOLVED):
         return
-    turning = [float(np.linalg.norm(each.found.drift)) > _TURNED * half_range for each in rests]
-    if sum(turning) > len(rests) / 2.0:
+    count = sum(_turns(each.found, half_range) for each in rests)
+    if count > len(rests) / 2.0:
         raise NoRestError(
-            f"{source}: no rest: {sum(turning)} of the {len(rests)} stretches in which the sensor "
-            f"moves least turn by more than {_TURNED:.0%} of 1 g; hold it still in each position, "
-            "or turn it slowly in all directions for a minute or more and use calibrate."
+            f"{source}: no rest: {count} of the {len(rests)} stretches in which the sensor moves "
+            f"least turn by more than {_TURNED:.0%} of 1 g; hold it still in each position, or "
+            "turn it slowly in all directions for a minute or more and use calibrate."
         )
+
+
+def _turns(found: RestMean, half_range: float) -> bool:
+    """Tell whether a stretch drifts, or varies, as no rest does."""
+    drift, sd = (float(np.linalg.norm(each)) / half_range for each in (found.drift, found.sd))
+    return drift > _TURNED or sd > _ALL_AROUND
 
 
 def _adapted(samples: Samples, shortest: int) -> Finding:

@@ -35,9 +35,8 @@ P. J. Huber, Ann. Math. Statist. 35 (1964), 73–101.
 
 import numpy as np
 
-from multipos.errors import MultiposError
 from multipos.finding import Finding
-from multipos.logs.ellipsoids import angles, covers, fit_ellipsoid, usual_turn
+from multipos.logs.ellipsoids import Ellipsoid, angles, covers, fit_ellipsoid, usual_turn
 from multipos.logs.table import Log
 from multipos.logs.waved import Waved, find_cut_off, read_rows
 from multipos.numerics.arrays import Array, median
@@ -57,24 +56,19 @@ _UNKNOWNS = 12  # nine parameters and a
 def turned(
     log: Log, outputs: tuple[str, ...], *, signed: int | None = None, drop_bad: bool = False
 ) -> Waved | None:
-    """Return the windows of a log that is turned through all directions; None where it is not.
+    """Return the windows of a log that is turned through all directions, for long enough.
 
-    Raises
-    ------
-    MultiposError
-        The log is too short.
+    None where it is not. Errors are those of `read_rows`.
     """
     values, environment = read_rows([log], outputs, signed=signed, drop_bad=drop_bad)
     if not covers(values):
         return None
     h = _samples_of_a_window(values)
     middles = _middles(values, h)
-    if len(middles) < _FEWEST:
-        raise MultiposError(
-            f"{log.source}: no rest, and {len(values)} rows are {len(middles)} windows of {h} "
-            f"while it turns, of which a fit takes {_FEWEST}; turn the sensor slowly, and longer."
-        )
-    at_rest, u, rate = _without_arm(middles)
+    form = fit_ellipsoid(middles)
+    if len(middles) < _FEWEST or form is None:
+        return None
+    at_rest, u, rate = _without_arm(middles, form)
     kept = slice(None, None, -(-len(middles) // _MOST))
     warm = {name: _middles(column[:, None], h)[kept, 0] for name, column in environment.items()}
     readings = Readings(
@@ -117,11 +111,9 @@ def _middles(values: Array, h: int) -> Array:
     return np.asarray(means[1:-1] - (1.0 - 1.0 / h**2) * bend / 24.0)
 
 
-def _without_arm(middles: Array) -> tuple[Array, Array, Array]:
+def _without_arm(middles: Array, form: Ellipsoid) -> tuple[Array, Array, Array]:
     """Return readings (k, 3) without the arm, their u (k, 3), and ω (k,) [degrees a window]."""
-    values, form = middles, fit_ellipsoid(middles)
-    if form is None:
-        raise MultiposError("the readings lie on no ellipsoid; turn the sensor in all directions.")
+    values = middles
     for _ in range(_ROUNDS):
         field = form.field(values)
         length = np.linalg.norm(field, axis=1)
