@@ -446,7 +446,7 @@ _BY_ROWS = ("denied-noise", "placement", "unequal-noise")
 _EXPLAINED = {
     "no-rests": (
         *("time-correlated", "replaced", "drift", "slipped", "settling", "hysteresis"),
-        *("unequal-noise", "denied-noise", "outlier"),
+        *("unequal-noise", "denied-noise", "outlier", "scale-bias"),
     ),
     "zero-per-soak": ("time-correlated",),
     "no-redundancy": ("no-dof",),

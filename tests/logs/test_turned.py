@@ -1,0 +1,196 @@
+"""Logs of an accelerometer that is turned all the time: what is fitted of them, and its U."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+import multipos as mp
+from multipos.errors import MultiposError
+from multipos.logs.ellipsoids import covers, fit_ellipsoid, usual_turn
+from multipos.logs.turned import _middles, _samples_of_a_window, _turn_rates
+
+G = 9.80665
+RATE = 100.0
+OUTPUTS = ("ax", "ay", "az")
+
+
+def slow(rng, n, seconds):
+    """Smooth noise (n, 3) of variance one with a memory of so many seconds."""
+    keep = np.exp(-1.0 / (RATE * seconds))
+    noise = rng.standard_normal((n + 2000, 3))
+    for _ in range(2):
+        noise = lfilter([1.0 - keep], [1.0, -keep], noise, axis=0)
+    return noise[2000:] / noise[2000:].std()
+
+
+def hand_turned(rng, seconds=90.0, tremor=0.12, lever=0.05):
+    """Readings (n, 3) [g] by a hand at 10 to 60 °/s over the whole sphere, and the parameters.
+
+    A tremor of `tremor` [m/s²] at 9 Hz, 2 mg of slow motion, both growing with the turn rate; the
+    proof mass at `lever` [m] from the axes; white noise of 1.2 mg.
+    """
+    n = int(seconds * RATE)
+    far = mp.read_scheme("fibonacci-400").up
+    while True:
+        turn = slow(rng, n, 1.5) * np.exp(0.5 * slow(rng, n, 1.5)[:, [0]])
+        turn *= np.radians(rng.uniform(10.0, 60.0)) / np.sqrt((turn**2).sum(axis=1).mean())
+        steps = Rotation.from_rotvec(turn / RATE).as_matrix()
+        up = np.empty((n, 3))
+        here = directions_of(rng)
+        for i in range(n):  # as the case sees it
+            here = here @ steps[i]
+            up[i] = here
+        if (far @ up[::10].T).max(axis=1).min() > np.cos(np.radians(40.0)):
+            break
+    arm = lever * directions_of(rng)
+    moved = np.cross(turn, np.cross(turn, arm)) + np.cross(np.gradient(turn, 1 / RATE, axis=0), arm)
+    phase = 2.0 * np.pi * 9.0 * np.arange(n) / RATE
+    shaken = tremor * np.sqrt(2.0) * np.sin(phase)[:, None] * slow(rng, n, 2.0) / np.sqrt(3.0)
+    size = np.linalg.norm(turn, axis=1, keepdims=True)
+    hand = (shaken / G + 2e-3 * slow(rng, n, 0.15)) * (0.3 + 0.7 * size / size.mean())
+    M = np.tril(np.eye(3) + 0.03 * rng.standard_normal((3, 3)))
+    bias = 0.06 * rng.standard_normal(3)
+    values = bias + (up + moved / G + hand) @ M.T + 1.2e-3 * rng.standard_normal((n, 3))
+    truth = [bias[0], M[0, 0], bias[1], *M[1, :2], bias[2], *M[2]]
+    return values, np.array(truth)
+
+
+def directions_of(rng):
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+def columns(values, *, timed=True):
+    time = {"time": np.arange(len(values)) / RATE} if timed else {}
+    return time | dict(zip(OUTPUTS, values.T, strict=True))
+
+
+def by_all_samples(values):
+    """The same parameters by least squares of |f| over all samples alike (Gauss and Newton)."""
+    theta = np.array([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+
+    def misfit(p):
+        bias, M = p[[0, 2, 5]], np.array([[p[1], 0, 0], [p[3], p[4], 0], p[6:]])
+        return np.linalg.norm(np.linalg.solve(M, (values - bias).T), axis=0) - 1.0
+
+    for _ in range(12):
+        e = misfit(theta)
+        slopes = np.column_stack([(misfit(theta + d) - e) / 1e-6 for d in 1e-6 * np.eye(9)])
+        theta = theta - np.linalg.lstsq(slopes, e, rcond=None)[0]
+    return theta
+
+
+@pytest.fixture(scope="module")
+def turned():
+    return hand_turned(np.random.default_rng(2))
+
+
+def test_u_covers_and_the_error_is_below_that_of_all_samples_alike():
+    rng = np.random.default_rng(66)
+    off, others, U = [], [], []
+    for _ in range(30):
+        values, truth = hand_turned(rng)
+        cal = mp.calibrate(columns(values), unit="g")
+        assert [each.code for each in cal.findings if each.level != "note"] == ["no-rests"]
+        off.append(cal.parameters - truth)
+        others.append(by_all_samples(values) - truth)
+        U.append(cal.U)
+    covered = np.abs(off) <= U
+    # of 30 logs of nine parameters: 90 and 80 % less two standard deviations
+    assert 0.86 < covered.mean() < 0.995
+    assert covered.mean(axis=0).min() > 0.66
+    rms = [np.sqrt(np.mean(np.square(each), axis=0)) for each in (off, others)]
+    assert np.mean(rms[0] / rms[1]) < 0.7
+
+
+def test_neither_time_nor_unit_is_needed(turned):
+    values, _ = turned
+    cal = mp.calibrate(columns(values), unit="g")
+    plain = mp.calibrate(columns(G * values, timed=False), unit="m/s^2")
+    assert_allclose(plain.parameters, G * cal.parameters, rtol=1e-7)
+    assert_allclose(plain.U, G * cal.U, rtol=1e-6)
+    assert cal.dof.tolist() == [12.0] * 3  # 24 blocks, nine parameters and the arm
+    assert cal.effective_rows["ax"] < len(cal.readings)
+    (found,) = [each for each in cal.findings if each.code == "no-rests"]
+    assert "weighted by how slowly it turns; U is 19 to 79 times that of rests" in found.text
+
+
+def test_rests_that_turn_are_no_rests(turned):
+    values, _ = turned
+    with pytest.raises(MultiposError, match="no rest"):
+        mp.average(columns(values))
+    with pytest.raises(MultiposError, match="no rest"):  # of several logs each has a rest, or more
+        mp.calibrate(columns(values), columns(values[::-1]))
+    with pytest.raises(MultiposError, match="no rest"):  # 240 windows at least
+        mp.calibrate(columns(values[:400]))
+
+
+def test_a_part_of_the_sphere_does_not_do(turned):
+    values, _ = turned
+    assert covers(values)
+    assert not covers(values[values[:, 0] > 0.9])
+    assert not covers(np.random.default_rng(1).standard_normal((500, 3)))
+    assert not covers(values[:, :2])
+
+
+def test_single_poses_are_sent_to_fit(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    up = rng.standard_normal((300, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    rows = [0.04, -0.03, 0.06] + up * [1.01, 0.99, 1.02] + 2e-3 * rng.standard_normal((300, 3))
+    np.savetxt("points.csv", rows, delimiter=",")
+    line = "multipos fit points.csv --unknown-orientation"
+    for command in (mp.calibrate, mp.average):
+        with pytest.raises(MultiposError, match=f"each is a position.*type {line}"):
+            command("points.csv")
+    cal = mp.fit("points.csv", unknown_orientation=True)
+    assert_allclose(cal.parameters[[0, 2, 5]], [0.04, -0.03, 0.06], atol=1e-3)
+
+
+# --- equations by hand
+
+
+def test_an_ellipsoid_and_what_grows_with_the_square_of_the_turn_rate():
+    up = mp.read_scheme("fibonacci-400").up
+    square = np.random.default_rng(4).random(400)
+    M = np.array([[30.0, 2.0, 0.0], [0.0, 40.0, 3.0], [1.0, 0.0, 50.0]])
+    arm = np.array([0.3, -0.2, 0.5])
+    values = [7.0, -20.0, 11.0] + np.outer(square, arm) + up @ M.T
+    found = fit_ellipsoid(values, square=square)
+    found = fit_ellipsoid(values, square=square, about=found.centre)
+    assert_allclose(found.centre, [7.0, -20.0, 11.0], atol=0.01)
+    assert_allclose(found.arm, arm, atol=0.02)
+    assert_allclose(found.root @ found.root.T, np.linalg.inv(M @ M.T), rtol=2e-3)
+
+
+def test_a_window_in_its_middle_and_its_turn_rate(turned):
+    angle = 0.01 * np.arange(8000)  # per row
+    values = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    middles = _middles(values, 8)
+    middle = 0.01 * (8.0 * np.arange(1, 999) + 3.5)
+    along = np.column_stack([np.cos(middle), np.sin(middle)])
+    # terms of the fourth order in the turn of a window are left, 0.08⁴/500
+    assert_allclose(middles[:, :2], along, atol=2e-7)
+    assert_allclose(_turn_rates(middles), np.degrees(0.08), rtol=1e-3)
+    values, _ = turned
+    h = _samples_of_a_window(values)
+    rows = len(values) // (2 * h) * 2 * h
+    turn = [usual_turn(values[:rows].reshape(-1, k, 3).mean(axis=1)) for k in (h, 2 * h)]
+    assert turn[0] < 4.0 < turn[1]
+
+
+def test_u_is_that_of_leaving_blocks_out(turned):
+    values, _ = turned
+    cal = mp.calibrate(columns(values), unit="g")
+    readings = cal.readings
+    still = readings.columns() | {"turn_rate": 0.0 * readings.environment["turn_rate"]}
+    whole = mp.fit(still, unit="g", unknown_orientation=True)
+    moved = []
+    for block in np.array_split(np.arange(len(readings)), 24):
+        left = {n: np.delete(np.asarray(c, dtype=float), block) for n, c in still.items()}
+        moved.append(mp.fit(left, unit="g", unknown_orientation=True).parameters - whole.parameters)
+    by_hand = np.sqrt(23.0 / 24.0 * np.sum(np.square(moved), axis=0))
+    assert_allclose([each.u for each in whole.entries], by_hand, rtol=0.03)
