@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 import multipos as mp
+from multipos.units import STANDARD_GRAVITY
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
@@ -68,3 +71,58 @@ def write_csv(path, columns, header=True, delimiter=","):
     lines += [delimiter.join(map(repr, map(float, row))) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+_RATE = 100.0  # [Hz]
+
+
+def _slow(rng, n, seconds):
+    """Smooth noise (n, 3) of variance one with a memory of so many seconds."""
+    keep = np.exp(-1.0 / (_RATE * seconds))
+    noise = rng.standard_normal((n + 2000, 3))
+    for _ in range(2):
+        noise = lfilter([1.0 - keep], [1.0, -keep], noise, axis=0)
+    return noise[2000:] / noise[2000:].std()
+
+
+def hand_turned(rng, seconds=90.0, tremor=0.12, lever=0.05):
+    """Readings (n, 3) [g] by a hand at 10 to 60 °/s over the whole sphere, and the parameters.
+
+    A tremor of `tremor` [m/s²] at 9 Hz, 2 mg of slow motion, both growing with the turn rate; the
+    proof mass at `lever` [m] from the axes; white noise of 1.2 mg.
+    """
+    n = int(seconds * _RATE)
+    far = mp.read_scheme("fibonacci-400").up
+    while True:
+        turn = _slow(rng, n, 1.5) * np.exp(0.5 * _slow(rng, n, 1.5)[:, [0]])
+        turn *= np.radians(rng.uniform(10.0, 60.0)) / np.sqrt((turn**2).sum(axis=1).mean())
+        steps = Rotation.from_rotvec(turn / _RATE).as_matrix()
+        up = np.empty((n, 3))
+        here = _direction(rng)
+        for i in range(n):  # as the case sees it
+            here = here @ steps[i]
+            up[i] = here
+        if (far @ up[::10].T).max(axis=1).min() > np.cos(np.radians(40.0)):
+            break
+    arm = lever * _direction(rng)
+    moved = np.cross(turn, np.cross(turn, arm)) + np.cross(
+        np.gradient(turn, 1 / _RATE, axis=0), arm
+    )
+    phase = 2.0 * np.pi * 9.0 * np.arange(n) / _RATE
+    shaken = tremor * np.sqrt(2.0) * np.sin(phase)[:, None] * _slow(rng, n, 2.0) / np.sqrt(3.0)
+    size = np.linalg.norm(turn, axis=1, keepdims=True)
+    hand = (shaken / STANDARD_GRAVITY + 2e-3 * _slow(rng, n, 0.15)) * (
+        0.3 + 0.7 * size / size.mean()
+    )
+    M = np.tril(np.eye(3) + 0.03 * rng.standard_normal((3, 3)))
+    bias = 0.06 * rng.standard_normal(3)
+    values = (
+        bias + (up + moved / STANDARD_GRAVITY + hand) @ M.T + 1.2e-3 * rng.standard_normal((n, 3))
+    )
+    truth = [bias[0], M[0, 0], bias[1], *M[1, :2], bias[2], *M[2]]
+    return values, np.array(truth)
+
+
+def _direction(rng):
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)

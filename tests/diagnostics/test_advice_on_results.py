@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from log_bench import hand_turned
 from test_advice import CASES, NOISE, UP, ZERO, Data, K, error, option, sense
 
 import multipos as mp
@@ -651,6 +652,13 @@ def samples_for_means(rng):
     columns = log(rng, sample_sd=0.02)
     yield mp.apply(cal, columns, uncertainty=True)
     yield mp.apply(cal, columns, uncertainty=True, reading_sd=0.02)
+
+
+@follows("no-rests")
+def turned_all_the_time(rng):
+    values, _ = hand_turned(rng)
+    yield mp.calibrate(dict(zip(AXES, values.T, strict=True)), unit="g")
+    yield mp.calibrate(log(rng), unit="g")
 
 
 # --- magnetometers

@@ -2,68 +2,20 @@
 
 import numpy as np
 import pytest
+from log_bench import hand_turned
 from numpy.testing import assert_allclose
-from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
 import multipos as mp
 from multipos.errors import MultiposError
 from multipos.logs.ellipsoids import covers, fit_ellipsoid, usual_turn
 from multipos.logs.turned import _middles, _samples_of_a_window, _turn_rates
+from multipos.units import STANDARD_GRAVITY
 
-G = 9.80665
-RATE = 100.0
 OUTPUTS = ("ax", "ay", "az")
 
 
-def slow(rng, n, seconds):
-    """Smooth noise (n, 3) of variance one with a memory of so many seconds."""
-    keep = np.exp(-1.0 / (RATE * seconds))
-    noise = rng.standard_normal((n + 2000, 3))
-    for _ in range(2):
-        noise = lfilter([1.0 - keep], [1.0, -keep], noise, axis=0)
-    return noise[2000:] / noise[2000:].std()
-
-
-def hand_turned(rng, seconds=90.0, tremor=0.12, lever=0.05):
-    """Readings (n, 3) [g] by a hand at 10 to 60 °/s over the whole sphere, and the parameters.
-
-    A tremor of `tremor` [m/s²] at 9 Hz, 2 mg of slow motion, both growing with the turn rate; the
-    proof mass at `lever` [m] from the axes; white noise of 1.2 mg.
-    """
-    n = int(seconds * RATE)
-    far = mp.read_scheme("fibonacci-400").up
-    while True:
-        turn = slow(rng, n, 1.5) * np.exp(0.5 * slow(rng, n, 1.5)[:, [0]])
-        turn *= np.radians(rng.uniform(10.0, 60.0)) / np.sqrt((turn**2).sum(axis=1).mean())
-        steps = Rotation.from_rotvec(turn / RATE).as_matrix()
-        up = np.empty((n, 3))
-        here = directions_of(rng)
-        for i in range(n):  # as the case sees it
-            here = here @ steps[i]
-            up[i] = here
-        if (far @ up[::10].T).max(axis=1).min() > np.cos(np.radians(40.0)):
-            break
-    arm = lever * directions_of(rng)
-    moved = np.cross(turn, np.cross(turn, arm)) + np.cross(np.gradient(turn, 1 / RATE, axis=0), arm)
-    phase = 2.0 * np.pi * 9.0 * np.arange(n) / RATE
-    shaken = tremor * np.sqrt(2.0) * np.sin(phase)[:, None] * slow(rng, n, 2.0) / np.sqrt(3.0)
-    size = np.linalg.norm(turn, axis=1, keepdims=True)
-    hand = (shaken / G + 2e-3 * slow(rng, n, 0.15)) * (0.3 + 0.7 * size / size.mean())
-    M = np.tril(np.eye(3) + 0.03 * rng.standard_normal((3, 3)))
-    bias = 0.06 * rng.standard_normal(3)
-    values = bias + (up + moved / G + hand) @ M.T + 1.2e-3 * rng.standard_normal((n, 3))
-    truth = [bias[0], M[0, 0], bias[1], *M[1, :2], bias[2], *M[2]]
-    return values, np.array(truth)
-
-
-def directions_of(rng):
-    vector = rng.standard_normal(3)
-    return vector / np.linalg.norm(vector)
-
-
 def columns(values, *, timed=True):
-    time = {"time": np.arange(len(values)) / RATE} if timed else {}
+    time = {"time": np.arange(len(values)) / 100.0} if timed else {}
     return time | dict(zip(OUTPUTS, values.T, strict=True))
 
 
@@ -108,9 +60,9 @@ def test_u_covers_and_the_error_is_below_that_of_all_samples_alike():
 def test_neither_time_nor_unit_is_needed(turned):
     values, _ = turned
     cal = mp.calibrate(columns(values), unit="g")
-    plain = mp.calibrate(columns(G * values, timed=False), unit="m/s^2")
-    assert_allclose(plain.parameters, G * cal.parameters, rtol=1e-7)
-    assert_allclose(plain.U, G * cal.U, rtol=1e-6)
+    plain = mp.calibrate(columns(STANDARD_GRAVITY * values, timed=False), unit="m/s^2")
+    assert_allclose(plain.parameters, STANDARD_GRAVITY * cal.parameters, rtol=1e-7)
+    assert_allclose(plain.U, STANDARD_GRAVITY * cal.U, rtol=1e-6)
     assert cal.dof.tolist() == [12.0] * 3  # 24 blocks, nine parameters and the arm
     assert cal.effective_rows["ax"] < len(cal.readings)
     (found,) = [each for each in cal.findings if each.code == "no-rests"]
