@@ -33,6 +33,7 @@ from multipos import __version__
 from multipos.exports.c_body import environment_range, written_factors
 from multipos.exports.c_text import Real, Statement, function
 from multipos.exports.parts import Correction
+from multipos.exports.target import Wish
 from multipos.exports.target_c import c_source, comment
 from multipos.files.numbers import number
 from multipos.numerics.arrays import LARGEST
@@ -92,7 +93,9 @@ def declarations(c: Correction, name: str, *, single: bool) -> tuple[str, str, s
 
 def correction_source(c: Correction, name: str, *, single: bool) -> str:
     """Return the C99 file, with the calibration's function in front where there is one."""
-    before = "" if c.calibration is None else c_source(c.calibration, name, single=single) + "\n"
+    before = ""
+    if c.calibration is not None:
+        before = c_source(c.calibration, Wish(name, single)) + "\n"
     state, start, correct = declarations(c, name, single=single)
     begin = function(start, [f"*state = ({name}_state){{0}};"])
     body = function(correct, _Writer(c, name, single).statements())

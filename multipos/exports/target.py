@@ -44,8 +44,8 @@ class Wish(NamedTuple):
     """
 
     name: str
-    single: bool
-    allow_lossy: bool
+    single: bool = False
+    allow_lossy: bool = False
     instance: int | None = None
     device_id: int | None = None
     in_metres: bool = False

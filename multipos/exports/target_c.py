@@ -172,23 +172,17 @@ def require_identifier(name: str) -> None:
         raise UsageError(f"--name '{name}' is no C identifier; use letters, digits and _.")
 
 
-def c_source(
-    calibration: Calibration,
-    name: str,
-    *,
-    single: bool,
-    in_metres: bool = False,
-    tilt: bool = False,
-) -> str:
+def c_source(calibration: Calibration, wish: Wish) -> str:
     """Return the C99 file of a calibration, its force in g or in m/s², and its tilt.
 
     Raises
     ------
     UsageError
-        `name` is no C identifier.
+        The name is no C identifier.
     MultiposError
         The steps would not converge, or a coefficient is beyond the precision.
     """
+    name, single, in_metres, tilt = wish.name, wish.single, wish.in_metres, wish.tilt
     require_identifier(name)
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
@@ -240,28 +234,22 @@ def signature(calibration: Calibration, name: str, single: bool) -> str:
     return of_field(declaration(calibration, f"{name}_compensate", "accel", single), calibration)
 
 
-def c_test(
-    calibration: Calibration,
-    name: str,
-    *,
-    single: bool,
-    in_metres: bool = False,
-    tilt: bool = False,
-) -> str:
+def c_test(calibration: Calibration, wish: Wish) -> str:
     """Return a C99 program that checks the function against values from Python."""
+    name, single = wish.name, wish.single
     real, field = Real(single), calibration.field
     raw, env, force = _vectors(calibration, single)
     tolerance, unit = "5e-7f" if single else "1e-9", field.unit
     if unit != "g":
         size = float(f"{field.magnitude:.0e}")
         tolerance = real.number((5e-7 if single else 1e-9) * size)
-    if in_metres:
+    if wish.in_metres:
         force = force * STANDARD_GRAVITY
         tolerance, unit = "5e-6f" if single else "1e-8", "m/s^2"
     arrays = [("raw", raw), *([("env", env)] if env.shape[1] else []), ("expected", force)]
     words = {"name": name, "kind": real.kind, "call": ", ".join(f"{k}[i]" for k, _ in arrays[:-1])}
     declared, checked, library = f"{signature(calibration, name, single)};", "", ""
-    if tilt:
+    if wish.tilt:
         arrays.append(("angle", _angles(calibration, raw, env)))
         declared += f"\n{tilt_signature(calibration, name, single)};"
         checked, library = _tilt_check(real, words), "#include <math.h>\n"
@@ -415,9 +403,7 @@ def _write(calibration: Calibration, wish: Wish) -> Exported:
         test = of_field(c_fixed.fixed_test(fixed, wish.name), calibration)
         text, unit = fixed_source(fixed, wish.name), calibration.field.unit
         return Exported(C.name, text, test, difference=fixed.error, unit=unit)
-    form = {"single": wish.single, "in_metres": wish.in_metres, "tilt": wish.tilt}
-    text = c_source(calibration, wish.name, **form)
-    return Exported(C.name, text, c_test(calibration, wish.name, **form))
+    return Exported(C.name, c_source(calibration, wish), c_test(calibration, wish))
 
 
 C = Target(

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.exports import c_expression
+from multipos.exports.target import Wish
 from multipos.exports.target_c import c_source
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.formulas import UNARY
@@ -52,7 +53,7 @@ def slightly():
 def test_c_does_what_python_does(make, how, single, tmp_path):
     # eq. (1) of exports.c_expression
     cal = make()
-    assert how in c_source(cal, "m", single=single)
+    assert how in c_source(cal, Wish("m", single))
     mp.export(cal, "c", float=single).save(tmp_path / "m.c")
     found = read_back(tmp_path / "m.c", cal)
     # the last step of Newton's is below a tolerance; single precision rounds at 6e-8
@@ -71,7 +72,7 @@ def test_a_model_that_turns_back_is_not_exported():
         mp.Readings(noisy(own - 0.3 * own**3), up=UP), model="each = b + s*own + k*own^3", axes="x"
     )
     with pytest.raises(mp.MultiposError, match="turn back"):
-        c_source(cal, "m", single=False)
+        c_source(cal, Wish("m"))
 
 
 def test_a_target_of_numbers_alone_says_what_a_formula_loses():
