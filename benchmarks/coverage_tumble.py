@@ -65,7 +65,7 @@ def one(steps: int, sd: np.ndarray, ways: Sequence[str], rng: np.random.Generato
         drawn = [sd * rng.standard_normal(8) for _ in rolls]
         table = readings(rolls, drawn, steps, rng)
         del table["head_deg"]
-        for tumble in mp.tumble(table).outputs.values():
+        for tumble in mp.tumble(table, model="ieee-odd").outputs.values():
             yield "plain", fitted_coefficients(tumble.calibration, tumble.calibration.model.axes[0])
             yield "given", tumble.coefficients
         if "stated" in ways:
@@ -80,14 +80,15 @@ def one(steps: int, sd: np.ndarray, ways: Sequence[str], rng: np.random.Generato
                 level_sd_deg=level,
                 wobble_sd_deg=wobble,
             )
-            for tumble in mp.tumble(known).outputs.values():
+            for tumble in mp.tumble(known, model="ieee-odd").outputs.values():
                 yield "stated", tumble.coefficients
     if "head" in ways:
         rolls = [*rolls, ("z", -1.0)]
         drawn = [sd * rng.standard_normal(8) for _ in rolls]
         for each in drawn:
             each[1:5] = drawn[0][1:5]  # one circle
-        for tumble in mp.tumble(readings(rolls, drawn, steps, rng)).outputs.values():
+        table = readings(rolls, drawn, steps, rng)
+        for tumble in mp.tumble(table, model="ieee-odd").outputs.values():
             yield "head", tumble.coefficients
 
 

@@ -642,13 +642,16 @@ def tumbles():
         up = at(name)
         E = 0.01 + 1.3 * up[:, 0] + 1e-3 * up[:, 1] + 1e-4 * up[:, 0] ** 2 - 4e-5 * up[:, 0] ** 3
         E = E + 1e-5 * noise(41, len(up))
-        found = mp.tumble({"E": E}, scheme=name, unit="V")
+        two = "z + " if "+" in name else ""
+        model = f"1 + x + y + {two}x^2 + x^3 + x*y + x*|x|"  # with Koq
+        found = mp.tumble({"E": E}, scheme=name, unit="V", model=model)
         yield name, found
         yield f"{name} harmonics", {"by order": found.to_dict()["harmonics"]}
-        yield f"{name} stated", mp.tumble({"E": E}, scheme=name, unit="V", reading_sd=1e-5)
+        stated = mp.tumble({"E": E}, scheme=name, unit="V", reading_sd=1e-5, model=model)
+        yield f"{name} stated", stated
     name = "roll-z-12+roll-y-12+roll-x-12"
     values = table(None, sensed(at(name), sd=1e-5))
-    yield "triad", mp.tumble(values, scheme=name)
+    yield "triad", mp.tumble(values, scheme=name, model="ieee-odd")
     first = mp.fit(values, scheme=name)
     bench = {"reading_sd": 1e-5, "first_sd_deg": 1e-3, "level_sd_deg": 1e-3}
     stated = mp.state_bench(first, **bench)
@@ -667,10 +670,10 @@ def tumbles():
             ).covariance
         },
     )
-    yield "triad on a bench", mp.tumble(stated)
+    yield "triad on a bench", mp.tumble(stated, model="ieee-odd")
     yield "table errors", mp.table_errors(first)
     head = np.tile(30.0 * np.arange(12), 3)
-    yield "head", mp.tumble(values | {"head_deg": head}, scheme=name)
+    yield "head", mp.tumble(values | {"head_deg": head}, scheme=name, model="ieee-odd")
 
 
 @case(ITERATED)

@@ -38,6 +38,9 @@ def output(a, truth=TRUTH):
     )
 
 
+ONE_PLANE = "1 + x + y + x^2 + x^3 + x*y + x*|x|"  # what one roll shows, with Koq
+
+
 def tumble(name, sd=0.0, seed=0, truth=TRUTH, **options):
     scheme = read_scheme(name)
     noise = sd * np.random.default_rng(seed).standard_normal(len(scheme))

@@ -62,6 +62,7 @@ DEFAULT = tuple(COEFFICIENTS)[:9]  # the nine of eq. (1), in the order they are 
 _MILLION = 1e6
 _WEAK = 5.0  # u of one grows so much by the other being fitted as well
 _FAINT = 10.0  # times by which others may enlarge the u of a coefficient on part of a turn
+_ODD = 2.0  # times by which Koq, which few sensors have, may enlarge the u of K3
 
 
 @frozen
@@ -107,13 +108,14 @@ def formula_of(names: Sequence[str], axis: str) -> str:
 
 
 def kept_coefficients(
-    data: Readings, axis: str, sign: float, *, limited: bool
+    data: Readings, axis: str, sign: float, *, limited: bool, chosen: bool = False
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the coefficients that the points can tell, and in words what they cannot.
 
     `limited` says that the points are on part of a turn: there a coefficient beyond K0 and K1 is
     left out too whose u the others would make ten times as large, as the cosine of small angles is
-    nearly a constant.
+    nearly a constant. Koq is left out where it enlarges the u of K3 by more than two, unless the
+    model was `chosen`, or forces beyond gravity tell it.
     """
     force = applied_forces(data, sign)
     every = tuple(COEFFICIENTS)
@@ -134,6 +136,13 @@ def kept_coefficients(
                 f"`{name}` hides behind the others on this part of a turn, which would make its u "
                 f"{loss:.2g} times as large; it is taken as zero"
             )
+    odd = None if chosen or data.forced.any() else _odd_loss(design, kept)
+    if odd is not None:
+        kept.remove(DEFAULT.index("Koq"))
+        faint.append(
+            f"`Koq` would make the u of K3 {odd:.2g} times as large; it is taken as zero, which U "
+            "leaves out (estimate it with --model ieee-odd)"
+        )
     found = separability(design, least_norm=ZERO_NORM)
     said = name_combinations(found.null, every, rows="points")
     if kept[:2] != [0, 1]:
@@ -147,6 +156,16 @@ def kept_coefficients(
         )
     said = (*_with_squares(said, found.null, every), *faint)
     return tuple(every[column] for column in kept), said
+
+
+def _odd_loss(design: Array, kept: Sequence[int]) -> float | None:
+    """Return how many times Koq enlarges the u of K3, where that is too much."""
+    K3, Koq = DEFAULT.index("K3"), DEFAULT.index("Koq")
+    if K3 not in kept or Koq not in kept:
+        return None
+    others = [column for column in kept if column not in (K3, Koq)]
+    with_it, without = (_loss(design[:, of], design[:, K3]) for of in ([*others, Koq], others))
+    return with_it / without if with_it > _ODD * without else None
 
 
 def _loss(others: Array, column: Array) -> float:

@@ -116,7 +116,7 @@ class Tumble(Result, Drawn, Tabular):
     >>> readings = {"roll_axis": ["z"] * 12, "angle_deg": angle, "volt": volt}
     >>> found = mp.tumble(readings, unit="V")
     >>> list(found.coefficients)
-    ['K0', 'K1', 'delta_o', 'K2', 'K3', 'Kip', 'Koq']
+    ['K0', 'K1', 'delta_o', 'K2', 'K3', 'Kip']
     >>> print(f"{found.harmonics[1].order}: {found.harmonics[1].amplitude:.3f} V")
     1: 2.500 V
     """
@@ -195,7 +195,9 @@ def tumble_output(
     rolls = find_rolls(data, axis, sign)
     limited = _on_part_of_a_turn(data, rolls)
     repeated = [*limited, *_find_repeats(rolls)]
-    names, unidentifiable = kept_coefficients(data, axis, sign, limited=bool(limited))
+    names, unidentifiable = kept_coefficients(
+        data, axis, sign, limited=bool(limited), chosen=model is not None
+    )
     calibration = fit(
         data,
         model=model or Formula(formula_of(names, axis)),
@@ -437,8 +439,8 @@ def tumble(
     field_size_u, range, confidence
         As in `multipos.fit`.
     model : str, optional
-        Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate; a
-        model given is taken as it is.
+        Eq. (1) of `multipos.verification.coefficients` less what the points cannot separate, and
+        less Koq where it makes u of K3 more than twice as large; a model given is taken as it is.
 
     Returns
     -------
@@ -465,7 +467,7 @@ def tumble(
     >>> found = mp.tumble(readings, unit="V")
     >>> K0 = found.coefficients["K0"]
     >>> print(f"K0 {1e3 * K0.value:.3f} mg, U {1e3 * K0.U:.3f} mg")
-    K0 4.806 mg, U 0.001 mg
+    K0 4.807 mg, U 0.001 mg
     """
     data = orient(read_readings(readings, outputs=outputs, unit=unit), scheme)
     refuse_open_rolls(data)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from findings_bench import texts
 from numpy.testing import assert_allclose
-from tumble_bench import TRUTH, output, tumble
+from tumble_bench import ONE_PLANE, TRUTH, output, tumble
 
 import multipos as mp
 from multipos import cli
@@ -34,7 +34,9 @@ def test_two_planes_of_24_return_all_nine_terms(axis):
     roles = [i, (i + 1) % 3, (i + 2) % 3]  # i, p, o, cyclic
     rolls = {"x": "roll-z-24+roll-y-24", "y": "roll-x-24+roll-z-24", "z": "roll-x-24+roll-y-24"}
     scheme = read_scheme(rolls[axis])
-    found = mp.tumble({"E": output(scheme.up[:, roles])}, scheme=rolls[axis], axes=axis)
+    found = mp.tumble(
+        {"E": output(scheme.up[:, roles])}, scheme=rolls[axis], axes=axis, model="ieee-odd"
+    )
     assert set(found.coefficients) == set(TRUTH)
     for name, value in TRUTH.items():
         assert_allclose(found[name].value, value, rtol=0, atol=1e-9, err_msg=name)
@@ -75,7 +77,8 @@ def test_harmonics_at_n_points_are_the_transform_of_the_sampled_terms(points):
 def test_uncertainty_of_a_harmonic_by_hand():
     # N even points: the mean of N, and 2/N sum y cos ht, whose squared cosines sum to N/2
     sd = 3e-4
-    found = tumble("tumble-12+tumble-12", reading_sd=sd, sd=sd)  # two readings at each point
+    name = "tumble-12+tumble-12"  # two readings at each point
+    found = tumble(name, reading_sd=sd, sd=sd, model=ONE_PLANE)
     by_order = {h.order: h for h in found.harmonics}
     # beside the claim, which is right, the residuals show little more
     assert by_order[0].u_cos == pytest.approx(sd / math.sqrt(24), rel=0.05)
@@ -85,7 +88,9 @@ def test_uncertainty_of_a_harmonic_by_hand():
     # sin 6t is zero at all of them, and cos 6t is ±1
     assert by_order[6].u_cos == pytest.approx(sd / math.sqrt(24))
     assert by_order[6].u_sin == by_order[6].sin == 0.0
-    assert tumble("tumble-12").harmonics[1].u_cos is None  # nothing but rounding is left
+    assert (
+        tumble("tumble-12", model=ONE_PLANE).harmonics[1].u_cos is None
+    )  # nothing but rounding is left
 
 
 def test_harmonics_are_printed_to_the_digits_of_their_u():
@@ -93,7 +98,8 @@ def test_harmonics_are_printed_to_the_digits_of_their_u():
         lines = (line.split() for line in tumble_text(found).splitlines())
         return next(cells[2] for cells in lines if cells[:2] == ["xy", "0"])
 
-    noisy, exact = tumble("tumble-12", sd=1e-4, seed=3), tumble("tumble-12")
+    noisy = tumble("tumble-12", sd=1e-4, seed=3, model=ONE_PLANE)
+    exact = tumble("tumble-12", model=ONE_PLANE)
     assert mean_of(noisy) == "0.002655(41)"
     assert mean_of(exact) == f"{exact.harmonics[0].cos:.6g}"
 
@@ -156,7 +162,9 @@ def test_fourier_view_is_not_claimed_for_uneven_points():
     t = np.radians([0.0, 40.0, 95.0, 130.0, 180.0, 220.0, 265.0, 310.0, 335.0, 350.0])
     up = np.column_stack([np.cos(t), np.sin(t), 0 * t])
     found = mp.tumble(
-        {"up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2], "E": output(up)}, outputs="E"
+        {"up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2], "E": output(up)},
+        outputs="E",
+        model=ONE_PLANE,
     )
     assert found.fourier_max_difference is None
     assert_allclose(found["K3"].value, TRUTH["K3"], rtol=0, atol=1e-9)
@@ -186,7 +194,11 @@ def test_what_n_points_cannot_see_is_said(name, absent, said):
 
 
 def test_twelve_points_tell_k3_from_koq_weakly():
-    found = tumble("tumble-12", sd=1e-6)
+    default = tumble("tumble-12", sd=1e-6)
+    assert default.taken_as_zero == ("delta_p", "Kio", "Koq")
+    assert any("`Koq` would make the u of K3 10 times" in line for line in default.unidentifiable)
+    found = tumble("tumble-12", sd=1e-6, model=ONE_PLANE)
+    assert found["K3"].u > 2.0 * default["K3"].u
     assert {"K3", "Koq"} <= set(found.coefficients)
     assert any("`K3` and `Koq` are poorly separated" in line for line in found.weak)
     # by hand: the correlation of the two in (X'X)^-1 at 12 points is -0.99522
@@ -203,7 +215,7 @@ def test_difference_of_the_cross_squares_is_seen_in_two_planes():
 
 
 def test_gravity_convention_turns_the_odd_terms():
-    found = tumble("roll-z-24+roll-y-24", convention="gravity")
+    found = tumble("roll-z-24+roll-y-24", convention="gravity", model="ieee-odd")
     assert_allclose(found["K1"].value, -TRUTH["K1"], rtol=1e-12)
     assert_allclose(found["K0"].value, -TRUTH["K0"], rtol=1e-9)
     assert_allclose(found["delta_o"].value, TRUTH["delta_o"], rtol=1e-9)
@@ -277,6 +289,7 @@ def test_json_of_the_interface(tmp_path, capsys):
     path = tmp_path / "readings.csv"
     path.write_text("E\n" + "\n".join(map(repr, output(scheme.up).tolist())) + "\n")
     arguments = ["tumble", str(path), "--scheme", "roll-z-24+roll-y-24", "--json"]
+    arguments += ["--model", "ieee-odd"]
     assert cli.main(arguments) == 0
     found = json.loads(capsys.readouterr().out)
     for name, value in TRUTH.items():
