@@ -52,7 +52,7 @@ _CURVED = 4  # soaks, from which on a curve and zeros of their own are separate
 def zero_per_soak(c: Calibration) -> Finding | None:
     """Find a zero that differs from soak to soak, by eq. (2)."""
     found = judge_soaks(c)
-    if found is None or not found[0].is_below(_LEVEL):
+    if found is None or not found[0].p < _LEVEL:
         return None
     test, sizes = found
     listed = ", ".join(

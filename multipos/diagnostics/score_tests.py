@@ -162,7 +162,7 @@ def significant(tests: Sequence[ModelTest]) -> tuple[ModelTest, ...]:
     if not tests:
         return ()
     level = 1.0 - (1.0 - LEVEL) ** (1.0 / len(tests))
-    return tuple(sorted((t for t in tests if t.is_below(level)), key=lambda t: (t.p, -t.gain)))
+    return tuple(sorted((t for t in tests if t.p < level), key=lambda t: (t.p, -t.gain)))
 
 
 def _at_known(c: Calibration, kinds: _Kinds, added: tuple[str, ...]) -> Tested:

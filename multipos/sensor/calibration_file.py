@@ -100,7 +100,8 @@ def _calibration(
         readings=_readings(readings, values["reference"], values["convention"], made),
         **values,
     )
-    _check_shapes(c)
+    for key, value, shape in _lists(c):
+        _require_shape(key, value, shape)
     _check_consistency(c, u)
     return c
 
@@ -141,12 +142,6 @@ def _readings(said: Mapping[str, Any], reference: Array, convention: str, model:
 def _require_shape(key: str, value: Array, shape: tuple[int, ...]) -> None:
     if value.shape != shape:
         raise ValueError(f"'{key}' has shape {value.shape}, but {shape} fits its others")
-
-
-def _check_shapes(c: Calibration) -> None:
-    """Hold the lists of a file to the numbers of its readings, outputs and parameters."""
-    for key, value, shape in _lists(c):
-        _require_shape(key, value, shape)
 
 
 def _lists(c: Calibration) -> Iterator[tuple[str, Array, tuple[int, ...]]]:

@@ -267,17 +267,9 @@ def _expression(formula: OutputFormula, arguments: tuple[Any, Any, Any]) -> Any:
     stack: list[Any] = []
     for step in formula.steps:
         if isinstance(step, tuple):
-            operation, count = step
-            stack[-count:] = [_apply(operation, stack[-count:])]
+            name, count = step
+            build = casadi.SX.unary if count == 1 else casadi.SX.binary
+            stack[-count:] = [build(getattr(casadi, f"OP_{name.upper()}"), *stack[-count:])]
         else:
             stack.append(casadi.SX(values[step] if isinstance(step, str) else step))
     return stack.pop()
-
-
-def _apply(operation: str, operands: list[Any]) -> Any:
-    """Return an operation by its CasADi name of one or two expressions."""
-    import casadi
-
-    code = getattr(casadi, f"OP_{operation.upper()}")
-    build = casadi.SX.unary if len(operands) == 1 else casadi.SX.binary
-    return build(code, *operands)

@@ -236,13 +236,3 @@ class ExpressionModel(Model):
         raise UsageError(
             "--drift adds a term `drift` to a formula; write it into a user-defined model."
         )
-
-    def index(self, output: str, term: "str | Term") -> int:
-        """Return the place of a parameter by output and name."""
-        known = [(name, str(own)) for name, own in self.keys]
-        if (output, str(term)) not in known:
-            raise KeyError(
-                f"no parameter ({output!r}, {str(term)!r}); the model has "
-                + ", ".join(f"({o!r}, {t!r})" for o, t in known)
-            )
-        return known.index((output, str(term)))

@@ -129,18 +129,6 @@ class ModelTest(Result):
         pairs = zip(self.ratios, self.dofs, strict=True)
         return sum((q + nu) * math.log1p(q * f / nu) - 2.0 * q for f, (q, nu) in pairs)
 
-    def is_below(self, level: float) -> bool:
-        """Tell whether p is below a level; most often without working it out."""
-        count = len(self.ratios)
-        # X beyond its quantile needs one P at most as large as if all were equal.
-        enough = level
-        if count > 1:
-            enough = math.exp(-0.5 * quantiles.chi2_quantile(1.0 - level, 2.0 * count) / count)
-        pairs = zip(self.ratios, self.dofs, strict=True)
-        return (
-            any(f > quantiles.f_quantile(1.0 - enough, *dof) for f, dof in pairs) and self.p < level
-        )
-
     @property
     def by_output(self) -> dict[str, dict[str, Any]]:
         """The F and dof of each output that is tested by itself."""
