@@ -115,7 +115,7 @@ def kept_coefficients(
     `limited` says that the points are on part of a turn: there a coefficient beyond K0 and K1 is
     left out too whose u the others would make ten times as large, as the cosine of small angles is
     nearly a constant. Koq is left out where it enlarges the u of K3 by more than two, unless the
-    model was `chosen`, or forces beyond gravity tell it.
+    model was `chosen`, or known forces separate the two.
     """
     force = applied_forces(data, sign)
     every = tuple(COEFFICIENTS)
