@@ -336,13 +336,13 @@ def find_soaks(temperature: Array) -> Places | None:
         return _enough(runs)
     order = np.argsort(temperature, kind="stable")
     level = np.empty(len(order), dtype=np.intp)
-    level[order] = np.concatenate([[0], np.cumsum(np.diff(temperature[order]) > _SOAK)])
+    level[order] = _soaks_in_order(temperature[order])
     return _enough(level)
 
 
 def _soaks_in_order(temperature: Array) -> Places:
-    changes = np.cumsum(np.abs(np.diff(temperature)) > _SOAK)
-    return np.concatenate([[0], changes]).astype(np.intp)
+    changes = np.abs(np.diff(temperature, prepend=temperature[:1])) > _SOAK
+    return np.cumsum(changes, dtype=np.intp)
 
 
 def _enough(soak: Places) -> Places | None:
