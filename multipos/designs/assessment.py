@@ -13,7 +13,7 @@ With the information M per position of `multipos.designs.information`, of n posi
 on the whole sphere (`multipos.designs.optimum`), per position, so that n does not count:
 
     D   (det M / det M*)^(1/p),        A   tr M*⁻¹ / tr M⁻¹,        I   the same with B,
-    G   p / max_u p s(u),
+    G   p / max_u p s(u),        E   λ_min M / λ_min M*, of all outputs together,
 
 and a scheme that needs 1/efficiency times as many positions tells as much. What a scheme cannot
 see of the terms that a model lacks is for `multipos.designs.aliases`.
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from multipos.designs.aliases import UNSEEN, find_aliases, in_parameters, say_hidden
-from multipos.designs.criteria import make_criterion, objective
+from multipos.designs.criteria import least_eigenvalue, make_criterion, objective
 from multipos.designs.information import (
     Blocks,
     Setting,
@@ -42,6 +42,7 @@ from multipos.designs.information import (
     require_values,
 )
 from multipos.designs.optimum import ContinuousOptimum, largest_sensitivity, optimise_sphere
+from multipos.errors import MultiposError
 from multipos.estimation.known import ZERO_NORM
 from multipos.files.numbers import number, table
 from multipos.files.spelling import Names, StrPath, split_names, spread
@@ -82,7 +83,9 @@ class Assessment(Keyed):
     rank, parameters : int
     dof : mapping of output to int
         Degrees of freedom left for checking the model; 'all' for unknown orientation.
-    log_det, d_efficiency, a_efficiency, g_efficiency, i_efficiency, condition : float or None
+    log_det, d_efficiency, a_efficiency, e_efficiency, g_efficiency, i_efficiency : float or None
+    condition : float or None
+        Of the rows, their columns at length 1.
     u : mapping of 'output:term' to float, or None
         Standard uncertainty of each parameter, eq. (1).
     aliases : tuple of mappings, or None
@@ -105,6 +108,7 @@ class Assessment(Keyed):
     log_det: float | None = None
     d_efficiency: float | None = None
     a_efficiency: float | None = None
+    e_efficiency: float | None = None
     g_efficiency: float | None = None
     i_efficiency: float | None = None
     condition: float | None = None
@@ -154,6 +158,7 @@ _SINGLE = (
     "log_det",
     "d_efficiency",
     "a_efficiency",
+    "e_efficiency",
     "g_efficiency",
     "i_efficiency",
     "condition",
@@ -276,7 +281,7 @@ class Assessor:
         self._optima: dict[str, ContinuousOptimum] = {}
 
     def optimum(self, name: str) -> ContinuousOptimum:
-        """Return the best that positions can do on the sphere, by criterion D, A or I."""
+        """Return the best that positions can do on the sphere, by criterion D, A, E or I."""
         if name not in self._optima:
             criterion = make_criterion(name, self.setting)
             self._optima[name] = optimise_sphere(self.setting, criterion)
@@ -330,6 +335,7 @@ class Assessor:
             log_det=log_det(information),
             d_efficiency=self._efficiency(information, "D"),
             a_efficiency=self._efficiency(information, "A"),
+            e_efficiency=self._efficiency_of_least(information),
             g_efficiency=min(1.0, 1.0 / largest_sensitivity(self.setting, information)),
             i_efficiency=self._efficiency(information, "I"),
             condition=condition,
@@ -343,11 +349,19 @@ class Assessor:
         # the optimum is known to its gap only
         return min(1.0, math.exp(value - self.optimum(name).value))
 
+    def _efficiency_of_least(self, information: Blocks) -> float | None:
+        try:
+            best = self.optimum("E")
+        except MultiposError:  # of parameters whose units are far apart one alone counts
+            return None
+        reached = inform(self.setting.rows(best.up), best.weights)
+        return min(1.0, least_eigenvalue(information) / least_eigenvalue(reached))
+
 
 def schemes_text(found: Schemes) -> str:
     """Return `schemes` as text: one table, and of a single scheme its u and what it hides."""
     note = (
-        f"orientations {found.orientation}; D, A, G and I are efficiencies per position, "
+        f"orientations {found.orientation}; D, A, E, G and I are efficiencies per position, "
         "against the best on the sphere; drift is what of a linear one the model absorbs"
     )
     parts = [f"model {found.model}", table(*scheme_rows(found.schemes)), note]
@@ -395,17 +409,18 @@ def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str
         "identifiable",
         "D",
         "A",
+        "E",
         "G",
         "I",
         "log det",
-        "condition",
+        "condition (scaled columns)",
         "drift",
         "largest u",
         "dof left",
     ]
     rows = []
     for entry in entries:
-        shares = [getattr(entry, f"{each}_efficiency") for each in "dagi"]
+        shares = [getattr(entry, f"{each}_efficiency") for each in "daegi"]
         rows.append(
             [
                 entry.name or "",
@@ -461,10 +476,12 @@ def schemes_sentence(found: Schemes) -> str:
     assessed = [entry for entry in found.schemes if entry.identifiable]
     if not assessed:
         return f"None of {len(found.schemes)} schemes determines the model {found.model}."
-    best = max(assessed, key=lambda entry: entry.d_efficiency or 0.0)
-    good = f"{100.0 * (best.d_efficiency or 0.0):.1f} % of the best D efficiency per position"
+    best = max(entry.d_efficiency or 0.0 for entry in assessed)
+    tied = [entry for entry in assessed if (entry.d_efficiency or 0.0) > best - 1e-9]
+    good = f"{100.0 * best:.1f} % of the best D efficiency per position"
     if len(found.schemes) == 1:
-        return f"{best.name}: {best.positions} positions, {good}."
+        return f"{tied[0].name}: {tied[0].positions} positions, {good}."
+    names = ", ".join(entry.name or "scheme" for entry in tied)
     others = len(found.schemes) - len(assessed)
     without = f"; {others} cannot determine it" if others else ""
-    return f"Best of {len(found.schemes)} schemes for {found.model}: {best.name}, {good}{without}."
+    return f"Best of {len(found.schemes)} schemes for {found.model}: {names}, {good}{without}."

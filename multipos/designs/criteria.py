@@ -1,7 +1,8 @@
 """What a design is to be good for: criteria that weigh the information of its positions.
 
 `make_criterion` reads a criterion, `objective` is its value, `kernels` gives G of eq. (2) and
-`sensitivity` the gradient s(u) at positions.
+`sensitivity` the gradient s(u) at positions. `smooth_least` and `least_eigenvalue` are criterion E
+of eigenvalues, smooth, and as it is.
 
 With I(u) the information of a position along u, eq. (1) of `information`, what is designed is the
 information per position, M = Σ w_k I(u_k), Σ w_k = 1, by one of
@@ -15,7 +16,10 @@ gradient s(u) of (1) towards a position at u,
     s(u) = tr(G I(u)),      G = M⁻¹/p  or  M⁻¹ B M⁻¹ / tr(M⁻¹ B),      Σ w_k s(u_k) = 1,      (2)
 
 M is optimal exactly where s(u) ≤ 1 everywhere, and else short of the optimum by max s − 1 at
-most. p s(u) is the variance of the prediction at u in case D.
+most. p s(u) is the variance of the prediction at u in case D. E, the least eigenvalue of M, is
+made smooth, so that it has a gradient too:
+
+    F = −ln(tr M^−q)/q,    G = M^(−q−1) / tr M^−q,    ln λ_min − (ln p)/q ≤ F ≤ ln λ_min.   (3)
 
 Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960 (the equivalence of D and G);
 V. V. Fedorov, Theory of Optimal Experiments, 1972 (linear criteria).
@@ -38,18 +42,23 @@ from multipos.sensor.model import Model
 
 # A scheme that serves one parameter alone would leave others unknown: they count this much.
 _OTHERS = 1e-4
+_POWER = 100.0  # q of eq. (3); λ_min is found to a thousandth, which more steps hardly better
 
 
 @frozen
 class Criterion:
-    """What makes one scheme better than another: D without `weight`, else B of eq. (1)."""
+    """What makes one scheme better than another: D without `weight`, else B of eq. (1).
+
+    With a `power` it is q of eq. (3).
+    """
 
     name: str
     weight: Blocks | None = None
+    power: float | None = None
 
 
 def make_criterion(name: str, setting: Setting, region: Array | None = None) -> Criterion:
-    """Return the criterion D, A, G, I, u:OUTPUT:TERM, tilt:±DEGREES or force:±G.
+    """Return the criterion D, A, E, G, I, u:OUTPUT:TERM, tilt:±DEGREES or force:±G.
 
     Parameters
     ----------
@@ -66,6 +75,8 @@ def make_criterion(name: str, setting: Setting, region: Array | None = None) -> 
     """
     if name in ("D", "G"):
         return Criterion(name)
+    if name == "E":
+        return Criterion(name, power=_POWER)
     if name == "A":
         blocks = setting.blocks * max(len(setting.draws), 1)
         return Criterion(name, tuple(np.eye(part.stop - part.start) for part in blocks))
@@ -114,7 +125,7 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
     output, _, term = key.partition(":")
     if kind != "u" or not term:
         raise UsageError(
-            f"unknown criterion '{name}'; give D, A, G, I, u:OUTPUT:TERM, tilt:±DEGREES or "
+            f"unknown criterion '{name}'; give D, A, E, G, I, u:OUTPUT:TERM, tilt:±DEGREES or "
             "force:±G."
         )
     try:
@@ -131,6 +142,9 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
 def objective(information: Blocks, criterion: Criterion) -> float:
     """Return the criterion of eq. (1), −inf where the information is singular."""
     value = log_det(information)
+    if criterion.power is not None and value > -math.inf:
+        eigen = np.concatenate([np.linalg.eigvalsh(M) for M in information])
+        return smooth_least(eigen, criterion.power).item()
     if criterion.weight is None or value == -math.inf:
         return value / sum(len(M) for M in information)
     traces = [
@@ -148,6 +162,8 @@ def kernels(information: Blocks, criterion: Criterion) -> Blocks:
         The information is singular: the criterion asks nothing of some parameter.
     """
     try:
+        if criterion.power is not None:
+            return _kernels_of_least(information, criterion.power)
         inverses = [np.linalg.inv(M) for M in information]
     except np.linalg.LinAlgError:
         raise MultiposError(
@@ -160,6 +176,30 @@ def kernels(information: Blocks, criterion: Criterion) -> Blocks:
     products = [C @ B for C, B in zip(inverses, criterion.weight, strict=True)]
     total = sum(np.trace(product) for product in products)
     return tuple(P @ C / total for P, C in zip(products, inverses, strict=True))
+
+
+def smooth_least(eigen: Array, power: float) -> Array:
+    """Return F of eq. (3) of positive eigenvalues (…, p)."""
+    least = eigen.min(axis=-1, keepdims=True)
+    return np.asarray(
+        np.log(least[..., 0]) - np.log(((least / eigen) ** power).sum(axis=-1)) / power
+    )
+
+
+def _kernels_of_least(information: Blocks, power: float) -> Blocks:
+    """Return G of eq. (3)."""
+    found = [np.linalg.eigh(M) for M in information]
+    if not all(eigen[0] > 0.0 for eigen, _ in found):
+        raise np.linalg.LinAlgError
+    F = smooth_least(np.concatenate([eigen for eigen, _ in found]), power)
+    # λ^−q / tr M^−q, by logarithms, whose powers are no numbers
+    shares = [np.exp(-power * (np.log(eigen) - F)) / eigen for eigen, _ in found]
+    return tuple((Q * share) @ Q.T for (_, Q), share in zip(found, shares, strict=True))
+
+
+def least_eigenvalue(information: Blocks) -> float:
+    """Return λ_min of the information of all outputs together."""
+    return min(float(np.linalg.eigvalsh(M)[0]) for M in information)
 
 
 def sensitivity(rows: Blocks, kernel: Blocks) -> Array:

@@ -73,7 +73,7 @@ class Design(Keyed, Drawn, Tabular):
     optimum : mapping
         {positions, weights} of the best that could be.
     bench_efficiency : float or None
-        Against the best on the candidates; None for criterion G.
+        Against the best on the candidates; None for criteria E and G.
     travel_deg : float
     time_s : float or None
     scheme : Assessment
@@ -237,7 +237,8 @@ def design(
     positions : int
         How many, the included ones counted.
     criterion : str
-        'D' (all parameters together), 'A' (mean variance), 'G' (largest variance of the
+        'D' (all parameters together), 'A' (mean variance), 'E' (least
+        eigenvalue of the information), 'G' (largest variance of the
         prediction), 'I' (mean variance of the compensated force over the sphere or `region`),
         'u:OUTPUT:TERM' (one parameter), 'tilt:±30' (variance of tilt over that range of degrees),
         or 'force:±0.5' (of force over that range of g).
@@ -300,7 +301,7 @@ def design(
     bench = None if candidates is None else read_bench(candidates)
     assessor = assessment.Assessor(setting.stated)
     _check_candidates(assessor, bench, given)
-    judged = criterion in ("D", "A", "I") and region is None and not setting.draws
+    judged = criterion in ("D", "A", "E", "I") and region is None and not setting.draws
     sphere = assessor.optimum(criterion) if judged else optimise_sphere(setting, wanted)
     reach = bench
     if bench is not None and len(given) and assessor.separate(bench)[0]:
@@ -319,6 +320,8 @@ def design(
         after = [entry["after"] for entry in u]
         described = replace(described, u=dict(zip(keys, after, strict=True)))
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
+    if criterion == "E":
+        efficiency, on_bench = described.e_efficiency or 0.0, None
     turned = travel_deg(up)
     return Design(
         model=setting.model.text,

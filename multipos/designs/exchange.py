@@ -27,7 +27,7 @@ from functools import partial
 
 import numpy as np
 
-from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
+from multipos.designs.criteria import Criterion, kernels, objective, sensitivity, smooth_least
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array, Places
 
@@ -136,6 +136,7 @@ class _State:
             inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
         except np.linalg.LinAlgError:
             return False
+        self.information = information
         self.own, self.left = _forms(self.rows, inverse)
         if self.criterion.weight is not None:
             products = [C @ B for C, B in zip(inverse, self.criterion.weight, strict=True)]
@@ -146,6 +147,8 @@ class _State:
 
     def gains(self, leaving: int) -> Array:
         """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
+        if self.criterion.power is not None:
+            return self._gains_of_least(leaving, self.criterion.power)
         determinants = np.ones(len(self.rows[0]))
         falls = np.zeros(len(self.rows[0]))
         for b, Z in enumerate(self.rows):
@@ -166,6 +169,18 @@ class _State:
             left = np.where(self.trace - falls > 0.0, self.trace - falls, np.inf)
             now = max(self.trace, np.finfo(float).tiny)
             return np.asarray(math.log(now) - np.log(left))
+
+    def _gains_of_least(self, leaving: int, power: float) -> Array:
+        """Return the gain of criterion E, from the eigenvalues with every candidate."""
+        found = [
+            np.linalg.eigvalsh(M - Z[leaving].T @ Z[leaving] + Z.transpose(0, 2, 1) @ Z)
+            for M, Z in zip(self.information, self.rows, strict=True)
+        ]
+        eigen = np.concatenate(found, axis=1)
+        # what rounding leaves of a parameter that is lost
+        eigen = np.maximum(eigen, 1e-12 * eigen.max(axis=1, keepdims=True))
+        now = np.concatenate([np.linalg.eigvalsh(M) for M in self.information])
+        return smooth_least(eigen, power) - smooth_least(now, power)
 
 
 def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:

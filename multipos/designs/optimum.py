@@ -230,15 +230,35 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
     for Z, M, G in zip(rows, information, kernel, strict=True):
         k = Z.shape[1]
         flat = Z.reshape(n * k, -1)
+        if criterion.power is not None:
+            value = objective(information, criterion)
+            curvature += _bend_of_least(Z, M, value, criterion.power)
+            continue
         plain = multiply(flat, np.asarray(np.linalg.solve(M, flat.T)))
         if criterion.weight is None:
             products = plain**2 / p
         else:
             products = 2.0 * plain * multiply(flat, G @ flat.T)
         curvature += products.reshape(n, k, n, k).sum(axis=(1, 3))
-    if criterion.weight is not None:
-        curvature -= np.outer(s, s)
+    if criterion.weight is not None or criterion.power is not None:
+        curvature -= (criterion.power or 1.0) * np.outer(s, s)
     return s, curvature
+
+
+def _bend_of_least(Z: Array, M: Array, value: float, power: float) -> Array:
+    """Return −Σ_ab g[λ_a, λ_b] (Q'I_kQ)_ab (Q'I_lQ)_ab of one block, for eq. (3) of `criteria`.
+
+    g[,] are the divided differences of g(λ) = λ^(−q−1)/tr M^−q, by logarithms: between equal ones
+    they are its slope.
+    """
+    eigen, Q = np.linalg.eigh(M)
+    lower, upper = np.minimum.outer(eigen, eigen), np.maximum.outer(eigen, eigen)
+    apart = np.maximum(np.log(upper / lower), 1e-12)
+    slopes = np.expm1(-(power + 1.0) * apart) / np.expm1(-apart) / (lower * upper)
+    slopes *= np.exp(-power * (np.log(lower) - value))
+    turned = Z @ Q
+    each = np.einsum("nka,nkb->nab", turned, turned).reshape(len(Z), -1)
+    return multiply(each * slopes.ravel(), each.T)
 
 
 def maxima(function: Callable[[Array], Array], grid_size: int = _GRID) -> tuple[Array, Array]:

@@ -362,18 +362,18 @@ def test_numbers_of_schemes_and_designs_as_text():
     ]
     entry = SimpleNamespace(
         name="mine", positions=7, identifiable=True, d_efficiency=0.91, a_efficiency=0.82,
-        g_efficiency=0.73, i_efficiency=0.64, log_det=-9.876543, condition=2.345,
+        e_efficiency=0.55, g_efficiency=0.73, i_efficiency=0.64, log_det=-9.876543, condition=2.345,
         drift_absorbed=0.256, u={"ax:1": 2e-4, "ay:y": 7e-4, "ay:1": 3e-4},
         dof={"ax": 5, "ay": 3}, aliases=aliases, unidentifiable=("a", "b"),
     )  # fmt: skip
     none = SimpleNamespace(**vars(entry) | dict.fromkeys(
-        ("d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency", "log_det", "u",
-         "condition", "name"), None) | {"identifiable": False})  # fmt: skip
+        ("d_efficiency", "a_efficiency", "e_efficiency", "g_efficiency", "i_efficiency", "log_det",
+         "u", "condition", "name"), None) | {"identifiable": False})  # fmt: skip
     header, rows = scheme_rows([entry, none])
     one, other = (dict(zip(header, row, strict=True)) for row in rows)
-    assert [one[key] for key in "DAGI"] == ["0.910", "0.820", "0.730", "0.640"]
+    assert [one[key] for key in "DAEGI"] == ["0.910", "0.820", "0.550", "0.730", "0.640"]
     assert (one["drift"], one["largest u"], one["dof left"]) == ("26 %", "0.0007", "3")
-    assert (one["log det"], one["condition"]) == ("-9.87654", "2.35")
+    assert (one["log det"], one["condition (scaled columns)"]) == ("-9.87654", "2.35")
     assert (one["identifiable"], other["identifiable"], other["D"]) == ("yes", "no", "-")
     u, lacking = scheme_details(entry)
     assert [line.split() for line in u.splitlines()][2] == ["ay", "y", "0.0007"]
@@ -433,6 +433,9 @@ def test_sentences_count_schemes_and_positions():
     said = schemes_sentence(SimpleNamespace(schemes=three, model="linear"))
     assert said.startswith("Best of 4 schemes for linear: c, 80.0 %")
     assert said.endswith("; 2 cannot determine it.")
+    three[0] = scheme("a", 0.8)  # all that are best are named
+    said = schemes_sentence(SimpleNamespace(schemes=three, model="linear"))
+    assert said.startswith("Best of 4 schemes for linear: a, c, 80.0 %")
 
 
 def test_positions_that_nothing_improves_stay_as_they_were():

@@ -17,7 +17,14 @@ import multipos as mp
 from multipos.cli import main
 from multipos.designs import exchange
 from multipos.designs.assessment import schemes_text
-from multipos.designs.criteria import Criterion, kernels, make_criterion, objective, sensitivity
+from multipos.designs.criteria import (
+    Criterion,
+    kernels,
+    least_eigenvalue,
+    make_criterion,
+    objective,
+    sensitivity,
+)
 from multipos.designs.exchange import _bordered, _descend, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
@@ -118,7 +125,7 @@ def test_certificate_holds_on_directions_it_never_saw(model, name):
     assert sensitivity(known.rows(unseen), kernel).max() - 1.0 <= 1e-6
 
 
-@pytest.mark.parametrize("name", ["D", "A", "I", "u:ay:y^2"])
+@pytest.mark.parametrize("name", ["D", "A", "E", "I", "u:ay:y^2"])
 @pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 40.0}])
 def test_sensitivity_is_the_gradient_of_the_criterion(name, options):
     # eq. (2) of designs.criteria
@@ -242,12 +249,30 @@ def test_a_single_roll_plane_is_singular_for_the_linear_model(axis, count):
 
 def test_efficiencies_of_six_faces_by_hand():
     (entry,) = mp.schemes("faces-6")["schemes"]
-    for key in ("d_efficiency", "a_efficiency", "g_efficiency", "i_efficiency"):
+    for key in ("d_efficiency", "a_efficiency", "e_efficiency", "g_efficiency", "i_efficiency"):
         assert entry[key] == pytest.approx(1.0, abs=1e-9)
     assert entry["log_det"] == pytest.approx(9 * math.log(1 / 3), abs=1e-12)
     assert entry["u"]["ax:1"] == pytest.approx(6**-0.5)
     assert entry["u"]["ax:x"] == pytest.approx(2**-0.5)
     assert entry["dof"] == {"ax": 2, "ay": 2, "az": 2}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "model", "least", "efficiency"),
+    [
+        ("faces-6", "linear", 1 / 3, 1.0),
+        ("dual-axis-48", "linear", 1 / 4, 0.75),
+        # (1, own²): [[1, 1/3], [1/3, 1/3]] of the faces, [[1, 1/3], [1/3, 1/6]] of the edges
+        ("faces-6", "own-quadratic", (4 / 3 - math.sqrt(8) / 3) / 2, 1.0),
+        ("edges-12", "own-quadratic", (7 / 6 - math.sqrt(25 / 36 + 4 / 9)) / 2, 0.2547),
+    ],
+)
+def test_e_efficiency_by_hand(scheme, model, least, efficiency):
+    # eq. (3) of designs.criteria
+    mine = setting(model)
+    assert least_eigenvalue(inform(mine.rows(read_scheme(scheme).up))) == pytest.approx(least)
+    (entry,) = mp.schemes(scheme, model=model).schemes
+    assert entry.e_efficiency == pytest.approx(efficiency, abs=1e-4)
 
 
 def test_efficiencies_of_uneven_faces_by_hand():
@@ -481,7 +506,7 @@ def best_of_eight(criterion):
 
 
 @pytest.mark.parametrize(
-    "criterion", ["D", "A", "I", pytest.param("G", marks=pytest.mark.slow), "u:ax:x^2"]
+    "criterion", ["D", "A", "E", "I", pytest.param("G", marks=pytest.mark.slow), "u:ax:x^2"]
 )
 def test_each_criterion_is_best_at_its_own(criterion):
     designs = {name: best_of_eight(name) for name in ("D", criterion)}
@@ -848,12 +873,12 @@ def test_the_search_for_positions_ends_at_the_least_value():
     np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-5)
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_slopes_and_curvature_of_a_criterion_by_differences(weighted):
+@pytest.mark.parametrize("kind", ["D", "L", "E"])
+def test_slopes_and_curvature_of_a_criterion_by_differences(kind):
     rng = np.random.default_rng(5)
     rows = (rng.normal(size=(6, 1, 2)), rng.normal(size=(6, 2, 3)))
     weight = tuple(B @ B.T for B in (rng.normal(size=(2, 2)), rng.normal(size=(3, 3))))
-    criterion = Criterion("mine", weight if weighted else None)
+    criterion = Criterion("mine", weight if kind == "L" else None, 7.0 if kind == "E" else None)
     w = rng.dirichlet(np.ones(6))
     slope, curvature = _derivatives(rows, w, criterion)
     d = rng.normal(size=6)
