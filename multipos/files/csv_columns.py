@@ -1,5 +1,9 @@
 """Columns of a long text table: bytes, which become cells or numbers when they are asked for.
 
+`read_plain` returns the columns of a text, `joined_cells`, `arrange_cells` and `spread_cells` those
+of several texts, of some rows in an order of their own, and of rows by kind; `unix_lines` gives
+lines one end.
+
 A cell that is a Python string takes ten times the memory of its characters, and most cells of a
 long table are numbers of a column that is asked for once, or of one that nobody uses. So the bytes
 stay as they were read, or in their file, and a column is split out of them in pieces of some

@@ -1,5 +1,10 @@
 """What users hand in as a table, made a path that can be opened or columns by name.
 
+`take_in` is the door; `read_json_columns`, `read_arrow`, `arrow_columns` and `workbook_text` read
+what is no text, `unpack` and `unpack_workbook` make it a file that can be read as any other,
+`is_json`, `is_packed` and `members` know it by its bytes, `content_of` and `find_copies` know
+copies, `require_extra` and `broken` say that a library is missing or cannot be loaded.
+
 A table is a path (text, a workbook, JSON, Parquet or Feather, packed or not), an open file or
 ``io.StringIO``, a mapping of columns, a data frame, a lazy frame, anything with the Arrow C stream
 [1]_ or the dataframe interchange protocol [2]_, or an array of NumPy, one row a line. Excel

@@ -1,5 +1,11 @@
 """Numbers and tables as people read them: ``0.99647(74)`` and aligned columns.
 
+`uncertain` and `beside` show a value with its u or U, `number`, `plain_number`, `fixed` and
+`in_unit` one alone, to the `decimals_of` its u; `chance` and `p_in_words` a probability.
+`readable_unit`, `common_units` and `pretty_unit` choose and print units, by the size that `most_of`
+gives; `beyond_rounding` leaves rounding out. `table`, `markdown_table`, `largest_rows` and
+`columns_of` lay out rows, `titled`, `markdown_text` and `markdown_line` text.
+
 The digits in brackets are the standard uncertainty in units of the last digits shown, two of
 them (JCGM 100, 7.2.2); a value without a usable uncertainty is shown with ten digits.
 """

@@ -1,16 +1,12 @@
-"""What a path is, and what comes through a pipe, kept so that it can be read as often as a file.
+"""Paths that can be read as often as a file: pipes, what was packed, text in other encodings.
+
+`rereadable` returns one of any path, of which `is_pipe`, `is_folder`, `is_file` and `is_there` tell
+what it is; `unpack_text` returns one of text that is no UTF-8, as `decoded` finds it.
 
 A pipe gives its bytes once, but a log is read in two passes, a calibration after a look at its
-kind, and the data of a regression again for its figure. A `Pipe` takes in all that comes when it
-is first opened and is then a path like any other: ``str`` is the name for messages, ``os.fspath``
-a temporary file with the bytes, which goes with the object.
-
-Compressed files, unpacked so that they can be read as any other.
-
-An `Unpacked` file is a path: ``str`` is the name for messages, that of the packed file, and
-``os.fspath`` a temporary file with what was in it, which goes with the object.
-
-Text in other encodings than UTF-8: UTF-16 by its first bytes, others by what they would say.
+kind, and the data of a regression again for its figure. A `Pipe` and an `Unpacked` file are paths:
+``str`` is the name for messages, ``os.fspath`` a temporary file with the bytes, which goes with the
+object.
 
 Windows and Excel write UTF-16, in China GB 18030, in western Europe Windows-1252. Bytes that are no
 UTF-8 are GB 18030 where every Chinese character they would be has another beside it, as a letter

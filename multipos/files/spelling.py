@@ -1,6 +1,9 @@
 r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are printed.
 
-Characters that act instead of being read, and text in which they are only shown.
+`split_names`, `split_numbers`, `spread` and `numbered` take lists, `near`, `require_columns`,
+`quoted` and `listed` name things in messages. `control_characters` finds characters that act
+instead of being read, `visible`, `visible_lines`, `one_line` and `escaped` show them; `as_cell` and
+`of_cell` keep a spreadsheet from running a cell that `is_risky`.
 
 Labels, names and file names come from elsewhere. A control character in one would move the cursor
 of a terminal, begin a line of its own in a parameter file or end a comment; here it becomes the

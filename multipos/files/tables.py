@@ -1,10 +1,12 @@
 """CSV tables, in and out.
 
+`read_table` and `open_table` read, `write_table`, `format_csv`, `format_rows` and `to_parquet`
+write, `safe_rows` passes rows on. Cells stay text until a column is asked for, so that a column
+nobody uses can hold anything and a bad cell is reported by file, row and column.
+
 A table is one row a line, comma separated, or semicolon separated with decimal commas, or tab
 separated; ``#`` starts a comment line; UTF-8 with or without byte-order mark. Wherever a file
-is taken, what `multipos.files.handed` lists is taken too. Cells stay text until a column is asked
-for, so that a column nobody uses can hold anything and a bad cell is reported by file, row and
-column.
+is taken, what `multipos.files.handed` lists is taken too.
 """
 
 import csv

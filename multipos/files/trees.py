@@ -1,4 +1,8 @@
-"""JSON and TOML, in and out."""
+"""JSON and TOML, in and out.
+
+`to_json`, `to_json_line` and `json_table` write, `read_json`, `read_json_value` and `read_toml`
+read; `read_schema` tells which file it is.
+"""
 
 import json
 import re

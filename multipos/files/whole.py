@@ -1,6 +1,9 @@
 """Files read whole, and written whole or not at all, several together.
 
-The time that results carry.
+`read_bytes` and `first_bytes` read; `written` has several files ready and in their places when its
+block has ended well, `write_text` one; `reading` and `writing` say in one line why a file cannot be
+read or written, `check_place`, `make_folder` and `no_folder` why it could not be; `now` is the time
+that results carry.
 """
 
 import os

@@ -1,10 +1,9 @@
-"""Logs that are arrays: in memory, or in NumPy's and MATLAB's formats.
+"""Logs that are arrays or archives: of NumPy, MATLAB, HDF5, JSON, and what phones export.
 
-Workbooks: the sheet that was open when it was saved, as the text it would be.
-
-HDF5, which MATLAB's version 7.3 is too: the data sets of a file, under their names.
-
-Archives that phones export: one table a sensor; the accelerometer's, with gravity, is taken.
+`log_of_columns` makes a log of arrays; `read_npy`, `read_npz`, `read_mat`, `load_mat`, `load_hdf`
+and `read_records` read them from files, refused by `loaded` where they are damaged. Of an archive
+`tables_in` names the tables and `unpack_phone` takes the accelerometer's; `refuse_without_gravity`
+refuses one from which gravity was taken.
 
 phyphox puts one experiment into ``Raw Data.csv``; its ``Linear Acceleration`` is without gravity.
 Sensor Logger [1]_ has ``TotalAcceleration.csv`` with gravity (Android) or the uncalibrated

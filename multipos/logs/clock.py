@@ -1,5 +1,9 @@
 """When the samples of a log were taken: the column that tells it, its unit, and the sample rate.
 
+`time_columns` names what may be a time, `read_clock` finds its unit and `counts_rows` what is none;
+`unwrap` continues counters that wrap as `wraps_of` says, `usual_step` and `sample_rate` give step
+and rate, `read_dates` and `require_dates` read dates, `check_time_unit` checks an option.
+
 A time is in the unit that its header or its name tells, ``Time (s)``, ``timestamp_us``,
 ``seconds_elapsed``; else by its steps: below 2 they are seconds, below 125 milliseconds, below
 125,000 microseconds, since hardly a sensor is sampled less than eight times a second. A number that

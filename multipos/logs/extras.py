@@ -1,9 +1,8 @@
-"""Formats whose readers come with an extra of the package, and what to say where it is missing.
+"""Readers that come with an extra or may crash, each run in a process of its own.
 
-Libraries that read binary files are in part compiled, and print what they like, so each runs in
-a process of its own (`multipos.logs.extras`).
-
-Readers that may crash, each run in a process of its own.
+`reader_with_extra` returns one that says what to install where its library is missing, `read_apart`
+runs one, `answer` is what runs in the child; `noted` takes what a reader says of its columns,
+`first_line` what an error says.
 
 Some formats are read by compiled code that believes its file: a damaged one ends the whole process,
 and with it a notebook or a server. `read_apart` runs such a reader in a child of the same

@@ -1,6 +1,9 @@
-"""What is wrong with a whole log: numbers that wrap around, and a part of it in another unit.
+"""What is wrong with a log: wrapped numbers, mixed units, saturated or stuck outputs, motion, gaps.
 
-What is wrong with rests: saturated or stuck outputs, mixed units, motion, drift, gaps, twins.
+`find_wrapped`, `find_second_unit` and `differ_in_unit` look at whole logs, `find_faults`,
+`find_stuck`, `find_saturated`, `compare_scales` and `common_noise` at rests, of which `suspects`,
+`is_saturated` and `saturated_few` tell the saturated ones; `is_factor` knows the ratio of two
+units, `at_one_value` and `fault_and_way` word what is found.
 """
 
 from collections.abc import Sequence

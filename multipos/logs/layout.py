@@ -1,5 +1,8 @@
 """Where the table of a text log begins, and how its rows are cut into cells.
 
+`find_layout` returns it from the first lines; `is_comment`, `cells_of`, `has_open_quote`,
+`is_number` and `number_of` are how one line and one cell are read.
+
 A log may begin with lines that are no table: what wrote it, with which settings, in which units.
 What a row is tell the rows farther down: how many cells they have and which of them are numbers.
 The first line that is so begins the table; its header is the nearest line above that names as many

@@ -1,9 +1,9 @@
 """The names of a log's columns, and which of them are outputs.
 
-The outputs are the columns that a log names as acceleration, where it names other sensors beside
-them; what a name says is for `multipos.positions.headers`.
-
-Which columns of a log show gravity, where no name tells.
+`name_header` names the columns, `choose_outputs` and `magnetic_outputs` return the outputs: the
+columns that a log names as acceleration, or as field, where it names other sensors beside them;
+what a name says is for `multipos.positions.headers`. Where no name tells, `triad_of_gravity` finds
+the columns that show gravity.
 
 Three columns in a row that sense gravity turn with the sensor and keep their size; a gyro at rest
 shows its bias, which neither turns nor means anything, and in motion any size. So blocks of rows

@@ -1,5 +1,8 @@
 """Which reader serves which log.
 
+`open_log` opens one log, `less_copies` leaves out files that hold what others do; `read_log`
+returns all columns at once, `joined` one of its pieces.
+
 A log is a table of samples, one row a sample. Text comes with commas, semicolons (and decimal
 commas), tabs or white space between the cells, with or without a header; without one the columns
 are called 1, 2, 3, …. Which reader serves a file is decided by its first bytes and then by its

@@ -1,5 +1,8 @@
 """The formats of logs that are not text, one reader each.
 
+`reader_of` returns what reads a file, `formats_read` lists the formats; `load_dataflash`,
+`read_dataflash_text`, `load_ulog` and `load_bag` read those of autopilots and robots.
+
 DataFlash, the log of ArduPilot [1]_, as it is or as text: the first IMU.
 
 What stands in ``IMU`` has been corrected by (raw − OFFS) SCAL with the parameters that the log

@@ -1,5 +1,9 @@
 """The mean of one rest and how well it is known, although its samples are not independent.
 
+`rest_means` returns them of the samples that were fed, `density_with_dof` the density of eq. (1)
+with its degrees of freedom, by way of `autocovariances`; `with_rounding` adds what a coarse
+converter hides, `is_one_code` tells rests of one value.
+
 A rest of n samples is cut into batches of equal length, their means z_1 … z_b (512 to 1023 of
 them, or the samples themselves) are kept. An autoregression of order p, chosen by the corrected
 information criterion of Akaike, gives the spectral density of z at frequency zero and with it

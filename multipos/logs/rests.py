@@ -1,5 +1,8 @@
 """Where a log stands still: the rests between the motions.
 
+`choose_grid` chooses windows, `find_edges` returns where runs of them begin and end, `long_enough`
+and `is_long` which of them are rests; `read_sections` reads rests that the user knows.
+
 A single sample, or two, far from the fifteen around it, is a spike and takes their median. Samples
 are then taken in blocks, and `W` = 8 blocks make a window of half a second that slides by a block.
 The standard deviation of a window, and that of the means of its blocks, the largest of all outputs,

@@ -1,6 +1,10 @@
 """The numbers of a log, read once and kept: in memory while few, in a temporary file when many.
 
-Positions that a column of the log names: the rows of one label are a rest.
+`read_timing` checks what the user says of the time, `share_of` tells how much of several logs is
+read. `good_rows` are the rows to use, by the `usual_size` of each column, and `rows_in_log` where
+they stand in the log; `rises` and `rises_or_wraps` tell a time, `small_pieces` cuts samples into
+pieces. `rows_of_sensor` takes the rows of one sensor, `refuse_interleaved` refuses those of
+several. A column of labels names positions: the rows of one label are a rest.
 
 Rows of several sensors may take turns: a column with few values that come in the same order again
 and again numbers sensors, or samples of a packet. They are sensors where readings differ more from

@@ -1,4 +1,8 @@
-"""One log: its rests, found or given, and what their samples say."""
+"""One log: its rests, found or given, and what their samples say.
+
+`find_still` returns it, `average_rests` what its samples say; `would_take` and `found_so_far` are
+for messages.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

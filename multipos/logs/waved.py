@@ -1,5 +1,8 @@
 """Logs of a magnetometer that was turned about by hand: rows as they are, and those worth keeping.
 
+`read_rows` reads all rows, `moves` and `holds_most` tell whether there are rests to take instead;
+`waved` returns the log of the rows that are `worth_keeping`, `find_cut_off` names outputs that end.
+
 A magnetometer is not put down in positions but waved through all directions, and every row is a
 reading of the field in some direction. Slow noise e of the sensor, r (·) its correlation, makes the
 misfits m = u'e of rows a lag apart have the mean
