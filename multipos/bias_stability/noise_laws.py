@@ -17,13 +17,16 @@ not where it is small. Its U is the wider side of the interval
     sqrt(max(c² − k s, 0))  to  sqrt(c² + k s),     u the same with k = 1.                    (1)
 """
 
+import math
 from collections.abc import Sequence
+from functools import cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from multipos.bias_stability.allan import flicker_excess, law_variances, starts, variance_covariance
-from multipos.numerics.arrays import Array
+from multipos.numerics.arrays import Array, Mask
 from multipos.numerics.quantiles import chi2_tail
 
 _TOGETHER = 30  # times the curve and its covariance are found by alternation at most
@@ -119,11 +122,31 @@ def _best(lengths: Sequence[int], variances: Array, records: Sequence[int], firs
     return four if four.chi2 < three.chi2 - _LEAST_GAIN else three
 
 
+def _not_negative(A: Array, y: Array) -> Array:
+    """Return the least-squares solution of A x = y with x ≥ 0, over all sets of a few columns."""
+    information, moment = A.T @ A, A.T @ y
+    np.fill_diagonal(information, (1.0 + 1e-13) * np.diag(information))  # columns may be equal
+    chosen = _sets(A.shape[1])
+    # In rows and columns outside a set stands the identity, so that all are solved in one call.
+    normal = np.where(chosen[:, :, None] & chosen[:, None, :], information, np.eye(A.shape[1]))
+    found = np.linalg.solve(normal, (chosen * moment)[:, :, None])[:, :, 0]
+    gain = np.where((found >= 0.0).all(axis=1), found @ moment, -math.inf)  # of |y|²
+    best, used = np.zeros(A.shape[1]), chosen[int(np.argmax(gain))]
+    if gain.max() > 0.0:
+        best[used] = np.linalg.lstsq(A[:, used], y, rcond=None)[0].clip(0.0)
+    return best
+
+
+@cache
+def _sets(count: int) -> Mask:
+    """Return all sets (2^n − 1, n) of some columns but the empty one, the smallest first."""
+    sets = [set(s) for k in range(1, count + 1) for s in combinations(range(count), k)]
+    return np.array([[i in each for i in range(count)] for each in sets])
+
+
 def _fit(
     lengths: Sequence[int], variances: Array, records: Sequence[int], first: int, laws: int
 ) -> Laws:
-    from scipy.optimize import nnls
-
     used, curve = list(lengths[first:]), variances[first:]
     design = law_variances(np.array(used, dtype=np.float64))[:, :laws]
     number = np.array([sum(starts(n, m) for n in records) / m for m in used])
@@ -133,7 +156,7 @@ def _fit(
     for _ in range(_TOGETHER):
         rows = np.linalg.solve(factor, np.column_stack([design, curve]))
         scale = np.linalg.norm(rows[:, :-1], axis=0)
-        found = nnls(rows[:, :-1] / scale, rows[:, -1])[0] / scale
+        found = _not_negative(rows[:, :-1] / scale, rows[:, -1]) / scale
         if not found.any():  # a curve that no law is like; what was found before is nearer
             break
         squares, before, model = found, model, design @ found

@@ -33,11 +33,6 @@ means then differ by √2 σ(b) of that line, and those of a session sixteen res
 
 half of σ² for each doubling [3]_, with the degrees of freedom of the line.
 
-The samples of one rest, taken up piece by piece: sums, extremes, and the means of batches.
-
-A rest of n samples is cut into batches of equal length, 512 to 1023 of them, or the samples
-themselves; what they say is for `multipos.logs.rest_means`.
-
 References
 ----------
 .. [1] M. B. Priestley, *Spectral Analysis and Time Series*, 1981, section 7.8 (autoregressive

@@ -7,13 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import nnls
 from scipy.stats import chi2, t
 
 import multipos as mp
 from multipos.bias_stability import allan, analysis, noise_laws, trends
 from multipos.bias_stability.allan import _pairs, _products, octaves, phase_covariance, starts
 from multipos.bias_stability.analysis import _check_alike, _is_steady, _movements
-from multipos.bias_stability.noise_laws import _best, _is_rejected
+from multipos.bias_stability.noise_laws import _best, _is_rejected, _not_negative
 from multipos.bias_stability.record_values import Values
 from multipos.bias_stability.stability_result import _is_whole
 from multipos.bias_stability.stability_text import _shown, stability_sentence
@@ -58,6 +59,13 @@ def test_products_of_flicker_and_walk_are_sums_over_all_pairs():
                 by_hand = 2.0 * square / (2.0 * m**2 * total[i] * 2.0 * k**2 * total[j])
                 assert found[law, other, i, j] == pytest.approx(by_hand, rel=0.05)
                 assert found[law, other, j, i] == found[law, other, i, j]
+
+
+def test_least_squares_without_negative_parts():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        A, y = rng.normal(size=(6, 3)), rng.normal(size=6)
+        assert_allclose(_not_negative(A, y), nnls(A, y)[0], atol=1e-10)
 
 
 @pytest.mark.parametrize(
