@@ -54,7 +54,7 @@ def made(tmp_path_factory):
         write_text("lab.toml", LAB)
         mp.check(cal, "six.csv").save("check.json")
         mp.export(cal, "c").save("imu.c")
-        angles = [(30 * k, np.cos(np.radians(30 * k)) + 1e-3 * (-1) ** k) for k in range(12)]
+        angles = [(30 * k, np.cos(np.radians(30 * k)) + 1e-4 * np.sin(40 * k)) for k in range(12)]
         rows = "".join(f"z,{angle},{value:.6f}\n" for angle, value in angles)
         write_text("tumble.csv", f"roll_axis,angle_deg,ax\n{rows}")
     return folder

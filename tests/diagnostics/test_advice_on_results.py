@@ -495,6 +495,18 @@ def segments_that_do_not_meet(rng):
     yield mp.regress(line(rng, jump=0.5), **options)
 
 
+@follows("collinear-terms", "Leave out")
+def a_variable_that_nearly_follows_from_others(rng):
+    ambient, rate = rng.uniform(-20.0, 60.0, 200), rng.uniform(-1.0, 1.0, 200)
+    device = ambient - 5.0 * rate + 0.01 * rng.standard_normal(200)
+    table = {"device": device, "ambient": ambient, "rate": rate}
+    table["y"] = 1.0 + 0.1 * ambient + 0.1 * rng.standard_normal(200)
+    variables = ["device", "ambient", "rate"]
+    said = yield mp.regress(table, response="y", variables=variables)
+    variables.remove(said.action.removeprefix("Leave out ").removesuffix("."))
+    yield mp.regress(table, response="y", variables=variables)
+
+
 @follows("turn-on", "Measure several switch-ons")
 def one_switch_on(rng):
     yield mp.regress(line(rng), response="y", variables="x")
