@@ -74,9 +74,7 @@ class Waved(Result):
 
     def columns(self) -> dict[str, Column]:
         """Return the columns of a readings file."""
-        readings = self.readings
-        named = zip(self.outputs, readings.values.T, strict=True)
-        return {"position": list(readings.labels), **dict(named), **readings.environment}
+        return self.readings.columns()
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON can carry."""

@@ -69,6 +69,17 @@ def test_neither_time_nor_unit_is_needed(turned):
     assert "weighted by how slowly it turns; U is 19 to 79 times that of rests" in found.text
 
 
+def test_a_fleet_has_the_numbers_of_each(turned, tmp_path):
+    values, _ = turned
+    path = tmp_path / "one.csv"
+    mp.write_table(path, columns(values))
+    cal = mp.calibrate(path)
+    fleet = mp.fleet([path], raw=True).calibrations
+    for each in cal.entries:
+        assert_allclose(fleet[each.name], each.value, rtol=1e-9)
+        assert_allclose(fleet[f"u_{each.name}"], each.u, rtol=1e-9)
+
+
 def test_rests_that_turn_are_no_rests(turned):
     values, _ = turned
     with pytest.raises(MultiposError, match="no rest"):
