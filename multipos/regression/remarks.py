@@ -94,7 +94,7 @@ def find_collinear(result: Regression, data: Data) -> Findings:
         beyond = [v for v in linear if inflation[v] > _INFLATED]
         weak = [v for v in beyond if tested[v] > 1.0 - result.confidence]
         if weak:
-            name = max(weak, key=tested.__getitem__)
+            name = max(weak, key=inflation.__getitem__)
             others = ", ".join([v for v in beyond if v != name][:_MOST_NAMED])
             text = (
                 f"{where}: {name} nearly follows from {others}: the variance of its coefficient is "
