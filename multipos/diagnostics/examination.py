@@ -453,7 +453,7 @@ _EXPLAINED = {
     "no-residuals": ("no-dof",),
     "no-signal": ("convention",),
     "outlier": _BY_ROWS,
-    "disturbance": ("missing-term", "scale-bias"),
+    "disturbance": ("missing-term", "scale-bias", "time-correlated"),
     "moving-iron": (
         *("replaced", "drift", "time-correlated", "disturbance", "outlier", "lack-of-fit"),
         *("unequal-noise", "scale-bias", "missing-term", "no-redundancy"),

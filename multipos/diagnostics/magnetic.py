@@ -41,6 +41,8 @@ _GAP_DEG = 60.0
 _FEWEST, _FEWEST_IN_TIME = 24, 40  # readings
 _CHANCE = 0.002  # of a healthy set, for each finding
 _SHARE = 20  # of the readings, that are neighbours
+_FAINT = 0.05  # correlation of rows that are as good as independent
+_CENTRES = 600  # rows around which others are averaged, even in time
 _LEAST = 0.002  # relative: what nobody need look for
 _TENTHS = np.arange(11) / 10.0
 _RUNS = np.triu_indices(10, 1)  # between edges: what begins at the first is a complement
@@ -122,20 +124,21 @@ def disturbance(c: Calibration) -> Finding | None:
     sd = float(median(np.abs(left - median(left)))) / 0.6745
     if not sd > 0.0:
         return None
-    near = np.argpartition(-(u @ u.T), k - 1, axis=1)[:, :k]
-    means = left[near].mean(axis=1)
+    centres = ((np.arange(min(n, _CENTRES)) + 0.5) * n / min(n, _CENTRES)).astype(np.intp)
+    means = np.array([left[np.argpartition(-(u @ v), k - 1)[:k]].mean() for v in u[centres]])
     score = means * np.sqrt(k / fewer) / sd
     worst = int(np.argmax(np.abs(score)))
-    limit = normal_quantile(1.0 - _CHANCE / (2.0 * n))
+    limit = normal_quantile(1.0 - _CHANCE / (2.0 * len(centres)))
     if abs(score[worst]) <= limit or abs(means[worst]) < _LEAST:
         return None
     side = np.sign(means[worst])
-    rows = np.flatnonzero((side * score > limit / 2.0) & (u @ u[worst] > 0.5))
+    middle = u[centres[worst]]
+    rows = centres[(side * score > limit / 2.0) & (u[centres] @ middle > 0.5)]
     named = tuple(c.readings.labels[row] for row in rows.tolist())
     listed = ", ".join(named[:_SHOWN])
     if len(named) > _SHOWN:
         listed += f" and {len(named) - _SHOWN} more"
-    x, y, z = (u[worst] + 0.0).tolist()
+    x, y, z = (middle + 0.0).tolist()
     how = "larger" if side > 0.0 else "smaller"
     text = (
         f"the field is {100.0 * abs(means[worst]):.2g} % {how} than elsewhere along "
@@ -158,19 +161,21 @@ def moving_iron(c: Calibration, readings: Readings | None = None) -> Finding | N
     found = _left(c, readings)
     if found is None or len(found[0]) < _FEWEST_IN_TIME:
         return None
-    u, design, left, fewer = found
-    n, dof = len(u), len(u) / found[3] - 12.0
-    if dof < 1.0:
-        return None
+    u, design, left, _ = found
+    n = len(u)
     sums = _sums(u, design, left)
     start, end, gained = _likeliest(sums)
+    fewer = _times_fewer(left - _of_step(u, design, sums, start, end))
+    dof = n / fewer - 12.0
+    if dof < 1.0:
+        return None
     after = float(left @ left) - gained
     f = gained / 3.0 / fewer / (after / (n - 12.0)) if after > 0.0 else 0.0
     p = min(1.0, len(_RUNS[0]) * f_tail(f, 3.0, dof)) if f > 0.0 else 1.0
     start, end = _refined(sums, start, end)
     step = _moved(sums, np.array([start]), np.array([end]))[0][0]
     size = float(np.linalg.norm(step))
-    if p > _CHANCE or size < _LEAST or _of_one_row(u, design, left, slice(start, end), step):
+    if p > _CHANCE or size < _LEAST or _of_one_row(left, _of_step(u, design, sums, start, end)):
         return None
     scale = c.field.size if c.field.size is not None else None
     said = f"{100.0 * size:.2g} % of the field" if scale is None else c.field.shown(scale * size)
@@ -215,11 +220,27 @@ def _likeliest(sums: Array) -> tuple[int, int, float]:
     return int(start[best]), int(end[best]), float(gained[best])
 
 
-def _of_one_row(u: Array, design: Array, left: Array, run: slice, step: Array) -> bool:
-    """Tell whether most of what r'r falls by is one reading's, and no step of a run of rows."""
+def _of_step(u: Array, design: Array, sums: Array, start: int, end: int) -> Array:
+    """Return what a step of hard iron in a run of rows leaves beside the design (n,)."""
+    step = _moved(sums, np.array([start]), np.array([end]))[0][0]
     added = np.zeros(len(u))
-    added[run] = u[run] @ step
-    added -= design @ np.linalg.lstsq(design, added, rcond=None)[0]
+    added[start:end] = u[start:end] @ step
+    return np.asarray(added - design @ np.linalg.lstsq(design, added, rcond=None)[0])
+
+
+def _times_fewer(left: Array) -> float:
+    """Return by how many times rows (n,) exceed independent ones, by their correlation."""
+    square, fewer = float(left @ left), 1.0
+    for lag in range(1, len(left) // 4):
+        correlation = float(left[:-lag] @ left[lag:]) / square if square > 0.0 else 0.0
+        if correlation < _FAINT:
+            break
+        fewer += 2.0 * correlation
+    return fewer
+
+
+def _of_one_row(left: Array, added: Array) -> bool:
+    """Tell whether most of what r'r falls by is one reading's, and no step of a run of rows."""
     fall = left**2 - (left - added) ** 2
     return float(fall.max()) > _OF_ONE_ROW * float(fall.sum())
 

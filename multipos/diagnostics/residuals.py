@@ -209,7 +209,7 @@ def effective_number(c: Calibration) -> Finding | None:
     said = ", ".join(f"{output} {max(rows, 1.0):.2g}" for output, rows in fewer.items())
     return Finding(
         "time-correlated",
-        "warning",
+        "note" if c.estimator is Estimator.UNKNOWN else "warning",
         (
             f"noise of neighbouring rows is correlated: {n} rows equal fewer independent ones "
             f"({said}); U includes it"

@@ -12,13 +12,15 @@ positions tells noise from what the model lacks. Its sums S_b over runs of m row
     Σ S_b² / s² Σ (m − Σ_j n_bj²/n_j)     over runs b, n_bj of the n_j rows of position j,  (1)
 
 follow χ² on the number of runs, over that number, where rows are independent, m = 2, 4, 8, …; rows
-of unknown orientation show it by their misfit along the force, of which no mean is taken. Where a
+of unknown orientation show it by their misfit along the force u, of which no mean is taken. Where a
 sum is beyond chance, noise is taken as slow noise and white noise together,
 
     e_k − ρ e_{k−1} = w_k − θ w_{k−1},     0 ≤ θ ≤ ρ < 1,                                   (2)
 
-whose covariance R is known for any ρ and θ. The estimate stays least squares, b = B e off the truth
-with B = (X'X)⁻¹X', so that for the variance s² that rows leave when whitened by the law,
+whose covariance R is known for any ρ and θ; that of misfits along forces is R_jk u_j·u_k, as each
+output has such a noise, and their likelihood is that of a Kalman filter of three states. The
+estimate stays least squares, b = B e off the truth with B = (X'X)⁻¹X', so that for the variance s²
+that rows leave when whitened by the law,
 
     cov b = s² B R B'.                                                                      (3)
 
@@ -98,6 +100,9 @@ _NODES = 12  # of ρ
 _LONGEST = 0.4  # 1 − ρ of the last of them, over 1/n
 _SHARES = (0.0, 0.4, 0.7, 0.85, 0.93, 0.97, 0.99)  # θ/ρ: even in what white noise adds
 _ROWS = 20_000  # more are taken as means of neighbours
+_TURNED_ROWS = 3000  # of unknown orientation, of which
+_TURNED_NODES = 30  # tell the law of noise more closely
+_TURNED_SHARES = (0.0, 0.7, 0.93, 0.99)
 _FAINT = 0.2  # of ρ, below which rows are as good as independent
 _STEPS = 40  # of a search for U in logarithms
 _NEAR = 1e-9
@@ -154,11 +159,11 @@ def are_asked(model: Model, readings: Readings, reference: Array, estimator: Est
     """Tell whether rows at some forces (n, 3) [g] can show whether they are correlated."""
     if not model.has_terms or readings.covariance is not None:
         return False
-    # what varies with a column is for the model, and its tests, to say
-    others = set(readings.environment) - {_TIME, RUN, "approach"}
-    if others and TURN_RATE not in others:
-        return False
     if estimator is Estimator.LINEAR:
+        # what varies with a column is for the model, and its tests, to say
+        others = set(readings.environment) - {_TIME, RUN, "approach"}
+        if others and TURN_RATE not in others:
+            return False
         many = len(reference) >= _FEWEST
         return many and len(reference) >= 2 * count_different(reference)
     return estimator is Estimator.UNKNOWN and len(reference) >= _FEWEST_UNKNOWN
@@ -247,7 +252,7 @@ def _unknown(solution: Solution, readings: Readings, order: Places | None) -> So
     ):
         return solution
     if order is None:
-        worth = _judge(along.design, along.error)
+        worth = _judge(along.design, along.error, along.shares)
     else:
         shares = along.shares[order]
         (worth,) = _judge_in_time([along.design[order]], [along.error[order]], shares @ shares.T)
@@ -361,17 +366,23 @@ def _with(
     )
 
 
-def _judge(design: Array, error: Array) -> _RowPrecision:
-    """Return the effective number of rows (n, p) of equal variance, by their errors (n,)."""
+def _judge(design: Array, error: Array, along: Array | None = None) -> _RowPrecision:
+    """Return the effective number of rows (n, p) of equal variance, by their errors (n,).
+
+    Where errors are components of the noise, `along` (n, 3) has their directions.
+    """
     n, p = design.shape
     variance = float(error @ error) / (n - p)
-    together = -(-n // _ROWS)
+    together = -(-n // (_ROWS if along is None else _TURNED_ROWS))
     X, e = (_means(rows, together) for rows in (design, error))
     Q, R = np.linalg.qr(X)
     inverse = np.linalg.inv(R)
     plain = np.einsum("ij,ij->i", inverse, inverse) * variance / together
     gains = np.column_stack([Q @ inverse.T, np.full(len(e), 1.0 / len(e))])
-    log_weight, variances, of_row = _at_nodes(Q, e, gains)
+    if along is None:
+        log_weight, variances, of_row = _at_nodes(Q, e, gains)
+    else:
+        log_weight, variances, of_row = _at_turned_nodes(Q, e, gains, _means(along, together))
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     still = np.zeros((1, len(weight), p))
@@ -546,6 +557,56 @@ def _at_nodes(Q: Array, e: Array, gains: Array) -> tuple[Array, Array, Array]:
             variances.append(s2 * (r * square + 2.0 * next_one * product))
             of_row.append(s2 * r)
     return np.array(logs), np.array(variances), np.array(of_row)
+
+
+def _at_turned_nodes(Q: Array, e: Array, gains: Array, along: Array) -> tuple[Array, Array, Array]:
+    """Return what `_at_nodes` does, of errors along directions (n, 3).
+
+    The last of the columns of B' is of a mean in one direction.
+    """
+    n, p = Q.shape
+    rho = np.repeat(1.0 - np.geomspace(0.9, _LONGEST / n, _TURNED_NODES), len(_TURNED_SHARES))
+    theta = np.tile(_TURNED_SHARES, _TURNED_NODES) * rho
+    slow = (1.0 - rho * theta) * (rho - theta) / (rho * (1.0 - 2.0 * rho * theta + theta**2))
+    size, log_determinant = _filtered(np.column_stack([Q, e]), along, rho, slow)
+    inside = np.log(size[:, :p]).sum(axis=1) + (n - p) * np.log(size[:, p])
+    s2 = size[:, p] ** 2 / (n - p - 2.0)
+    parts = gains[:, :-1, None] * along[:, None, :]
+    columns = np.column_stack([parts.reshape(n, -1), gains[:, -1]])
+    before = np.vstack([np.zeros((1, columns.shape[1])), columns[:-1]])
+    products = np.array(
+        [a * np.einsum("nq,nq->q", columns, recur(before, a)) for a in rho[:: len(_TURNED_SHARES)]]
+    )
+    of_parts = products[:, :-1].reshape(_TURNED_NODES, -1, along.shape[1]).sum(axis=2)
+    product = np.column_stack([of_parts, products[:, -1]]).repeat(len(_TURNED_SHARES), axis=0)
+    square = np.einsum("nq,nq->q", gains, gains)
+    variances = s2[:, None] * (square + 2.0 * slow[:, None] * product)
+    return 0.5 * np.log(1.0 - rho) - 0.5 * log_determinant - inside, variances, s2
+
+
+def _filtered(z: Array, along: Array, rho: Array, slow: Array) -> tuple[Array, Array]:
+    """Return the diagonal (G, k) of the factor of z'R⁻¹z, and ln det R, of errors along directions.
+
+    The state is the slow noise, of variance `slow` (G,) in every direction; a row of variance 1
+    has white noise beside it.
+    """
+    fresh = ((1.0 - rho**2) * slow)[:, None, None] * np.eye(along.shape[1])
+    variance = slow[:, None, None] * np.eye(along.shape[1])
+    state = np.zeros((len(rho), along.shape[1], z.shape[1]))
+    square = np.zeros((len(rho), z.shape[1], z.shape[1]))
+    log_determinant = np.zeros(len(rho))
+    decay = rho[:, None, None]
+    for row, direction in zip(z, along, strict=True):
+        known = variance @ direction
+        whole = known @ direction + (1.0 - slow)
+        new = row - direction @ state
+        gain = (known / whole[:, None])[:, :, None]
+        square += new[:, :, None] * (new / whole[:, None])[:, None, :]
+        log_determinant += np.log(whole)
+        state = decay * (state + gain * new[:, None, :])
+        variance = decay**2 * (variance - gain * known[:, None, :]) + fresh
+    factor = np.linalg.cholesky(square)
+    return np.einsum("gkk->gk", factor), log_determinant
 
 
 def _whitened(z: Array, rho: float, theta: float, r: float) -> Array:

@@ -54,7 +54,7 @@ from multipos.sensor.found import FoundOrientations, VarianceComponents
 from multipos.sensor.model import ROLL_GAUGES, Gauge, Model
 from multipos.sensor.studentised import find_outlying_positions
 
-_REPORTED_BIAS = 0.1  # of u: a bias of the scale factors beyond it is reported
+_REPORTED_BIAS = 1.96 / 3.0  # of u: a bias of the scale factors beyond a third of U is reported
 
 
 def solve_uncertain(

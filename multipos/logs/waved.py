@@ -1,21 +1,13 @@
-"""Logs of a magnetometer that was turned about by hand: rows as they are, and those worth keeping.
+"""Logs of a magnetometer that was turned about by hand: its rows as they are.
 
 `read_rows` reads all rows, `moves` and `holds_most` tell whether there are rests to take instead;
 `waved` returns the log of the rows that are `worth_keeping`, `find_cut_off` names outputs that end.
 
 A magnetometer is not put down in positions but waved through all directions, and every row is a
-reading of the field in some direction. Slow noise e of the sensor, r (·) its correlation, makes the
-misfits m = u'e of rows a lag apart have the mean
-
-    E m_t m_t+k = s² r(k) u_t·u_t+k,                                                        (1)
-
-which the sums over all t, divided by those of (u_t·u_t+k)², tell of the misfits to the ellipsoid
-through all rows by least squares. Rows are kept as far apart as r takes to fall to a tenth, even in
-time and no more than `_KEPT`; where the sensor stood, in a square of a cube's faces, no more than
-`_OVER` times what is usual. What is left of correlation is for the fit, which takes rows in the
-order of time (`multipos.estimation.correlated_rows`).
-
-Rests are taken instead where nine or more hold most of the log.
+reading of the field in some direction. `read_rows` returns them all, `moves` and `holds_most` tell
+whether rests are taken instead, as where nine or more hold most of the log, and `waved` makes
+readings of the rows. How noise is correlated from row to row is for the fit, which takes them in
+the order of time (`multipos.estimation.correlated_rows`).
 """
 
 from collections.abc import Sequence
@@ -29,17 +21,11 @@ from multipos.files.spelling import quoted
 from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
-from multipos.logs.ellipsoids import off_the_ellipsoid
 from multipos.logs.table import Log
-from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Places, median
+from multipos.numerics.arrays import LARGEST, Array, median
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen, plain_dict
 
-_KEPT = 600  # rows that a fit is made of
-_LEAST = 60  # rows that are kept whatever their correlation
-_FORGOTTEN = 0.1  # correlation of rows that are as good as independent
-_OVER = 4.0
-_SQUARES = 4  # along an edge of a face of the cube
 _FEWEST = 12  # rows
 _BLOCK = 25  # rows, that stand still or not
 _STILL = 8.0  # standard deviations of a row, over which a block moves
@@ -50,7 +36,7 @@ _CUT = 4  # rows in a run at the end of a range
 
 @frozen
 class Waved(Result):
-    """The rows of a waved log that are worth keeping.
+    """The rows of a waved log.
 
     Attributes
     ----------
@@ -59,7 +45,7 @@ class Waved(Result):
     rows : int
         Of the log.
     readings : Readings
-        Rows kept, labelled by their number in the log, from 1.
+        Labelled by their number in the log, from 1.
     findings : tuple of Finding
     unit : str or None
     """
@@ -156,76 +142,22 @@ def holds_most(found: Averages, rows: int) -> bool:
 def waved(
     logs: Sequence[Log], outputs: tuple[str, ...], values: Array, environment: dict[str, Array]
 ) -> Waved:
-    """Return the rows (n, 3) of a waved log that are worth keeping."""
+    """Return the rows (n, 3) of a waved log as readings."""
     source = logs[0].source
-    rows, stride = worth_keeping(values)
-    said = "rows are taken as they are, each a direction of its own"
-    if len(rows) < len(values):
-        said = f"{len(rows)} of {len(values)} rows are kept, even over directions and time"
+    said = f"{len(values)} rows are taken as they are, each a direction of its own"
     findings = [Finding("waved", "note", said), *find_cut_off(outputs, values)]
-    if _LEAST * stride > len(values) > _LEAST:
-        text = f"noise is correlated over {stride} rows, so that U of {len(values)} is too small"
-        action = f"Record {_LEAST * stride} rows or more."
-        findings.append(Finding("time-correlated", "warning", text, action))
     units = {log.units.get(name) for log in logs for name in outputs}
     readings = Readings(
-        values=values[rows],
+        values=values,
         outputs=outputs,
-        positions=tuple(str(row + 1) for row in rows.tolist()),
-        environment={name: column[rows] for name, column in environment.items()},
+        positions=tuple(map(str, range(1, len(values) + 1))),
+        environment=environment,
         source=source,
     )
     for log in logs:
         findings += log.left_out
     unit = units.pop() if len(units) == 1 else None
     return Waved(source, outputs, len(values), readings, tuple(findings), unit)
-
-
-def worth_keeping(values: Array) -> tuple[Places, int]:
-    """Return the rows (k,) of readings (n, 3) that are kept, in order, and the stride."""
-    n = len(values)
-    if values.shape[1] != len(COMPONENTS):
-        return np.linspace(0, n - 1, min(n, _KEPT)).astype(np.intp), 1
-    misfit, away = off_the_ellipsoid(values)
-    stride = _stride(misfit, away)
-    count = min(n, _KEPT, max(n // stride, _LEAST))
-    rows = ((np.arange(count) + 0.5) * n / count).astype(np.intp)
-    square = _squares_of(away[rows])
-    sizes = np.bincount(square)
-    usual = float(median(sizes[sizes > 0].astype(np.float64)))
-    cap = max(int(_OVER * usual), _FEWEST)
-    order = np.argsort(square, kind="stable")
-    kept = []
-    for own in np.split(order, np.cumsum(sizes)[:-1]):
-        even = ((np.arange(cap) + 0.5) * len(own) / cap).astype(np.intp)
-        kept.append(own[even] if len(own) > cap else own)
-    return rows[np.sort(np.concatenate(kept))], stride
-
-
-def _stride(misfit: Array, along: Array) -> int:
-    """Return the least number of rows after which noise is forgotten, by eq. (1)."""
-    n, lag = len(misfit), 1
-    whole = float(misfit @ misfit) / n
-    if not whole > 0.0:
-        return 1
-    while lag < n // 4:
-        parallel = np.einsum("ni,ni->n", along[:-lag], along[lag:])
-        found = float(np.sum(misfit[:-lag] * misfit[lag:] * parallel))
-        if found < _FORGOTTEN * whole * float(parallel @ parallel):
-            return lag
-        lag = max(lag + 1, round(1.25 * lag))
-    return lag
-
-
-def _squares_of(along: Array) -> Places:
-    """Return in which square of a cube's faces directions (n, 3) are."""
-    largest = np.abs(along).argmax(axis=1)
-    rows = np.arange(len(along))
-    size = np.where(along[rows, largest] == 0.0, 1.0, along[rows, largest])
-    face = 2 * largest + (size > 0.0)
-    beside = np.stack([along[rows, (largest + k) % 3] / np.abs(size) for k in (1, 2)])
-    cell = np.clip(((beside + 1.0) / 2.0 * _SQUARES).astype(np.intp), 0, _SQUARES - 1)
-    return np.asarray((face * _SQUARES + cell[0]) * _SQUARES + cell[1])
 
 
 def find_cut_off(outputs: tuple[str, ...], values: Array) -> list[Finding]:

@@ -851,16 +851,6 @@ def slow_noise_without_time(rng):
     yield mp.fit(table | {"time": 60.0 * np.arange(48.0)}, unit="g")
 
 
-@follows("time-correlated", "Record")
-def a_waved_log_that_is_short(rng):
-    turning = np.cumsum(0.3 * rng.standard_normal((12000, 2)), axis=0)
-    x, y = np.sin(turning[:, 0]), np.cos(turning[:, 0]) * np.sin(turning[:, 1])
-    b = np.column_stack([x, y, np.cos(turning[:, 0]) * np.cos(turning[:, 1])])
-    values = [12.0, -30.0, 5.0] + 50.0 * b @ K.T + 0.3 * slow(rng, 12000, 0.95)
-    yield waved(values[:900])
-    yield waved(values)
-
-
 @follows("slow-or-white")
 def few_rows_of_slow_noise(rng):
     def fitted(n):
@@ -875,8 +865,8 @@ def few_rows_of_slow_noise(rng):
 @follows("scale-bias")
 def noise_that_biases_scale_factors(rng):
     up = mp.read_scheme("fibonacci-400").up
-    yield plain(sense(rng, up, 0.1), up, orientation_sd=3.0, reading_sd=0.1)
-    yield plain(sense(rng, up, 0.01), up, orientation_sd=3.0, reading_sd=0.01)
+    yield plain(sense(rng, up, 0.3), up, orientation_sd=9.0, reading_sd=0.3)
+    yield plain(sense(rng, up, 0.01), up, orientation_sd=9.0, reading_sd=0.01)
 
 
 @follows("inseparable")

@@ -489,7 +489,7 @@ def test_the_bias_of_a_scale_by_the_noise_across_it(u, said):
     problem = SimpleNamespace(model=model, orientation_sd=np.full(4, s))
     wide = np.full(12, 1.0)
     bias = 0.3 * np.array([13e-4, 10e-4, 5e-4]) / 2.0 * [2.0, 0.5, 1.0]
-    wide[1] = bias[0] / 0.1 * u / 1e-2
+    wide[1] = bias[0] / (1.96 / 3.0) * u / 1e-2
     found = _scale_bias(problem, theta, wide, sd, size)
     assert bool(found) is said
     if said:
@@ -1165,7 +1165,8 @@ def test_the_misfit_along_the_force_is_what_is_asked_for_correlation(timed, monk
         assert_allclose(along, (normal * sd)[order] @ (normal * sd)[order].T, atol=1e-12)
         A, e = A[order], e[order]
     else:
-        design, error = seen["judged"]
+        design, error, along = seen["judged"]
+        assert_allclose(along * sign, normal * sd, atol=1e-12)
         assert_allclose(seen["asked"][0][0], error)
         assert seen["asked"][2] == 15.0 - 12.0
     assert_allclose(design * sign, A, atol=1e-12)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import chi2, ortho_group
+from scipy.stats import chi2
 
 import multipos as mp
 from multipos.logs import (
@@ -53,7 +53,7 @@ from multipos.logs.rests import (
 from multipos.logs.samples import Samples, Store, Timing, _turns, good_rows, rows_in_log
 from multipos.logs.still import _find_spikes, would_take
 from multipos.logs.text_logs import _decode, open_lines
-from multipos.logs.waved import _squares_of, find_cut_off, worth_keeping
+from multipos.logs.waved import find_cut_off
 
 # --- clocks and cells
 
@@ -289,36 +289,6 @@ def test_rows_off_an_ellipsoid_and_their_directions():
     t, a = rng.normal(size=(2, 30))  # of a hyperboloid there are none
     saddle = np.column_stack([np.cosh(t) * np.cos(a), np.cosh(t) * np.sin(a), np.sinh(t)])
     assert not off_the_ellipsoid(saddle)[0].any()
-
-
-def test_directions_are_counted_by_squares_of_a_cube():
-    from multipos.logs.waved import _SQUARES
-
-    turn = ortho_group.rvs(3, random_state=1)
-    along = mp.read_scheme("fibonacci-200").up @ turn
-    for direction, square in zip(along, _squares_of(along), strict=True):
-        axis = int(np.argmax(np.abs(direction)))
-        place = [(direction[(axis + k) % 3] / abs(direction[axis]) + 1) / 2 for k in (1, 2)]
-        cells = [min(int(each * _SQUARES), _SQUARES - 1) for each in place]
-        face = 2 * axis + (direction[axis] > 0)
-        assert square == (face * _SQUARES + cells[0]) * _SQUARES + cells[1]
-
-
-def test_rows_that_are_kept_are_spread_over_directions():
-    """Of 3000 rows of which two thirds stay in one direction, 600, and no square far above."""
-    u = mp.read_scheme("fibonacci-1000").up
-    still = np.tile([0.6, 0.1, 0.79], (2000, 1))
-    still /= np.linalg.norm(still, axis=1, keepdims=True)
-    values = np.concatenate([u, still]) * 48.0 + 1e-3 * np.random.default_rng(2).normal(
-        size=(3000, 3)
-    )
-    rows, stride = worth_keeping(values)
-    assert (np.diff(rows) > 0).all()
-    assert stride >= 1
-    assert len(rows) < 600
-    assert np.sum(rows >= 1000) <= 24
-    rows, stride = worth_keeping(np.ones((900, 1)))
-    assert (len(rows), rows[-1], stride) == (600, 899, 1)
 
 
 @pytest.mark.parametrize(("run", "found"), [(3, False), (4, True)])
@@ -874,30 +844,6 @@ def test_columns_that_show_gravity_vary_least_at_rest(best, rival, blocks, shown
     )
     found = log_columns.triad_of_gravity(log, tuple("abcdefgh"))
     assert found == (("d", "e", "f") if shown else None)
-
-
-def test_rows_until_noise_is_forgotten():
-    """The first lag, a quarter longer each, at which a tenth of the correlation is left."""
-    rng = np.random.default_rng(9)
-    misfit = np.zeros(400)
-    for i in range(1, 400):
-        misfit[i] = 0.93 * misfit[i - 1] + rng.normal()
-    along = rng.normal(size=(400, 3)) * 0.2 + [0.6, 0.0, 0.8]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    lag = 1
-    while lag < 100:
-        pairs = [(along[i] @ along[i + lag], misfit[i] * misfit[i + lag]) for i in range(400 - lag)]
-        slope = sum(p * m for p, m in pairs) / sum(p * p for p, _ in pairs)
-        if slope < 0.1 * np.mean(misfit**2):
-            break
-        lag = max(lag + 1, round(1.25 * lag))
-    assert 3 < lag < 60
-    assert waved._stride(misfit, along) == lag
-    assert waved._stride(0.0 * misfit, along) == 1
-    slow = np.cos(np.arange(400) / 900.0)
-    assert (
-        waved._stride(slow, np.tile([0.6, 0.0, 0.8], (400, 1))) == 118
-    )  # 75, 94, 118: beyond a fourth
 
 
 # --- rows and columns

@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
-from multipos.logs.waved import _squares_of, _stride
 
 SIZE = 48.6  # [µT]
 SOFT = np.array([[1.02, 0.01, -0.02], [0.03, 0.97, 0.01], [-0.01, 0.02, 1.05]])
@@ -234,7 +233,7 @@ def test_a_waved_log_to_px4(tmp_path, capsys):
     cal = mp.load(tmp_path / "cal.json")
     assert cal.field.kind == "magnetic"
     assert cal.estimator == "unknown-orientation"
-    assert 300 < len(cal.readings) <= 600
+    assert len(cal.readings) == 6000
     for name, truth in zip(("bias_mx", "bias_my", "bias_mz"), HARD, strict=True):
         assert abs(cal[name].value - truth) < 2.0 * cal[name].U
     assert read_back(tmp_path / "cal_px4.params", cal).difference < 1e-6
@@ -735,30 +734,3 @@ def test_a_waved_log_takes_numpy_alone(tmp_path):
     run += ["calibrate", str(path), "--unit", "uT"]
     out = subprocess.run(run, capture_output=True, text=True, check=True).stdout
     assert out.endswith("False\n")
-
-
-def test_squares_of_a_cube_part_all_directions():
-    """Six faces of four by four: a fine grid meets all 96, and none holds opposite directions."""
-    side = (np.arange(32) + 0.5) / 16.0 - 1.0
-    a, b = (each.ravel() for each in np.meshgrid(side, side))
-    faces = [
-        np.insert(np.column_stack([a, b]), k, s, axis=1) for k in range(3) for s in (-1.0, 1.0)
-    ]
-    along = np.concatenate(faces) / np.linalg.norm(np.concatenate(faces), axis=1)[:, None]
-    square = _squares_of(along)
-    assert set(np.bincount(square, minlength=96)[np.unique(square)]) == {64}
-    assert len(np.unique(square)) == 96
-    assert not (square == _squares_of(-along)).any()
-
-
-def test_rows_are_as_far_apart_as_their_noise_takes_to_a_tenth():
-    """AR(.9): .9²⁴ = .08 and .9¹⁹ = .135 of the lags that are tried; white noise, one."""
-    # eq. (1) of logs.waved
-    rng = np.random.default_rng(6)
-    along = rng.standard_normal((40_000, 3))
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    noise = rng.standard_normal((40_000, 3))
-    assert _stride(np.sum(along * noise, axis=1), along) == 1
-    for k in range(1, len(noise)):
-        noise[k] += 0.9 * noise[k - 1]
-    assert _stride(np.sum(along * noise, axis=1), along) == 24
