@@ -58,6 +58,7 @@ from multipos.sensor.model import Model, build_model, default_axes
 from multipos.sensor.model_text import ParsedModel, read_model
 from multipos.sensor.own_models import build_parsed
 
+_ORDERS: tuple[Order, ...] = ("spread", "paper")
 _LEAST = 1e-6  # singular value, whose square information has few digits for
 
 
@@ -77,6 +78,9 @@ class Assessment(Keyed):
     drift_absorbed : float
         Share of the variance of the row number that the model absorbs, the largest of the
         outputs, where the positions are measured in this order.
+    drift_absorbed_by_order : mapping of 'spread' and 'paper' to float, or None
+        The same in both orders, of a scheme that is named alone. Rows without labels are taken in
+        order 'paper', as published, by `fit --scheme`.
     identifiable : bool
     unidentifiable : tuple of str
         What the positions cannot separate.
@@ -115,6 +119,7 @@ class Assessment(Keyed):
     u: Mapping[str, float] | None = None
     aliases: tuple[Mapping[str, Any], ...] | None = None
     hidden: tuple[str, ...] | None = None
+    drift_absorbed_by_order: Mapping[str, float] | None = None
 
 
 @frozen
@@ -217,6 +222,10 @@ def schemes(
     assessor = Assessor(setting)
     given: tuple[Source | Scheme, ...] = spread(sources)
     found = [assessor.describe(lay_scheme(s, order)) for s in given or named_schemes()]
+    if len(given) == 1 and isinstance(given[0], str):
+        laid = {name: lay_scheme(given[0], name).reference for name in _ORDERS}
+        shares = {str(name): setting.drift_absorbed(up) for name, up in laid.items()}
+        found = [replace(found[0], drift_absorbed_by_order=shares)]
     if not given:
         # of equally good ones, to what rounding leaves, the shortest first
         found.sort(key=lambda e: (-round(e.d_efficiency or 0.0, 9), e.positions))
@@ -365,12 +374,42 @@ def schemes_text(found: Schemes) -> str:
         "against the best on the sphere; drift is what of a linear one the model absorbs"
     )
     parts = [f"model {found.model}", table(*scheme_rows(found.schemes)), note]
-    if len(found.schemes) == 1:
+    if len(found.schemes) > 1:
+        parts.append("largest u of each kind\n" + table(*_by_kind(found.schemes)))
+    else:
         (entry,) = found.schemes
+        if entry.drift_absorbed_by_order is not None:
+            share, published = map("{:.0%}".format, entry.drift_absorbed_by_order.values())
+            parts.append(
+                f"a linear drift is absorbed to {share} in order spread, {published} as "
+                "published; `fit --scheme` takes rows without labels as published"
+            )
         parts += [positions_table(entry.up.items()), *scheme_details(entry)]
     return "\n\n".join(parts) + "\n"
 
 
+def _by_kind(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the largest u of biases, scale factors, cross terms and others."""
+    rows = []
+    for entry in entries:
+        largest: dict[str, float] = {}
+        for key, u in (entry.u or {}).items():
+            kind = _kind(*key.split(":", 1))
+            largest[kind] = max(u, largest.get(kind, 0.0))
+        found = (number(largest.get(kind), 3) for kind in _KINDS)
+        rows.append([entry.name or "", str(entry.positions), *found])
+    return ["scheme", "positions", *_KINDS], rows
+
+
+def _kind(output: str, term: str) -> str:
+    if term == "1":
+        return "bias"
+    if term not in COMPONENTS:
+        return "quad"
+    return "scale" if term == output[1] else "cross"
+
+
+_KINDS = ("bias", "scale", "cross", "quad")
 _COLUMN = 24  # positions that stand below each other; of more, several columns
 
 

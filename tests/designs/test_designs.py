@@ -302,6 +302,26 @@ def test_a_scheme_alone_is_printed_with_its_positions_and_u():
     assert "0.7071" not in both
 
 
+def test_the_largest_u_of_each_kind_by_hand():
+    """Eight positions, x faces twice: u is σ √(M⁻¹/8) with 1/M of 1, 2, 4, 4."""
+    text = schemes_text(mp.schemes("faces-6+roll-z-2", "roll-x-24", reading_sd=0.002))
+    rows = [line.split() for line in text.split("largest u of each kind\n")[1].splitlines()]
+    assert rows[0] == ["scheme", "positions", "bias", "scale", "cross", "quad"]
+    assert rows[1][1:] == ["8", "0.000707", "0.00141", "0.00141", "-"]
+    assert rows[2] == ["roll-x-24", "24", "-", "-", "-", "-"]
+
+
+def test_a_scheme_alone_says_what_drift_it_absorbs_in_both_orders():
+    (entry,) = mp.schemes("fibonacci-24").schemes
+    found = entry.drift_absorbed_by_order
+    assert found["spread"] == entry.drift_absorbed < 0.01
+    (published,) = mp.schemes("fibonacci-24", order="paper").schemes
+    assert found["paper"] == published.drift_absorbed > 0.9
+    text = schemes_text(mp.schemes("fibonacci-24"))
+    assert "is absorbed to 0% in order spread, 100% as published" in text
+    assert mp.schemes("faces-6", "all-26").schemes[0].drift_absorbed_by_order is None
+
+
 def test_all_named_schemes_come_best_first():
     found = mp.schemes(model="ieee")["schemes"]
     shares = [round(entry["d_efficiency"] or 0.0, 9) for entry in found]
