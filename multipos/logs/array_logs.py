@@ -236,16 +236,18 @@ def load_hdf(path: os.PathLike[str]) -> Mapping[str, Any]:
 # In the order in which they are looked for.
 _WITH_GRAVITY = ("total ?acc.*", "acc.*uncalibrated.*", "acc.*with.?g.*", "acc.*", "raw data")
 _TABLES = (".csv", ".tsv", ".txt")
+_BESIDE = {"meta", "__MACOSX"}  # folders of phyphox, and of whoever packs on a Mac
 _LINEAR, _ELAPSED = "Accelerometer", "seconds_elapsed"  # of Sensor Logger: without gravity
 
 
 def tables_in(path: os.PathLike[str]) -> list[str]:
-    """Return the tables in an archive, in its first folder."""
+    """Return the tables in an archive, in any folder but those about the device."""
     from zipfile import ZipFile
 
     with ZipFile(path) as archive:
         names = [PurePosixPath(name) for name in archive.namelist()]
-    return [str(each) for each in names if each.suffix.lower() in _TABLES and len(each.parts) <= 1]
+    tables = [each for each in names if each.suffix.lower() in _TABLES]
+    return [str(each) for each in tables if _BESIDE.isdisjoint(each.parts)]
 
 
 def unpack_phone(path: os.PathLike[str]) -> Unpacked:

@@ -281,6 +281,13 @@ def test_phyphox(log, expected, tmp_path, capsys):
     assert found.unit == "m/s^2"
 
 
+def test_an_archive_may_have_folders(log, expected, tmp_path):
+    text = csv_of(log, ("time", *OUTPUTS), "time,ax,ay,az")
+    about = {"session/meta/device.csv": "a,b\n1,2\n", "__MACOSX/session/._run.csv": "?"}
+    path = archive(tmp_path / "session.zip", {"session/data/run.csv": text, **about})
+    np.testing.assert_allclose(mp.average(path).readings.values, expected, rtol=1e-12)
+
+
 def test_sensor_logger(log, expected, tmp_path, capsys):
     """Columns z, y, x and two clocks; without total acceleration there is nothing to use."""
     stamps = 1_700_000_000_000_000_000 + np.round(1e9 * log["time"]).astype(int)
