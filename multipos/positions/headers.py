@@ -371,6 +371,8 @@ def with_direction(table: Table) -> Table:
 def _own_case(names: Sequence[str]) -> dict[str, str]:
     """Return names as they are known here; those that differ in case alone stay as written."""
     known = {name.casefold(): name for name in (*RESERVED, TEMPERATURE, "time")}
+    if "time" not in map(str.casefold, names):
+        known["zeit"] = "time"
     known |= _forces(names)
     if "position" not in map(str.casefold, names):
         known |= {"lage": "position", "位置": "position"}

@@ -2,6 +2,7 @@
 
 import pytest
 
+import multipos as mp
 from multipos.positions.headers import axes_by_name, split_unit
 
 
@@ -39,3 +40,10 @@ def test_outputs_sense_the_axes_they_name(outputs, axes):
 )
 def test_a_unit_in_brackets(header, name, unit):
     assert split_unit(header) == (name, unit)
+
+
+def test_zeit_is_the_time():
+    rows = {"Zeit": [0.0, 60.0], "x": [1.0, 0.0], "y": [0.0, 1.0], "z": [0.1, 0.2]}
+    found = mp.read_readings(rows)
+    assert found.outputs == ("x", "y", "z")
+    assert found.environment["time"].tolist() == [0.0, 60.0]
