@@ -364,7 +364,7 @@ def deliver(
             if not quiet:
                 tell(found if verbose else serious(found))
         if data:
-            print_out(pieces, verbatim=not arguments.json or path == STDOUT)
+            print_out(pieces, data=True)
         elif verbose and not answer.failure:
             detail = answer.detail()
             print_out([f"\n{detail}" if detail else ""])
@@ -406,7 +406,7 @@ def _spool() -> "SpooledTemporaryFile[str]":
     )
 
 
-def print_out(pieces: Iterable[str | bytes] = (), *, verbatim: bool = False) -> None:
+def print_out(pieces: Iterable[str | bytes] = (), *, data: bool = False) -> None:
     """Print on stdout, whatever its encoding, and see that it arrives.
 
     A reader that has seen enough, as ``head`` has, is no error.
@@ -414,8 +414,9 @@ def print_out(pieces: Iterable[str | bytes] = (), *, verbatim: bool = False) -> 
     Parameters
     ----------
     pieces : of text or bytes
-    verbatim : bool
-        Control characters are escaped only where stdout is a terminal.
+    data : bool
+        For other programs: UTF-8 whatever the locale, and control characters are escaped only
+        where stdout is a terminal.
 
     Raises
     ------
@@ -425,19 +426,26 @@ def print_out(pieces: Iterable[str | bytes] = (), *, verbatim: bool = False) -> 
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors=_ESCAPES)
     try:
+        sys.stdout.flush()
         for piece in pieces:
-            if isinstance(piece, bytes):
-                sys.stdout.buffer.write(piece)
-            else:
-                sys.stdout.write(
-                    piece if verbatim and not sys.stdout.isatty() else visible_lines(piece)
-                )
+            _write(piece, data=data)
         sys.stdout.flush()
     except BrokenPipeError:
         _close_stdout()
     except OSError as error:
         _close_stdout()
         raise MultiposError(f"cannot write to stdout: {error.strerror}.") from None
+
+
+def _write(piece: str | bytes, *, data: bool) -> None:
+    if isinstance(piece, str) and (not data or sys.stdout.isatty()):
+        piece = visible_lines(piece)
+    if isinstance(piece, str) and data and hasattr(sys.stdout, "buffer"):  # not of a notebook
+        piece = piece.encode("utf-8", _ESCAPES)
+    if isinstance(piece, str):
+        sys.stdout.write(piece)
+    else:
+        sys.stdout.buffer.write(piece)
 
 
 def _close_stdout() -> None:

@@ -102,7 +102,7 @@ def _begin(
 
     def notify(session: Session) -> None:
         if headless:
-            print_out([to_json_line(line_of(session))])
+            print_out([to_json_line(line_of(session))], data=True)
 
     session = Session(plan, kept.as_before(reading), notify)
     session.decide(kept.decided)
