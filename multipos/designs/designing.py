@@ -321,7 +321,12 @@ def design(
         described = replace(described, u=dict(zip(keys, after, strict=True)))
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
     if criterion == "E":
-        efficiency, on_bench = described.e_efficiency or 0.0, None
+        if described.e_efficiency is None:
+            raise MultiposError(
+                f"the E-optimum of '{setting.model.text}' was not found, so that no efficiency can "
+                "be stated; take --criterion A, which also weights the least known."
+            )
+        efficiency, on_bench = described.e_efficiency, None
     turned = travel_deg(up)
     return Design(
         model=setting.model.text,
