@@ -148,7 +148,7 @@ def _rests_or_rows(
     each = [magnetic_outputs(log, names, field, unit) for log in opened]
     first = each[0] if each else None
     if first is None or any(outputs != first for outputs in each):
-        return _rests_or_turned(opened, averaged, names, options)
+        return _rests_or_turned(opened, averaged, names, unit, options)
     from multipos.logs.waved import holds_most, moves, read_rows, waved
 
     signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
@@ -167,6 +167,7 @@ def _rests_or_turned(
     opened: Sequence[Log],
     averaged: Callable[..., Averages],
     names: tuple[str, ...] | None,
+    unit: str | None,
     options: dict[str, Any],
 ) -> "Averages | Waved":
     """Return the means of rests, or the windows of an accelerometer that is turned all the time."""
@@ -180,9 +181,12 @@ def _rests_or_turned(
 
         timed = filter(None, (*time_columns(opened[0]), options.get("time_column")))
         outputs = choose_outputs(opened[0], names, [*timed]).names
-        signed, drop_bad = options.get("signed"), bool(options.get("drop_bad"))
-        alone = len(opened) == 1
-        windows = turned(opened[0], outputs, signed=signed, drop_bad=drop_bad) if alone else None
+        asked: dict[str, Any] = {
+            "unit": unit,
+            "signed": options.get("signed"),
+            "drop_bad": bool(options.get("drop_bad")),
+        }
+        windows = turned(opened[0], outputs, **asked) if len(opened) == 1 else None
         if windows is not None:
             return windows
     if found is None:

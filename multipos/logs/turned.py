@@ -33,15 +33,19 @@ References
 P. J. Huber, Ann. Math. Statist. 35 (1964), 73–101.
 """
 
+from pathlib import Path
+
 import numpy as np
 
+from multipos.errors import MultiposError
 from multipos.finding import Finding
 from multipos.logs.ellipsoids import Ellipsoid, angles, covers, fit_ellipsoid, usual_turn
 from multipos.logs.table import Log
 from multipos.logs.waved import Waved, find_cut_off, read_rows
 from multipos.numerics.arrays import Array, median
-from multipos.positions.headers import TURN_RATE
+from multipos.positions.headers import TURN_RATE, component
 from multipos.positions.readings import Readings
+from multipos.units import STANDARD_GRAVITY
 
 _WITHIN = 4.0  # degrees from one window to the next
 _FEWEST = 240  # windows
@@ -50,15 +54,25 @@ _GROUPS = 12
 _HUBER = 1.5
 _ROUNDS = 10
 _FASTEST = 0.99  # of the windows: those that turn faster are taken as turning so fast
+_GRAVITY = (1.0, STANDARD_GRAVITY, 1000.0)  # in g, m/s², mg
+_OFF_GRAVITY, _OFF_POWER = 0.15, 0.03  # relative
+_COUNTS = 16.0  # of one g, at least
+_EARTH = ((22.0, 67.0), (220.0, 670.0), (0.22, 0.67))  # magnetic field in µT, mG, G
 _UNKNOWNS = 12  # nine parameters and a
 
 
 def turned(
-    log: Log, outputs: tuple[str, ...], *, signed: int | None = None, drop_bad: bool = False
+    log: Log,
+    outputs: tuple[str, ...],
+    *,
+    unit: str | None = None,
+    signed: int | None = None,
+    drop_bad: bool = False,
 ) -> Waved | None:
     """Return the windows of a log that is turned through all directions, for long enough.
 
-    None where it is not. Errors are those of `read_rows`.
+    None where it is not. Errors are those of `read_rows`; without names and unit also that of a
+    sphere which is not gravity's.
     """
     values, environment = read_rows([log], outputs, signed=signed, drop_bad=drop_bad)
     if not covers(values):
@@ -68,6 +82,9 @@ def turned(
     form = fit_ellipsoid(middles)
     if len(middles) < _FEWEST or form is None:
         return None
+    named = any(component(name).acceleration for name in outputs)
+    if unit is None and not named and not any(log.units.get(name) for name in outputs):
+        _require_gravity(log.source, form)
     at_rest, u, rate = _without_arm(middles, form)
     kept = slice(None, None, -(-len(middles) // _MOST))
     warm = {name: _middles(column[:, None], h)[kept, 0] for name, column in environment.items()}
@@ -88,6 +105,22 @@ def turned(
     units = {log.units.get(name) for name in outputs}
     unit = units.pop() if len(units) == 1 else None
     return Waved(log.source, outputs, len(values), readings, findings, unit)
+
+
+def _require_gravity(source: str, form: Ellipsoid) -> None:
+    """Refuse a sphere of another radius than gravity has in the units of accelerometers."""
+    radius = float(np.cbrt(1.0 / np.linalg.det(form.root)))
+    power = abs(np.log2(radius) - round(np.log2(radius))) < np.log2(1.0 + _OFF_POWER)
+    if (radius >= _COUNTS and power) or any(abs(radius / g - 1.0) < _OFF_GRAVITY for g in _GRAVITY):
+        return
+    line = f"multipos calibrate {Path(source).name}"
+    magnetic = f"{line} --field magnetic"
+    if not any(low < radius < high for low, high in _EARTH):
+        magnetic += f", or {line} --unit count for an accelerometer"
+    raise MultiposError(
+        f"{source}: readings without names lie on a sphere of radius {radius:.3g}, which is not "
+        f"gravity in g, m/s^2 or mg; type {magnetic}."
+    )
 
 
 def _samples_of_a_window(values: Array) -> int:

@@ -157,3 +157,27 @@ def test_u_is_that_of_leaving_blocks_out(turned):
         moved.append(mp.fit(left, unit="g", unknown_orientation=True).parameters - whole.parameters)
     by_hand = np.sqrt(23.0 / 24.0 * np.sum(np.square(moved), axis=0))
     assert_allclose([each.u for each in whole.entries], by_hand, rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("size", "line"),
+    [
+        (48.0, "log.csv --field magnetic."),
+        (0.48, "log.csv --field magnetic."),
+        (150.0, "log.csv --field magnetic, or multipos calibrate log.csv --unit count for an "),
+        (256.0, ""),
+        (9.8, ""),
+    ],
+)
+def test_a_sphere_without_names_is_known_by_its_radius(size, line, turned, tmp_path):
+    values = size * turned[0]
+    path = tmp_path / "log.csv"
+    np.savetxt(path, values, delimiter=",", header="x,y,z", comments="")
+    if not line:
+        assert "no-rests" in {each.code for each in mp.calibrate(path).findings}
+        return
+    with pytest.raises(mp.MultiposError, match="sphere of radius") as refused:
+        mp.calibrate(path)
+    assert f"type multipos calibrate {line}" in str(refused.value)
+    assert "hold" not in str(refused.value)
+    assert mp.calibrate(path, field="magnetic").field.kind == "magnetic"
