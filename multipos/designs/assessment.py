@@ -222,8 +222,9 @@ def schemes(
     assessor = Assessor(setting)
     given: tuple[Source | Scheme, ...] = spread(sources)
     found = [assessor.describe(lay_scheme(s, order)) for s in given or named_schemes()]
-    if len(given) == 1 and isinstance(given[0], str):
-        laid = {name: lay_scheme(given[0], name).reference for name in _ORDERS}
+    if len(given) == 1:
+        published = lay_scheme(given[0], "paper")
+        laid = {name: lay_scheme(published, name).reference for name in _ORDERS}
         shares = {str(name): setting.drift_absorbed(up) for name, up in laid.items()}
         found = [replace(found[0], drift_absorbed_by_order=shares)]
     if not given:

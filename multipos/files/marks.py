@@ -10,7 +10,7 @@ its column does:
   without one, ``16.586`` and ``-246``, has thousands; one in which every number has the mark has
   decimals, unless other columns of the table show thousands, as an axis that is never below 1,000
   beside two that are. A column of the surroundings, of one sign and within a factor of two, keeps
-  its decimals: a temperature of ``25.312`` in every row stays what it is.
+  its decimals, as does a time, which goes up: a temperature of ``25.312`` in every row stays.
 
 A table has one decimal mark: what one column, or a comma between cells, settles holds for all.
 Columns that contradict each other are refused by name.
@@ -40,6 +40,7 @@ _TWICE = {mark: re.compile(rf"[-+]?\d+\{mark}\d+\{mark}") for mark in ".,"}
 _SMALL = re.compile(r"[-+]?\d{1,3}")
 _NUMBER = re.compile(r"[-+]?(\d[\d.,]*|[.,]\d+)([eE][-+]?\d+)?")
 _WITHIN = 2.0  # times its smallest number, a column of the surroundings keeps below
+_TIMES = 9  # rows from which on a column that goes up is a time
 _FEWEST = 2  # rows that tell of a column
 
 
@@ -130,11 +131,12 @@ def may_have_marks(rows: Iterable[Sequence[str]]) -> bool:
 
 def _is_suspect(cells: Sequence[str]) -> bool:
     """Tell whether a column may be one of registers or of thousands."""
-    plain = [cell.translate(_SIGNS) for cell in cells if cell]
-    if not plain:
-        return False
+    plain = [cell.translate(_SIGNS) for cell in cells]
     if any(_REGISTER.fullmatch(cell) for cell in plain):
         return True
+    plain = [cell for cell in plain if _NUMBER.fullmatch(cell)]
+    if not plain:
+        return False
     for mark in ".,":
         if all(_SMALL.fullmatch(cell) or _GROUPS[mark].fullmatch(cell) for cell in plain):
             return any(mark in cell for cell in plain)
@@ -153,6 +155,7 @@ class _Column:
         self.lengths: set[int] = set()
         self.high = False  # a register whose first digit reaches 8
         self.least, self.most = math.inf, -math.inf
+        self.last, self.rises = -math.inf, True
 
     def take(self, cell: str) -> None:
         """Take up a cell."""
@@ -172,13 +175,16 @@ class _Column:
             return
         mark = next((each for each in ".," if each in cell), "")
         if not mark:
-            self.small += _SMALL.fullmatch(cell) is not None
+            # a zero is written so beside decimals too
+            self.small += _SMALL.fullmatch(cell) is not None and int(cell) != 0
             self.large |= _SMALL.fullmatch(cell) is None
         elif _TWICE[mark].match(cell):
             self.twice[mark] += 1
         elif _GROUPS[mark].fullmatch(cell):
             self.grouped[mark] += 1
             value = float(cell.replace(",", "."))
+            self.rises &= value >= self.last
+            self.last = value
             self.least, self.most = min(self.least, value), max(self.most, value)
         else:
             self.decimal[mark] += 1
@@ -196,9 +202,10 @@ class _Column:
 
     @property
     def keeps(self) -> bool:
-        """Whether numbers are of one sign, and within a factor of two."""
+        """Whether numbers are of one sign and within a factor of two, or go up as a time does."""
         size = sorted((abs(self.least), abs(self.most)))
-        return self.least * self.most > 0.0 and size[1] < _WITHIN * size[0]
+        near = self.least * self.most > 0.0 and size[1] < _WITHIN * size[0]
+        return near or (self.rises and self.rows > _TIMES)
 
 
 def read_marks(

@@ -54,6 +54,7 @@ _ESPIDF = re.compile(r"[IWEDV] ?\(#\)")
 _INTEGER = ("i", "u")  # behind whole numbers of a line protocol
 _SECONDS, _NANOSECONDS = ("sec", "secs"), ("nsec", "nsecs", "nanosec", "nanosecs")
 _BETWEEN = re.compile(r"[:=({\[<>|,;)}\]\"'\t]+")
+_UNIT = re.compile(r"[(\[][^)\],]*[^\W\d_][^)\],]*[)\]]")  # in brackets, with a letter
 _XYZ = re.compile(r"[xyz]", re.IGNORECASE)
 
 
@@ -195,12 +196,13 @@ def find_printed(lines: Sequence[str]) -> Printed | None:
 def _is_table(lines: Sequence[str]) -> bool:
     """Tell whether the first line names as many columns as all others have cells."""
     head, rows = lines[0], lines[1 : 1 + _LAST]
-    if not rows or holds_number(head):
+    if not rows or holds_number(_UNIT.sub("", head)):
         return False
     mark = next((mark for mark in ",;\t" if mark in head), "")
     if not mark:
         return not any(re.search(r"[:=,;\t]", line) for line in lines[: 1 + _LAST])
-    return all(line.count(mark) == head.count(mark) for line in rows)
+    even = sum(line.rstrip(f" {mark}").count(mark) == head.count(mark) for line in rows)
+    return even >= _OFTEN * len(rows)
 
 
 def holds_number(line: str) -> bool:

@@ -242,6 +242,8 @@ def test_what_stands_before_a_number_names_it(line):
         ["2026-05-06T12:00:00.5Z,1,2,3", "2026-05-06T12:00:00.6Z,1,2,3"],
         ["direction,ax,ay,az", "+X,1,2,3", "E-U-S,1,2,3"],
         ["1.5  2.5 -3", "4 5 6"],
+        ["position,x (2g),y (2g)", *["45deg,1,2"] * 9, "90deg,1"],
+        ["position,x,y", *["45deg,1,2,"] * 9],
     ],
 )
 def test_a_table_is_not_printed(lines):

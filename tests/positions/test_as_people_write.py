@@ -156,6 +156,7 @@ DECIMAL = {
     "a zero before": "ax;ay\n0.125;-246\n9.807;12\n",
     "other digits behind": "ax;ay\n1.25;-246\n9.807;12\n",
     "commas between cells": "ax,ay\n16.586,1.5\n-246,2.5\n",
+    "a zero beside": "ax;ay\n2.512;3.104\n0;2.498\n",
 }
 
 
@@ -165,6 +166,16 @@ def test_points_before_decimals_stay(case, tmp_path):
     path.write_text(DECIMAL[case], encoding="utf-8")
     first = DECIMAL[case].splitlines()[1].replace(",", ";").split(";")[0]
     assert mp.read_readings(path, outputs="ax").values[0, 0] == float(first)
+
+
+def test_a_time_that_goes_up_keeps_its_decimals(tmp_path):
+    """And a row that is no number hides no thousands from the look at the first rows."""
+    rows = [f"{1 + i / 8:.3f};{16.586 - i:.3f};-246" for i in range(12)]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["time;ax;ay", *rows, "2.500;-246;n/a"]) + "\n", encoding="utf-8")
+    table = mp.read_table(path)
+    assert table.numbers("time")[:2].tolist() == [1.0, 1.125]
+    assert table.numbers("ax")[[0, -1]].tolist() == [16586.0, -246.0]
 
 
 def test_columns_that_contradict_each_other_are_refused_by_name(tmp_path):

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from profile_oracle import fit_residuals, search_interval
 
 from multipos.numerics.least_squares import solve
-from multipos.sensor.derived import _central
 from multipos.uncertainty.propagation import welch_satterthwaite
 
 # H.3: corrections of a thermometer [degC] at temperatures [degC], table H.6
@@ -35,8 +34,10 @@ WEIGHT_Y = np.array([1.0, 1.8, 4.0, 8.0, 20.0, 20.0, 70.0, 70.0, 100.0, 500.0])
 
 def propagate(function, values, covariance):
     """Return function(values) and its covariance to first order (JCGM 100, eq. (13); JCGM 102)."""
-    result, gradient = _central(function, values, 1e-5 * np.abs(values))
-    return result, gradient @ covariance @ gradient.T
+    nudges = np.diag(1e-5 * np.abs(values))
+    above, below = function(values + nudges), function(values - nudges)
+    gradient = (above - below).T / (2.0 * np.diag(nudges))
+    return function(values[None])[0], gradient @ covariance @ gradient.T
 
 
 def thermometer_line():

@@ -397,7 +397,7 @@ def test_how_force_follows_parameters_at_the_mean_temperature():
     theta = rng.normal(size=8) + np.array([0, 3, 0, 0, 0, 0, 3, 0])
     c = SimpleNamespace(
         model=model, parameters=theta,
-        readings=SimpleNamespace(environment={"temperature": np.array([12.0, 20.0, 28.0])}),
+        mean_environment={"temperature": 20.0},
     )  # fmt: skip
     asked = []
     with pytest.MonkeyPatch.context() as patch:
