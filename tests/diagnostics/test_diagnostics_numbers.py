@@ -243,20 +243,23 @@ def test_misfits_of_a_field_are_freed_of_what_a_calibration_takes():
 
 def test_what_is_mostly_one_reading_s_is_no_iron_that_moved():
     """Of what the squares fall by in six rows a share in one, just below and above the limit."""
-    u, step = np.tile([1.0, 0.0, 0.0], (10, 1)), np.array([0.5, 0.0, 0.0])
-    nothing = np.zeros((10, 1))
+    added = np.zeros(10)
+    added[3:9] = 0.5  # a step along every reading of six rows
     for share in (magnetic._OF_ONE_ROW * 0.98, magnetic._OF_ONE_ROW * 1.02):
         left = np.zeros(10)  # a row falls by 2 left .5 − .25
         rest = (1.0 - share) / 5.0
         left[3:9] = np.array([share, *[rest] * 5]) + 0.25
-        found = magnetic._of_one_row(u, nothing, left, slice(3, 9), step)
+        found = magnetic._of_one_row(left, added)
         assert found is (share > magnetic._OF_ONE_ROW)
 
 
 @pytest.mark.parametrize(("gained", "end"), [(0.9, 60), (0.9, 50), (0.02, 60)])
 def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monkeypatch):
-    """Three numbers of 80 rows that are worth 40: the part is one of 45."""
-    left = np.full(80, 0.1)
+    """Three numbers of 80 rows that are worth 40: the part is one of 45.
+
+    What the step leaves has at lag 1 a correlation of 1/2 and none beyond: 1 + 2 · 1/2 times fewer.
+    """
+    left = np.tile([0.1, 0.1, 0.0, 0.0], 20) * math.sqrt(2.0)
     field = SimpleNamespace(size=None)
     labels = tuple(str(i) for i in range(60))
     c = SimpleNamespace(field=field, readings=SimpleNamespace(labels=labels))

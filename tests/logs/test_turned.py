@@ -8,7 +8,13 @@ from numpy.testing import assert_allclose
 import multipos as mp
 from multipos.errors import MultiposError
 from multipos.logs.ellipsoids import covers, fit_ellipsoid, usual_turn
-from multipos.logs.turned import _middles, _samples_of_a_window, _turn_rates
+from multipos.logs.turned import (
+    _middles,
+    _samples_of_a_window,
+    _sd_by_rate,
+    _turn_rates,
+    _without_arm,
+)
 from multipos.units import STANDARD_GRAVITY
 
 OUTPUTS = ("ax", "ay", "az")
@@ -40,6 +46,7 @@ def turned():
 
 
 def test_u_covers_and_the_error_is_below_that_of_all_samples_alike():
+    # eq. (1) of logs.turned: the generator has a lever arm, a tremor and a hand
     rng = np.random.default_rng(66)
     off, others, U = [], [], []
     for _ in range(30):
@@ -121,6 +128,8 @@ def test_an_ellipsoid_and_what_grows_with_the_square_of_the_turn_rate():
     square = np.random.default_rng(4).random(400)
     M = np.array([[30.0, 2.0, 0.0], [0.0, 40.0, 3.0], [1.0, 0.0, 50.0]])
     arm = np.array([0.3, -0.2, 0.5])
+    # eq. (3) of logs.turned
+    # eq. (1) of logs.ellipsoids
     values = [7.0, -20.0, 11.0] + np.outer(square, arm) + up @ M.T
     found = fit_ellipsoid(values, square=square)
     found = fit_ellipsoid(values, square=square, about=found.centre)
@@ -133,6 +142,7 @@ def test_a_window_in_its_middle_and_its_turn_rate(turned):
     angle = 0.01 * np.arange(8000)  # per row
     values = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
     middles = _middles(values, 8)
+    # eq. (2) of logs.turned
     middle = 0.01 * (8.0 * np.arange(1, 999) + 3.5)
     along = np.column_stack([np.cos(middle), np.sin(middle)])
     # terms of the fourth order in the turn of a window are left, 0.08⁴/500
@@ -145,6 +155,29 @@ def test_a_window_in_its_middle_and_its_turn_rate(turned):
     assert turn[0] < 4.0 < turn[1]
 
 
+def test_u_of_windows_by_how_fast_they_turn():
+    """Twelve groups of three: σ is the middle one of each, and a jolt of nine σ counts as three."""
+    rng = np.random.default_rng(9)
+    up = mp.read_scheme("fibonacci-36").up
+    rate = np.arange(36.0)
+    misfit = np.tile([0.5, 1.0, 2.0], 12) * np.repeat(np.arange(1.0, 13.0), 3) * 1e-3
+    order = rng.permutation(36)
+    sigma = _sd_by_rate(misfit[order], rate[order])
+    by_hand = np.repeat(np.arange(1.0, 13.0), 3) * 1e-3 / 0.6745
+    assert_allclose(sigma, by_hand[order])
+    # eq. (4) of logs.turned, of a sphere of equal misfits but one
+    values = (
+        np.repeat(up, 10, axis=0) * (1.0 + 1e-6 * np.where(np.arange(360) % 2, 1.0, -1.0))[:, None]
+    )
+    form = fit_ellipsoid(values)
+    _, u, _ = _without_arm(values, form)
+    field = form.field(values)
+    r = np.linalg.norm(field, axis=1) - 1.0
+    assert np.mean((r / (u[:, 0] * np.linalg.norm(form.root, axis=1)[0])) ** 2) == pytest.approx(
+        (360 - 12) / 360, rel=0.02
+    )
+
+
 def test_u_is_that_of_leaving_blocks_out(turned):
     values, _ = turned
     cal = mp.calibrate(columns(values), unit="g")
@@ -155,6 +188,7 @@ def test_u_is_that_of_leaving_blocks_out(turned):
     for block in np.array_split(np.arange(len(readings)), 24):
         left = {n: np.delete(np.asarray(c, dtype=float), block) for n, c in still.items()}
         moved.append(mp.fit(left, unit="g", unknown_orientation=True).parameters - whole.parameters)
+    # eq. (6) of estimation.correlated_rows
     by_hand = np.sqrt(23.0 / 24.0 * np.sum(np.square(moved), axis=0))
     assert_allclose([each.u for each in whole.entries], by_hand, rtol=0.03)
 
