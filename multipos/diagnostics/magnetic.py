@@ -17,7 +17,8 @@ n − 12 degrees of freedom where the columns u are added in these rows, whose e
 pairs of tenths. The rows named are those around the best pair by which r falls most. Of what r'r
 falls by, one row has no more than three fifths: of an outlier in a run it has nearly twice all.
 
-Both take rows as worth fewer where their noise is correlated (`effective_rows`).
+Both take rows as worth fewer where their noise is correlated: a disturbance by `effective_rows`,
+moving iron by 1 + 2 Σ ρ of the correlations ρ of u r that its step leaves, as it correlates rows.
 
 Field sizes at the surface of the Earth: 22 to 67 µT, NOAA, World Magnetic Model 2025.
 """
@@ -165,7 +166,7 @@ def moving_iron(c: Calibration, readings: Readings | None = None) -> Finding | N
     n = len(u)
     sums = _sums(u, design, left)
     start, end, gained = _likeliest(sums)
-    fewer = _times_fewer(left - _of_step(u, design, sums, start, end))
+    fewer = _times_fewer(u, left - _of_step(u, design, sums, start, end))
     dof = n / fewer - 12.0
     if dof < 1.0:
         return None
@@ -228,11 +229,15 @@ def _of_step(u: Array, design: Array, sums: Array, start: int, end: int) -> Arra
     return np.asarray(added - design @ np.linalg.lstsq(design, added, rcond=None)[0])
 
 
-def _times_fewer(left: Array) -> float:
-    """Return by how many times rows (n,) exceed independent ones, by their correlation."""
-    square, fewer = float(left @ left), 1.0
-    for lag in range(1, len(left) // 4):
-        correlation = float(left[:-lag] @ left[lag:]) / square if square > 0.0 else 0.0
+def _times_fewer(u: Array, left: Array) -> float:
+    """Return by how many times rows (n,) exceed independent ones, by the correlation of u r.
+
+    Slow noise of the axes has misfits whose signs turn with u (n, 3), but no sign in u r.
+    """
+    rows = u * left[:, None]
+    square, fewer = float((rows**2).sum()), 1.0
+    for lag in range(1, len(rows) // 4):
+        correlation = float((rows[:-lag] * rows[lag:]).sum()) / square if square > 0.0 else 0.0
         if correlation < _FAINT:
             break
         fewer += 2.0 * correlation

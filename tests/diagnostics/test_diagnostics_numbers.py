@@ -244,7 +244,7 @@ def test_misfits_of_a_field_are_freed_of_what_a_calibration_takes():
 def test_what_is_mostly_one_reading_s_is_no_iron_that_moved():
     """Of what the squares fall by in six rows a share in one, just below and above the limit."""
     added = np.zeros(10)
-    added[3:9] = 0.5  # a step along every reading of six rows
+    added[3:9] = 0.5
     for share in (magnetic._OF_ONE_ROW * 0.98, magnetic._OF_ONE_ROW * 1.02):
         left = np.zeros(10)  # a row falls by 2 left .5 − .25
         rest = (1.0 - share) / 5.0
@@ -253,25 +253,69 @@ def test_what_is_mostly_one_reading_s_is_no_iron_that_moved():
         assert found is (share > magnetic._OF_ONE_ROW)
 
 
+def test_what_a_step_adds_is_what_its_columns_take_beside_the_design():
+    """By one fit of both, the columns of the step in rows 12 to 29 only."""
+    rng = np.random.default_rng(6)
+    u, design = rng.normal(size=(50, 3)), rng.normal(size=(50, 4))
+    left = rng.normal(size=50)
+    left -= design @ np.linalg.pinv(design) @ left
+    inside = np.zeros((50, 3))
+    inside[12:30] = u[12:30]
+    both = np.column_stack([design, inside])
+    added = magnetic._of_step(u, design, magnetic._sums(u, design, left), 12, 30)
+    assert_allclose(added, both @ np.linalg.pinv(both) @ left, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("left", "fewer"),
+    [
+        ([3.0, 2.0, 1.0, 0.0, 0.0, 0.0] * 10, 1.0 + 2.0 * (8.0 + 3.0) / 14.0),  # up to the first 0
+        ([2.0, -1.0, 0.0] * 10, 1.0),
+        ([1.0] * 12, 1.0 + 2.0 * (11.0 + 10.0) / 12.0),  # lags below a quarter of the rows
+        ([1.0, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0),  # by 0.05/1.0025, below 0.05
+        ([1.0, 0.051, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0 + 2.0 * 0.051 / 1.002601),
+        ([0.0] * 40, 1.0),
+    ],
+)
+def test_rows_that_are_correlated_exceed_independent_ones(left, fewer):
+    """By 1 + 2 Σ r over lags, until the correlation r is faint; turning over changes nothing."""
+    left = np.array(left)
+    u = np.tile([0.0, 0.6, -0.8], (len(left), 1))
+    assert magnetic._times_fewer(u, left) == pytest.approx(fewer, rel=1e-12)
+    over = np.where(np.arange(len(left)) % 2, -1.0, 1.0)
+    assert magnetic._times_fewer(over[:, None] * u, over * left) == pytest.approx(fewer, rel=1e-12)
+
+
+def test_rows_in_directions_at_right_angles_are_not_correlated():
+    """x, x, y, y, z, z, … of the same misfit: 10 of 20 rows have a neighbour alike."""
+    u = np.repeat(np.vstack([np.eye(3)] * 4)[:10], 2, axis=0)
+    assert magnetic._times_fewer(u, np.full(20, -0.3)) == pytest.approx(1.0 + 2.0 * 10.0 / 20.0)
+
+
 @pytest.mark.parametrize(("gained", "end"), [(0.9, 60), (0.9, 50), (0.02, 60)])
 def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monkeypatch):
-    """Three numbers of 80 rows that are worth 40: the part is one of 45.
+    """Three numbers of 80 rows that are worth 40 by what the step leaves: the part is one of 45.
 
-    What the step leaves has at lag 1 a correlation of 1/2 and none beyond: 1 + 2 · 1/2 times fewer.
+    Of 1, 1, 0, 0, … half the squares are products of neighbours, and none at the next lag; the
+    rows with the step in them, all alike, would be worth hardly more than two.
     """
-    left = np.tile([0.1, 0.1, 0.0, 0.0], 20) * math.sqrt(2.0)
+    left = np.full(80, 0.1)
+    added = 0.1 * np.tile([0.0, 0.0, 1.0, 1.0], 20)
     field = SimpleNamespace(size=None)
     labels = tuple(str(i) for i in range(60))
     c = SimpleNamespace(field=field, readings=SimpleNamespace(labels=labels))
-    found = np.zeros((80, 3)), np.zeros((80, 9)), left, 2.0
+    found = np.tile([0.0, 0.6, -0.8], (80, 1)), np.zeros((80, 9)), left, 7.0
+    refined = 21, end + 20 * (end == 60)
+    of_step = {(20, end): added, refined: 0.5 * added}
+    judged = []
     monkeypatch.setattr(magnetic, "_left", lambda c, readings: found)
     monkeypatch.setattr(magnetic, "_sums", lambda *_: None)
     monkeypatch.setattr(magnetic, "_likeliest", lambda sums: (20, end, gained * 0.8))
-    refined = 21, end + 20 * (end == 60)
     step = np.array([[0.018, 0.0, -0.024]])
     monkeypatch.setattr(magnetic, "_refined", lambda sums, start, end: refined)
     monkeypatch.setattr(magnetic, "_moved", lambda sums, start, end: (step, None))
-    monkeypatch.setattr(magnetic, "_of_one_row", lambda *_: False)
+    monkeypatch.setattr(magnetic, "_of_step", lambda u, design, sums, *run: of_step[run])
+    monkeypatch.setattr(magnetic, "_of_one_row", lambda *rows: bool(judged.append(rows)))
     f = gained * 0.8 / 3.0 / 2.0 / ((1.0 - gained) * 0.8 / (80 - 12))
     p = 45 * fisher.sf(f, 3, 28)
     said = moving_iron(c)
@@ -281,6 +325,7 @@ def test_iron_that_moves_is_judged_by_f_of_the_rows_that_count(gained, end, monk
     assert said.p == pytest.approx(p, rel=1e-6)
     where = "from row 21 on" if end == 60 else "from row 21 to row 49"
     assert said.text.startswith(f"hard iron changes by 3 % of the field {where}")
+    assert_allclose(judged, [(left, 0.5 * added)])
 
 
 # --- columns
