@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 53_092, 49_311
+ALL, TESTS = 53_093, 49_346
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -24,7 +24,7 @@ CEILINGS = {
     "commands": 2238,
     "compensation": 781,
     "designs": 1770,
-    "diagnostics": 4020,
+    "diagnostics": 4021,
     "estimation": 6805,
     "exports": 2545,
     "files": 2765,
