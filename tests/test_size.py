@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 53_093, 49_346
+ALL, TESTS = 53_099, 49_392
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -23,7 +23,7 @@ CEILINGS = {
     "capturing": 2255,
     "commands": 2238,
     "compensation": 781,
-    "designs": 1770,
+    "designs": 1776,
     "diagnostics": 4021,
     "estimation": 6805,
     "exports": 2545,

@@ -294,7 +294,13 @@ class Assessor:
         """Return the best that positions can do on the sphere, by criterion D, A, E or I."""
         if name not in self._optima:
             criterion = make_criterion(name, self.setting)
-            self._optima[name] = optimise_sphere(self.setting, criterion)
+            try:
+                self._optima[name] = optimise_sphere(self.setting, criterion)
+            except np.linalg.LinAlgError:
+                raise MultiposError(
+                    f"the {name}-optimum of these parameters cannot be found, as their sizes are "
+                    "too far apart; state the model in units in which they are of one size."
+                ) from None
         return self._optima[name]
 
     def separate(self, up: Array) -> tuple[list[str], float]:

@@ -205,12 +205,6 @@ CHECKS = ("force-check.json", "tilt-check.json")
 BUDGETS = ("bench.toml", "head.toml")
 LABORATORIES = ("laboratory.toml",)
 SECTIONS = ("sections.csv", "sections.json")
-EXPORTS = listed(
-    """
-    imu.c warm.c own.c causal.c incl.c lin.params lin.parm lin.yaml mag.params
-    mag.parm mag.yaml
-    """
-)
 MODELS = ("own.toml", "outputs.toml")
 FLEETS = ("fleet.csv",)
 LIMITS = ("limits.csv", "limits.toml")
@@ -219,7 +213,7 @@ DATA = ("data.csv",)
 CROSSED = ("log14.csv", "averaged14.csv")
 NAMES = (
     *(READINGS + SCHEMES + LOGS + CALIBRATIONS + REGRESSIONS + CHECKS),
-    *(BUDGETS + LABORATORIES + SECTIONS + EXPORTS + DATA),
+    *(BUDGETS + LABORATORIES + SECTIONS + DATA),
     *(MODELS + FLEETS + LIMITS + RECORDS + CROSSED),
 )
 

@@ -137,18 +137,6 @@ def _captures(rng: random.Random, valid: Files) -> Case:
     return _case(words, valid, {name: data})
 
 
-def _export(rng: random.Random, data: bytes) -> bytes:
-    """Numbers, words and bytes of an exported file."""
-    text = data.decode()
-    words = text.split(" ")
-    for _ in range(rng.choice((1, 1, 2, 5))):
-        i = rng.randrange(len(words))
-        new = rng.choice((hostile.number, hostile.number, hostile.text_with_controls))(rng)
-        words[i] = rng.choice((new, words[i] + new, "", words[i] + " " + words[i]))
-    changed = " ".join(words).encode("utf-8", "surrogatepass")
-    return raw.damage(rng, changed) if rng.random() < 0.3 else changed
-
-
 ARRAY_COMMANDS = {
     "average {} --outputs ax,ay,az": 4,
     "average {} --rate 100 --json": 6,
@@ -350,7 +338,6 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "checks": _damaged(bases.CHECKS, json_files.mutate),
     "budgets": _damaged(bases.BUDGETS, toml_files.mutate),
     "laboratories": _damaged(bases.LABORATORIES, toml_files.mutate),
-    "exports": _damaged(bases.EXPORTS, _export),
     "models": _damaged(bases.MODELS, toml_files.mutate),
     "fleets": _damaged(bases.FLEETS, tables.mutate),
     "limits": _damaged(bases.LIMITS, _limits),
