@@ -299,7 +299,7 @@ class Assessor:
             except np.linalg.LinAlgError:
                 raise MultiposError(
                     f"the {name}-optimum of these parameters cannot be found, as their sizes are "
-                    "too far apart; state the model in units in which they are of one size."
+                    "too different; state the model in units in which they are of one size."
                 ) from None
         return self._optima[name]
 
