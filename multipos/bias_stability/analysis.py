@@ -187,8 +187,8 @@ def _complete(
     raw: Sequence[RawRecord], calibration: Calibration | None, unit: str, confidence: float
 ) -> Stability:
     names, lengths = raw[0].names, allan.octaves(max(each.samples for each in raw))
-    steady = [each.source for each in raw if _is_steady(each)]
-    found = [_trends(raw, i, lengths, not steady) for i in range(len(names))]
+    varies = not any(map(_is_steady, raw))
+    found = [_trends(raw, i, lengths, varies) for i in range(len(names))]
     records = tuple(_kept(each, [d.transients[r] for d in found]) for r, each in enumerate(raw))
     values = Values(raw, lengths, unit, confidence)
     outputs = {name: values.output(i, found[i]) for i, name in enumerate(names)}
@@ -202,7 +202,7 @@ def _complete(
         unit=unit,
         confidence=confidence,
         calibration=None if calibration is None else calibration.created,
-        findings=_find(raw, steady, outputs),
+        findings=_find(raw, outputs),
     )
 
 
@@ -233,6 +233,7 @@ def _repeats(
 
 
 def _is_steady(record: RawRecord) -> bool:
+    """Whether the temperature is constant, and thus not used."""
     return record.temperature is not None and not np.ptp(record.temperature)
 
 
@@ -274,13 +275,8 @@ def _spread(values: list[float]) -> Spread:
     return Spread(float(np.std(values, ddof=1)), float(np.ptp(values)), len(values) - 1)
 
 
-def _find(
-    raw: Sequence[RawRecord], steady: Sequence[str], outputs: Mapping[str, OutputStability]
-) -> Findings:
+def _find(raw: Sequence[RawRecord], outputs: Mapping[str, OutputStability]) -> Findings:
     said = [found for each in raw for found in each.findings]
-    if steady:
-        text = f"{steady[0]}: the temperature is constant and not used"
-        said.append(Finding("constant-temperature", "note", text))
     said += [found for each in raw for found in _movements(each)]
     shortest = min(each.samples / each.rate for each in raw)
     for name, found in outputs.items():

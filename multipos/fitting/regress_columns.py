@@ -172,7 +172,7 @@ def regress(
     source, sha256, found = table.source, table.sha256, (*repeated_files(table.copies), *converted)
     del table  # whose text may be most of what is in memory
     check_columns(source, read.data, response, names, constant=plan.constant)
-    edges, said = settle_edges(plan, read.data, wanted, given, min_rows, free=free)
+    edges = settle_edges(plan, read.data, wanted, given, min_rows, free=free)
     cut = Cut(wanted, edges, bool(edges) and not free)
     _require_bending(plan, cut)
     result = _describe(plan, response, read, cut)
@@ -183,7 +183,7 @@ def regress(
         source=visible(source) if sha256 else None,
         sha256=sha256,
         findings=in_order(
-            (*found, *read.findings, *find_order(read, result), *said, *result.findings),
+            (*found, *read.findings, *find_order(read, result), *result.findings),
         ),
     )
 

@@ -84,12 +84,6 @@ class Roll(Result):
         return bool(abs(self.gap - 2.0 * np.pi / len(self.distinct)) < 1e-6)
 
     @property
-    def repeated(self) -> tuple[float, ...]:
-        """Angles that are there more than once [degrees]."""
-        twice = np.bincount(self.groups) > 1
-        return tuple(np.round(np.degrees(self.distinct[twice]), 6).tolist())
-
-    @property
     def groups(self) -> Places:
         """Which of the distinct angles each position has (n,)."""
         after = np.searchsorted(self.distinct, self.angle + _SAME) - 1

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array
 from multipos.numerics.terms import evaluate_terms
 from multipos.regression.observations import Data, Rows
@@ -40,8 +39,8 @@ def settle_edges(
     min_rows: int | None,
     *,
     free: bool,
-) -> tuple[tuple[float, ...], Findings]:
-    """Return the edges that are given or found, and what there is to say of them.
+) -> tuple[float, ...]:
+    """Return the edges that are given or found.
 
     Raises
     ------
@@ -51,27 +50,17 @@ def settle_edges(
         `min_rows` are no more than the terms.
     """
     if variable is None:
-        return (), ()
+        return ()
+    values = data.columns[variable]
     if given is not None:
-        check_edges(variable, given, data.columns[variable])
-        return given, ()
-    edges = _find_edges(plan, data, variable, min_rows, free)
-    if not edges:
-        text = f"no edge in {variable} improves the model enough: one segment"
-        return (), (Finding("one-segment", "note", text),)
-    return edges, ()
-
-
-def _find_edges(
-    plan: Plan, data: Data, variable: str, min_rows: int | None, free: bool
-) -> tuple[float, ...]:
+        check_edges(variable, given, values)
+        return given
     p = len(plan.terms)
     minimum = 2 * p if min_rows is None else min_rows
     if minimum <= p and plan.limits is None:
         raise UsageError(f"--min-rows must be above the number of terms, {p}; got {minimum}.")
     read = data
     design, data = within_runs(evaluate_terms(plan.terms, data.columns, len(data)), data)
-    values = data.columns[variable]
     response = data.response
     # what five segments leave is close to noise alone, whatever the edges will be
     bins = np.unique(np.quantile(values, [0.2, 0.4, 0.6, 0.8]))
@@ -86,7 +75,7 @@ def _find_edges(
 
     joined = None
     if not free and hinges(plan.terms, variable, [0.0], both=False):
-        joined = Joined(plan.terms, variable, data.columns, adjust)
+        joined = Joined(plan.terms, variable, read.columns, adjust)
     return find_edges(values, design, response, minimum=minimum, joined=joined)
 
 

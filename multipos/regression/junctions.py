@@ -79,10 +79,9 @@ def _junction(
     jump, variance = np.zeros(len(rows)), np.zeros(len(rows))
     for sign, s in ((-1.0, below), (1.0, above)):
         X = s.design(columns, rows)
-        C = s.covariance if s.robust is None else s.robust.covariance
         jump += sign * (X @ s.values)
-        variance += combined_variance(X, C)
+        variance += combined_variance(X, s.robust_covariance)
     i = int(np.argmax(np.abs(jump)))
     u = float(np.sqrt(variance[i]))
-    nu = min(float(s.dof[1]) if s.robust is None else s.robust.t_dof for s in (below, above))
+    nu = min(below.robust_dof, above.robust_dof)
     return Junction(edge, float(jump[i]), u, coverage_factor(confidence, nu) * u)

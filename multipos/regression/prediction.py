@@ -78,11 +78,9 @@ def predict_uncertainty(
     for number, segment in enumerate(regression.segments):
         rows = np.flatnonzero(place == number)
         X = segment.design(columns, rows)
-        robust = segment.robust
-        C = segment.covariance if robust is None else robust.covariance
-        own = combined_variance(X, C)
+        own = combined_variance(X, segment.robust_covariance)
         variance = own + (segment.rms**2 if sd is None else sd[rows] ** 2)
-        nu = float(segment.dof[1]) if robust is None else robust.t_dof
+        nu = segment.robust_dof
         k: Array | float = coverage_factor(regression.confidence, nu)
         if sd is not None:
             with np.errstate(divide="ignore"):

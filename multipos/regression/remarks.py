@@ -22,7 +22,7 @@ from multipos.regression.runs import within_runs
 from multipos.regression.segment import Segment
 from multipos.regression.variation import variance_inflation
 
-_MOST_NAMED = 3  # terms that are left out
+_MOST_NAMED = 3  # variables
 _INFLATED = 10.0  # variance of a coefficient, over what its column alone would give
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
 
@@ -35,9 +35,6 @@ def find_order(read: Observations, result: Regression) -> Findings:
 def find_in_choice(plan: Plan, segments: Sequence[Segment]) -> list[Finding]:
     """Say what the choice of terms and each segment leave open."""
     said = []
-    if not plan.constant:
-        text = "no intercept: F and R² are about zero, not about the mean, dof n − k"
-        said.append(Finding("no-intercept", "note", text))
     if plan.limits is not None:
         text = "terms were chosen by the data that test them: F and p of the model are optimistic"
         action = "Confirm it by another run with check."
@@ -149,24 +146,15 @@ def _find_in_segment(plan: Plan, segment: Segment, where: str) -> list[Finding]:
     elif nu > 0 and not segment.significant:
         text = f"{where} is not significant: F = {segment.F:.3g} is below {segment.F_critical:.3g}"
         said.append(Finding("not-significant", "warning", text, p=segment.p))
-    if segment.left_out:
-        names = ", ".join(one.term for one in segment.left_out[:_MOST_NAMED])
-        more = len(segment.left_out) - _MOST_NAMED
-        names += f" and {more} more" if more > 0 else ""
-        text = f"{where}: {names} omitted, as the columns hardly vary there, or cancel"
-        said.append(Finding("left-out", "note", text))
     if segment.collinear:
         text = f"{where}: {', '.join(segment.collinear)} cannot be separated from the model"
         said.append(Finding("collinear-terms", "note", text))
     robust = segment.robust
     if robust is not None and segment.significant and not robust.p < 1.0 - plan.confidence:
         text = f"{where}: significant by F, not by F_robust ({p_in_words(robust.p)})"
-        said.append(Finding("not-robust", "warning", text, p=robust.p))
+        action = ""
         if robust.n_effective == segment.n:
-            text = (
-                f"{where}: {segment.n} rows cannot separate white from slow noise: F "
-                f"({p_in_words(segment.p)}) holds for white, F_robust for the slowest possible"
-            )
+            text += f", as {segment.n} rows cannot separate white from slow noise"
             action = "Record more rows, or several runs."
-            said.append(Finding("slow-or-white", "warning", text, action))
+        said.append(Finding("not-robust", "warning", text, action, p=robust.p))
     return said

@@ -313,6 +313,16 @@ class Segment(Result):
         return bool(self.F_critical < self.F)
 
     @property
+    def robust_covariance(self) -> Array:
+        """Covariance of the coefficients that holds where rows depend on each other as well."""
+        return self.covariance if self.robust is None else self.robust.covariance
+
+    @property
+    def robust_dof(self) -> float:
+        """Degrees of freedom of `robust_covariance`."""
+        return float(self.dof[1]) if self.robust is None else self.robust.t_dof
+
+    @property
     def used(self) -> tuple[str, ...]:
         """The variables of its terms, and of those that its region is about."""
         terms = self.terms if self.region is None else self.region.terms
@@ -339,10 +349,10 @@ class Segment(Result):
         assert self.between is not None  # or there are no runs to judge by
         share = float(self.between.of_coefficients(self.terms)[i, i])
         wide = row.u if row.u_robust is None else row.u_robust
-        nu = self.dof[1] if self.robust is None else self.robust.t_dof
+        nu = self.robust_dof
         rest = wide**2 - share
         lost = share**2 / (self.between.runs - 1) + (rest**2 / nu if nu > 0 else 0.0)
-        dof = wide**4 / lost if lost > 0.0 else float(nu)
+        dof = wide**4 / lost if lost > 0.0 else nu
         row = row._replace(dof=dof, p=t_tail(row.t, dof))
         return row if row.t_robust is None else row._replace(p_robust=t_tail(row.t_robust, dof))
 

@@ -71,7 +71,7 @@ from multipos.sensor.tilt import (
 )
 from multipos.uncertainty.unseen_terms import unseen_covariance
 from multipos.verification.agreement import judge_run, stated_orientation_sd
-from multipos.verification.regression_checks import check_regression, check_regressions
+from multipos.verification.regression_checks import check_regression
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.
@@ -298,8 +298,6 @@ def check(
                 "--nominal": nominal,
             }
         )
-        if isinstance(calibration, Regressions):
-            return check_regressions(calibration, readings, limit_g=limit_g)
         return check_regression(calibration, readings, limit_g=limit_g)
     tilt = tilt or limit_deg is not None
     _check_options(tilt, limit_deg, limit_g, within_deg)

@@ -23,7 +23,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files import spelling, trees
 from multipos.files.spelling import StrPath
-from multipos.finding import Finding, in_order
+from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
@@ -88,6 +88,7 @@ class Comparison(Judgement, Result, Drawn):
     bias_stability: dict[str, float]
     per: str
     times: str
+    findings: Findings
     changes: tuple[Change, ...] = ()
     common: str = ""
 
@@ -230,7 +231,7 @@ def _compare(
         judged = Judgement.of_methods(found, values)
     else:
         judged = judge_repeats(found, values, day, 1.0 - confidence)
-    findings = () if same else (*find_repeats(found), *judged.findings)
+    findings = () if same else find_repeats(found)
     if len(found) < _LEAST and not same:
         text = f"{len(found)} repeats determine stability poorly"
         action = f"Calibrate at least {_LEAST} times."
@@ -246,7 +247,8 @@ def _compare(
         changes=() if same else find_changes(found, at, limits),
         common="" if same else _common(found, day),
         **drift._asdict(),
-        **vars(judged) | {"findings": in_order(findings)},
+        findings=in_order(findings),
+        **vars(judged),
     )
 
 

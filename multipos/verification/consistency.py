@@ -31,7 +31,7 @@ within every day, and of the days: their p̄ with (sum C_r⁻¹)⁻¹ + L. Of th
 estimated, and ν becomes ν/w².
 
 Outputs that share one scatter (pooled, or correlated in the fit) are one family in (2), and
-(3) is not needed. That the scatter is one number is itself tested by Bartlett's test.
+(3) is not needed.
 
 References
 ----------
@@ -44,15 +44,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.fit_diagnostics import bartlett
 from multipos.uncertainty.propagation import evaluate_budget
-
-_UNEQUAL = 0.01  # level at which repeats of different scatter are warned of
 
 
 class Words(NamedTuple):
@@ -85,7 +81,6 @@ class Judgement:
     consistent : bool
     moved : tuple of str
         Parameters that moved, by Holm's method at the same level.
-    findings : tuple of Finding
     """
 
     chi2: Array
@@ -98,7 +93,6 @@ class Judgement:
     test: str
     consistent: bool
     moved: tuple[str, ...]
-    findings: Findings
 
     @classmethod
     def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
@@ -121,7 +115,6 @@ class Judgement:
             moved=names,
             test="the readings are the same, so their noise cannot separate the methods: "
             "consistent where no parameter differs by more than its U",
-            findings=(),
         )
 
 
@@ -133,7 +126,6 @@ class _Family:
     """
 
     members: Places
-    name: str
     cofactors: Array
     variances: Array
     dof: Array
@@ -175,7 +167,6 @@ def judge_repeats(
     repeats, p = values.shape
     chi2, scatter_dof, tails = np.empty(p), np.empty(p), np.empty(p)
     outcome: list[tuple[float, float, float]] = []  # Q, its degrees of freedom, ν
-    unequal = []
     for family in families:
         factor, nu = family.scatter
         covariances = family.cofactors * factor[:, None, None]
@@ -188,14 +179,6 @@ def judge_repeats(
             single = _by_days(mine[:, [place]], covariances[alone], family.of_days[alone], day)
             chi2[member], scatter_dof[member] = single, nu
             tails[member] = f_tail(single / (repeats - 1.0), repeats - 1.0, nu)
-        estimated = np.isfinite(family.dof)
-        p_equal = bartlett((family.variances * family.dof)[estimated], family.dof[estimated])
-        if p_equal < _UNEQUAL:
-            text = (
-                f"the noise of {family.name} differs between repeats (Bartlett's test at 1 %); "
-                "the test of their agreement takes its mean"
-            )
-            unequal.append(Finding("unequal-repeats", "warning", text, p=p_equal))
     statistic, dof, p_total, test = judge_together(outcome, _WORDS)
     # Holm: the smallest p against level/p, the next against level/(p − 1), …
     order = np.argsort(tails)
@@ -213,7 +196,6 @@ def judge_repeats(
         test=test,
         consistent=not p_total < level,
         moved=moved,
-        findings=tuple(unequal),
     )
 
 
@@ -285,20 +267,18 @@ def _families(found: Sequence[Calibration], day: Array) -> list[_Family]:
     output_of, count = found[0].model.output_of, len(found[0].outputs)
     whole = zip(found, covariances + of_days, strict=True)
     apart = all(is_apart(c, covariance, output_of) for c, covariance in whole)
-    members = {"all outputs": list(range(count))}
-    if apart:
-        members = {name: [i] for i, name in enumerate(found[0].outputs)}
+    members = [[i] for i in range(count)] if apart else [list(range(count))]
+    cleared = [budget.cleared for budget in budgets]
     families = []
-    for name, mine in members.items():
+    for mine in members:
         group = np.flatnonzero(np.isin(output_of, mine)) if apart else np.arange(len(output_of))
-        cleared = [budget.cleared for budget in budgets]
         dof = np.array([left.dof[mine[0]] for left in cleared])
         ratio = np.array([left.ratio[mine].mean() for left in cleared])
         variances = ratio * [_scatter(c, mine) for c in found]
         variances = np.where(np.isinf(dof), 1.0, variances)  # NaN without degrees of freedom
         block, days = (each[:, group][:, :, group] for each in (covariances, of_days))
         positive = np.where(variances > 0.0, variances, math.nan)[:, None, None]
-        families.append(_Family(group, name, block / positive, variances, dof, days))
+        families.append(_Family(group, block / positive, variances, dof, days))
     return families
 
 

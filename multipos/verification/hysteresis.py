@@ -1,7 +1,6 @@
 """Hysteresis of a tumble: readings at an angle that is come to from below, and from above.
 
 - `find_hysteresis` returns the `Hysteresis` of every roll that was passed both ways.
-- `passes` returns which way each reading of a roll was come to.
 
 A pass runs forward where the angle of the roll, as a scheme lists it, grows from one reading to the
 next, and backward where it falls. At the N angles that were come to both ways the difference of the
@@ -20,9 +19,7 @@ import numpy as np
 
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import coverage_factor
-from multipos.positions.harmonics import (
-    Roll,
-)
+from multipos.positions.harmonics import Roll
 from multipos.results import Result, frozen
 
 _STILL = 1e-9  # [rad], a turn that is none
@@ -57,7 +54,7 @@ def find_hysteresis(
     for roll in rolls:
         # An angle of plane 'yx' falls where that of the roll, from x to y, grows.
         sense = 1 if roll.plane == "".join(sorted(roll.plane)) else -1
-        way, values, groups = sense * passes(roll.angle), signal[roll.rows], roll.groups
+        way, values, groups = sense * _passes(roll.angle), signal[roll.rows], roll.groups
         differences = []
         for group in range(len(roll.distinct)):
             here = groups == group
@@ -74,7 +71,7 @@ def find_hysteresis(
     return found
 
 
-def passes(angle: Array) -> Places:
+def _passes(angle: Array) -> Places:
     """Return +1 for readings (n,) of a forward pass, −1 of a backward one, 0 where none shows."""
     turned = np.remainder(np.diff(angle) + np.pi, 2.0 * np.pi) - np.pi
     way = np.sign(np.where(np.abs(turned) < _STILL, 0.0, turned))

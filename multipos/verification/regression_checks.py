@@ -1,7 +1,7 @@
 """A check of a regression on an independent run: errors before and after, and the run as a whole.
 
-`check_regression` returns the errors of a run before and after correction, `check_regressions`
-those of several responses.
+`check_regression` returns the errors of a run before and after correction, of one response or of
+several.
 
 A check takes the response on an independent run, before and after correction: it is an error that
 the run knows, and what the regression leaves of it is
@@ -29,24 +29,24 @@ know, is rejected.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from multipos.compensation import correction
 from multipos.errors import MultiposError
 from multipos.files.numbers import p_in_words
-from multipos.files.tables import Source, read_table
+from multipos.files.tables import Source, Table, read_table
 from multipos.finding import Finding, Findings, in_order
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_factor
 from multipos.regression.correlation import TimeOrder, time_order
 from multipos.regression.observations import Rows
 from multipos.regression.prediction import place_rows
-from multipos.regression.regression import Regression, Regressions
-from multipos.regression.segment import Segment, format_span
+from multipos.regression.regression import Regression, Regressions, all_of
+from multipos.regression.segment import format_span
 from multipos.regression.whitening import Law, Whitening, find_noise
+from multipos.results import Frozen
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
 from multipos.verification.consistency import Words, judge_together
 from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
@@ -60,16 +60,30 @@ _WORDS = Words(
 )
 
 
+class _Part(NamedTuple):
+    """One response of a run: known and errors (n,), and what was found of it."""
+
+    reference: Array
+    before: Array
+    after: Array
+    u: Array
+    U: Array
+    counted: Mask
+    against: str
+    segments: Frozen[str, Mask]
+    whole: Agreement
+
+
 def check_regression(
-    regression: Regression, data: Source, *, limit_g: float | None = None
+    regression: Regression | Regressions, data: Source, *, limit_g: float | None = None
 ) -> Check:
-    """Return the errors of a run before and after correction, row by row and by segment.
+    """Return the errors of a run before and after correction, a column for each response.
 
     Parameters
     ----------
-    regression : Regression
+    regression : Regression or Regressions
     data : path, mapping of columns, or data frame
-        An independent run with the response and the columns that the model uses.
+        An independent run with the responses and the columns that the models use.
     limit_g : float, optional
         Largest error allowed, for a response in g.
 
@@ -82,8 +96,50 @@ def check_regression(
     """
     if limit_g is not None:
         require_limit("--limit-g", limit_g)
-    r = regression
-    table, _ = correction.as_fitted(r, read_table(data, what="run"))
+    several, table = all_of(regression), read_table(data, what="run")
+    parts = [_check_one(r, table) for r in several]
+    reference, before, after, u, U, counted = (
+        np.column_stack(each) for each in list(zip(*parts, strict=True))[:6]
+    )
+    first = parts[0]
+    same = all(part.segments == first.segments for part in parts)
+    family = [_family_factor(r, int(counted.sum())) for r in several]
+    nothing = np.full(len(several), np.nan)
+    return Check(
+        quantity=", ".join(r.response for r in several),
+        unit="" if limit_g is None else "g",
+        axes=tuple(r.response for r in several),
+        positions=tuple(str(row + 1) for row in range(table.rows)),
+        reference=reference,
+        before=before,
+        after=after,
+        u=u,
+        U=U,
+        U_family=None if limit_g is None else U * family,
+        limit=limit_g,
+        verdicts=judge_errors(after, U, limit_g, counted),
+        counted=counted,
+        linearity_percent={"before": nothing, "after": nothing},
+        bias=None,
+        scale=None,
+        confidence=several[0].confidence,
+        source=table.source,
+        sha256=table.sha256,
+        findings=in_order(
+            finding
+            for r, part in zip(several, parts, strict=True)
+            for finding in (*_find_in_run(r, part.whole), *_find_outside(part))
+        ),
+        calibration=several[0].created,
+        against=first.against,
+        segments=first.segments if same else {},
+        consistency=first.whole,
+    )
+
+
+def _check_one(r: Regression, data: Table) -> _Part:
+    """Return the errors of one response."""
+    table, _ = correction.as_fitted(r, data)
     if r.response not in table:
         raise MultiposError(
             f"{table.source}: no column '{r.response}', the response; a check needs the error of "
@@ -100,11 +156,7 @@ def check_regression(
     columns = correction.read_predictors(r, table, run)
     place = place_rows(r, columns, table.rows, run)
     against, reference = correction.range_column(r, table, columns)
-    after, u, U = (
-        np.asarray(found[name])[:, None] for name in ("corrected", "u_corrected", "U_corrected")
-    )
-    counted = ~outside[:, None]
-    nothing = np.array([np.nan])
+    after, u, U = (np.asarray(found[name]) for name in ("corrected", "u_corrected", "U_corrected"))
     inside = np.flatnonzero(~outside)
     numbers = np.zeros(table.rows, dtype=np.intp) if run is None else run
     timed = r.time is not None and r.time in table
@@ -113,43 +165,24 @@ def check_regression(
         r,
         {name: column[inside] for name, column in columns.items()},
         place[inside],
-        after[inside, 0],
+        after[inside],
         time_order(clock[inside], numbers[inside]),
         numbers[inside],
     )
+    segments = Frozen(_rows_by_segment(r, place))
+    before = table.number(r.response)
+    return _Part(reference, before, after, u, U, ~outside, against, segments, whole)
+
+
+def _find_outside(part: _Part) -> Findings:
+    outside = int((~part.counted).sum())
+    if not outside:
+        return ()
     text = (
-        f"{int(outside.sum())} of {table.rows} rows are outside the range of the regression and "
-        "were not counted"
+        f"{outside} of {len(part.counted)} rows are outside the range of the regression and were "
+        "not counted"
     )
-    return Check(
-        quantity=r.response,
-        unit="" if limit_g is None else "g",
-        axes=(r.response,),
-        positions=tuple(str(row + 1) for row in range(table.rows)),
-        reference=reference[:, None],
-        before=table.number(r.response)[:, None],
-        after=after,
-        u=u,
-        U=U,
-        U_family=None if limit_g is None else U * _family_factor(r, int(counted.sum())),
-        limit=limit_g,
-        verdicts=judge_errors(after, U, limit_g, counted),
-        counted=counted,
-        linearity_percent={"before": nothing, "after": nothing},
-        bias=None,
-        scale=None,
-        confidence=r.confidence,
-        source=table.source,
-        sha256=table.sha256,
-        findings=(
-            *_find_in_run(r, whole),
-            *((Finding("outside", "warning", text),) if outside.any() else ()),
-        ),
-        calibration=r.created,
-        against=against,
-        segments=_rows_by_segment(r, place),
-        consistency=whole,
-    )
+    return (Finding("outside", "warning", text),)
 
 
 def _find_in_run(r: Regression, whole: Agreement) -> Findings:
@@ -169,7 +202,7 @@ class _Rows(NamedTuple):
 
     e: Array
     X: Array
-    root: Array  # C^(1/2), block by block
+    L: Array  # X C^(1/2), segment by segment
     Z: Array  # (n, k runs), run after run; no column where runs were not distinguished
 
 
@@ -177,7 +210,7 @@ def _judge_run(
     r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, order: TimeOrder, run: Rows
 ) -> Agreement:
     """Return the test of eq. (2) of rows within what was fitted."""
-    if not all(np.isfinite(_covariance(s)).all() for s in r.segments):
+    if not all(np.isfinite(s.robust_covariance).all() for s in r.segments):
         return no_agreement("the noise of the readings is not known")
     rows = _rows(r, columns, place, e, run)
     noise = find_noise(np.hstack([rows.X, rows.Z]), e, order)
@@ -190,41 +223,28 @@ def _judge_run(
     return max(tested, key=lambda one: one.p)
 
 
-def _covariance(segment: Segment) -> Array:
-    """Return that of the coefficients (q, q); NaN where rows were too few to tell."""
-    return segment.covariance if segment.robust is None else segment.robust.covariance
-
-
 def _rows(r: Regression, columns: Mapping[str, Array], place: Rows, e: Array, run: Rows) -> _Rows:
-    blocks, roots = [], []
+    blocks, uncertain = [], []
     between: Array | None = None
     for i, s in enumerate(r.segments):
         mine = np.flatnonzero(place == i)
         block = np.zeros((len(e), len(s.terms)))
         block[mine] = s.design(columns, mine)
         blocks.append(block)
-        roots.append(root_of(_covariance(s)))
+        uncertain.append(block @ root_of(s.robust_covariance))
         if s.between is not None and len(mine):
             z = s.between.columns(columns, mine)
             between = np.zeros((len(e), z.shape[1])) if between is None else between
             between[mine] = z
-    size = sum(len(root) for root in roots)
-    root, start = np.zeros((size, size)), 0
-    for one in roots:
-        root[start : start + len(one), start : start + len(one)] = one
-        start += len(one)
     Z = np.zeros((len(e), 0))
     if between is not None:
         Z = np.hstack([between * (run == label)[:, None] for label in np.unique(run)])
-    return _Rows(e, np.hstack(blocks), root, Z)
+    return _Rows(e, np.hstack(blocks), np.hstack(uncertain), Z)
 
 
 def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
     """Return the test by one law of the noise; None where rows are too few."""
-    q = rows.X.shape[1]
-    both = white(np.column_stack([rows.e, rows.X, rows.Z]))
-    e, X, Z = both[:, 0], both[:, 1 : q + 1], both[:, q + 1 :]
-    L = X @ rows.root
+    e, X, L, Z = (white(columns) for columns in rows)
     Q = np.linalg.qr(Z)[0]
     left, terms = e - Q @ (Q.T @ e), X - Q @ (Q.T @ X)
     scale = np.linalg.norm(terms, axis=0)
@@ -239,7 +259,7 @@ def _judge_by(r: Regression, rows: _Rows, white: Whitening) -> Agreement | None:
     if not s2 > 0.0:
         return None
     moves = B.T @ L
-    fewest = min(float(s.dof[1] if s.robust is None else s.robust.t_dof) for s in r.segments)
+    fewest = min(s.robust_dof for s in r.segments)
     Q_terms = _weighed(b, s2 * np.eye(len(b)) + moves @ moves.T)
     outcome = [(Q_terms, float(len(b)), min(float(nu), fewest))]
     between = next((s.between for s in r.segments if s.between is not None), None)
@@ -260,48 +280,6 @@ def _weighed(a: Array, V: Array) -> float:
         return float(a @ np.linalg.solve(V, a))
     except np.linalg.LinAlgError:  # a file may state a variance beside which no noise has digits
         return float(a @ np.linalg.pinv(V, hermitian=True) @ a)
-
-
-def check_regressions(
-    regressions: Regressions, data: Source, *, limit_g: float | None = None
-) -> Check:
-    """Return the errors of a run before and after, a column for each response.
-
-    Parameters
-    ----------
-    regressions : Regressions
-    data, limit_g
-        As of `check_regression`.
-
-    Raises
-    ------
-    MultiposError, UsageError
-        As of `check_regression`.
-    """
-    table = read_table(data, what="run")
-    found = [check_regression(r, table, limit_g=limit_g) for r in regressions.values()]
-    first = found[0]
-    same = all(one.segments == first.segments for one in found)
-    nothing = np.full(len(found), np.nan)
-    family = None
-    if limit_g is not None:
-        errors = sum(int(one.counted.sum()) for one in found)
-        pairs = zip(regressions.values(), found, strict=True)
-        family = np.hstack([one.U * _family_factor(r, errors) for r, one in pairs])
-    by_row = ("reference", "before", "after", "u", "U", "verdicts", "counted")
-    stacked: dict[str, Any] = {
-        name: np.hstack([getattr(one, name) for one in found]) for name in by_row
-    }
-    return replace(
-        first,
-        quantity=", ".join(regressions),
-        axes=tuple(regressions),
-        U_family=family,
-        **stacked,
-        linearity_percent={"before": nothing, "after": nothing},
-        findings=in_order(each for one in found for each in one.findings),
-        segments=first.segments if same else {},
-    )
 
 
 def _family_factor(r: Regression, errors: int) -> float:

@@ -9,7 +9,7 @@ freedom and weights w_i = 1/u_i², are compared by Welch's test, which needs no 
     Λ = Σ (1 − w_i/Σ w)²/ν_i,       on R − 1 and (R² − 1)/(3 Λ) degrees of freedom.
 
 All terms together are called inconsistent where the smallest p times their number is below
-1 − confidence. A term that is not in every repeat has no p, and is said.
+1 − confidence. A term that is not in every repeat has no p.
 
 A regression of one switch-on knows nothing of the next: its constant is expected to move, and
 ``regress --run`` puts that into its u.
@@ -150,7 +150,6 @@ def compare_regressions(
     tested = [t.p for t in terms if not math.isnan(t.p)]
     consistent = not tested or min(tested) * len(tested) >= 1.0 - confidence
     findings = find_repeated_regressions(runs)
-    findings = (*findings, *_find_lonely(terms))
     if not consistent and not all(r.run for run in runs for r in run):
         text = "the change of bias from one switch-on to the next is not in U"
         action = "Fit several switch-ons with --run."
@@ -163,14 +162,6 @@ def compare_regressions(
         consistent=consistent,
         findings=in_order(findings),
     )
-
-
-def _find_lonely(terms: Sequence[ComparedTerm]) -> Findings:
-    lonely = list(dict.fromkeys(t.term for t in terms if np.isnan(t.values).any()))
-    if not lonely:
-        return ()
-    text = f"{', '.join(lonely)}: not in every repeat, thus not tested"
-    return (Finding("lonely-terms", "note", text),)
 
 
 def _check_alike(first: Sequence[Regression], other: Sequence[Regression], file: str) -> None:
@@ -216,9 +207,8 @@ def _of_term(segment: Segment, name: str) -> tuple[float, float, float]:
     """Return value, u and degrees of freedom of a term; NaN where the segment has none such."""
     for c in segment.coefficients:
         if c.term == name:
-            own = segment.dof[1] if segment.robust is None else segment.robust.t_dof
             u = c.u if c.u_robust is None else c.u_robust
-            return c.value, u, own if c.dof is None else c.dof
+            return c.value, u, segment.robust_dof if c.dof is None else c.dof
     return math.nan, math.nan, math.nan
 
 

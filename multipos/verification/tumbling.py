@@ -71,7 +71,7 @@ from multipos.verification.coefficients import (
     roles,
     those_that_hold,
 )
-from multipos.verification.hysteresis import Hysteresis, find_hysteresis, passes
+from multipos.verification.hysteresis import Hysteresis, find_hysteresis
 
 _OF_TUMBLE = ("hidden-table", "part-of-a-turn")  # which a tumble says in its own words
 
@@ -194,7 +194,6 @@ def tumble_output(
     sign = -1.0 if convention == "gravity" else 1.0
     rolls = find_rolls(data, axis, sign)
     limited = _on_part_of_a_turn(data, rolls)
-    repeated = [*limited, *_find_repeats(rolls)]
     names, unidentifiable = kept_coefficients(
         data, axis, sign, limited=bool(limited), chosen=model is not None
     )
@@ -220,7 +219,7 @@ def tumble_output(
     findings = (
         *(each for each in calibration.findings if each.code not in _OF_TUMBLE),
         *_of_plane(coefficients, calibration),
-        *repeated,
+        *limited,
         *strange_harmonics(residual),
         *find_without_u(held),
         *find_hidden_table(held, calibration, axis),
@@ -285,22 +284,6 @@ def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]
         )
         for roll in rolls
     ]
-
-
-def _find_repeats(rolls: tuple[Roll, ...]) -> list[Finding]:
-    """Say which angles are there more than once."""
-    said = []
-    for roll in rolls:
-        twice = roll.repeated
-        if twice and len(set(passes(roll.angle).tolist())) == 1:  # not one pass each way
-            listed = ", ".join(f"{angle:g}" for angle in twice[:6])
-            more = f" and {len(twice) - 6} more" if len(twice) > 6 else ""
-            text = (
-                f"plane {roll.plane}: the angles {listed}{more} degrees are repeated; least "
-                "squares uses every reading, harmonics use means"
-            )
-            said.append(Finding("repeated-angles", "note", text))
-    return said
 
 
 def _fourier_difference(calibration: Calibration, rolls: tuple[Roll, ...]) -> float | None:

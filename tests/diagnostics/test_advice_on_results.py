@@ -540,13 +540,6 @@ def a_run_twice(rng):
     yield mp.compare(first, second)
 
 
-@follows("different-sensors")
-def runs_of_two_sensors(rng):
-    first = plain(sense(rng))
-    yield mp.compare(first, plain(sense(rng) * [1.0, 1.1, 1.0]))
-    yield mp.compare(first, plain(sense(rng)))
-
-
 @follows("few-repeats", "Record at least")
 def two_records(rng):
     def record():
@@ -851,7 +844,7 @@ def slow_noise_without_time(rng):
     yield mp.fit(table | {"time": 60.0 * np.arange(48.0)}, unit="g")
 
 
-@follows("slow-or-white")
+@follows("not-robust")
 def few_rows_of_slow_noise(rng):
     def fitted(n):
         x = np.linspace(-1.0, 1.0, n)

@@ -277,14 +277,13 @@ def test_a_jump_between_two_segments_where_it_is_largest():
     C = [np.array([[0.04, 0.01], [0.01, 0.09]]), np.array([[0.03, -0.02], [-0.02, 0.05]])]
     values, v = [np.array([1.0, 2.0]), np.array([1.3, 1.4])], np.array([0.5, -3.0, 2.0, 9.0])
 
-    def segment(i, dof, robust):
+    def segment(i, dof, covariance):
         return SimpleNamespace(
-            values=values[i], covariance=C[i], dof=(1, dof), robust=robust,
+            values=values[i], robust_covariance=covariance, robust_dof=dof,
             design=lambda columns, rows: np.column_stack([np.ones(len(rows)), v[rows]]),
         )  # fmt: skip
 
-    robust = SimpleNamespace(covariance=4.0 * C[1], t_dof=6.5)
-    below, above = segment(0, 7.0, None), segment(1, 3.0, robust)
+    below, above = segment(0, 7.0, C[0]), segment(1, 6.5, 4.0 * C[1])
     found = _junction(below, above, {}, np.array([0, 1, 2]), 5.0, 0.9)
     x = np.array([1.0, -3.0])
     u = math.sqrt(x @ C[0] @ x + 4.0 * x @ C[1] @ x)

@@ -184,12 +184,12 @@ def test_what_differs_between_runs_by_hand():
 def test_a_coefficient_of_few_runs_has_their_degrees_of_freedom():
     """u² = .09, of it .04 on four runs more, the rest on 20: .0081/(.04²/4 + .05²/20)."""
     between = SimpleNamespace(of_coefficients=lambda terms: np.array([[0.04]]), runs=5)
-    segment = SimpleNamespace(between=between, terms=(), robust=None, dof=(1.0, 20.0))
+    segment = SimpleNamespace(between=between, terms=(), robust_dof=20.0)
     found = Segment._judged_by_runs(segment, Coefficient("x", 0.6, 0.3, 2.0, 0.05), 0)
     assert found.dof == pytest.approx(0.0081 / 0.000525, rel=1e-12)
     assert found.p == pytest.approx(t_tail(2.0, 0.0081 / 0.000525), rel=1e-12)
     assert found.p_robust is None
-    segment.robust = SimpleNamespace(t_dof=10.0)
+    segment.robust_dof = 10.0
     robust = Coefficient("x", 0.6, 0.1, 6.0, 0.05, 0.3, 2.0, 0.1)
     found = Segment._judged_by_runs(segment, robust, 0)
     assert found.dof == pytest.approx(0.0081 / 0.00065, rel=1e-12)

@@ -277,12 +277,11 @@ def test_rolls_are_found_with_and_without_headings(name, planes, heading):
     assert all(roll.even and roll.spans_a_turn for roll in found)
 
 
-def test_repeats_and_gaps_of_a_roll():
+def test_gaps_of_a_roll():
     angle = [0.0, 30.0, 60.0, 90.0, 120.0, 360.0]
     data = Readings(np.zeros(6))
     scheme = {"roll_axis": ["z"] * 6, "angle_deg": angle}
     (roll,) = find_rolls(orient(data, scheme))
-    assert roll.repeated == (0.0,)
     assert_allclose(np.degrees(roll.gap), 240.0)
     assert not roll.spans_a_turn
     assert not roll.even

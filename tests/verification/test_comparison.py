@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from findings_bench import texts
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 
@@ -20,7 +19,6 @@ from multipos.positions.scheme import read_scheme
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.verification.comparison_text import comparison_text
 from multipos.verification.consistency import judge_together
-from multipos.verification.repeat_findings import _apart, _different_sensors
 
 TWO = math.radians(2.0)
 
@@ -276,13 +274,6 @@ def test_drift_and_spread_of_three_runs_by_hand():
     assert ["ax", "1.73"] in lines
 
 
-def test_a_noisier_run_is_warned_of():
-    rng = np.random.default_rng(2)
-    found = repeats(rng, 3, scheme="icosahedron-12")
-    found += repeats(rng, 1, scheme="icosahedron-12", sd=30 * SD)
-    assert any("Bartlett" in text for text in texts(mp.compare(*found)))
-
-
 def test_two_methods_on_the_same_readings():
     rng = np.random.default_rng(4)
     readings = mp.Readings(read_scheme("faces-6").up + 1e-3 * rng.standard_normal((6, 3)), unit="g")
@@ -321,27 +312,6 @@ def test_what_moved_by_holm_s_method_by_hand(bias, scale, moved):
     c = mp.compare(*map(with_known_noise, found))
     assert_allclose(c.chi2, [bias**2, scale**2], rtol=1e-9)
     assert c.moved == moved
-
-
-@pytest.mark.parametrize(("ratio", "said"), [(245.0, False), (257.0, True)])
-def test_unequal_scatter_by_hand(ratio, said):
-    """Two variances on two degrees each, r times apart, have ((r + 1)²/4 r)^2 for Bartlett's sum.
-
-    Over 1 + (1/2 + 1/2 − 1/4)/3 = 5/4 its logarithm passes 6.6349, the 1 % point, at r = 250.9.
-    """
-    side, noise = np.array([1.0, 1.0, -1.0, -1.0]), 0.01 * np.array([1.0, -1.0, 1.0, -1.0])
-    found = [
-        mp.fit(
-            mp.Readings(
-                (side + factor * noise)[:, None],
-                outputs=("ax",),
-                up=np.outer(side, [1.0, 0.0, 0.0]),
-            ),
-            model="1 + x",
-        )
-        for factor in (1.0, math.sqrt(ratio))
-    ]
-    assert any("Bartlett" in text for text in texts(mp.compare(*found))) == said
 
 
 def test_the_same_calibration_twice():
@@ -440,12 +410,6 @@ def test_a_combination_that_is_known_exactly_has_no_statistic():
     assert math.isnan(mp.compare(*tied).p_total)
 
 
-def unit_of_a_line(rng):
-    """Zero, response and readings of a unit: zeros of 40 mg, scale 2 %, axes half a degree."""
-    K = np.diag(1.0 + 0.02 * rng.standard_normal(3)) + np.radians(0.5) * rng.standard_normal((3, 3))
-    return 0.04 * rng.standard_normal(3), K
-
-
 def run_of(zero, K, rng, scheme="faces-6"):
     up = read_scheme(scheme).up
     values = zero + up @ K.T + 1e-3 * rng.standard_normal(up.shape)
@@ -454,45 +418,6 @@ def run_of(zero, K, rng, scheme="faces-6"):
 
 def codes(found):
     return [finding.code for finding in serious(found.findings)]
-
-
-def test_two_units_of_a_line_are_told_from_one_that_drifts():
-    """As data sheets have it, a sensor drifts by 30 mg and half a percent (standard deviations).
-
-    Two units pass none of the limits 2 %, 1° and .1 g with a probability of .034: of three each,
-    scale factors differ by N(0, 2.8 %), .14; angles by N(0, 1°), .32; zeros by N(0, 57 mg), .78.
-    That 30 pairs have more than five such has a probability below 1e-3.
-    """
-    rng = np.random.default_rng(8)
-    told = drifted = 0
-    for _ in range(30):
-        zero, K = unit_of_a_line(rng)
-        first, second = run_of(zero, K, rng), run_of(*unit_of_a_line(rng), rng)
-        told += codes(mp.compare(first, second)) == ["different-sensors"]
-        moved = zero + 0.03 * np.clip(rng.standard_normal(3), -3.0, 3.0)
-        later = run_of(moved, K * (1.0 + 0.005 * np.clip(rng.standard_normal(), -3.0, 3.0)), rng)
-        drifted += codes(mp.compare(first, later)) != []
-    assert told >= 25
-    assert drifted == 0
-
-
-def test_what_differs_most_between_two_sensors_is_said_first_of_all(tmp_path, capsys):
-    rng = np.random.default_rng(1)
-    first = run_of(np.zeros(3), np.eye(3), rng)
-    second = run_of(np.zeros(3), np.diag([1.0, 1.1, 1.0]), rng)
-    told = mp.compare(first, second)
-    finding, _ = told.findings
-    assert (finding.code, finding.level) == ("different-sensors", "warning")
-    assert "ay is 1.099 times" in finding.text
-    assert finding.text.startswith("runs 1 and 2 are probably")
-    assert told.to_dict()["findings"][0] == finding.to_dict()
-    assert texts(told)[0].startswith(finding.text)
-    files = [str(tmp_path / "first.json"), str(tmp_path / "second.json")]
-    first.save(files[0])
-    second.save(files[1])
-    assert main(["compare", *files]) == 0
-    printed = capsys.readouterr()
-    assert (printed.out + printed.err).count(finding.text) == 1
 
 
 def test_a_run_given_twice_is_no_repeat():
@@ -526,43 +451,3 @@ def test_tests_of_several_outputs_are_combined_by_hand():
     test = ModelTest("own^2", ("ax", "ay"), (2.0, 3.0), ((2.0, 4.0), (2.0, 2.0)))
     assert (test.statistic, test.p) == (pytest.approx(4.0 * math.log(4.0)), pytest.approx(chance))
     assert test.dof == (4.0,)
-
-
-@pytest.mark.parametrize(
-    ("changed", "by", "words"),
-    [
-        # of 2 %: ln 1.05 = .0488
-        (
-            lambda f: f * np.array([1.05, 1.0, 1.0]),
-            math.log(1.05) / 0.02,
-            "ax is 1.05 times as sensitive",
-        ),
-        # 2 degrees of 1, from x towards y
-        (
-            lambda f: np.column_stack(
-                [f[:, 0] * math.cos(TWO) + f[:, 1] * math.sin(TWO), f[:, 1], f[:, 2]]
-            ),
-            2.0,
-            "the angle of ax and ay changed -2 degrees",
-        ),
-        (
-            lambda f: f + np.array([0.0, 0.0, 0.25]),
-            2.5,
-            "the bias of az changed by +0.25 g",
-        ),  # of .1 g
-        (lambda f: f * 1.01 + 0.05, 0.5, "changed by +0.05 g"),
-    ],
-)
-def test_runs_of_two_sensors_by_hand(changed, by, words):
-    # eq. (1) of verification.repeat_findings
-    up = mp.read_scheme("fibonacci-24").up
-    noise = 1e-7 * np.random.default_rng(1).standard_normal(up.shape)
-    names = ("ax", "ay", "az")
-    one, two = (
-        mp.fit(mp.Readings(values + noise, outputs=names, up=up, unit="g"))
-        for values in (up, changed(up))
-    )
-    size, said = _apart(one, two)
-    assert size == pytest.approx(by, rel=1e-3)
-    assert words in said
-    assert bool(_different_sensors([one, two])) == (by > 1.0)

@@ -402,8 +402,8 @@ def test_the_agreement_of_a_run_by_dense_covariances(between):
     unit = np.array([1e-3, 1.0, 1e3])  # that terms are in changes nothing
     X, root = X * unit, root / unit[:, None]
     runs = SimpleNamespace(covariance=np.array([[0.25]]), runs=5)
-    segment = SimpleNamespace(dof=(2.0, 15.0), robust=None, between=runs if between else None)
-    rows = SimpleNamespace(e=e, X=X, Z=Z, root=root)
+    segment = SimpleNamespace(robust_dof=15.0, between=runs if between else None)
+    rows = (e, X, X @ root, Z)
     found = _judge_by(SimpleNamespace(segments=[segment]), rows, lambda both: both)
     K = np.eye(n) - Z @ np.linalg.pinv(Z)  # of what runs leave
     B = np.linalg.qr(K @ X)[0]

@@ -342,13 +342,6 @@ def test_angles_that_do_not_span_a_turn_tell_what_they_can():
     assert "plane xy" in said[0]
 
 
-def test_repeated_angles_are_said(tmp_path, capsys):
-    angles = np.append(np.arange(0.0, 361.0, 30.0), 90.0)
-    path = roll_file(tmp_path / "r.csv", angles, np.cos(np.radians(angles)) + 1e-6 * angles**2)
-    assert cli.main(["tumble", path, "-v"]) == 0
-    assert "the angles 0, 90 degrees are repeated" in capsys.readouterr().err
-
-
 def test_one_angle_again_and_again_tells_nothing(tmp_path, capsys):
     path = roll_file(tmp_path / "r.csv", [90.0] * 6, [0.1] * 6)
     fails(capsys, ["tumble", path], 1, "cannot separate K0 from K1")

@@ -21,7 +21,7 @@ from multipos.verification.coefficients import (
     find_without_u,
     fitted_coefficients,
 )
-from multipos.verification.hysteresis import passes
+from multipos.verification.hysteresis import _passes
 
 
 @pytest.mark.parametrize("steps", [8, 12])
@@ -119,7 +119,7 @@ def test_uncertainty_of_hysteresis_is_the_spread_over_angles():
 )
 def test_passes_by_hand(degrees, way):
     # eq. (1) of verification.hysteresis
-    assert passes(np.radians(np.array(degrees, dtype=float))).tolist() == way
+    assert _passes(np.radians(np.array(degrees, dtype=float))).tolist() == way
 
 
 def test_one_pass_has_no_hysteresis():

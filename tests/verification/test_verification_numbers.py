@@ -12,6 +12,7 @@ from scipy.stats import chi2, linregress, norm, t
 from scipy.stats import f as fisher
 
 import multipos as mp
+from multipos.results import Frozen
 from multipos.sensor.model import build_model
 from multipos.sensor.nominal import Nominal
 from multipos.sensor.tilt import ZerosOfForce
@@ -23,10 +24,9 @@ from multipos.verification import (
     regression_checks,
     regression_repeats,
     repeat_drift,
-    repeat_findings,
     verdicts,
 )
-from multipos.verification.agreement import _orientation_error, _taken
+from multipos.verification.agreement import _orientation_error, _taken, no_agreement
 from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt_errors
 from multipos.verification.coefficients import ratios_to_k1
 from multipos.verification.comparison_text import change_rows
@@ -35,7 +35,6 @@ from multipos.verification.recalibration import _in_unit
 from multipos.verification.regression_checks import _family_factor
 from multipos.verification.regression_repeats import compare_regressions
 from multipos.verification.repeat_drift import _clock
-from multipos.verification.repeat_findings import _apart, _unsure
 from multipos.verification.verdicts import Check
 
 RNG = np.random.default_rng(12)
@@ -290,15 +289,6 @@ def test_changes_of_one_unit_keep_the_unit_that_the_largest_has():
     assert rows[1][5:] == ["", "", "-1.00 … ", "yes", ""]
 
 
-def test_size_direction_and_zero_of_an_output_are_as_unsure_as_their_worst_term():
-    model = build_model("1 + x + y + z + x^2", ("a", "b"), ("y", "x"))
-    K = np.array([[0.3, 2.0, -0.6], [1.5, 0.0, 0.2]])
-    U = np.array([0.5, 0.4, 0.7, 0.1, 9.0, 0.6, 0.2, 0.3, math.nan, 9.0])
-    found = _unsure(SimpleNamespace(outputs=("a", "b"), sensitivity=K, model=model, U=U))
-    size = np.linalg.norm(K, axis=1)
-    assert_allclose(found, np.array([[0.7, 0.4, 0.5], [0.2, 0.3, 0.6]]) / size[:, None])
-
-
 # --- tumbles and regressions
 
 
@@ -339,24 +329,6 @@ def test_regressions_agree_whose_smallest_p_times_their_number_does(p, consisten
     monkeypatch.setattr(regression_repeats, "find_repeated_regressions", lambda runs: ())
     run = [SimpleNamespace(segments=[0], created="", run="run")]
     assert compare_regressions([run, run], ("a", "b"), 0.95).consistent is consistent
-
-
-def test_a_zero_that_moved_is_said_in_g_of_its_output():
-    """(.9 − .3) V over 2.5 V/g; the ratio of the other's size is 1.3, whose ln is .26 of .1."""
-    model = build_model("1 + own", ("a", "b"), ("x", "y"), unit="V")
-    K = np.array([[2.5, 0.0, 0.0], [0.0, -4.0, 0.0]])
-    one = SimpleNamespace(
-        outputs=("a", "b"), model=model, sensitivity=K, U=np.full(4, 1e-3),
-        parameters=np.array([0.3, 2.5, 0.1, -4.0]),
-    )  # fmt: skip
-    other = SimpleNamespace(**{**vars(one), "parameters": np.array([0.9, 2.5, 0.1, -4.0])})
-    by, words = _apart(one, other)
-    assert words == "the bias of a changed by +0.24 g"
-    assert by == pytest.approx(0.24 / repeat_findings._ZERO)
-    other = SimpleNamespace(**{**vars(one), "sensitivity": K * [[1.0], [1.3]]})
-    by, words = _apart(one, other)
-    assert words == "b is 1.3 times as sensitive"
-    assert by == pytest.approx(math.log(1.3) / repeat_findings._SCALE)
 
 
 def test_tilt_of_one_axis_before_and_after_in_degrees():
@@ -462,31 +434,38 @@ def test_errors_beside_the_columns_of_a_run():
 def test_several_regressions_are_checked_side_by_side(monkeypatch):
     """All rows of both together have a U of their own, by the degrees of freedom of each."""
 
-    def check(name, dof):
-        column = np.array([[1.0], [2.0], [3.0]]) * dof
-        return Part(
-            name, (name,), column, column, column, column, column, None, np.full((3, 1), "pass"),
-            np.array([[True], [True], [dof < 9]]), {}, (), {"1": dof > 0},
-        )  # fmt: skip
+    def part(dof, table):
+        column, inside = np.array([1.0, 2.0, 3.0]) * dof, np.array([True, True, dof < 9])
+        segments = Frozen({"1": np.array([dof > 0] * 3)})
+        return regression_checks._Part(
+            column, column, column, column, column, inside, "t", segments, no_agreement("no test")
+        )
 
-    parts = {"a": check("a", 6.0), "b": check("b", 9.0)}
     monkeypatch.setattr(
-        regression_checks, "check_regression", lambda r, table, limit_g: parts[r.name]
+        regression_checks, "_check_one", lambda r, table: part(r.segments[0].dof[1], table)
     )
-    both = {
-        name: SimpleNamespace(name=name, confidence=0.9, segments=[SimpleNamespace(dof=(1.0, nu))])
+    both = [
+        SimpleNamespace(
+            response=name,
+            confidence=0.9,
+            created="",
+            run=None,
+            segments=[SimpleNamespace(dof=(1.0, nu))],
+        )
         for name, nu in (("a", 6.0), ("b", 9.0))
-    }
-    found = regression_checks.check_regressions(both, {"a": [1.0]}, limit_g=0.1)
+    ]
+    monkeypatch.setattr(regression_checks, "all_of", lambda given: given)
+    found = regression_checks.check_regression(both, {"a": [1.0] * 3}, limit_g=0.1)
     assert (found.quantity, found.axes) == ("a, b", ("a", "b"))
     assert found.after.tolist() == [[6.0, 9.0], [12.0, 18.0], [18.0, 27.0]]
     k = [t.ppf(1.0 - 0.05 / 5, nu) / t.ppf(0.95, nu) for nu in (6.0, 9.0)]
     assert_allclose(found.U_family, found.U * k, rtol=1e-6)
-    assert found.segments == {"1": True}
+    assert list(found.segments) == ["1"]
     assert np.isnan(found.linearity_percent["after"]).tolist() == [True, True]
-    parts["b"].segments = {}
-    found = regression_checks.check_regressions(both, {"a": [1.0]})
-    assert (found.segments, found.U_family) == ({}, None)
+    assert [each.code for each in found.findings] == ["outside"]
+    both[1].segments[0].dof = (1.0, -9.0)
+    found = regression_checks.check_regression(both, {"a": [1.0] * 3})
+    assert (dict(found.segments), found.U_family) == ({}, None)
 
 
 def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
@@ -495,7 +474,7 @@ def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
     def segment(columns, C):
         between = SimpleNamespace(columns=lambda at, mine: np.column_stack([mine + 1.0]))
         return SimpleNamespace(
-            terms=range(columns), covariance=C, robust=None, between=between,
+            terms=range(columns), robust_covariance=C, between=between,
             design=lambda at, mine: t_[mine, None] ** np.arange(columns),
         )  # fmt: skip
 
@@ -507,20 +486,20 @@ def test_rows_of_a_run_stand_under_their_segment_and_their_switch_on():
     assert_allclose(found.Z, [[1, 0], [0, 2], [0, 3], [4, 0], [0, 5]])
     whole = np.zeros((3, 3))
     whole[:2, :2], whole[2, 2] = C[0], 0.25
-    assert_allclose(found.root @ found.root.T, whole)
+    assert_allclose(found.L @ found.L.T, found.X @ whole @ found.X.T)
 
 
 @pytest.mark.parametrize(("third", "level", "count"), [(0.0, 0.01, 1), (9.0, 0.02, 2)])
 def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monkeypatch):
-    """F of a pooled scatter, χ² of a known one; what is unequal by Bartlett at 1 % is said."""
+    """F of a pooled scatter, χ² of a known one."""
     rng = np.random.default_rng(3)
     values = rng.normal(size=(4, 3))
     values[2] += [14.0, 0.3, third]
     K, known = (np.array([definite(n, 5 * n + r) for r in range(4)]) for n in (2, 1))
     variances, dof = np.array([0.3, 0.02, 0.5, 0.9]), np.array([7.0, 9.0, 8.0, 12.0])
     families = [
-        consistency._Family(np.array([0, 2]), "a", K, variances, dof, 0.0 * K),
-        consistency._Family(np.array([1]), "b", known, np.ones(4), np.full(4, np.inf), 0.0 * known),
+        consistency._Family(np.array([0, 2]), K, variances, dof, 0.0 * K),
+        consistency._Family(np.array([1]), known, np.ones(4), np.full(4, np.inf), 0.0 * known),
     ]
     outcome = []
 
@@ -550,16 +529,6 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
     assert len(moved) == count
     assert found.moved == tuple("pqr"[i] for i in sorted(moved))
     assert found.consistent is (level < 0.012)
-    rss = variances * dof
-    statistic = (36.0 * math.log(rss.sum() / 36.0) - dof @ np.log(variances)) / (
-        1.0 + (np.sum(1.0 / dof) - 1.0 / 36.0) / 9.0)  # fmt: skip
-    (said,) = found.findings
-    assert said.p == pytest.approx(chi2.sf(statistic, 3), rel=1e-6)
-    assert "noise of a differs" in said.text
-    families[0] = replace(families[0], variances=np.array([0.3, 0.2, 0.5, 0.9]))
-    named, day = [SimpleNamespace(names=("p", "q", "r"))], np.zeros(4)
-    found = consistency.judge_repeats(named, values, day, level)
-    assert found.findings == ()
 
 
 def test_drift_of_repeats_is_the_slope_of_a_line(monkeypatch):
