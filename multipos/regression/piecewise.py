@@ -15,9 +15,8 @@ L b of the coefficients b of all columns, their covariance is L C L', n − q co
 and F is that of Wald, b' C⁻¹ b / k. A segment's rms is on its rows less its leverage.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from multipos.numerics.selection import (
     Guard,
     Selection,
     Thresholds,
+    Triangle,
     akaike_criterion,
     compress,
     select_stepwise,
@@ -38,7 +38,7 @@ from multipos.numerics.separability import join_combinations
 from multipos.numerics.terms import CONSTANT, Term, evaluate_terms
 from multipos.regression.candidates import stands_on
 from multipos.regression.correlation import wald
-from multipos.regression.observations import Data, Rows
+from multipos.regression.observations import Data
 from multipos.regression.region import Region, largest_leverage, region_factor
 from multipos.regression.robust import RobustFit, robust_fit, robust_test
 from multipos.regression.runs import add_between, find_between, runs_lost, within_runs
@@ -77,84 +77,102 @@ class Plan:
         return CONSTANT in self.terms
 
 
+class _Whole:
+    """The rows of segments that are fitted at once, and the columns that describe all of them."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        data: Data,
+        variable: str,
+        edges: Sequence[float],
+        spans: Sequence[tuple[float, float]],
+        where: str,
+    ) -> None:
+        self.plan, self.read, self.where = plan, data, where
+        self.variable, self.edges, self.spans = variable, edges, spans
+        place = segment_of(data.columns[variable], edges)
+        self.parts = [np.flatnonzero(place == s) for s in range(len(spans))]
+        base = evaluate_terms(plan.terms, data.columns, len(data))
+        assert data.variances is not None  # which `fit_cut` has seen to
+        changing = self._changing(base, data.variances)
+        self.columns: tuple[Term | Hinge, ...] = (*plan.terms, *changing)
+        self.original = np.column_stack((base, *(h.evaluate(data.columns) for h in changing)))
+        of_changes = self.original[:, len(plan.terms) :].var(axis=0)
+        self.variances = np.concatenate([data.variances, of_changes])
+        self.design, self.data = within_runs(self.original, data, where)
+        self.names, self.lost = [*map(str, self.columns)], runs_lost(data)
+
+    def _changing(self, base: Array, variances: Array) -> list[Hinge]:
+        """Return the columns that let terms change at edges on both sides of which they vary."""
+        terms, edges = self.plan.terms, self.edges
+        order = by_degree(terms)
+        supported = [set(varying(base[p], variances, order)) for p in self.parts] if edges else []
+        return [
+            h
+            for h in hinges(terms, self.variable, edges, both=self.plan.limits is not None)
+            if {terms.index(h.term)} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
+        ]
+
+    @property
+    def order(self) -> list[int]:
+        """The order in which each column must vary beyond those before it."""
+        count = len(self.plan.terms)
+        return [*by_degree(self.plan.terms), *range(count, len(self.columns))]
+
+    @property
+    def requires(self) -> list[frozenset[int]]:
+        """Which columns each one stands on."""
+        terms = self.plan.terms
+        changing = (h for h in self.columns if isinstance(h, Hinge))
+        return [*stands_on(terms), *(frozenset({terms.index(h.term)}) for h in changing)]
+
+    def local(self, chosen: Sequence[int], s: int) -> tuple[tuple[Term, ...], Array]:
+        """Return the terms of a segment, and how they are made of the coefficients of columns."""
+        rows: dict[Term, Array] = {}
+        for unit, j in zip(np.eye(len(chosen)), chosen, strict=True):
+            column = self.columns[j]
+            if isinstance(column, Term):
+                rows[column] = rows.get(column, 0.0) + unit
+            elif column.acts(self.edges[:s]):
+                lift = column.edge**column.power
+                rows[column.term] = rows.get(column.term, 0.0) + unit
+                rows[column.rest] = rows.get(column.rest, 0.0) - lift * unit
+        return tuple(rows), np.array(list(rows.values())).reshape(len(rows), len(chosen))
+
+    def guard(self, triangle: Triangle) -> Guard:
+        """Return what columns are held to, eqs. (1) and (2) of `multipos.regression.variation`."""
+        y = self.read.response
+        span = float(np.ptp(y) if self.plan.constant else np.abs(y).max())
+        sizes = [Contributions(self.read.take(part).columns, span) for part in self.parts]
+
+        def cancel(columns: Sequence[int], b: Array) -> bool:
+            for s, size in enumerate(sizes):
+                terms, L = self.local(columns, s)
+                if size.cancel(terms, L @ b):
+                    return True
+            return False
+
+        return Guard(triangle, np.sqrt(LEAST * len(y) * self.variances), cancel)
+
+
 @frozen
 class _Fit:
-    """Chosen columns of a design and their least squares."""
+    """Chosen columns and their least squares."""
 
     selection: Selection
     found: LinearFit | None  # None where nothing was chosen
     design: Array
+    values: Array
     residuals: Array
     leverage: Array
     covariance: Array  # (q, q), classical
     dof: int
 
-
-class _Demand(NamedTuple):
-    """What columns are held to, eqs. (1) and (2) of `multipos.regression.variation`.
-
-    `order` is that in which each must vary beyond those before it; None where all may stay.
-    """
-
-    variances: Array
-    cancel: Callable[[Sequence[int], Array], bool]
-    order: Sequence[int] | None
-
-
-def _span(plan: Plan, data: Data) -> float:
-    """Return the range of the response, from zero where there is no constant."""
-    y = data.response
-    return float(np.ptp(y) if plan.constant else np.abs(y).max())
-
-
-def _left_out(plan: Plan, selection: Selection, kept: Sequence[Term]) -> tuple[LeftOut, ...]:
-    """Return the candidates that a fit does not support, each with the reason."""
-    names = [str(term) for term in plan.terms]
-    absent = [j for j, term in enumerate(plan.terms) if term not in kept]
-    short = (
-        f"varies here, beyond the terms kept, by less than {LEAST:g} of its variance in the table; "
-        "its effect is part of the constant and of these terms"
-    )
-    cancel = "its coefficient and others would cancel, each larger than the response's range"
-    found = [LeftOut(names[j], short) for j in absent if j in selection.short]
-    found += [LeftOut(names[j], cancel) for j in absent if j in selection.cancelling]
-    return tuple(found)
-
-
-def _regions(
-    plan: Plan,
-    data: Data,
-    kept: Array,
-    short: Sequence[int],
-    variable: str,
-    parts: Sequence[tuple[tuple[Term, ...], Array | None, Rows, tuple[float, float]]],
-) -> tuple[Region | None, ...]:
-    """Return the region of each segment of a fit: its terms, how they share columns, rows, span.
-
-    A segment reaches to its edges: the row next to each is counted as if it were there.
-    """
-    if not kept.shape[1]:
-        return (None,) * len(parts)
-    assert data.variances is not None  # which `fit_cut` has seen to
-    left_out = [plan.terms[j] for j in short if data.variances[j] > 0.0]
-    shortest = np.sqrt(LEAST * len(data) * data.variances[[plan.terms.index(t) for t in left_out]])
-    beyond = evaluate_terms(left_out, data.columns, len(data))
-    found: list[tuple[Region, dict[str, Array], int] | None] = []
-    for terms, L, rows, span in parts:
-        if not terms and not left_out:
-            found.append(None)
-            continue
-        G = region_factor(kept, beyond, shortest, L)
-        _check_size("factor of the region", np.abs(G).max(axis=0), (*terms, *left_out))
-        region = Region((*terms, *left_out), G, np.inf)
-        columns = {name: column[rows] for name, column in data.columns.items()}
-        for edge in span if len(rows) else ():
-            next_to = int(np.argmin(np.abs(columns[variable] - edge)))
-            columns = {name: np.append(column, column[next_to]) for name, column in columns.items()}
-            columns[variable][-1] = edge
-        found.append((region, columns, len(columns[variable])))
-    limit = largest_leverage([one for one in found if one is not None])
-    return tuple(None if one is None else replace(one[0], limit=limit) for one in found)
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """The places of the columns."""
+        return self.selection.columns
 
 
 def fit_segments(
@@ -188,138 +206,50 @@ def fit_segments(
     MultiposError
         Fewer rows than terms, or terms that these rows cannot tell apart.
     """
-    place = segment_of(data.columns[variable], edges)
-    parts = [np.flatnonzero(place == s) for s in range(len(spans))]
-    base = evaluate_terms(plan.terms, data.columns, len(data))
-    assert data.variances is not None  # which `fit_cut` has seen to
-    extra = _changing(plan, [base[rows] for rows in parts], data.variances, variable, edges)
-    original = np.column_stack((base, *(h.evaluate(data.columns) for h in extra)))
-    read = data
-    design, data = within_runs(original, data, where)
-    names = [*map(str, plan.terms), *map(str, extra)]
-    requires = [*stands_on(plan.terms), *(frozenset({plan.terms.index(h.term)}) for h in extra)]
-    every: tuple[Term | Hinge, ...] = (*plan.terms, *extra)
-    sizes = [
-        Contributions(read.take(rows).columns, _span(plan, data)) for rows in parts if len(rows)
+    whole = _Whole(plan, data, variable, edges, spans, where)
+    fit = _fit(whole, alone=alone)
+    robust = None if fit.found is None else robust_fit(fit.found, fit.design, whole.data)
+    segments = [
+        replace(_segment(whole, fit, s, robust), region=region)
+        for s, region in enumerate(_regions(whole, fit))
     ]
-
-    def cancel(columns: Sequence[int], b: Array) -> bool:
-        locally = [_local([every[j] for j in columns], edges[:s]) for s in range(len(parts))]
-        return any(size.cancel(t, L @ b) for size, (t, L) in zip(sizes, locally, strict=True))
-
-    variances = np.concatenate([data.variances, original[:, len(plan.terms) :].var(axis=0)])
-    order = [*by_degree(plan.terms), *range(len(plan.terms), len(every))]
-    demand = _Demand(variances, cancel, None if alone else order)
-    fit = _fit(plan, design, data, names, requires, where, demand)
-    chosen = [every[j] for j in fit.selection.columns]
-    b = np.zeros(0) if fit.found is None else fit.found.coefficients
-    robust = None if fit.found is None else robust_fit(fit.found, fit.design, data)
-    short = [j for j in fit.selection.short if j < len(plan.terms)]
-    locally = [_local(chosen, edges[:s]) for s in range(len(spans))]
-    left = original[:, list(fit.selection.columns)]
-    rows_of = [
-        (terms, L if edges else None, rows, span)
-        for (terms, L), rows, span in zip(locally, parts, spans, strict=True)
-    ]
-    regions = _regions(plan, read, left, short, variable, rows_of)
-    segments = []
-    for s, span in enumerate(spans):
-        terms, L = locally[s]
-        estimate = terms, L @ b, L @ fit.covariance @ L.T
-        test = _tested(fit, data.response, estimate, joined=bool(edges))
-        turned = None if robust is None else robust.turned(L)
-        segment = _segment(plan, fit, data, parts[s], estimate, test, span, turned)
-        left_out = _left_out(plan, fit.selection, terms)
-        segments.append(replace(segment, left_out=left_out, region=regions[s]))
-    if read.run is None:
+    if data.run is None:
         return segments
     size = len(data) if robust is None else robust.n_effective
-    linear = [column if isinstance(column, Term) else None for column in chosen]
-    between = find_between(left, read, linear, b, variable, size)
+    left, columns = whole.original[:, list(fit.chosen)], [whole.columns[j] for j in fit.chosen]
+    between = find_between(left, data, columns, fit.values, variable, size)
     return [add_between(segment, between) for segment in segments]
 
 
-def _changing(
-    plan: Plan, parts: Sequence[Array], variances: Array, variable: str, edges: Sequence[float]
-) -> list[Hinge]:
-    """Return the columns that let terms change at edges on both sides of which they vary."""
-    order = by_degree(plan.terms)
-    supported = [set(varying(base, variances, order)) for base in parts] if edges else []
-    return [
-        h
-        for h in hinges(plan.terms, variable, edges, both=plan.limits is not None)
-        if {plan.terms.index(h.term)} <= supported[(s := edges.index(h.edge))] & supported[s + 1]
-    ]
-
-
-def _tested(
-    fit: _Fit, y: Array, estimate: tuple[tuple[Term, ...], Array, Array], *, joined: bool
-) -> tuple[float, int]:
-    """Return F and k of a segment's slopes: Wald's where it is joined, else that of all rows."""
-    terms, values, covariance = estimate
-    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
-    if joined:
-        return wald(values[slopes], covariance[np.ix_(slopes, slopes)])
-    mean, k = float(y.mean()) if CONSTANT in terms else 0.0, len(slopes)
-    explained = float(((y - fit.residuals - mean) ** 2).sum())
-    rss = float(fit.residuals @ fit.residuals)
-    if not k or fit.dof <= 0:
-        return np.nan, k
-    return (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf, k
-
-
-def _local(
-    chosen: Sequence[Term | Hinge], below: Sequence[float]
-) -> tuple[tuple[Term, ...], Array]:
-    """Return the terms of a segment above some edges, and how they are made of the coefficients."""
-    rows: dict[Term, Array] = {}
-    unit = np.eye(len(chosen))
-    for j, column in enumerate(chosen):
-        if isinstance(column, Term):
-            rows[column] = rows.get(column, 0.0) + unit[j]
-        elif column.acts(below):
-            lift = column.edge**column.power
-            rows[column.term] = rows.get(column.term, 0.0) + unit[j]
-            rows[column.rest] = rows.get(column.rest, 0.0) - lift * unit[j]
-    return tuple(rows), np.array(list(rows.values())).reshape(len(rows), len(chosen))
-
-
-def _fit(
-    plan: Plan,
-    design: Array,
-    data: Data,
-    names: list[str],
-    requires: list[frozenset[int]],
-    where: str,
-    demand: _Demand,
-) -> _Fit:
-    (n, p), response, lost = design.shape, data.response, runs_lost(data)
-    _require_rows(plan, n, p + lost, where)
+def _fit(whole: _Whole, *, alone: bool) -> _Fit:
+    (n, p), response, lost = whole.design.shape, whole.data.response, whole.lost
+    _require_rows(whole.plan, n, p + lost, whole.where)
     try:
-        selection = _select(plan, design, data, names, requires, lost, demand)
+        selection = _select(whole, alone=alone)
         columns = list(selection.columns)
         if not columns:
             none, zero = np.zeros((0, 0)), np.zeros(n)
-            return _Fit(selection, None, design[:, :0], response, zero, none, n - lost)
-        chosen = design if len(columns) == p else design[:, columns]
-        found = solve(chosen, response, names=[names[j] for j in columns], rows="rows")
+            empty = whole.design[:, :0]
+            return _Fit(selection, None, empty, zero[:0], response, zero, none, n - lost)
+        design = whole.design if len(columns) == p else whole.design[:, columns]
+        names = [whole.names[j] for j in columns]
+        found = solve(design, response, names=names, rows="rows")
         dof = found.dof - lost
         s2 = float(found.rss) / dof if dof else np.nan
         covariance, left, leverage = found.cofactor * s2, found.residuals, found.leverage
-        u = np.sqrt(np.diag(found.cofactor) * s2)
-        sizes = np.fmax(np.abs(found.coefficients), u)
-        _check_size("coefficient", sizes, [names[j] for j in columns])
+        values, u = found.coefficients, np.sqrt(np.diag(found.cofactor) * s2)
+        _check_size("coefficient", np.fmax(np.abs(values), u), names)
     except RankError as error:
         said = join_combinations(error.combinations) or str(error)
         raise RankError(
-            f"{where}: {said}; drop a term, give rows that separate them, or use --stepwise.",
+            f"{whole.where}: {said}; drop a term, give rows that separate them, or use --stepwise.",
             rank=error.rank,
             parameters=error.parameters,
             combinations=error.combinations,
         ) from None
     except MultiposError as error:
-        raise MultiposError(f"{where}: {error}") from None
-    return _Fit(selection, found, chosen, left, leverage, covariance, dof)
+        raise MultiposError(f"{whole.where}: {error}") from None
+    return _Fit(selection, found, design, values, left, leverage, covariance, dof)
 
 
 def _require_rows(plan: Plan, n: int, p: int, where: str) -> None:
@@ -341,62 +271,93 @@ def _check_size(what: str, sizes: Array, terms: Sequence[object]) -> None:
         )
 
 
-def _select(
-    plan: Plan,
-    design: Array,
-    data: Data,
-    names: list[str],
-    requires: list[frozenset[int]],
-    lost: int,
-    demand: _Demand,
-) -> Selection:
+def _select(whole: _Whole, *, alone: bool) -> Selection:
     """Return the columns that are taken: all that vary, or those that are chosen stepwise."""
+    plan, data, names = whole.plan, whole.data, whole.names
     every = range(len(names))
     if plan.limits is None:
-        kept = list(every)
-        if demand.order is not None:
-            kept = sorted(varying(design, demand.variances, demand.order))
+        kept = every if alone else sorted(varying(whole.design, whole.variances, whole.order))
         return Selection(tuple(kept), short=tuple(j for j in every if j not in kept))
     whitening = whitening_of(data.order, data.noise)
-    plain = triangle = compress(design, data.response)
+    plain = triangle = compress(whole.design, data.response)
     if whitening is not None:
-        triangle = compress(whitening(design), whitening(data.response))
-    least = np.sqrt(LEAST * len(design) * demand.variances)
+        triangle = compress(whitening(whole.design), whitening(data.response))
     return select_stepwise(
-        replace(triangle, rows=triangle.rows - lost),
+        replace(triangle, rows=triangle.rows - whole.lost),
         names,
         plan.limits,
         forced=[j for j in every if names[j] == str(CONSTANT)],
-        requires=requires if plan.hierarchy else None,
-        guard=Guard(plain, least, demand.cancel),
+        requires=whole.requires if plan.hierarchy else None,
+        guard=whole.guard(plain),
     )
 
 
-def _segment(
-    plan: Plan,
-    fit: _Fit,
-    data: Data,
-    rows: Rows,
-    estimate: tuple[tuple[Term, ...], Array, Array],
-    test: tuple[float, int],
-    span: tuple[float, float],
-    robust: RobustFit | None,
-) -> Segment:
-    """Return a segment of its rows by terms, values and covariance; F on k; its span."""
-    (terms, values, covariance), (F, k) = estimate, test
+def _regions(whole: _Whole, fit: _Fit) -> list[Region | None]:
+    """Return the region of each segment.
+
+    A segment reaches to its edges: the row next to each is counted as if it were there.
+    """
+    kept, plan, data = whole.original[:, list(fit.chosen)], whole.plan, whole.read
+    if not kept.shape[1]:
+        return [None] * len(whole.parts)
+    short = [j for j in fit.selection.short if j < len(plan.terms) and whole.variances[j] > 0.0]
+    left_out = [plan.terms[j] for j in short]
+    shortest = np.sqrt(LEAST * len(data) * whole.variances[short])
+    beyond = evaluate_terms(left_out, data.columns, len(data))
+    found: list[tuple[Region, dict[str, Array], int] | None] = []
+    for s, (part, span) in enumerate(zip(whole.parts, whole.spans, strict=True)):
+        terms, L = whole.local(fit.chosen, s)
+        if not terms and not left_out:
+            found.append(None)
+            continue
+        G = region_factor(kept, beyond, shortest, L if whole.edges else None)
+        _check_size("factor of the region", np.abs(G).max(axis=0), (*terms, *left_out))
+        columns = {name: column[part] for name, column in data.columns.items()}
+        for edge in span:
+            next_to = int(np.argmin(np.abs(columns[whole.variable] - edge)))
+            columns = {name: np.append(column, column[next_to]) for name, column in columns.items()}
+            columns[whole.variable][-1] = edge
+        region = Region((*terms, *left_out), G, np.inf)
+        found.append((region, columns, len(columns[whole.variable])))
+    limit = largest_leverage([one for one in found if one is not None])
+    return [None if one is None else replace(one[0], limit=limit) for one in found]
+
+
+def _tested(
+    whole: _Whole, fit: _Fit, terms: Sequence[Term], values: Array, covariance: Array
+) -> tuple[float, int]:
+    """Return F and k of a segment's slopes: Wald's where it is joined, else that of all rows."""
+    slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
+    if whole.edges:
+        return wald(values[slopes], covariance[np.ix_(slopes, slopes)])
+    y = whole.data.response
+    mean, k = float(y.mean()) if CONSTANT in terms else 0.0, len(slopes)
+    explained = float(((y - fit.residuals - mean) ** 2).sum())
+    rss = float(fit.residuals @ fit.residuals)
+    if not k or fit.dof <= 0:
+        return np.nan, k
+    return (explained / k) / (rss / fit.dof) if rss > 0.0 else np.inf, k
+
+
+def _segment(whole: _Whole, fit: _Fit, s: int, robust: RobustFit | None) -> Segment:
+    """Return a segment, without its region."""
+    plan, data, rows, selection = whole.plan, whole.data, whole.parts[s], fit.selection
+    terms, L = whole.local(fit.chosen, s)
+    values, covariance = L @ fit.values, L @ fit.covariance @ L.T
+    F, k = _tested(whole, fit, terms, values, covariance)
     y, e, h = data.response[rows], fit.residuals[rows], fit.leverage[rows]
     constant = CONSTANT in terms
     rss, tss = float(e @ e), float(((y - (y.mean() if constant else 0.0)) ** 2).sum())
     left = fit.dof if len(rows) == len(data) else len(rows) - float(h.sum())
-    whole = float(fit.residuals @ fit.residuals)
+    of_all = float(fit.residuals @ fit.residuals)
     variance = rss / left if left > 0 else np.nan
     lost = rss / tss if tss > 0.0 else np.nan
     ratio = variance / (tss / (len(rows) - constant)) if tss > 0.0 else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         press = float(np.sqrt(np.mean((e / (1.0 - h)) ** 2)))
-    selection, names = fit.selection, [str(term) for term in plan.terms]
+    names = [str(term) for term in plan.terms if term not in terms]
     return Segment(
-        range=span,
+        range=whole.spans[s],
         n=len(rows),
         terms=terms,
         values=values,
@@ -405,7 +366,7 @@ def _segment(
         r2=1.0 - lost,
         adjusted_r2=1.0 - ratio,
         rms=float(np.sqrt(variance)),
-        aicc=akaike_criterion(whole, len(data), fit.design.shape[1]),
+        aicc=akaike_criterion(of_all, len(data), fit.design.shape[1]),
         press=press,
         F=F,
         F_critical=f_quantile(plan.confidence, k, fit.dof),
@@ -416,10 +377,24 @@ def _segment(
         },
         path=selection.path,
         runner_up=_runner_up(selection),
-        collinear=tuple(
-            name for name in selection.collinear if name in names and name not in map(str, terms)
-        ),
-        robust=robust_test(robust, terms, values, (F, k, fit.dof), plan.confidence),
+        collinear=tuple(name for name in selection.collinear if name in names),
+        robust=robust_test(robust, L, terms, values, (F, k, fit.dof), plan.confidence),
+        left_out=_left_out(plan, selection, terms),
+    )
+
+
+def _left_out(plan: Plan, selection: Selection, kept: Sequence[Term]) -> tuple[LeftOut, ...]:
+    """Return the candidates that a fit does not support, each with the reason."""
+    short = (
+        f"varies here, beyond the terms kept, by less than {LEAST:g} of its variance in the table; "
+        "its effect is part of the constant and of these terms"
+    )
+    cancel = "its coefficient and others would cancel, each larger than the response's range"
+    return tuple(
+        LeftOut(str(term), reason)
+        for places, reason in ((selection.short, short), (selection.cancelling, cancel))
+        for j, term in enumerate(plan.terms)
+        if j in places and term not in kept
     )
 
 

@@ -34,11 +34,6 @@ class General(NamedTuple):
     dof: int
     later: "General | None" = None
 
-    def turned(self, L: Array) -> "General":
-        """Return the fit of coefficients that are L times these."""
-        later = None if self.later is None else self.later.turned(L)
-        return General(L @ self.values, L @ self.covariance @ L.T, self.dof, later)
-
 
 class RobustFit(NamedTuple):
     """Robust covariance of all coefficients of a fit, and what goes with it.
@@ -52,11 +47,6 @@ class RobustFit(NamedTuple):
     lag_one: float
     shown: bool = True
     general: tuple[General, ...] = ()
-
-    def turned(self, L: Array) -> "RobustFit":
-        """Return the fit of coefficients that are L times these."""
-        general = tuple(one.turned(L) for one in self.general)
-        return self._replace(covariance=L @ self.covariance @ L.T, general=general)
 
 
 def robust_fit(found: LinearFit, X: Array, data: Data) -> RobustFit | None:
@@ -112,6 +102,7 @@ def _general(fit: LinearFit, lost: int) -> General | None:
 
 def robust_test(
     fit: RobustFit | None,
+    L: Array,
     terms: tuple[Term, ...],
     values: Array,
     classical: tuple[float, int, int],
@@ -126,27 +117,30 @@ def robust_test(
     Parameters
     ----------
     fit : RobustFit or None
-    terms : tuple of Term
-    values : (q,) array
+    L : (r, q) array
+        How the coefficients of the segment's terms are made of those of the fit.
+    terms : tuple of r Term
+    values : (r,) array
     classical : (F, k, ν) tuple
     confidence : float
     """
     if fit is None:
         return None
     slopes = [i for i, term in enumerate(terms) if term != CONSTANT]
+    covariance = L @ fit.covariance @ L.T
     if fit.general:
         plain = _tested(*classical)
-        tests = [_by_law(one, slopes, plain.p) for one in fit.general]
+        tests = [_by_law(one, L[slopes], plain.p) for one in fit.general]
         found = max(tests, key=lambda test: -1.0 if np.isnan(test.p) else test.p)
         level = 1.0 - confidence
         if not fit.shown and not plain.p < level <= found.p:
             return None
     else:
-        F, k = correlation.wald(values[slopes], fit.covariance[np.ix_(slopes, slopes)])
+        F, k = correlation.wald(values[slopes], covariance[np.ix_(slopes, slopes)])
         nu = fit.nu - k + 1.0
         found = _tested(F * nu / fit.nu, k, nu)
     dof, size = (found.k, found.nu), fit.n_effective
-    return Robust("hac", fit.covariance, found.F, found.p, dof, fit.nu, size, fit.lag_one)
+    return Robust("hac", covariance, found.F, found.p, dof, fit.nu, size, fit.lag_one)
 
 
 class _Test(NamedTuple):
@@ -158,13 +152,13 @@ class _Test(NamedTuple):
     p: float
 
 
-def _by_law(one: General, slopes: list[int], plain: float) -> _Test:
+def _by_law(one: General, L: Array, plain: float) -> _Test:
     """Return the test by one law; rows at the start of a run make no more of it than F does."""
-    F, k = correlation.wald(one.values[slopes], one.covariance[np.ix_(slopes, slopes)])
+    F, k = correlation.wald(L @ one.values, L @ one.covariance @ L.T)
     found = _tested(F, k, one.dof)
     if one.later is None or not found.p < plain:
         return found
-    return _by_law(one.later, slopes, plain)
+    return _by_law(one.later, L, plain)
 
 
 def _tested(F: float, k: int, nu: float) -> _Test:

@@ -36,7 +36,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import f_quantile
-from multipos.numerics.terms import Term, linear_term
+from multipos.numerics.terms import linear_term
 from multipos.regression.observations import Data
 from multipos.regression.segment import Between, Segment
 
@@ -73,7 +73,7 @@ def within_runs(design: Array, data: Data, where: str = "") -> tuple[Array, Data
 def find_between(
     original: Array,
     data: Data,
-    terms: Sequence[Term | None],
+    terms: Sequence[object],
     values: Array,
     variable: str,
     n_effective: float,
@@ -87,7 +87,7 @@ def find_between(
     data : Data
         The rows, with the response as it was read.
     terms, values
-        What was fitted.
+        What was fitted: of joined segments some columns are no terms.
     variable : str
         Whose slope may differ.
     n_effective : float

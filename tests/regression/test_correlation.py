@@ -136,7 +136,7 @@ def test_f_robust_by_hand():
     terms, b = parse_terms("1 + t + v"), np.array([7.0, 2.0, 1.0])
     covariance = np.diag([100.0, 1.0, 0.25])
     F = (100.0, 2, 17)
-    found = robust_test(RobustFit(covariance, 9.0, 20.0, 0.5), terms, b, F, 0.95)
+    found = robust_test(RobustFit(covariance, 9.0, 20.0, 0.5), np.eye(3), terms, b, F, 0.95)
     assert pytest.approx(32 / 9, rel=1e-12) == found.F
     assert found.dof == (2, 8.0)
     assert found.p == pytest.approx((17 / 9) ** -4, rel=1e-9)  # of 2 and ν: (1 + 2 F/ν)^(−ν/2)

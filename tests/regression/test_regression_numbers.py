@@ -12,13 +12,13 @@ from scipy.stats import f as fisher
 from scipy.stats import t
 
 from multipos.errors import MultiposError
-from multipos.numerics.selection import Thresholds
+from multipos.numerics.selection import Selection, Thresholds
 from multipos.numerics.terms import parse_terms
-from multipos.regression import region, segmentation, variation
+from multipos.regression import piecewise, region, segmentation, variation
 from multipos.regression.correlation import _long_run, bandwidth, time_order
 from multipos.regression.junctions import _junction, find_junctions
 from multipos.regression.observations import _same, _still, _usual_time, _usual_window, join_runs
-from multipos.regression.piecewise import _fit, _local, _require_rows, _segment
+from multipos.regression.piecewise import _fit, _require_rows, _segment, _Whole
 from multipos.regression.prediction import hold_inside
 from multipos.regression.rates import default_window, rows_of_runs
 from multipos.regression.region import Region
@@ -177,7 +177,7 @@ def test_rows_less_what_differs_between_runs():
         assert_allclose(found, wanted)
 
 
-def test_numbers_of_a_segment_by_their_definitions():
+def test_numbers_of_a_segment_by_their_definitions(monkeypatch):
     rng = np.random.default_rng(2)
     n = 12
     X = np.column_stack([np.ones(n), rng.normal(size=n)])
@@ -185,16 +185,21 @@ def test_numbers_of_a_segment_by_their_definitions():
     H = X @ np.linalg.pinv(X)
     e = y - H @ y
     terms = parse_terms("1 + t")
-    selection = SimpleNamespace(path=(), runner_up=None, collinear=())
+    selection = Selection((0, 1))
     fit = SimpleNamespace(
-        residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection
-    )
+        residuals=e, leverage=np.diag(H), dof=n - 2, design=X, selection=selection,
+        chosen=(0, 1), values=np.zeros(2), covariance=np.eye(2),
+    )  # fmt: skip
+    monkeypatch.setattr(piecewise, "_tested", lambda *_: (3.4, 1))
     data = Rows(y, {"t": X[:, 1]})
     plan = SimpleNamespace(terms=terms, confidence=0.9, variables=("t",))
 
     def segment(rows, kept):
-        estimate = kept, np.zeros(2), np.eye(2)
-        return _segment(plan, fit, data, rows, estimate, (3.4, 1), (0, 1), None)
+        whole = SimpleNamespace(
+            plan=plan, data=data, parts=[rows], spans=[(0, 1)],
+            local=lambda chosen, s: (kept, np.eye(2)[: len(kept)]),
+        )  # fmt: skip
+        return _segment(whole, fit, 0, None)
 
     whole = segment(np.arange(n), terms)
     assert whole.rms == pytest.approx(math.sqrt(e @ e / (n - 2)))
@@ -226,8 +231,9 @@ def test_terms_of_a_segment_are_those_of_the_whole_with_its_hinges():
     b = np.random.default_rng(6).normal(size=len(chosen))
     at = {"t": np.array([0.7, 3.3, 6.1]), "v": np.array([1.7, -0.4, 2.2])}
     whole = sum(value * column.evaluate(at) for value, column in zip(b, chosen, strict=True))
-    for i, below in enumerate(((), (2.0,), (2.0, 5.0))):
-        own, L = _local(chosen, below)
+    of = SimpleNamespace(columns=chosen, edges=(2.0, 5.0))
+    for i in range(3):
+        own, L = _Whole.local(of, range(len(chosen)), i)
         here = sum(value * term.evaluate(at) for value, term in zip(L @ b, own, strict=True))
         assert here[i] == pytest.approx(whole[i], rel=1e-10)
 
@@ -315,12 +321,13 @@ def test_a_law_is_tested_by_wald_and_what_is_later_makes_no_less_of_it():
     values, C = np.array([5.0, 0.4, -0.3]), np.diag([1.0, 0.02, 0.03])
     F = (0.16 / 0.02 + 0.09 / 0.03) / 2
     one = SimpleNamespace(values=values, covariance=C, dof=9, later=None)
-    found = _by_law(one, [1, 2], 0.5)
+    slopes = np.eye(3)[1:]
+    found = _by_law(one, slopes, 0.5)
     assert (found.F, found.p) == (pytest.approx(F), pytest.approx(fisher.sf(F, 2, 9)))
     later = SimpleNamespace(values=values, covariance=4.0 * C, dof=7, later=None)
     one.later = later
-    assert pytest.approx(F) == _by_law(one, [1, 2], found.p).F
-    assert pytest.approx(F / 4) == _by_law(one, [1, 2], found.p * 1.01).F
+    assert pytest.approx(F) == _by_law(one, slopes, found.p).F
+    assert pytest.approx(F / 4) == _by_law(one, slopes, found.p * 1.01).F
     assert math.isnan(_tested(3.0, 0, 5.0).p)
     assert math.isnan(_tested(3.0, 2, 0.0).p)
 
@@ -479,9 +486,10 @@ def test_zeros_of_runs_take_degrees_of_freedom():
     _require_rows(plan, 3, 9, "A segment")
     with pytest.raises(MultiposError, match="has 2 rows"):
         _require_rows(plan, 2, 9, "A segment")
-    plan.limits, data = None, SimpleNamespace(response=np.ones(3), run=np.arange(3))
+    plan.limits, data = None, SimpleNamespace(response=np.ones(3))
+    whole = SimpleNamespace(plan=plan, design=np.ones((3, 2)), data=data, lost=2, where="A segment")
     with pytest.raises(MultiposError, match="A segment has 3 rows for 4 terms"):
-        _fit(plan, np.ones((3, 2)), data, [], [], "A segment", None)
+        _fit(whole, alone=True)
 
 
 def test_rows_that_cool_have_segments_of_their_own():
