@@ -19,7 +19,6 @@ from collections.abc import Iterable, Sequence
 
 from multipos.files.spelling import visible
 
-_MOST_ROWS, _LARGEST_ROWS = 100, 20  # of a table: beyond the former only so many are shown
 _SHORTEST = -5  # decimal exponents below this are written as such
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _RATIO = 0.01  # ratios below are read in ppm
@@ -175,14 +174,12 @@ def number(value: float | None, digits: int = 4) -> str:
     return "inf" if math.isinf(value) else f"{value:.{digits}g}"
 
 
-def largest_rows(
-    sizes: Sequence[float], most: int = _MOST_ROWS, shown: int = _LARGEST_ROWS
-) -> list[int]:
-    """Return the rows of a long table to show, the largest first: twenty of more than a hundred.
+def largest_rows(sizes: Sequence[float], shown: int) -> list[int]:
+    """Return the rows of a long table to show, the largest first; of a shorter one all, in order.
 
-    Of fewer all are shown, in order. NaN counts as the largest.
+    NaN counts as the largest.
     """
-    if len(sizes) <= most:
+    if len(sizes) <= shown:
         return list(range(len(sizes)))
     key = [math.inf if math.isnan(size) else size for size in sizes]
     return heapq.nlargest(shown, range(len(key)), key=key.__getitem__)

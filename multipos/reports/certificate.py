@@ -10,9 +10,6 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
 
-import numpy as np
-
-from multipos.files.numbers import in_unit
 from multipos.files.spelling import StrPath
 from multipos.finding import Findings, errors_of, in_order, serious
 from multipos.reports import check_text, evidence, summary
@@ -117,7 +114,7 @@ def build_content(
                 *((evidence.rolls_section(c),) if has_rolls(c) else ()),
                 evidence.correlation_section(c),
                 checks_section(c, simulated),
-                _method(c),
+                method_section(summary.method_rows(c)),
                 *((equipment,) if equipment is not None else ()),
                 *_validity(findings),
                 _statements(c, check),
@@ -132,28 +129,6 @@ def _answer(c: Calibration, check: Check | None) -> str:
     """Return the answer: of an independent run first, which has a verdict against its limit."""
     said = summary.calibration_sentence(c)
     return said if check is None else f"{c.field.worded(check_text.check_sentence(check))} {said}"
-
-
-def _method(c: Calibration) -> Section:
-    *in_field, (field, size) = c.field.lines(c.convention)
-    if c.gravity is not None:
-        unit = c.gravity.size_unit
-        size = f"{c.gravity.value:.10g} {unit}, u = {in_unit(c.gravity.u, unit)}"
-    rows: list[tuple[str, str]] = [
-        ("Readings", c.readings.source or "from memory"),
-        ("SHA-256 of the readings", c.readings.sha256 or "-"),
-        ("Number of readings", str(len(c.readings))),
-        ("Outputs and unit", f"{', '.join(c.outputs)} [{c.model.unit}]"),
-        ("Model", c.model.text),
-        *((name.capitalize(), value) for name, value in (*in_field, (field, size))),
-        ("Estimator", c.estimator),
-        ("Criterion", c.field.worded(c.criterion)),
-        ("Computed", f"{c.created}, multipos {c.version}"),
-    ]
-    for name, column in c.readings.environment.items():
-        if np.isfinite(column).all():
-            rows.append((name, f"{column.min():.6g} … {column.max():.6g}"))
-    return method_section(rows)
 
 
 def _validity(findings: Findings) -> tuple[Section, ...]:

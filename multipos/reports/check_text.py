@@ -1,6 +1,6 @@
 """What checks say: as tables of text, as plain text, and in a sentence.
 
-`check_tables` gives the tables, of all positions or the largest errors, and `check_text` prints
+`check_tables` gives the tables, of all positions, and `check_text` prints
 them with the verdict; `run_conclusions` judges the run as a whole, and `check_sentence` says the
 largest error against its limit.
 """
@@ -13,17 +13,17 @@ import numpy as np
 
 from multipos.files import numbers
 from multipos.numerics.arrays import Array
-from multipos.reports.sections import LONG_TABLE, PageTable
+from multipos.reports.sections import LONG_TABLE, PageTable, shortened
 from multipos.verification.agreement import agreement_in_words
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
-def check_tables(found: Check, *, whole: bool = False) -> list[PageTable]:
-    """Return the summary and the errors of positions, all or the largest; or by segment."""
+def check_tables(found: Check) -> list[PageTable]:
+    """Return the summary and the errors of all positions; or by segment."""
     found = _beyond_rounding(found)
     if found.segments:
         return [_by_segment(found)]
-    return [_by_axis(found), _by_position(found, whole=whole)]
+    return [_by_axis(found), _by_position(found)]
 
 
 def _beyond_rounding(found: Check) -> Check:
@@ -97,7 +97,7 @@ def _longest(summary: dict[str, Any], scales: _Scales) -> str:
     return numbers.plain_number(summary["after"]["largest_U"] * scales["after"][0], 2)
 
 
-def _by_position(found: Check, *, whole: bool) -> PageTable:
+def _by_position(found: Check) -> PageTable:
     scales = _scales(found)
     (before, unit), (after, unit_after) = scales["before"], scales["after"]
     header = ["position"]
@@ -105,21 +105,17 @@ def _by_position(found: Check, *, whole: bool) -> PageTable:
         header += [_united(axis, numbers.readable_unit(1.0, found.unit)[1]), f"before [{unit}]"]
         header += [f"after [{unit_after}]", "U"]
     rows = []
-    sizes = np.abs(found.after).max(axis=1).tolist()
-    shown = list(range(len(sizes))) if whole else numbers.largest_rows(sizes)
-    for row in shown:
-        cells = [found.positions[row]]
+    for row, position in enumerate(found.positions):
+        cells = [position]
         for column in np.arange(len(found.axes)):
             cells += [f"{found.reference[row, column]:.6g}"]
             cells += [_signed(before * found.before[row, column])]
             error, U = after * found.after[row, column], after * found.U[row, column]
             cells += _error_cells(error, U)
         rows.append((*cells, worst(found.verdicts[row]) or "-"))
-    title = "Every position"
-    if len(shown) < len(found.positions):
-        title += f" (the {len(shown)} farthest off of {len(found.positions)}; JSON has all)"
-    kept = numbers.largest_rows(sizes, LONG_TABLE, LONG_TABLE) if whole else ()
-    return PageTable(title, (*header, "verdict"), tuple(rows), kept=tuple(kept))
+    sizes = np.abs(found.after).max(axis=1).tolist()
+    kept = tuple(numbers.largest_rows(sizes, LONG_TABLE))
+    return PageTable("Every position", (*header, "verdict"), tuple(rows), kept=kept)
 
 
 def _by_segment(found: Check) -> PageTable:
@@ -151,7 +147,8 @@ def _by_segment(found: Check) -> PageTable:
 
 def check_text(found: Check) -> str:
     """Return the check as plain text."""
-    text = "\n".join(numbers.titled(each.caption, str(each)) for each in check_tables(found))
+    tables = (shortened(each, "JSON has all") for each in check_tables(found))
+    text = "\n".join(numbers.titled(each.caption, str(each)) for each in tables)
     if found.limit is None:
         return text
     counted = ", ".join(f"{int((found.verdicts == name).sum())} {name}" for name in VERDICTS)

@@ -1,6 +1,7 @@
 """The sections of a report on what was seen: readings, residuals, rolls, temperature, another run.
 
-`residuals_section` has residuals and errors of every position, `positions_section` where the
+`residuals_section` has residuals and errors of every position (`residual_tables`),
+`positions_section` where the
 positions were and the readings there (`readings_table`), `correlation_section` how parameters
 hang together. `rolls_section` is of a sensor that was turned about level axes,
 `temperature_sections` of parameters that change with it, and `check_section` of an independent run.
@@ -25,9 +26,9 @@ from multipos.plots.curves import draw_curve, temperature_curves
 from multipos.plots.pictures import residual_picture
 from multipos.plots.tumble import draw_harmonics, draw_rolls
 from multipos.reports.check_text import check_tables, run_conclusions
-from multipos.reports.installation import turntable_tables
 from multipos.reports.quantities import column
 from multipos.reports.sections import LONG_TABLE, Figure, PageTable, Section, chosen_rows, draw_svg
+from multipos.reports.turntable_text import turntable_tables
 from multipos.sensor.calibration import Calibration, has_nominal, nominal_error
 from multipos.uncertainty.turntable import table_errors
 from multipos.verification.verdicts import Check
@@ -37,6 +38,17 @@ _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 def residuals_section(c: Calibration) -> Section:
     """Return the residuals of every position, and what is left of its error after compensation."""
+    said = [_kind_of_residual(c), *([_kind_of_error(c)] if math.isfinite(c.rms) else [])]
+    figure = Figure(
+        "Residuals at every position",
+        "The numbers are in the table below.",
+        partial(residual_picture, c),
+    )
+    return Section("Residuals", tuple(said), (figure,), residual_tables(c))
+
+
+def residual_tables(c: Calibration) -> tuple[PageTable, ...]:
+    """Return the tables of residuals, and of linearity where it can be said."""
     shown, kept, suffix = chosen_rows(c.relative_residuals)
     names = [*(c.readings.labels[row] for row in shown), "s", "dof"]
     columns = []
@@ -50,7 +62,6 @@ def residuals_section(c: Calibration) -> Section:
         printed = column([*left[shown], sd], unit, sd, signed=True, scale=size)
         s = printed.cells.pop().removeprefix("+")
         columns.append((f"{output} [{printed.unit}]", [*printed.cells, s, numbers.number(dof)]))
-    paragraphs = [_kind_of_residual(c)]
     for name, of_size, left, band in residual_series(c):
         if name not in c.outputs:  # what a position of unknown orientation has
             printed = column(left[shown], of_size, 0.5 * float(band.max()), signed=True)
@@ -60,7 +71,6 @@ def residuals_section(c: Calibration) -> Section:
         for when, error in (*before, ("after", compensated_error(c))):
             printed = column([*error[shown]], c.field.printed)
             columns.append((f"error {when} [{printed.unit}]", [*printed.cells, "", ""]))
-        paragraphs.append(_kind_of_error(c))
     table = PageTable(
         "Residuals at every position" + suffix,
         ("Position", *(head for head, _ in columns)),
@@ -68,13 +78,7 @@ def residuals_section(c: Calibration) -> Section:
         kept=kept,
         foot=2,
     )
-    figure = Figure(
-        "Residuals at every position",
-        "The numbers are in the table below.",
-        partial(residual_picture, c),
-    )
-    linear = _linearity(c)
-    return Section("Residuals", tuple(paragraphs), (figure,), (table, *linear))
+    return (table, *_linearity(c))
 
 
 def _kind_of_residual(c: Calibration) -> str:
@@ -273,7 +277,7 @@ def check_section(c: Calibration, found: Check) -> Section:
         f"One panel for each axis: {shown}",
         partial(draw_svg, 1.9, *panels),
     )
-    tables = tuple(check_tables(found, whole=True))
+    tables = tuple(check_tables(found))
     return Section("Independent check", tuple(paragraphs), (figure,), tables)
 
 

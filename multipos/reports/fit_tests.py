@@ -1,6 +1,7 @@
 """The section of a report on tests of the fit: repeats, terms, influence, harmonics, Monte Carlo.
 
-`checks_section` gives it; each finding about a finished calibration is a table of it.
+`checks_section` gives it, `checks_table` what is one number each; every other finding about a
+finished calibration is a table of its own.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.monte_carlo import MonteCarlo
 
 
-def checks_section(c: Calibration, simulated: MonteCarlo | None) -> Section:
-    """Return the checks of the fit."""
+def checks_table(c: Calibration) -> PageTable:
+    """Return how well the fit is conditioned, and the tests that are one number."""
     rows: list[tuple[str, str]] = [
         ("rms of what is left after compensation", c.field.shown(c.rms)),
         ("rank and parameters", f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
@@ -32,7 +33,12 @@ def checks_section(c: Calibration, simulated: MonteCarlo | None) -> Section:
                 f"F = {numbers.number(_float(test['F']))}, {numbers.p_in_words(_float(test['p']))}",
             )
         )
-    tables = [PageTable("Checks of the fit", ("Check", "Result"), tuple(rows))]
+    return PageTable("Checks of the fit", ("Check", "Result"), tuple(rows), left=2)
+
+
+def checks_section(c: Calibration, simulated: MonteCarlo | None) -> Section:
+    """Return the checks of the fit."""
+    tables = [checks_table(c)]
     paragraphs: list[str] = []
     tests = [_tests_of_terms(c), *(_OUTPUT_TESTS[name](c) for name in c.estimator.output_tests)]
     tests = [table for table in tests if table.rows]

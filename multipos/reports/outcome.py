@@ -27,9 +27,11 @@ from multipos.numerics.arrays import COMPONENTS
 from multipos.plots.pictures import error_picture
 from multipos.positions.headers import TEMPERATURE
 from multipos.reports.quantities import (
+    QUANTITY_HEADER,
     Quantity,
     derived_quantities,
     leaning_quantities,
+    leaning_table,
     parameter_cells,
     quantity_rows,
 )
@@ -53,13 +55,12 @@ def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Secti
         Whether readings give forces, so that there are errors to speak of.
     """
     rows = quantity_rows(derived_quantities(c, budget) or _of_few_axes(c))
-    header = ("Quantity", "Value", "U", "Unit", "k")
     caption = f"Sensitivity, offset and axes, U with {100.0 * c.confidence:g} %"
     return Section(
         "Result",
         (_validity(c),),
         (_picture(c),) if forces else (),
-        (PageTable(caption, header, tuple(rows)),) if rows else (),
+        (PageTable(caption, QUANTITY_HEADER, tuple(rows)),) if rows else (),
     )
 
 
@@ -95,9 +96,7 @@ def _of_few_axes(c: Calibration) -> list[Quantity]:
 
 def parameters_section(c: Calibration) -> Section:
     """Return the parameters with their uncertainty, and how the outputs lean."""
-    leaning = quantity_rows(leaning_quantities(c)) if c.intrinsic is not None else []
-    header = ("Quantity", "Value", "U", "Unit", "k")
-    installed = (PageTable("Installation", header, tuple(leaning)),) if leaning else ()
+    installed = leaning_table(c) if c.intrinsic is not None else ()
     return Section(
         "Parameters",
         (
@@ -137,7 +136,7 @@ def _surest(c: Calibration) -> tuple[int, ...]:
     """Return which parameters of many the body shows: those that most exceed their u."""
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = np.abs(c.parameters) / c.u
-    return tuple(sorted(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE)))
+    return tuple(sorted(largest_rows(sizes.tolist(), LONG_TABLE)))
 
 
 def budget_section(c: Calibration, budget: Evaluation) -> Section:

@@ -1,9 +1,9 @@
 """Values beside their uncertainty: in a unit that people read, to the digits of u.
 
 `derived_quantities` gives sensitivities, offsets and angles of a triad, `leaning_quantities` how
-far the outputs of any sensor point to each other's axes; `quantity_rows` prints such, and
-`parameter_cells` parameters. A row has one unit, by the larger of value and U (`with_u`); a column
-of numbers of one unit has one as well (`column`).
+far the outputs of any sensor point to each other's axes (`leaning_table`); `quantity_rows` prints
+such, and `parameter_cells` parameters. A row has one unit, by the larger of value and U (`with_u`);
+a column of numbers of one unit has one as well (`column`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,11 +24,14 @@ from multipos.files.numbers import (
 )
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.quantiles import coverage_factor
+from multipos.reports.sections import PageTable
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.derived import intrinsic_gradient
 from multipos.sensor.found import Parameter
 from multipos.uncertainty.propagation import Evaluation
 from multipos.units import unit_per
+
+QUANTITY_HEADER = ("Quantity", "Value", "U", "Unit", "k")
 
 
 class Quantity(NamedTuple):
@@ -92,6 +95,12 @@ def leaning_quantities(c: Calibration) -> list[Quantity]:
         for pair, angle in c.installation_deg.items()
         if angle["u"]
     ]
+
+
+def leaning_table(c: Calibration) -> tuple[PageTable, ...]:
+    """Return the table of `leaning_quantities`, where there are any."""
+    rows = tuple(quantity_rows(leaning_quantities(c)))
+    return (PageTable("Installation", QUANTITY_HEADER, rows),) if rows else ()
 
 
 def quantity_rows(found: Sequence[Quantity]) -> list[tuple[str, ...]]:

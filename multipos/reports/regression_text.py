@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from multipos.files.numbers import chance, number, p_in_words, table, uncertain
+from multipos.files.numbers import chance, number, p_in_words, uncertain
 from multipos.regression.regression import Regression, Regressions, all_of
 from multipos.regression.segment import Segment, format_span
 from multipos.reports.sections import PageTable
@@ -25,18 +25,14 @@ def regression_text(found: Regression | Regressions) -> str:
 
 def _text(r: Regression) -> list[str]:
     said = [*outline(r), *jumps_and_balance(r)]
-    lines = [*(f"{name:<10} {text}" for name, text in said), "", _shown(tests_table(r))]
+    lines = [*(f"{name:<10} {text}" for name, text in said), "", str(tests_table(r))]
     for i, segment in enumerate(r.segments):
-        lines += ["", span_of(r, i), _shown(terms_table(segment, "")), *_runs_text(segment)]
+        lines += ["", span_of(r, i), str(terms_table(segment, "")), *_runs_text(segment)]
         if segment.left_out:
             lines.append(f"left out: {', '.join(one.term for one in segment.left_out)}")
         if has_own_path(r, i):
             lines += _path_text(segment)
     return lines
-
-
-def _shown(found: PageTable) -> str:
-    return table(found.header, found.rows, left=found.left)
 
 
 def span_of(r: Regression, i: int) -> str:
@@ -145,7 +141,7 @@ def _runs_text(s: Segment) -> list[str]:
 
 
 def _path_text(s: Segment) -> list[str]:
-    lines = ["", _shown(path_table(s, ""))] if s.path else []
+    lines = ["", str(path_table(s, ""))] if s.path else []
     if s.runner_up is not None:
         lines.append(
             f"next: {s.runner_up.term}, F = {number(s.runner_up.F)} where "

@@ -1,10 +1,10 @@
 """What a report is made of: sections of paragraphs, figures and tables.
 
 Numbers are text here, with the digits that their uncertainty leaves; figures are functions and
-drawn only where they are wanted, by `draw_svg`. `chosen_rows` picks the rows of a table and
-`with_annex` shortens long ones, which an annex has in full; `method_section` says how something was
-done, `worded_section` rewords a section for the sensor of another field, and `template` reads a
-file of the folder of templates.
+drawn only where they are wanted, by `draw_svg`. `chosen_rows` picks the rows of a table,
+`shortened` keeps the largest of a long one, which by `with_annex` an annex has in full;
+`method_section` says how something was done, `worded_section` rewords a section for the sensor of
+another field, and `template` reads a file of the folder of templates.
 """
 
 from collections.abc import Callable, Iterable
@@ -47,7 +47,7 @@ class PageTable:
     foot: int = 0
 
     def __str__(self) -> str:
-        return table(self.header, self.rows)
+        return table(self.header, self.rows, left=self.left)
 
 
 @frozen(eq=True)
@@ -104,26 +104,28 @@ def draw_svg(height: float, *panels: Callable[[Any], object]) -> str:
 
 def chosen_rows(sizes: NDArray[np.float64]) -> tuple[list[int], tuple[int, ...], str]:
     """Return the rows that a table takes, those that its body keeps, and what its caption adds."""
-    largest = tuple(largest_rows(sizes.tolist(), LONG_TABLE, LONG_TABLE))
+    largest = tuple(largest_rows(sizes.tolist(), LONG_TABLE))
     if len(sizes) <= _WHOLE:
         return list(range(len(sizes))), largest if len(sizes) > LONG_TABLE else (), ""
     more = f" (the {LONG_TABLE} largest of {len(sizes)}; the calibration file has all)"
     return list(largest), (), more
 
 
+def shortened(grid: PageTable, where: str) -> PageTable:
+    """Return a table with the largest rows of a long one, and in its caption where all are."""
+    count = len(grid.rows) - grid.foot
+    if count <= LONG_TABLE:
+        return grid
+    kept = [*(grid.kept or range(LONG_TABLE)), *range(count, len(grid.rows))]
+    which = f"{LONG_TABLE} largest" if grid.kept else f"first {LONG_TABLE}"
+    caption = f"{grid.caption} (the {which} of {count}; {where})"
+    return replace(grid, caption=caption, rows=tuple(grid.rows[row] for row in kept))
+
+
 def with_annex(sections: Iterable[Section]) -> tuple[Section, ...]:
     """Return the sections with the largest rows of long tables, which an annex has in full."""
-    whole: list[PageTable] = []
-
-    def short(grid: PageTable) -> PageTable:
-        count = len(grid.rows) - grid.foot
-        if count <= LONG_TABLE:
-            return grid
-        whole.append(grid)
-        kept = [*(grid.kept or range(LONG_TABLE)), *range(count, len(grid.rows))]
-        which = f"{LONG_TABLE} largest" if grid.kept else f"first {LONG_TABLE}"
-        caption = f"{grid.caption} (the {which} of {count}; all in the annex)"
-        return replace(grid, caption=caption, rows=tuple(grid.rows[row] for row in kept))
-
-    body = tuple(replace(part, tables=tuple(map(short, part.tables))) for part in sections)
-    return (*body, Section("Annex", tables=tuple(whole))) if whole else body
+    given = tuple(sections)
+    short = {id(t): shortened(t, "all in the annex") for part in given for t in part.tables}
+    whole = tuple(t for part in given for t in part.tables if short[id(t)] is not t)
+    body = tuple(replace(part, tables=tuple(short[id(t)] for t in part.tables)) for part in given)
+    return (*body, Section("Annex", tables=whole)) if whole else body

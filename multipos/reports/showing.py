@@ -41,11 +41,11 @@ from multipos.plots import (
 from multipos.positions.scheme import Scheme
 from multipos.regression.regression import Regression, Regressions
 from multipos.reports.check_text import check_sentence, check_tables, check_text, run_conclusions
-from multipos.reports.installation import table_errors_text
 from multipos.reports.quantities import parameter_cells
 from multipos.reports.regression_text import regression_sentence, regression_text
 from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
+from multipos.reports.turntable_text import table_errors_text
 from multipos.results import Columns, Result, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.temperature import Curve

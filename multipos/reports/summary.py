@@ -4,7 +4,8 @@
 `counted_findings` and the largest U in percent or ppm (`share`); `parameter_text`, the parameters
 as value(u) with U, k and degrees of freedom; the findings; and `detail_text`, what was done, of
 one- and two-axis sensors how they are installed and what their rolls say of the turntable, the
-residuals of every position, and how the result was checked.
+residuals of every position, and how the result was checked, in the tables of a report.
+`method_rows` are those of what was done.
 """
 
 import math
@@ -17,7 +18,7 @@ from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
 from multipos.positions.headers import MAGNETIC_UNITS
-from multipos.sensor.calibration import Calibration, nominal_error, parameter_rows, rms_before
+from multipos.sensor.calibration import Calibration, parameter_rows, rms_before
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
 
@@ -104,90 +105,39 @@ def parameter_text(calibration: Calibration) -> str:
 
 def detail_text(calibration: Calibration) -> str:
     """Return what was done, how the sensor is installed, the residuals and the checks."""
-    return "\n".join(numbers.titled(title, body) for title, body in _sections(calibration))
+    # Imported here: a fit that is not asked for details needs neither tests nor figures.
+    from multipos.reports import evidence, fit_tests, quantities, sections, turntable_text
+    from multipos.uncertainty.turntable import has_rolls, table_errors
 
-
-def _sections(calibration: Calibration) -> list[tuple[str, str]]:
-    sections = [("Calibration", _summary(calibration))]
-    if len(calibration.model.sensed_axes) < len(COMPONENTS):
-        from multipos.reports.installation import installation_tables, turntable_tables
-        from multipos.uncertainty.turntable import has_rolls, table_errors
-
-        tables = installation_tables(calibration)
-        if has_rolls(calibration):
-            tables += turntable_tables(table_errors(calibration))
-        sections += [(each.caption, str(each)) for each in tables]
-    sections.append(("Residuals", _residuals(calibration)))
-    sections.append(("Checks", _checks(calibration)))
-    return sections
-
-
-def _summary(calibration: Calibration) -> str:
     c = calibration
-    readings = c.readings
-    counted = f"{len(readings)} of {', '.join(c.outputs)} [{c.model.unit}]"
-    lines = [
-        f"readings    {readings.source or 'from memory'}: {counted}",
-        f"model       {c.model.text}, inputs {', '.join(c.model.inputs)}",
-        *(f"{name:<12}{value}" for name, value in c.field.lines(c.convention)),
-        *(f"at          {name} 0, where its terms vanish" for name in c.model.environment),
-        f"estimator   {c.estimator}: {c.criterion}",
-        f"created     {c.created}, multipos {c.version}",
-    ]
-    return "\n".join(lines)
+    tables = [*sections.method_section(method_rows(c)).tables]
+    if len(c.model.sensed_axes) < len(COMPONENTS):
+        tables += quantities.leaning_table(c)
+        tables += turntable_text.turntable_tables(table_errors(c)) if has_rolls(c) else []
+    tables += [*evidence.residual_tables(c), fit_tests.checks_table(c)]
+    worded = sections.worded_section(sections.Section("", tables=tuple(tables)), c.field)
+    shown = (sections.shortened(each, "--json has all") for each in worded.tables)
+    return "\n".join(numbers.titled(each.caption, str(each)) for each in shown)
 
 
-def _residuals(calibration: Calibration) -> str:
-    c = calibration
-    header = ["position", "x", "y", "z", *(f"{output} [{c.model.unit}]" for output in c.outputs)]
-    sizes = np.abs(c.readings.values).max(axis=0).tolist()
-    names, shown = c.readings.labels, numbers.largest_rows(c.relative_residuals.tolist())
+def method_rows(c: Calibration) -> list[tuple[str, str]]:
+    """Return what was done and by what, each with its name."""
+    *in_field, (field, size) = c.field.lines(c.convention)
+    if c.gravity is not None:
+        unit = c.gravity.size_unit
+        size = f"{c.gravity.value:.10g} {unit}, u = {numbers.in_unit(c.gravity.u, unit)}"
     rows = [
-        [
-            names[row],
-            *(f"{value:.4g}" for value in c.reference[row].tolist()),
-            *map(_residual, c.residuals[row].tolist(), sizes),
-        ]
-        for row in shown
+        ("Readings", c.readings.source or "from memory"),
+        ("SHA-256 of the readings", c.readings.sha256 or "-"),
+        ("Number of readings", str(len(c.readings))),
+        ("Outputs and unit", f"{', '.join(c.outputs)} [{c.model.unit}]"),
+        ("Model", c.model.text),
+        *((name.capitalize(), value) for name, value in (*in_field, (field, size))),
+        ("Estimator", c.estimator),
+        ("Criterion", c.field.worded(c.criterion)),
+        ("Computed", f"{c.created}, multipos {c.version}"),
     ]
-    spreads = zip(c.residual_sd.tolist(), sizes, strict=True)
-    sd = ["s", "", "", "", *(numbers.number(numbers.beyond_rounding(*each), 3) for each in spreads)]
-    dof = ["dof", "", "", "", *(numbers.number(value) for value in c.dof.tolist())]
-    text = numbers.table(header, [*rows, sd, dof])
-    if len(shown) == len(names):
-        return text
-    return f"{text}\nthe largest {len(shown)} of {len(names)} positions; --json has all"
-
-
-def _residual(value: float, scale: float) -> str:
-    """Return a residual of readings of size `scale`; one that is rounding is 0."""
-    return f"{value:+.3e}" if numbers.beyond_rounding(value, scale) else "0"
-
-
-def _checks(calibration: Calibration) -> str:
-    c = calibration
-    unit = c.field.unit or "of the field"
-    no_force = c.field.worded("none, as the parameters give no force")
-    left = f"{numbers.beyond_rounding(c.rms):.3e} {unit}" if math.isfinite(c.rms) else no_force
-    lines = [f"rms of what is left after compensation: {left}"]
-    if c.nominal is not None:
-        before = nominal_error(c)
-        rms = math.sqrt(float(before @ before) / len(before))
-        said = f"(reading - {c.nominal.bias:g})/{c.nominal.scale:g}"
-        lines.append(f"before, by {said}: rms {rms:.3e} {unit}, largest {before.max():.3e} {unit}")
-    for output, found in c.linearity.items():
-        lines.append(
-            f"linearity of {output}: {numbers.number(found['without_model_percent'])} % without, "
-            f"{numbers.number(found['with_model_percent'])} % with the model"
-        )
-    if c.cross_check is not None:
-        lines.append(f"closed form against least squares: {c.cross_check:.1e} of a reading")
-    lines.append(
-        f"rank {c.diagnostics.rank} of {c.diagnostics.parameters}, "
-        f"condition {c.diagnostics.condition:.3g}"
-    )
-    for output, test in c.diagnostics.lack_of_fit.items():
-        p = test["p"]
-        if isinstance(p, float) and math.isfinite(p):
-            lines.append(f"lack of fit of {output} against repeats: {numbers.p_in_words(p)}")
-    return "\n".join(lines)
+    for name, column in c.readings.environment.items():
+        if np.isfinite(column).all():
+            rows.append((name, f"{column.min():.6g} … {column.max():.6g}"))
+    return rows

@@ -18,7 +18,7 @@ from multipos.files.numbers import (
 )
 from multipos.finding import errors_of
 from multipos.positions.harmonics import Harmonic
-from multipos.reports.installation import turntable_tables
+from multipos.reports.turntable_text import turntable_tables
 from multipos.uncertainty.turntable import TableErrors
 from multipos.verification.coefficients import COEFFICIENTS, TumbleCoefficient
 from multipos.verification.tumbling import Tumble, Tumbles

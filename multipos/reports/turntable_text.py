@@ -1,30 +1,12 @@
-"""How a sensor is installed and what its rolls tell of the turntable, as tables of text.
+"""What rolls tell of the turntable, as tables of text.
 
-`installation_tables` has the angles of the outputs, `turntable_tables` the errors of the turntable
-and shifts of the zero between rolls, which `table_errors_text` prints.
+`turntable_tables` has the errors of the turntable and shifts of the zero between rolls, which
+`table_errors_text` prints.
 """
 
-from multipos.files.numbers import chance, number, plain_number, readable_unit, uncertain
+from multipos.files.numbers import chance, plain_number, readable_unit, uncertain
 from multipos.reports.sections import PageTable
-from multipos.sensor.calibration import Calibration
 from multipos.uncertainty.turntable import TableErrors, ZeroShift
-
-
-def installation_tables(calibration: Calibration) -> list[PageTable]:
-    """Return how the outputs are installed, θ_ij with u and U; nothing where not identifiable."""
-    rows = []
-    for pair, angle in calibration.installation_deg.items():
-        output = calibration.outputs[calibration.model.axes.index(pair[0])]
-        rows.append(
-            (
-                f"theta_{pair}",
-                f"{output} towards {pair[1]}",
-                uncertain(angle["value"], angle["u"]),
-                number(angle["U"], 2),
-            )
-        )
-    header = ("angle", "of", "value(u) [deg]", "U")
-    return [PageTable("Installation", header, tuple(rows))] if rows else []
 
 
 def turntable_tables(found: TableErrors) -> list[PageTable]:
