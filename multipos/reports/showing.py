@@ -44,7 +44,7 @@ from multipos.reports.check_text import check_sentence, check_tables, check_text
 from multipos.reports.quantities import parameter_cells
 from multipos.reports.regression_text import regression_sentence, regression_text
 from multipos.reports.summary import calibration_sentence
-from multipos.reports.tumble_text import tumble_sentence, tumble_text, tumbles_text
+from multipos.reports.tumble_text import tumble_sentence, tumble_text
 from multipos.reports.turntable_text import table_errors_text
 from multipos.results import Columns, Result, plain
 from multipos.sensor.calibration import Calibration
@@ -74,7 +74,7 @@ _TEXTS: dict[type, Callable[[Any], str]] = {
     Stability: stability_text,
     TableErrors: table_errors_text,
     Tumble: tumble_text,
-    Tumbles: tumbles_text,
+    Tumbles: tumble_text,
 }
 _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,

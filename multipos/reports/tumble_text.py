@@ -1,7 +1,7 @@
 """What a tumble prints: coefficients, harmonics, hysteresis and the table.
 
-`tumble_sections` gives titles with text, `tumble_text` prints those of one output, `tumbles_text`
-those of several in common tables, and `tumble_sentence` says scale factor and bias of each.
+`tumble_text` prints those of one output, or of several in common tables, and `tumble_sentence` says
+scale factor and bias of each.
 """
 
 import math
@@ -27,37 +27,31 @@ _Sections = list[tuple[str, str]]
 _MILLION = 1e6
 
 
-def tumble_sections(found: Tumble) -> _Sections:
-    """Return coefficients, what is hidden, harmonics and turntable as titles with text."""
-    header, rows = _coefficient_rows(found.coefficients)
-    sections = [
-        ("Tumble", table(header, rows)),
-        *_hidden_section(found),
-        *_harmonics_section(found),
-    ]
-    turntable = turntable_tables(found.table_errors)
-    return [
-        *sections,
-        *_hysteresis_section({"": found}),
-        *((each.caption, str(each)) for each in turntable),
-        *_beside_section({"": found.beside_table}, found.table_errors),
-    ]
-
-
-def tumble_text(found: Tumble) -> str:
-    """Return the tumble as plain text."""
-    text = "\n".join(titled(*section) for section in tumble_sections(found))
-    if found.fourier_max_difference is not None:
+def tumble_text(found: Tumble | Tumbles) -> str:
+    """Return tumbles as plain text, several outputs in common tables."""
+    if isinstance(found, Tumble):
+        outputs, beside = {"": found}, {"": found.beside_table}
+        sections = [("Tumble", table(*_coefficient_rows(found.coefficients)))]
+    else:
+        outputs, beside = dict(found.outputs), dict(found.beside_table)
+        sections = [("Tumble", _coefficients_of_all(found)), ("Misalignment", _misaligned(found))]
+    for name, one in outputs.items():
+        of = f": {name}" if name else ""
+        both = [*_hidden_section(one), *_harmonics_section(one)]
+        sections += [(f"{title}{of}", body) for title, body in both]
+    sections += _hysteresis_section(outputs)
+    sections += [(each.caption, str(each)) for each in turntable_tables(found.table_errors)]
+    sections += _beside_section(beside, found.table_errors)
+    text = "\n".join(titled(*section) for section in sections)
+    if isinstance(found, Tumble) and found.fourier_max_difference is not None:
         text += (
             f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
         )
     return text
 
 
-def tumbles_text(found: Tumbles) -> str:
-    """Return the tumbles of several outputs as plain text."""
-    sections = [("Tumble", _coefficients_of_all(found))]
-    header = ["output", *(f"{axis} [µrad]" for axis in "xyz")]
+def _misaligned(found: Tumbles) -> str:
+    """Return how the input axes lie to each other."""
     rows = []
     for name, values, us in zip(
         found.outputs, found.misalignment, found.misalignment_u, strict=True
@@ -67,14 +61,7 @@ def tumbles_text(found: Tumbles) -> str:
             for value, u in zip((_MILLION * values).tolist(), (_MILLION * us).tolist(), strict=True)
         ]
         rows.append([name, *cells])
-    sections.append(("Misalignment", table(header, rows)))
-    for name, one in found.outputs.items():
-        both = [*_hidden_section(one), *_harmonics_section(one)]
-        sections += [(f"{title}: {name}", body) for title, body in both]
-    sections += _hysteresis_section(found.outputs)
-    sections += [(each.caption, str(each)) for each in turntable_tables(found.table_errors)]
-    sections += _beside_section(found.beside_table, found.table_errors)
-    return "\n".join(titled(*section) for section in sections)
+    return table(["output", *(f"{axis} [µrad]" for axis in "xyz")], rows)
 
 
 def _coefficients_of_all(found: Tumbles) -> str:
@@ -154,7 +141,7 @@ def _hysteresis_section(outputs: Mapping[str, Tumble]) -> _Sections:
     """Return what passes forward and backward differ by."""
     rows = [
         [
-            *([name] if name else []),
+            name,
             plane,
             uncertain(_MILLION * h.value, _MILLION * h.u),
             plain_number(_MILLION * h.U, 2),
@@ -163,9 +150,14 @@ def _hysteresis_section(outputs: Mapping[str, Tumble]) -> _Sections:
         for name, found in outputs.items()
         for plane, h in found.hysteresis.items()
     ]
-    header = ["plane", "forward - backward [µg]", "U", "angles"]
-    several = any(outputs)
-    return [("Hysteresis", table(["output", *header] if several else header, rows))] if rows else []
+    header = ["output", "plane", "forward - backward [µg]", "U", "angles"]
+    return [("Hysteresis", _by_output(header, rows))] if rows else []
+
+
+def _by_output(header: list[str], rows: list[list[str]]) -> str:
+    """Return a table with the name of the output first, where there are several."""
+    several = any(row[0] for row in rows)
+    return table(header, rows) if several else table(header[1:], [row[1:] for row in rows])
 
 
 def _beside_section(
@@ -175,17 +167,15 @@ def _beside_section(
     if found.beside is None or not found.beside.off:
         return []
     rows = [
-        [*([name] if name else []), which, *_customary_cells(entry), entry.customary["unit"]]
+        [name, which, *_customary_cells(entry), entry.customary["unit"]]
         for name, entries in outputs.items()
         for which, entry in entries.items()
     ]
-    header = ["coefficient", "value(u)", "U", "unit"]
     text = f"errors of the table are beyond chance ({p_in_words(found.beside.p)}); in addition\n"
     if not rows:
         text += "no coefficient is identifiable: state the bench (state_bench)"
         return [("Beside the table", text)]
-    several = any(outputs)
-    text += table(["output", *header] if several else header, rows)
+    text += _by_output(["output", "coefficient", "value(u)", "U", "unit"], rows)
     leaning = "what is not listed is correlated with table errors and has no U: state the bench"
     return [("Beside the table", f"{text}\n{leaning}")]
 

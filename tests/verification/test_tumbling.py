@@ -14,7 +14,7 @@ import multipos as mp
 from multipos import cli
 from multipos.errors import RankError
 from multipos.positions.scheme import read_scheme
-from multipos.reports.tumble_text import tumbles_text
+from multipos.reports.tumble_text import tumble_text
 from multipos.verification import coefficients, tumbling
 from multipos.verification.coefficients import (
     find_hidden_table,
@@ -94,7 +94,7 @@ def test_hysteresis_is_forward_less_backward_of_every_output():
         # K1 is fitted beside the hysteresis: a relative 1e-5 of 5e-6
         assert_allclose(h.value, 5e-6, rtol=1e-4)
         assert (h.unit, h.angles, h.dof) == ("g", 12, 11.0)
-    assert "Hysteresis" in tumbles_text(found)
+    assert "Hysteresis" in tumble_text(found)
     assert not any("more than once" in text for text in texts(found))
 
 
@@ -174,7 +174,7 @@ def test_a_table_that_is_off_is_told_from_the_sensor():
     for plane in ("xy", "xz", "yz"):
         error = errors[plane, "second_sin"]
         assert abs(np.radians(error.value_deg) - 1e-4) < 4 * np.radians(error.u_deg)
-    assert "Beside the table" in tumbles_text(found)
+    assert "Beside the table" in tumble_text(found)
 
 
 def test_the_command_of_several_outputs(tmp_path, capsys):
@@ -201,7 +201,7 @@ def test_readings_without_noise_find_no_errors_of_the_table():
     scheme = "roll-z-12+roll-y-12+roll-x-12"
     found = mp.tumble(triad(read_scheme(scheme).up), scheme=scheme, unit="V")
     assert found.table_errors.beside.p == 1.0
-    assert "Beside the table" not in tumbles_text(found)
+    assert "Beside the table" not in tumble_text(found)
 
 
 def test_what_the_table_hides_stands_in_units_of_the_coefficients():
