@@ -240,12 +240,7 @@ def test_warnings_go_to_stderr(here, capsys):
 
 def test_the_answer_comes_first_and_what_explains_last_in_one_pipe(here):
     text = shell("multipos fit six.csv --convention gravity -v 2>&1").stdout
-    order = [
-        "ax, ay, az calibrated",
-        "scale_az",
-        "multipos: warning: ",
-        "Residuals at every position\n---",
-    ]
+    order = ["ax, ay, az calibrated", "scale_az", "multipos: warning: ", "Residuals at "]
     places = [text.index(words) for words in order]
     assert places[0] == 0
     assert places == sorted(places)

@@ -1,7 +1,6 @@
 """One head for all rolls: mountings as they are found, and its circle told from the sensor."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -104,7 +103,7 @@ def test_a_roll_the_other_way_tells_the_circle():
         assert math.isnan(one["delta_o"].U)
         assert not one.hysteresis.get("xy")
     text = tumble_text(found)
-    assert re.search(r"^head +first cos", text, re.MULTILINE)
+    assert "first cos" in text
     assert "xy-0" in text
 
 
