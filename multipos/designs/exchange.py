@@ -93,57 +93,54 @@ def exchange(
 
     `ridge` adds this part of the mean information of all candidates, for singular starts.
     """
-    choice = choice.copy()
     total = len(choice) + len(fixed[0])
     staying = tuple(
         total * ridge * M + np.einsum("nkp,nkq->pq", Z, Z)
         for M, Z in zip(inform(rows), fixed, strict=True)
     )
-    state = _State(rows, criterion, staying)
-    if not state.take(choice):
+    state = _State(rows, criterion, staying, choice)
+    if state.value == -math.inf:
         return choice
     for _ in range(_SWEEPS):
-        moved = False
-        for i in range(len(choice)):
-            gains = state.gains(int(choice[i]))
-            best = int(gains.argmax())
-            if gains[best] > _BETTER:
-                choice[i] = best
-                if not state.take(choice):
-                    return choice
-                moved = True
-        if not moved:
+        before = state
+        for place in range(len(choice)):
+            state = _replace_at(state, place)
+        if state is before:
             break
-    return choice
+    return state.choice
+
+
+def _replace_at(state: "_State", place: int) -> "_State":
+    """Return a state with the best candidate at a place, the same where none is better."""
+    gains = state.gains(int(state.choice[place]))
+    best = int(gains.argmax())
+    if not gains[best] > _BETTER:
+        return state
+    choice = state.choice.copy()
+    choice[place] = best
+    other = _State(state.rows, state.criterion, state.staying, choice)
+    # a gain of few digits may be none
+    return other if other.value > state.value else state
 
 
 class _State:
-    """What the gains of eq. (1) need of the present choice."""
+    """A choice, its criterion, and what the gains of eq. (1) need of it."""
 
-    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks) -> None:
-        self.rows, self.criterion, self.staying = rows, criterion, staying
-        self.sound = False
-
-    def take(self, choice: Choice) -> bool:
-        """Take another choice; tell whether it separates the parameters."""
-        taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in self.rows]
-        information = tuple(M + T.T @ T for M, T in zip(self.staying, taken, strict=True))
-        # an exchange only adds information: what is regular stays so, but for rounding
-        self.sound = self.sound or objective(information, self.criterion) > -math.inf
-        if not self.sound:
-            return False
-        try:
-            inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in information]
-        except np.linalg.LinAlgError:
-            return False
-        self.information = information
-        self.own, self.left = _forms(self.rows, inverse)
-        if self.criterion.weight is not None:
-            products = [C @ B for C, B in zip(inverse, self.criterion.weight, strict=True)]
+    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Choice) -> None:
+        self.rows, self.criterion = rows, criterion
+        self.staying, self.choice = staying, choice
+        taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in rows]
+        self.information = tuple(M + T.T @ T for M, T in zip(staying, taken, strict=True))
+        self.value = objective(self.information, criterion)
+        if self.value == -math.inf:
+            return
+        inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in self.information]
+        self.own, self.left = _forms(rows, inverse)
+        if criterion.weight is not None:
+            products = [C @ B for C, B in zip(inverse, criterion.weight, strict=True)]
             self.trace = float(sum(np.trace(product) for product in products))
             middle = [P @ C for P, C in zip(products, inverse, strict=True)]
-            self.own_b, self.left_b = _forms(self.rows, middle)
-        return True
+            self.own_b, self.left_b = _forms(rows, middle)
 
     def gains(self, leaving: int) -> Array:
         """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
