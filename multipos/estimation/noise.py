@@ -28,39 +28,29 @@ Satterthwaite's degrees of freedom over what each of them adds to its variance.
 Source: JCGM 100:2008, G.4.1.
 """
 
+import math
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multipos.estimation import descent, known, likelihood, posteriors, starts
-from multipos.estimation.orientation_variance import (
-    SEPARATING,
-    Block,
-    Components,
-    Linear,
-    contrasts,
-    find_both,
-    find_excess,
-    harmonic_mean,
-    least_variance,
-)
-from multipos.estimation.problem import Optimum, Problem, Solution, start_state
-from multipos.estimation.uncertain_orientations import STILL, UncertainSearch
-from multipos.estimation.unknown_orientations import UnknownSearch
+from multipos.estimation import descent, known, likelihood, starts, variances
+from multipos.estimation.problem import Optimum, Problem, Solution
+from multipos.estimation.variances import Block, Claims, Components, Linear
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
-from multipos.numerics.quantiles import chi2_quantile
-from multipos.numerics.rotations import step_on_sphere
+from multipos.numerics.quantiles import coverage_factors
+from multipos.numerics.rotations import cross_matrix
 from multipos.results import frozen
 from multipos.sensor.fit_diagnostics import NoiseTest
 from multipos.sensor.found import Component, OrientationSpread, RestToRest, VarianceComponents
 from multipos.sensor.inverse import parameter_jacobian
 
 _DETERMINED = 2.0  # factor to either side within which an orientation error is called determined
+_MORE = 2.0  # times the stated orientation sd, from which on a larger one is said
 _ROUNDING = 1e-9  # relative, below which no sd is known
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
+SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 _NO_UNCERTAINTY = Finding(
     "no-dof",
     "warning",
@@ -72,15 +62,6 @@ _NO_ORIENTATION_SD = Finding(
     "warning",
     "as many unknowns as equations: there are no residuals to estimate the orientation sd from",
     "State --orientation-sd in degrees, or add positions.",
-)
-_INSEPARABLE = Finding(
-    "inseparable",
-    "warning",
-    (
-        "orientation errors and noise cannot be separated at these positions; U takes all "
-        "residuals as noise"
-    ),
-    "State --orientation-sd in degrees, or add positions (18 or more).",
 )
 
 
@@ -95,6 +76,7 @@ class NoiseEstimate:
     components: VarianceComponents | None = None
     u: Array | None = None  # (p,), where it is not the root of the covariance times the factor
     parameter_dof: Array | None = None  # (p,), where they are not `dof`
+    moves: Array | None = None  # (p,), from the optimum to the estimate
     weight: Array | None = None  # (n,) of each position under a robust loss
     claim: NoiseTest | None = None  # of the stated noise, where there is one
     unstated: Array | None = None  # (n, M), fraction of variances in which axes may be unequal
@@ -122,140 +104,144 @@ def estimate_noise(
     if nu <= 0 and (estimate_sd or not stated):
         found = _NO_ORIENTATION_SD if stated else _NO_UNCERTAINTY
         return problem, optimum, NoiseEstimate(np.nan, 0.0, findings=(found,))
-    if estimate_sd:
-        return _both(problem, optimum, nu, stated)
-    if stated:
-        return _with_excess(problem, optimum, nu)
-    if problem.has_prior:
-        return _with_orientation_errors(problem, optimum, nu)
-    unstated = np.ones(problem.values.shape)
-    return problem, optimum, NoiseEstimate(optimum.point.objective / nu, nu, unstated=unstated)
-
-
-def _with_excess(first: Problem, start: Optimum, nu: float) -> Found:
-    """Return the solution with the excess variance added to the stated noise."""
+    if not stated and not estimate_sd and not problem.has_prior:
+        unstated = np.ones(problem.values.shape)
+        return problem, optimum, NoiseEstimate(optimum.point.objective / nu, nu, unstated=unstated)
     if nu <= 0:
-        return first, start, NoiseEstimate(1.0, np.inf)
-    unit, found = _find(first, start, nu, both=False)
-    claim = NoiseTest(start.point.objective, nu)
-    unexplained = unit.optimum.point.objective > chi2_quantile(STILL, nu)
-    if unexplained and first.prior.any() and _separates(linear_model(first, start))[0]:
-        # the stated orientation sds are then a lower bound as well
-        unit, found = _find(first, start, nu, both=True, least=True)
-        text = (
-            f"residuals suggest orientation errors of {_widest(unit.problem):.2g} degrees (1 "
-            "sigma), more than stated; U includes them"
-        )
-        noise = _noise_of(unit.problem, found, stated=True)
-        orientation_sd = unit.problem.orientation_sd
-        findings = (Finding("placement", "warning", text, "Fit with --orientation-sd auto."),)
-        noise = replace(noise, findings=findings, orientation_sd=orientation_sd, claim=claim)
-        return unit.problem, unit.optimum, noise
-    noise = _noise_of(unit.problem, found, stated=True)
-    unstated = None
-    if first.precision.ndim == 2 and claim.chi2 > chi2_quantile(known.REJECTED, nu):
-        unstated = np.maximum(1.0 - unit.problem.precision / first.precision, 0.0)
-    noise = replace(noise, findings=known.overstated(claim), claim=claim, unstated=unstated)
-    return unit.problem, unit.optimum, noise
+        return problem, optimum, NoiseEstimate(1.0, np.inf)
+    few = problem.places < SEPARATING
+    if problem.tied.any() and few and not stated and not problem.repeats:
+        return _by_own_axes(problem, optimum)
+    tied = problem.tied.any()
+    orientation: Any = ("free" if estimate_sd else "centre") if tied else "exact"
+    return _with_components(problem, optimum, nu, Claims(stated, orientation, few))
 
 
-def _with_orientation_errors(problem: Problem, optimum: Optimum, nu: float) -> Found:
-    """Return the solution with an estimated noise, given stated orientation sds."""
-    linear = linear_model(problem, optimum)
-    first = _least_noise(problem, optimum, linear, _separates(linear))
-    unit, found = _find(first, descent.resume(first, optimum), nu, both=False, stated=False)
-    noise = _noise_of(unit.problem, found, stated=False)
-    estimated = Finding("estimated-noise", "note", f"estimated {_noise_in_words(noise)}")
-    noise = replace(noise, findings=(estimated,))
-    return unit.problem, unit.optimum, noise
-
-
-def _both(first: Problem, optimum: Optimum, nu: float, stated: bool) -> Found:
-    """Return the solution with noise and orientation sd estimated, where readings separate them."""
-    linear = linear_model(first, optimum)
-    separated = _separates(linear)
-    if not separated[0]:
-        exact, exactly, noise = estimate_noise(
-            *_at_listed(first, optimum), nu, stated=stated, estimate_sd=False
-        )
-        findings = (*noise.findings, _INSEPARABLE)
-        noise = replace(noise, orientation_sd=exact.orientation_sd, findings=findings)
-        return exact, exactly, noise
-    if not stated:
-        first = _least_noise(first, optimum, linear, separated)
-    unit, found = _find(first, optimum, nu, both=True, stated=stated)
-    noise = _noise_of(unit.problem, found, stated=stated)
-    sd = _widest(unit.problem)
-    ends = (found.low[0], found.high[0])
-    low, high = (sd * float(np.sqrt(end / found.factor[0])) for end in ends)
-    determined = high <= _DETERMINED**2 * low
-    words = (
-        f"orientation errors of {sd:.2g} degrees (68 %: {low:.2g} to {high:.2g})"
-        if determined
-        else f"orientation errors of {low:.2g} to {high:.2g} degrees (68 %)"
+def _with_components(first: Problem, optimum: Optimum, nu: float, claims: Claims) -> Found:
+    """Return the solution under the variance components that readings show."""
+    unit = _Unit(first, first, optimum, claims.noise)
+    found = variances.estimate(unit, np.ones(1, dtype=np.bool_), claims)
+    problem = unit.problem
+    dof = median(found.dof[0])
+    u = found.U[0] / coverage_factors(0.95, found.dof[0])
+    noise = NoiseEstimate(
+        1.0,
+        float(dof),
+        components=_components(problem, found, claims, float(dof)),
+        u=u,
+        parameter_dof=found.dof[0],
+        moves=found.moves[0] if problem.repeats else None,
     )
+    findings: list[Finding] = []
+    if claims.noise:
+        alone, _ = unit.searched(np.zeros_like(found.noise), found.factor)
+        claim = NoiseTest(alone.optimum.point.objective, nu)
+        noise = replace(noise, claim=claim)
+        findings += known.overstated(claim)
+    if claims.orientation == "exact":
+        return problem, unit.optimum, replace(noise, findings=tuple(findings))
     assert noise.components is not None
-    text = f"estimated {_noise_in_words(noise)} and {words}"
-    noise = replace(
-        noise,
-        orientation_sd=unit.problem.orientation_sd,
-        findings=(Finding("estimated-noise", "note", text),),
-        components=replace(
-            noise.components,
-            orientation_sd_deg=OrientationSpread(sd, (high - low) / 2.0, determined),
-        ),
+    spread = noise.components.orientation_sd_deg
+    assert spread is not None
+    if claims.orientation == "centre" and found.low[0] > _MORE**2:
+        text = (
+            f"residuals suggest orientation errors of {spread.value:.2g} degrees (1 sigma), more "
+            "than stated; U includes them"
+        )
+        action = "State a larger --orientation-sd, or leave it out."
+        findings.append(Finding("placement", "note", text, action))
+    words = (
+        f"orientation errors of {spread.value:.2g} degrees (68 %: {spread.low:.2g} to "
+        f"{spread.high:.2g})"
     )
-    return unit.problem, unit.optimum, noise
+    text = f"estimated {_noise_in_words(noise)} and {words}"
+    findings.append(Finding("estimated-noise", "note", text))
+    sd = problem.orientation_sd
+    return problem, unit.optimum, replace(noise, orientation_sd=sd, findings=tuple(findings))
 
 
-def _find(
-    first: Problem,
-    optimum: Optimum,
-    nu: float,
-    *,
-    both: bool,
-    stated: bool = True,
-    least: bool = False,
-) -> "tuple[_Unit, Components]":
-    """Return the unit under the estimated noise, and its variance components."""
-    unit, parameters = _Unit(first, first, optimum), len(first.model.keys)
-    valid = np.ones(1, dtype=np.bool_)
-    if both:
-        return unit, find_both(unit, valid, parameters, nu, stated=stated, least=least)
-    return unit, find_excess(unit, valid, parameters, nu, stated=stated)
+def _components(
+    problem: Problem, found: Components, claims: Claims, dof: float
+) -> VarianceComponents:
+    """Return the noise, and the sds of orientations, of a unit."""
+    variance, u = found.noise[0], float(found.u[0])
+    rest_to_rest = reading = spread = None
+    if claims.noise:
+        sds = np.sqrt(variance).tolist()
+        parts = [RestToRest(sd, u, dof) for sd in sds]
+        rest_to_rest = dict(zip(problem.model.outputs, parts, strict=True))
+    else:
+        sd = float(np.sqrt(variance.mean()))
+        reading = Component(sd, max(u, _ROUNDING * sd))
+    if claims.orientation != "exact":
+        value = _widest(problem)
+        ends = (found.low[0], found.high[0])
+        low, high = (value * float(np.sqrt(end / found.factor[0])) for end in ends)
+        source: Literal["stated", "estimated"]
+        source = "stated" if claims.orientation == "centre" else "estimated"
+        determined = high <= _DETERMINED**2 * low
+        half = max((high - low) / 2.0, _ROUNDING * value)
+        spread = OrientationSpread(value, half, determined, low, max(high, low), source)
+    return VarianceComponents(rest_to_rest, reading, spread)
+
+
+def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
+    """Return the solution at few positions of which nothing is stated."""
+    unit = _Unit(first, first, optimum, stated=False)
+    linear = unit.linear()
+    noise, factor = variances.own_axes_weights(linear)
+    m = first.values.shape[1]
+    following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
+    model = first.model
+    own = {*model.own_scales}
+    constant = np.array([not term.factors for _, term in model.keys])
+    crossed = ~constant & ~np.isin(np.arange(len(constant)), list(own))
+    U, dof = variances.by_own_axes(following.linear(), crossed)
+    text = (
+        "noise and orientation errors cannot be told apart at these positions: biases and own "
+        "scale factors are those of own-axis readings, and U holds where orientations are exact"
+    )
+    action = "State --reading-sd, or --orientation-sd in degrees (0: exact), or read each twice."
+    finding = Finding("inseparable", "note", text, action)
+    u = U / coverage_factors(0.95, np.array([dof]))[0]
+    sd = float(np.sqrt(noise))
+    components = VarianceComponents(reading_sd=Component(sd, sd / math.sqrt(2.0 * dof)))
+    estimate = NoiseEstimate(
+        1.0,
+        dof,
+        following.problem.orientation_sd,
+        (finding,),
+        components,
+        u,
+        np.full(len(u), dof),
+    )
+    return following.problem, following.optimum, estimate
 
 
 class _Unit:
     """A problem of any kind at its optimum, whose noise is estimated: a batch of one."""
 
-    def __init__(self, first: Problem, problem: Problem, optimum: Optimum) -> None:
-        self.first, self.problem, self.optimum = first, problem, optimum
+    def __init__(self, first: Problem, problem: Problem, optimum: Optimum, stated: bool) -> None:
+        self.first, self.problem, self.optimum, self.stated = first, problem, optimum, stated
 
-    @property
-    def size(self) -> Array:
-        variance = np.diagonal(_covariances(self.first), axis1=1, axis2=2)
-        return harmonic_mean(variance[None])
-
-    def of(self, units: NDArray[Any]) -> Self:
+    def of(self, units: Places) -> Self:
         return self
 
     def put(self, units: Places, other: Self) -> None:
         self.problem, self.optimum = other.problem, other.optimum
 
     def linear(self) -> Linear:
-        return linear_model(self.first, self.optimum)
+        found = linear_model(self.first, self.optimum)
+        return found if self.stated else found.without_noise()
 
-    def squares(self) -> tuple[Array, Array]:
-        point = self.optimum.point
-        return np.array([point.objective]), np.array([np.sum(point.residuals**2)])
-
-    def searched(self, excess: Array, factor: Array | None, end: float) -> "tuple[_Unit, Mask]":
-        problem = replace(self.first, precision=_precision(self.first, float(excess[0])))
+    def searched(self, noise: Array, factor: Array | None) -> "tuple[_Unit, Mask]":
+        precision = _precision(self.first, noise[0], self.stated)
+        problem = replace(self.first, precision=precision)
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
             problem = replace(problem, orientation_sd=sd)
-        optimum = descent.resume(problem, self.optimum, end)
-        return _Unit(self.first, problem, optimum), np.ones(1, dtype=np.bool_)
+        optimum = descent.resume(problem, self.optimum)
+        return _Unit(self.first, problem, optimum, self.stated), np.ones(1, dtype=np.bool_)
 
 
 def linear_model(problem: Problem, optimum: Optimum) -> Linear:
@@ -264,12 +250,6 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     Positions are taken by how many combinations of their readings no free angle moves.
     """
     state, point = optimum.state, optimum.point
-    if UnknownSearch.fits(problem):
-        sphere = UnknownSearch.of_problem(problem)
-        return sphere.linear(sphere.place(state, point), sphere.variance)
-    if UncertainSearch.fits(problem):
-        listed = UncertainSearch.of_problem(problem)
-        return listed.linear(listed.begin(state))
     normal = likelihood.linearise(problem, state, point)
     slopes = parameter_jacobian(problem.model, state.theta, point.force, problem.environment)
     error = point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step)
@@ -279,14 +259,27 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     spread = sd * normal.jacobian * np.where(problem.rolled[:, None, None], [0.0, 1.0], 1.0)
     plain = problem.precision.ndim == 2
     variance = 1.0 / problem.precision if plain else _covariances(problem)
+    turned = _turned_by_labels(problem, optimum) if problem.repeats else None
     blocks = []
     free = np.where(problem.unknown, 2, np.where(problem.rolled, 1, 0))
     for count in (0, 1, 2):
         rows = free == count
         if rows.any():
             block = (error[rows], design[rows], spread[rows], variance[rows])
-            blocks.append(_without_free(*block, normal.jacobian[rows, :, :count]))
+            part = _without_free(*block, normal.jacobian[rows, :, :count])
+            if turned is not None and not count:
+                label = None if problem.label is None else problem.label[rows]
+                part = part._replace(turned=turned[None, rows], label=label)
+            blocks.append(part)
     return _identifiable(problem, state.theta, tuple(blocks))
+
+
+def _turned_by_labels(problem: Problem, optimum: Optimum) -> Array:
+    """Return what a rotation of a position by one sd of its orientation does (n, M, 3)."""
+    state, force = optimum.state, optimum.point.force
+    by_force = problem.model.force_jacobian(state.theta, force, problem.environment)
+    sd = np.where(problem.tied, problem.orientation_sd, 0.0)
+    return np.asarray(-sd[:, None, None] * (by_force @ cross_matrix(force)))
 
 
 def _without_free(
@@ -296,15 +289,10 @@ def _without_free(
     if not free.shape[2]:
         return Block(error[None], design[None], spread[None], variance[None])
     axes = np.linalg.svd(free)[0].transpose(0, 2, 1)[:, free.shape[2] :]
-    r = axes.shape[1]
-    if variance.ndim == 2 and not np.ptp(variance, axis=1).any():
-        left = variance[:, :r]
-    else:
-        full = variance if variance.ndim == 3 else variance[:, :, None] * np.eye(len(axes[0, 0]))
-        left = axes @ full @ axes.transpose(0, 2, 1)
-        left = left[:, :, 0] if r == 1 else left
+    full = variance if variance.ndim == 3 else variance[:, :, None] * np.eye(len(axes[0, 0]))
+    left = axes @ full @ axes.transpose(0, 2, 1)
     error = np.einsum("krm,km->kr", axes, error)
-    return Block(error[None], (axes @ design)[None], (axes @ spread)[None], left[None])
+    return Block(error[None], (axes @ design)[None], (axes @ spread)[None], left[None], axes[None])
 
 
 def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> Linear:
@@ -346,60 +334,13 @@ def _covariances(problem: Problem) -> Array:
     return np.asarray((1.0 / problem.precision)[:, :, None] * np.eye(problem.values.shape[1]))
 
 
-def _precision(problem: Problem, excess: float) -> Array:
-    """Return the precision of readings that vary by τ² in excess of their noise."""
+def _precision(problem: Problem, noise: Array, stated: bool) -> Array:
+    """Return the precision of readings of noise (M,) beside what is stated of them."""
+    if not stated:
+        return np.broadcast_to(1.0 / noise, problem.values.shape)
     if problem.precision.ndim == 2:
-        return np.asarray(1.0 / (1.0 / problem.precision + excess))
-    covariances = _covariances(problem)
-    return np.asarray(np.linalg.inv(covariances + excess * np.eye(covariances.shape[1])))
-
-
-def _least_noise(problem: Problem, optimum: Optimum, linear: Linear, separated: Mask) -> Problem:
-    """Return the problem with a noise so small that it changes nothing.
-
-    Where no orientation has an sd it is a small part of the residuals.
-    """
-    spreads, values = linear.spreads, problem.values
-    if not spreads.any():
-        spreads, separated = np.array([np.sum(optimum.point.residuals**2)]), np.array([True])
-    least = least_variance(spreads, values[None], separated)
-    return replace(problem, precision=np.full(values.shape, 1.0 / least[0]))
-
-
-def _separates(linear: Linear) -> Mask:
-    """Return whether readings separate noise from orientation errors; where few do, U fails."""
-    blocks = linear.blocks
-    # the errors of a position touch two combinations of its readings at most
-    untouched = sum(each.error[0].size - 2 * each.error.shape[1] for each in blocks)
-    if untouched - blocks[0].design.shape[3] >= SEPARATING:
-        return np.ones(1, dtype=np.bool_)
-    return contrasts(linear) >= SEPARATING
-
-
-def _at_listed(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
-    """Return the problem of positions that are where they are listed, and its optimum."""
-    tied = np.isfinite(problem.orientation_sd)
-    exact = replace(problem, orientation_sd=np.where(tied, 0.0, problem.orientation_sd))
-    direction = step_on_sphere(optimum.state.centre, optimum.state.basis, optimum.state.step)
-    state = start_state(exact, optimum.state.theta, direction, optimum.state.turns)
-    return exact, descent.maximise(exact, state)
-
-
-def _noise_of(problem: Problem, found: Components, *, stated: bool) -> NoiseEstimate:
-    """Return the noise of variance components."""
-    p, dof = len(problem.model.keys), float(found.dof[0])
-    if stated:
-        excess = RestToRest(float(np.sqrt(found.excess[0])), float(found.u[0]), dof)
-        components = VarianceComponents(dict.fromkeys(problem.model.outputs, excess))
-    else:
-        sd = float(problem.precision.mean() ** -0.5)
-        u_sd = max(float(found.u[0]), _ROUNDING * sd)
-        components = VarianceComponents(reading_sd=Component(sd, u_sd))
-    each = np.full(p, dof)
-    if problem.has_parameter_prior:  # the noise matters less to a parameter that is known anyway
-        each = posteriors.dof_of_tails(found.tails[0])
-    u = posteriors.standard_uncertainty(found.U[0], each)
-    return NoiseEstimate(1.0, dof, components=components, u=u, parameter_dof=each)
+        return np.asarray(1.0 / (1.0 / problem.precision + noise))
+    return np.asarray(np.linalg.inv(_covariances(problem) + np.diag(noise)))
 
 
 def _noise_in_words(noise: NoiseEstimate) -> str:

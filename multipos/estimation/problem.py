@@ -206,6 +206,8 @@ class Problem:
         Parameters that the search leaves where they start.
     rolls : OpenRolls or None
         Positions whose angle about an axis is open; `orientation_sd` is across their circle.
+    label : (n,) array of int or None
+        Number of the label of each position, whose rows share an orientation error.
     """
 
     model: Model
@@ -222,6 +224,7 @@ class Problem:
     robust: Loss | None = None
     held: tuple[int, ...] = ()
     rolls: OpenRolls | None = None
+    label: Places | None = None
 
     def __post_init__(self) -> None:
         """Let positions run fastest in memory: every operation is on all of them at once."""
@@ -253,6 +256,21 @@ class Problem:
     def rolled(self) -> Mask:
         """Positions that are rolls of open angle, (n,)."""
         return np.zeros(len(self.values), bool) if self.rolls is None else self.rolls.rows
+
+    @cached_property
+    def tied(self) -> Mask:
+        """Positions that are about where they are listed, (n,)."""
+        return np.isfinite(self.orientation_sd) & (self.orientation_sd > 0.0)
+
+    @property
+    def places(self) -> int:
+        """Number of positions that differ by their labels."""
+        return len(self.values) if self.label is None else int(self.label.max()) + 1
+
+    @property
+    def repeats(self) -> bool:
+        """Whether rows share a label."""
+        return self.places < len(self.values)
 
     @cached_property
     def unknown(self) -> Mask:
@@ -469,6 +487,7 @@ def pose(
         level_sd=stated_up.level_sd,
         robust=robust,
         rolls=stated_up.rolls,
+        label=stated_up.label,
     )
 
 

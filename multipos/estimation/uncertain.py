@@ -304,7 +304,7 @@ def _solution(
     return Solution(
         model=model,
         reference=point.force,
-        parameters=state.theta,
+        parameters=state.theta if noise.moves is None else state.theta + noise.moves,
         covariance=covariance,
         parameter_dof=np.full(p, noise.dof) if noise.parameter_dof is None else noise.parameter_dof,
         inflation=u / formal,

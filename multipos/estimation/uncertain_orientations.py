@@ -33,30 +33,20 @@ from multipos.estimation.batches import (
 )
 from multipos.estimation.known import ROUNDING, share_design
 from multipos.estimation.likelihood import eliminate, full
-from multipos.estimation.orientation_variance import (
-    SEPARATING,
-    Block,
-    Components,
-    Linear,
-    contrasts,
-    find_both,
-    find_excess,
-    least_variance,
-)
-from multipos.estimation.posteriors import standard_uncertainty
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.estimation.unknown_orientations import Place, SearchedUnits, combined, search
+from multipos.estimation.variances import Block, Claims, Linear, estimate
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.levenberg_marquardt import Rules
-from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.quantiles import coverage_factors
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
 from multipos.results import frozen
 from multipos.sensor.model import Model
 from multipos.sensor.studentised import find_outlying_positions, square_beyond, studentised_squares
 
-STILL = 0.99  # χ² point beyond which an excess variance does not explain residuals
+SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 _STICKS_OUT = 5e-4  # probability that chance makes the largest residual of an output as large
 _FREE = 3.0  # degrees of freedom without which none sticks out
@@ -287,25 +277,25 @@ class UncertainSearch:
 
 class _Units(SearchedUnits):
     @classmethod
-    def under_stated(cls, stated: UncertainSearch, place: Place) -> Self:
-        """Return units under the stated noise, which changes from here on."""
-        sd, variance = stated.orientation_sd.copy(), stated.variance.copy()
-        return cls(stated, replace(stated, variance=variance, orientation_sd=sd), place)
+    def under_stated(cls, first: UncertainSearch, place: Place, *, stated: bool) -> Self:
+        """Return units under the first noise, which changes from here on."""
+        sd, variance = first.orientation_sd.copy(), first.variance.copy()
+        search = replace(first, variance=variance, orientation_sd=sd)
+        return cls(first, search, place, stated=stated)
 
     def put(self, units: Places, other: Self) -> None:
         super().put(units, other)
         self.search.orientation_sd[units] = other.search.orientation_sd
 
     def linear(self) -> Linear:
-        found: Linear = self.stated.linear(self.found)
-        return found
+        found: Linear = self.first.linear(self.found)
+        return found if self.stated else found.without_noise()
 
-    def searched(self, excess: Array, factor: Array | None, end: float) -> tuple[Self, Mask]:
-        sd = self.stated.orientation_sd
+    def searched(self, noise: Array, factor: Array | None) -> tuple[Self, Mask]:
+        sd = self.first.orientation_sd
         if factor is not None:
             sd = sd * np.sqrt(factor)[:, None]
-        variance = self.stated.variance + excess[:, None]
-        return self.under(end, variance=variance, orientation_sd=sd)
+        return self.under(variance=self.with_noise(noise), orientation_sd=sd)
 
 
 _AT_ONCE = 3000  # readings of an output, so that what they need stays small
@@ -346,6 +336,11 @@ class SharedOrientations:
         """Degrees of freedom that the parameters leave."""
         return float(len(COMPONENTS) * len(self.reference) - len(self.model.keys))
 
+    def claims(self, *, stated: bool) -> Claims:
+        """Return what is stated of the noise."""
+        few = len(self.reference) < SEPARATING
+        return Claims(stated, "free" if self.estimated else "centre", few)
+
     @property
     def listed(self) -> Positions:
         """The positions."""
@@ -384,7 +379,7 @@ def share_orientations(
         return None
     design = share_design(model, reference, environment)
     spare = len(reference) - len(model.keys)
-    if not design.well_posed or (spare < SEPARATING and not orientation_sd.all()):
+    if not design.well_posed or spare < 1 or len(reference) < SEPARATING:
         return None
     inverses = tuple(design.inverses)
     leverage = np.array(
@@ -413,22 +408,22 @@ def estimate_uncertain(
     stated_dof : sequence of 3 arrays (B, n), or of none
         Degrees of freedom of those.
     """
-    parts, carried = [], []
+    parts = []
     for y, noise in taken_by_blocks(values, stated, stated_dof, _AT_ONCE):
         with np.errstate(all="ignore"):  # a unit may run away, and is then left out
             part, scatter = _estimate(shared, y, noise)
-            own = part.dof[:, 0]
-            carried.append(own if noise is None else combined_jointly(own, noise, scatter))
-        parts.append(part)
-    found = join_estimates(parts)
-    each = np.broadcast_to(np.concatenate(carried)[:, None], found.u.shape)
-    return found._replace(u=standard_uncertainty(found.u, found.dof), dof=each)
+            u = part.u / coverage_factors(0.95, part.dof)
+            if noise is not None:
+                own = combined_jointly(median(part.dof, axis=1), noise, scatter.mean(axis=1))
+                part = part._replace(dof=np.broadcast_to(own[:, None], u.shape))
+        parts.append(part._replace(u=u))
+    return join_estimates(parts)
 
 
 def _estimate(
     shared: SharedOrientations, values: Array, noise: StatedNoise | None
 ) -> tuple[Estimates, Array]:
-    """Return estimates, whose u are yet U at 95 %, and the excess variance, τ² (B,)."""
+    """Return estimates, whose u are yet U at 95 %, and the noise beside what is stated (B, M)."""
     model = shared.model
     _, count, n = values.shape
     valid = (np.ptp(values, axis=2) > 0.0).all(axis=0)
@@ -447,12 +442,13 @@ def _estimate(
     place, ended = search(start, place)
     valid &= ended
     chi2 = None if noise is None else place.objective.copy()  # under the stated noise alone
+    units = _Units.under_stated(start, place, stated=noise is not None)
     try:
-        units, found = _with_noise(shared, start, place, valid, stated=noise is not None)
-        valid, U, tail, excess = found.valid, found.U, found.dof, found.excess
+        found = estimate(units, valid, shared.claims(stated=noise is not None))
+        valid, U, dof, excess = found.valid, found.U, found.dof, found.noise
     except np.linalg.LinAlgError:  # some unit is as good as singular
-        units, valid = _Units.under_stated(start, place), np.zeros_like(valid)
-        U, tail, excess = np.full(theta.shape, np.nan), *np.full((2, count), np.nan)
+        valid = np.zeros_like(valid)
+        U, dof, excess = np.full(theta.shape, np.nan), *np.full((2, *theta.shape), np.nan)
     place = units.found
     theta, residuals = place.theta, place.residuals
     left = compensated(
@@ -469,7 +465,6 @@ def _estimate(
     some, equations = np.flatnonzero(valid), units.search.linearise(place)
     if len(some):
         valid[some] = _are_clear(shared, units.of(some), U[some], equations.information[some])
-    dof = np.broadcast_to(tail[:, None], theta.shape)
     of_units = Estimates(theta, U, dof, rms, residuals, *left.inverted[:2], valid, chi2)
     return of_units._replace(solutions=(units.search.solution(place, equations),)), excess
 
@@ -493,34 +488,6 @@ def _any_noise(values: Array) -> Array:
     spread = values - values.mean(axis=2, keepdims=True)
     size = np.sqrt(np.mean(spread**2, axis=(0, 2)))
     return np.broadcast_to((RELATIVE_NOISE * size[:, None]) ** 2, values.shape).copy()
-
-
-def _with_noise(
-    shared: SharedOrientations, start: UncertainSearch, place: Place, valid: Mask, *, stated: bool
-) -> tuple[_Units, Components]:
-    """Return the solutions under the noise that is found, and its components."""
-    p, dof = len(shared.model.keys), shared.dof
-    separated = np.ones_like(valid)
-    # where fewer readings are left than that, contrasts are as many at least
-    if (shared.estimated or not stated) and len(shared.reference) - p < SEPARATING:
-        separated = contrasts(start.linear(place)) >= SEPARATING
-    first = start
-    if not stated:
-        spreads, readings = start.linear(place).spreads, np.moveaxis(start.values, 0, 2)
-        least = least_variance(spreads, readings, separated)
-        variance = np.broadcast_to(least[:, None], start.values.shape).copy()
-        first = replace(start, variance=variance)
-    if shared.estimated:
-        units = _Units.under_stated(first, first.under_noise(place))
-        return units, find_both(units, valid & separated, p, dof, stated=stated)
-    if not stated:
-        place, ended = search(first, first.under_noise(place))
-        valid = valid & ended
-    units = _Units.under_stated(first, place)
-    found = find_excess(units, valid, p, dof, stated=stated)
-    if stated:  # beyond that, the stated orientation sds are too small as well
-        found.valid &= units.found.objective <= chi2_quantile(STILL, dof)
-    return units, found
 
 
 def _are_clear(shared: SharedOrientations, units: _Units, U: Array, information: Array) -> Mask:

@@ -57,17 +57,16 @@ from multipos.estimation.batches import (
     model_coefficients,
 )
 from multipos.estimation.identifiability import plausible_range
-from multipos.estimation.known import REJECTED, ROUNDING
-from multipos.estimation.orientation_variance import Block, Linear, find_excess, harmonic_mean
-from multipos.estimation.posteriors import standard_uncertainty
+from multipos.estimation.known import ROUNDING
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
+from multipos.estimation.variances import Block, Claims, Linear, estimate
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.cofactors import cofactors_of
 from multipos.numerics.levenberg_marquardt import STRICT, Rules, descend
 from multipos.numerics.losses import Loss, loss, loss_weight
-from multipos.numerics.quantiles import chi2_quantile
+from multipos.numerics.quantiles import coverage_factors
 from multipos.numerics.rotations import step_on_sphere, tangent_basis
 from multipos.results import frozen
 from multipos.sensor.model import Model
@@ -310,10 +309,12 @@ class UnknownSearch:
         surface = self.linearise(place)
         length = np.sqrt(np.einsum("mbn,mbn->bn", surface.normal, surface.normal))
         design = surface.rows.transpose(0, 2, 1) / length[:, :, None]
-        variance = np.einsum("mbn,mbn->bn", (surface.normal / length) ** 2, stated)
+        mix = surface.normal / length
+        variance = np.einsum("mbn,mbn->bn", mix**2, stated)
         none = np.zeros((*length.shape, 1, 2))
         error = (surface.height / length)[..., None]
-        return Linear((Block(error, design[:, :, None], none, variance[..., None]),))
+        whole = (error, design[:, :, None], none, variance[..., None])
+        return Linear((Block(*whole, np.moveaxis(mix, 0, 2)[:, :, None]),))
 
     def _phi(self, force: Array) -> Array:
         _, count, n = force.shape
@@ -332,43 +333,41 @@ def search(start: Any, place: Place, decrement: float = STRICT) -> tuple[Place, 
 class SearchedUnits:
     """Units at the end of their searches, whose noise is estimated: with the stated one first."""
 
-    def __init__(self, stated: Any, search: Any, place: Place) -> None:
-        """Take the searches under the stated noise, and under the present one."""
-        self.stated, self.search, self.found = stated, search, place
-
-    @property
-    def size(self) -> Array:
-        """Harmonic mean (B,) of the stated variances."""
-        return harmonic_mean(np.moveaxis(self.stated.variance, 0, 2))
+    def __init__(self, first: Any, search: Any, place: Place, *, stated: bool = True) -> None:
+        """Take the searches under the first noise, which is `stated` or any, and the present."""
+        self.first, self.search, self.found, self.stated = first, search, place, stated
 
     def of(self, units: Places) -> Self:
         """Return some of the units."""
-        return type(self)(self.stated.of(units), self.search.of(units), self.found.of(units))
+        parts = (each.of(units) for each in (self.first, self.search, self.found))
+        return type(self)(*parts, stated=self.stated)
 
     def put(self, units: Places, other: Self) -> None:
         """Put other units in places of these."""
         self.search.variance[:, units] = other.search.variance
         self.found.put(units, other.found)
 
-    def squares(self) -> tuple[Array, Array]:
-        """Return F under the present noise, and the sum of squared residuals, (B,) each."""
-        residuals = self.found.residuals
-        return self.found.objective, np.einsum("mbn,mbn->b", residuals, residuals)
+    def with_noise(self, noise: Array) -> Array:
+        """Return variances (M, B, n) of noise (B, M) beside what is stated."""
+        more = noise.T[:, :, None]
+        if self.stated:
+            return np.asarray(self.first.variance + more)
+        return np.array(np.broadcast_to(more, self.first.variance.shape))
 
-    def under(self, end: float, **noise: Array) -> tuple[Self, Mask]:
+    def under(self, **noise: Array) -> tuple[Self, Mask]:
         """Return the units under another noise, searched on from here, and which have ended."""
-        following = replace(self.stated, **noise)
-        place, ended = search(following, following.under_noise(self.found), end)
-        return type(self)(self.stated, following, place), ended
+        following = replace(self.first, **noise)
+        place, ended = search(following, following.under_noise(self.found))
+        return type(self)(self.first, following, place, stated=self.stated), ended
 
 
 class _Units(SearchedUnits):
     def linear(self) -> Linear:
-        found: Linear = self.search.linear(self.found, self.stated.variance)
+        found: Linear = self.search.linear(self.found, self.first.variance)
         return found
 
-    def searched(self, excess: Array, factor: Array | None, end: float) -> tuple[Self, Mask]:
-        return self.under(end, variance=self.stated.variance + excess[:, None])
+    def searched(self, noise: Array, factor: Array | None) -> tuple[Self, Mask]:
+        return self.under(variance=self.with_noise(noise))
 
 
 _AT_ONCE = 12_000  # readings of an output, so that what a step needs stays in the cache
@@ -420,7 +419,7 @@ class _Found(NamedTuple):
 
     place: Place
     u: Array  # (B, p)
-    dof: Array  # (B,)
+    dof: Array  # (B, p)
     valid: Mask
     search: UnknownSearch
     surface: Surface
@@ -445,7 +444,7 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
         unstated = np.moveaxis(surface.normal**2, 0, 1)
         matrix = allow_for_axes(surface.rows, surface.height, unstated, inverse.matrix)
         u = np.sqrt(np.einsum("bpp->bp", matrix) * factor[:, None])
-        found = _Found(place, u, np.full(len(u), nu), valid & inverse.valid, start, surface)
+        found = _Found(place, u, np.full(u.shape, nu), valid & inverse.valid, start, surface)
     else:
         chi2 = place.objective.copy()
         found = _with_excess(start, place, noise, valid)
@@ -464,9 +463,8 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     )
     length = np.linalg.norm(force + left.force, axis=2)
     rms = np.sqrt(np.mean((length - shared.size) ** 2, axis=1))
-    dof = np.broadcast_to(found.dof[:, None], found.u.shape)
     valid &= left.inverted.sound
-    of_units = place.theta, found.u, dof, rms, place.residuals
+    of_units = place.theta, found.u, found.dof, rms, place.residuals
     solution = found.search.solution(place, found.surface)
     estimates = Estimates(*of_units, *left.inverted[:2], valid, chi2)
     return estimates._replace(solutions=(solution,))
@@ -474,32 +472,18 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
 
 def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: Mask) -> _Found:
     """Return the solutions with the excess variance of readings whose noise is stated."""
-    stated = replace(start, variance=start.variance.copy())
-    n, p = start.values.shape[2], len(start.shared.model.keys)
-    rejected = np.flatnonzero(place.objective > chi2_quantile(REJECTED, float(n - p)))
-    units = _Units(stated, start, place)
+    first = replace(start, variance=start.variance.copy())
+    units = _Units(first, start, place)
     try:
-        found = find_excess(units, valid & noise.sound, p, float(n - p))
+        found = estimate(units, valid & noise.sound, Claims(True, "exact"))
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(place.theta.shape, np.nan)
-        return _Found(
-            place, nothing, nothing[:, 0], np.zeros_like(valid), start, start.linearise(place)
-        )
+        return _Found(place, nothing, nothing, np.zeros_like(valid), start, start.linearise(place))
+    u = found.U / coverage_factors(0.95, found.dof)
+    dof = combined_jointly(median(found.dof, axis=1), noise, found.noise.mean(axis=1))
+    each = np.broadcast_to(dof[:, None], u.shape)
     surface = units.search.linearise(units.found)
-    inverse = _inverse(surface.information)
-    u = standard_uncertainty(found.U, np.broadcast_to(found.dof[:, None], found.U.shape))
-    if rejected.size:
-        from multipos.estimation.unequal_axes import allow_for_axes
-
-        excess = np.maximum(units.search.variance - stated.variance, 0.0)
-        unstated = np.moveaxis(surface.normal**2 * excess, 0, 1)
-        known = (surface.rows, surface.height, unstated, inverse.matrix)
-        wider = allow_for_axes(*(each[rejected] for each in known))
-        formal = np.einsum("bpp->bp", inverse.matrix[rejected])
-        u[rejected] *= np.sqrt(np.einsum("bpp->bp", wider) / formal)
-    dof = combined_jointly(found.dof, noise, found.excess)
-    valid = found.valid & inverse.valid
-    return _Found(units.found, u, dof, valid, units.search, surface)
+    return _Found(units.found, u, each, found.valid, units.search, surface)
 
 
 def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:

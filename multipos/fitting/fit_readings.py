@@ -28,7 +28,12 @@ from multipos.files.tables import Source
 from multipos.finding import Finding, warn
 from multipos.fitting.completion import add_findings, complete
 from multipos.fitting.facing import face, note_names
-from multipos.fitting.options import Options, choose_estimator, criterion_in_words
+from multipos.fitting.options import (
+    Options,
+    choose_estimator,
+    criterion_in_words,
+    with_default_errors,
+)
 from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
@@ -119,8 +124,9 @@ def fit(
     unknown_orientation : bool
         Nothing is known of the orientations but that gravity has the same size in all of them.
     orientation_sd : float [degrees] or 'auto', optional
-        Standard deviation of every position about each axis, instead of the readings' own
-        column; 'auto' estimates it together with the reading noise.
+        Likely standard deviation of every position about each axis, instead of the readings' own
+        column; 'auto', and nothing where orientations are listed, estimates it together with the
+        reading noise, and 0 says that they are exact.
     gauge : str
         'lower' or 'symmetric': how the rotation of the case is fixed where nothing else does.
     robust : str, optional
@@ -228,6 +234,10 @@ def fit(
     else:
         data = orientations.orient(data, scheme, order, estimable=True)
     stated_up = orientations.place(data, size, **options.spread)
+    options, exactly = with_default_errors(options, stated_up, data, built)
+    if exactly is not None:
+        data = replace(data, findings=(*data.findings, _as_exact(exactly)))
+    stated_up = orientations.place(data, size, **options.spread)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
     sought: Names = "none" if closed_form else exclude
@@ -260,6 +270,12 @@ def fit(
     calibration = examine(calibration, sought=sought == "auto" and not apart.any())
     warn(calibration.findings)
     return calibration
+
+
+def _as_exact(why: str) -> Finding:
+    """Return the note that orientations are taken as exact though nobody said so."""
+    text = f"orientations are taken as exact: {why}; U does not hold their errors"
+    return Finding("inseparable", "note", text, "State --orientation-sd in degrees, or 0.")
 
 
 def _magnetic(

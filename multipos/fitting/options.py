@@ -8,6 +8,7 @@ a name that is none of them.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, Literal, TypeVar
@@ -15,12 +16,15 @@ from typing import Any, Literal, TypeVar
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
+from multipos.estimation import correlated_rows
 from multipos.files.spelling import Names, near
 from multipos.files.tables import Source
+from multipos.numerics.arrays import COMPONENTS
 from multipos.numerics.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import ModelText
 from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.headers import RUN
 from multipos.positions.order import Order
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
@@ -203,6 +207,39 @@ def _check_spread(sd: float | str | None) -> None:
         raise UsageError(f"--orientation-sd takes degrees or 'auto', got '{sd}'.")
     if not 0.0 <= sd < 180.0:
         raise UsageError(f"--orientation-sd must lie between 0 and 180 degrees, got {sd}.")
+
+
+_EXACT_BESIDE = ("robust", "pool", "level_sd")  # options beside which nothing is estimated
+_LEFT = 2  # contrasts of every output, below which nothing is
+
+
+def with_default_errors(
+    options: Options, stated_up: StatedOrientations, readings: Readings, model: Model
+) -> tuple[Options, str | None]:
+    """Return options with orientation errors estimated where nobody says anything of them.
+
+    The second is why not, in words, where they are taken as exact all the same; None where they
+    are estimated, stated or unknown.
+    """
+    if options.orientation_sd is not None or options.closed_form or not stated_up.exact:
+        return options, None
+    beside = [name for name in _EXACT_BESIDE if getattr(options, name)]
+    spare = len(readings) - max(len(terms) for terms in model.terms)
+    if beside:
+        why = f"beside --{beside[0].replace('_', '-')} no orientation error is estimated"
+    elif len(readings.outputs) < len(COMPONENTS):
+        why = f"{len(readings.outputs)} of three outputs cannot tell an orientation error"
+    elif readings.forced.any():
+        why = "known forces are taken as they stand"
+    elif spare < _LEFT:
+        why = f"the model leaves {max(spare, 0)} contrasts of an output, of {_LEFT} needed"
+    elif RUN in readings.environment:
+        why = "beside zeros of runs no orientation error is estimated"
+    elif correlated_rows.are_asked(model, readings, stated_up.reference, Estimator.LINEAR):
+        why = "rows of one record, many a position, say nothing of orientation errors"
+    else:
+        return replace(options, orientation_sd="auto"), None
+    return options, why
 
 
 def choose_estimator(options: Options, stated_up: StatedOrientations) -> Estimator:

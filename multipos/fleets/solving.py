@@ -271,7 +271,11 @@ def _share_uncertain(
 ) -> uncertain_orientations.SharedOrientations | None:
     """Return what units at uncertain orientations share, before anything was found of them."""
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
-    spread = Options(orientation_sd=options.get("orientation_sd")).spread
+    stated = options.get("orientation_sd")
+    found = None if c.variance_components is None else c.variance_components.orientation_sd_deg
+    if found is not None and found.source == "estimated":
+        stated = "auto"
+    spread = Options(orientation_sd=stated).spread
     size = c.sign * float(np.linalg.norm(c.reference[0]))
     stated_up = place(orient(readings, options.get("scheme"), estimable=True), size, **spread)
     apart = stated_up.groups or stated_up.rolls is not None

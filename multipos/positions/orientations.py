@@ -28,6 +28,7 @@ from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme, of_size, read_scheme
 from multipos.results import frozen
 
+_DIGITS = 9  # of a direction that comes again
 _FIRST_SD = np.radians(0.1)  # where the estimate of an orientation sd starts
 _ONE_G = 0.01  # within which a known force may pass for gravity
 _ANY = (1.0, 0.0, 0.0)  # a direction, where none is known
@@ -56,6 +57,8 @@ class StatedOrientations:
         `orientation_sd` is relative; its size is to be estimated.
     rolls : OpenRolls or None
         Positions whose angle about an axis is open; `orientation_sd` is across their circle.
+    label : (n,) array of int or None
+        Number of the label of each position, or of its direction where none has one.
     """
 
     reference: Array
@@ -65,6 +68,7 @@ class StatedOrientations:
     level_sd: float = 0.0
     estimated: bool = False
     rolls: OpenRolls | None = None
+    label: Places | None = None
 
     @property
     def exact(self) -> bool:
@@ -129,15 +133,27 @@ def place(
     group = _group_numbers(labels, rolls)
     if estimate and not sd[~unknown].any():
         sd = np.where(unknown, sd, _FIRST_SD)
+    reference = _references(readings, unknown, rolls, size)
     return StatedOrientations(
-        reference=_references(readings, unknown, rolls, size),
+        reference=reference,
         orientation_sd=sd,
         group=group,
         attitude=_attitude(readings, unknown) if level else None,
         level_sd=level,
         estimated=estimate,
         rolls=rolls,
+        label=_label_numbers(readings, reference),
     )
+
+
+def _label_numbers(readings: Readings, reference: Array) -> Places:
+    """Return the number of the label of each position (n,), or of its direction without labels."""
+    if readings.positions is not None:
+        labels: Sequence[object] = readings.positions
+    else:
+        labels = [tuple(each) for each in (np.round(reference, _DIGITS) + 0.0).tolist()]
+    number = {label: i for i, label in enumerate(dict.fromkeys(labels))}
+    return np.array([number[label] for label in labels])
 
 
 def _group_numbers(labels: Sequence[str], rolls: OpenRolls | None) -> Places:

@@ -8,7 +8,7 @@ scatter from rest to rest to the noise of readings.
 import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -157,16 +157,27 @@ class OrientationSpread(Keyed):
     value, u : float
     determined : bool
         Whether it is known to a factor of two.
+    low, high : float
+        Ends of its central 68 %.
+    source : str
+        'stated' as the centre of what was estimated, 'estimated' freely, or 'exact'.
     """
 
-    value: Positive
-    u: Positive
+    value: NotNegative
+    u: NotNegative
     determined: bool
+    low: NotNegative
+    high: NotNegative
+    source: Literal["stated", "estimated", "exact"]
 
     @staticmethod
     def _upgraded(content: Mapping[str, Any]) -> Any:
-        """Return what a file says; version 0.1 gave what was determined alone."""
-        return {"determined": True, **content}
+        """Return what a file says; versions before 0.3 gave no ends, 0.1 what was determined."""
+        value, u = content.get("value"), content.get("u")
+        if not (isinstance(value, float) and isinstance(u, float)):
+            return content
+        ends = {"low": max(value - u, 0.0), "high": value + u, "source": "estimated"}
+        return {"determined": True, **ends, **content}
 
 
 @frozen
