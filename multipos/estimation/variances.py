@@ -72,7 +72,7 @@ _ROUNDS = 5  # of components and solutions
 _CONVERGED = 0.05  # of ln of a component: an eighth of what a hundred contrasts know
 NODES = {1: 14, 2: 10, 3: 7}  # of each axis, by how many there are
 _NEGLIGIBLE = 1e-5  # probability at the ends of the second grid
-_STEPS = 3  # of eq. (4)
+_STEPS = 2  # of eq. (4)
 _HALVINGS = 30
 _FAINT = 1e-5  # probability of a node that no interval feels
 _AT_ONCE = 40_000  # rows of all units and nodes
@@ -170,6 +170,8 @@ class Posterior(NamedTuple):
         d of eq. (4).
     dof : (B, p) array or None
         Of eq. (5) where nothing is stated.
+    grids : tuple of A (B, C) arrays
+        Logarithms of the nodes of each axis.
     """
 
     weights: Array
@@ -179,8 +181,9 @@ class Posterior(NamedTuple):
     variances: Array
     outputs: Array
     dof: Array | None
+    grids: tuple[Array, ...]
 
-    def of(self, units: Places) -> "Posterior":
+    def of(self, units: Places | Mask) -> "Posterior":
         """Return some of the units."""
         return Posterior(
             self.weights[units],
@@ -190,6 +193,7 @@ class Posterior(NamedTuple):
             self.variances[units],
             self.outputs[units],
             None if self.dof is None else self.dof[units],
+            tuple(grid[units] for grid in self.grids),
         )
 
     def mean(self, values: Array) -> Array:
@@ -287,7 +291,7 @@ def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
     """
     going, valid = np.flatnonzero(valid), valid.copy()
     before = np.full((2, len(valid)), np.inf)
-    outputs: Array | None = None
+    near: Posterior | None = None
     found: list[tuple[Places, list[Array]]] = []
     for turn in range(_ROUNDS):
         if not len(going):
@@ -295,8 +299,8 @@ def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
         here = units.of(going)
         linear = here.linear()
         axes, names, scale = _axes(linear, claims)
-        posterior = integrate(linear, axes, names, outputs)
-        plain = _plain(posterior, names, scale)
+        near = integrate(linear, axes, names, near)
+        plain = _plain(near, names, scale)
         following, ended = here.searched(plain.noise, plain.factor)
         units.put(going, following)
         now = np.log([plain.noise.mean(axis=1) + scale.least, plain.logged])
@@ -306,10 +310,9 @@ def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
         valid[going] &= ended
         if not on.all():
             done = np.flatnonzero(~on)
-            parts = posterior.of(done), names, scale.of(done), plain.of(done)
+            parts = near.of(done), names, scale.of(done), plain.of(done)
             found.append((going[done], _components(*parts)))
-        outputs = posterior.outputs[on]
-        going = going[on]
+        near, going = near.of(on), going[on]
     return _in_order(found, valid)
 
 
@@ -495,7 +498,7 @@ def by_own_axes(linear: Linear, crossed: Mask) -> tuple[Array, float]:
 
 
 def integrate(
-    linear: Linear, axes: Sequence[Axis], names: Names, outputs: Array | None = None
+    linear: Linear, axes: Sequence[Axis], names: Names, near: Posterior | None = None
 ) -> Posterior:
     """Integrate over the variance components of B units.
 
@@ -505,23 +508,27 @@ def integrate(
     axes : sequence of Axis
     names : Names
         What each axis is, and whether the unit of all is known: the variances of the blocks.
-    outputs : (B, M) array, optional
-        Where d of eq. (4) starts.
+    near : Posterior, optional
+        What was found where the units were linearised before, which is where to look.
     """
     spread = np.sqrt(_mean_square(linear, "spread") / 2.0)
-    model = _Model(linear.scaled(spread), names, outputs)
-    grids = [_first(axis, NODES[len(axes)]) for axis in axes]
-    for turn in range(2):
+    model = _Model(linear.scaled(spread), names, None if near is None else near.outputs)
+    if near is None:
+        grids = [_first(axis, NODES[len(axes)]) for axis in axes]
         nodes, prior = _nodes(axes, grids)
         weights = _weights(model.evaluate(nodes).log + prior)
-        best = weights.argmax(axis=1)
-        model.balance(nodes, best)
-        if turn == 0:
-            grids = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
+        model.balance(nodes, weights.argmax(axis=1))
+        weights = _weights(model.evaluate(nodes).log + prior)
+    else:
+        grids, weights = list(near.grids), near.weights
+    grids = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
+    nodes, prior = _nodes(axes, grids)
+    best = _weights(model.evaluate(nodes).log + prior).argmax(axis=1)
+    model.balance(nodes, best)
     terms = model.evaluate(nodes)
     weights = _weights(terms.log + prior)
     found = (weights, nodes, terms.size, terms.shifts, terms.variances)
-    return Posterior(*found, model.outputs, model.degrees(nodes, best))
+    return Posterior(*found, model.outputs, model.degrees(nodes, best), tuple(grids))
 
 
 def _weights(log: Array) -> Array:
@@ -759,14 +766,15 @@ def _half_interval(posterior: Posterior) -> tuple[Array, Array]:
     degrees of freedom on and is corrected at the end by what it is off for one t.
     """
     dof = posterior.dof
-    U = _held(posterior, 0.95, dof)
+    U = _held(posterior, dof)
     if dof is not None:
         return U * coverage_factors(0.95, dof) / _of_normal(1.959964, dof), dof
-    return U, _dof_of_tails(U / _held(posterior, 0.68, None))
+    mean = np.einsum("bg,bgp->bp", posterior.weights, posterior.shifts**2 + posterior.variances)
+    return U, _dof_of(U / np.sqrt(mean))
 
 
-def _held(posterior: Posterior, share: float, dof: Array | None) -> Array:
-    """Return the half-width (B, p) about the solution that holds a share of the mixture."""
+def _held(posterior: Posterior, dof: Array | None) -> Array:
+    """Return the half-width (B, p) about the solution that holds 95 % of the mixture."""
     kept = posterior.weights.max(axis=0) > _FAINT
     weights, shifts = posterior.weights[:, kept], posterior.shifts[:, kept]
     sd = np.sqrt(posterior.variances[:, kept])
@@ -777,7 +785,7 @@ def _held(posterior: Posterior, share: float, dof: Array | None) -> Array:
         inside = _normal((middle[:, None] - shifts) / sd, dof)
         inside += _normal((middle[:, None] + shifts) / sd, dof)
         held = np.einsum("bg,bgp->bp", weights, inside) - 1.0
-        low, high = np.where(held < share, middle, low), np.where(held < share, high, middle)
+        low, high = np.where(held < 0.95, middle, low), np.where(held < 0.95, high, middle)
     return np.asarray(high)
 
 
@@ -792,14 +800,16 @@ def _normal(t: Array, dof: Array | None) -> Array:
 
 def _of_normal(z: float, dof: Array) -> Array:
     """Return the t that Wallace's approximation takes for a normal quantile."""
-    return np.asarray(np.sqrt(dof * np.expm1((z * (8.0 * dof + 3.0) / (8.0 * dof + 1.0)) ** 2 / dof)))
+    return np.asarray(
+        np.sqrt(dof * np.expm1((z * (8.0 * dof + 3.0) / (8.0 * dof + 1.0)) ** 2 / dof))
+    )
 
 
 _SHAPES = np.geomspace(1.0, _MOST_DOF, 64)
 
 
-def _dof_of_tails(ratio: Array) -> Array:
-    """Return the degrees of freedom whose 95 % interval is so many times that of 68 %."""
-    known = coverage_factors(0.95, _SHAPES) / coverage_factors(0.68, _SHAPES)
-    dof = np.interp(-ratio, -known, _SHAPES)
-    return np.asarray(np.where(ratio <= known[-1], np.inf, dof))
+def _dof_of(k: Array) -> Array:
+    """Return the degrees of freedom whose 95 % interval is so many standard uncertainties."""
+    known = coverage_factors(0.95, _SHAPES)
+    dof = np.interp(-k, -known, _SHAPES)
+    return np.asarray(np.where(k <= known[-1], np.inf, dof))

@@ -84,7 +84,7 @@ def fit(
     robust: Loss | None = None,
     pool: bool = False,
     stepwise: bool = False,
-    exclude: Names = "none",
+    exclude: Names = "auto",
     drift: bool = False,
     reading_sd: ArrayLike | None = None,
     gravity: float | None = None,
@@ -136,7 +136,8 @@ def fit(
     stepwise : bool
         Keep of the model's terms only those that the readings support.
     exclude : sequence of str, or comma-separated str
-        Labels of the positions that are set aside; 'auto' sets outliers aside, 'none' nothing.
+        Labels of the positions that are set aside; 'auto' sets single rows aside that do not fit,
+        'none' nothing.
     drift : bool
         Fit a drift of every output beside its terms, per hour from the middle of the session by a
         column `time`, else per row: a term of the session, which compensation leaves out.
