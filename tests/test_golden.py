@@ -159,48 +159,58 @@ def rolled(off=0.0, **options):
 # --- fits
 
 
+def fit(readings, **options):
+    """Fit with all rows, and at exact orientations where a case says nothing of them."""
+    said = {"unknown_orientation", "closed_form", "orientation_sd"} & options.keys()
+    columns = readings if isinstance(readings, dict) else {}
+    listed = not isinstance(readings, mp.Readings) or readings.orientation_sd is None
+    if not said and listed and "orientation_sd_deg" not in columns:
+        options["orientation_sd"] = 0
+    return mp.fit(readings, exclude="none", **options)
+
+
 @case()
 def known():
     quadratic = {"quadratic": 8e-4, "cubic": 3e-4, "product": 2e-4}
     for scheme in ("faces-6", "faces-edges-18", "all-26", "dual-axis-48"):
-        yield f"linear {scheme}", mp.fit(triad(scheme))
+        yield f"linear {scheme}", fit(triad(scheme))
     yield (
         "own-quadratic song-qin-6",
-        mp.fit(triad("song-qin-6", **quadratic), model="own-quadratic"),
+        fit(triad("song-qin-6", **quadratic), model="own-quadratic"),
     )
-    yield "own-quadratic all-26", mp.fit(triad("all-26", **quadratic), model="own-quadratic")
-    yield "own-cubic all-26", mp.fit(triad("all-26", **quadratic), model="own-cubic")
-    yield "cross-quadratic", mp.fit(triad("fibonacci-40", **quadratic), model="cross-quadratic")
+    yield "own-quadratic all-26", fit(triad("all-26", **quadratic), model="own-quadratic")
+    yield "own-cubic all-26", fit(triad("all-26", **quadratic), model="own-cubic")
+    yield "cross-quadratic", fit(triad("fibonacci-40", **quadratic), model="cross-quadratic")
     for scheme in ("fibonacci-60", "dual-axis-48+roll-z-24"):
-        yield f"ieee {scheme}", mp.fit(triad(scheme, **quadratic), model="ieee")
-    yield "ieee-odd", mp.fit(triad("fibonacci-60", **quadratic), model="ieee-odd")
+        yield f"ieee {scheme}", fit(triad(scheme, **quadratic), model="ieee")
+    yield "ieee-odd", fit(triad("fibonacci-60", **quadratic), model="ieee-odd")
     formula = "1 + x + y + z + own^2 + own*|own|"
-    yield "formula", mp.fit(triad("fibonacci-40", **quadratic), model=formula)
-    yield "pool", mp.fit(triad("faces-edges-18"), pool=True)
+    yield "formula", fit(triad("fibonacci-40", **quadratic), model=formula)
+    yield "pool", fit(triad("faces-edges-18"), pool=True)
     gravity = table(-at("fibonacci-24"), sensed(at("fibonacci-24")))
-    yield "convention gravity", mp.fit(gravity, convention="gravity", confidence=0.99)
-    yield "gravity", mp.fit(triad(), gravity=9.81234, gravity_u=3e-4)
-    yield "latitude", mp.fit(triad(**quadratic), latitude=48.0, height=300.0, model="own-quadratic")
+    yield "convention gravity", fit(gravity, convention="gravity", confidence=0.99)
+    yield "gravity", fit(triad(), gravity=9.81234, gravity_u=3e-4)
+    yield "latitude", fit(triad(**quadratic), latitude=48.0, height=300.0, model="own-quadratic")
     repeated = triad("faces-6+faces-6+faces-6", seed=4)
     repeated["position"] = [str(1 + i % 6) for i in range(18)]
-    yield "repeats", mp.fit(repeated)
-    yield "nominal", mp.fit(triad(), nominal=(0.01, 1.02), unit="V")
+    yield "repeats", fit(repeated)
+    yield "nominal", fit(triad(), nominal=(0.01, 1.02), unit="V")
     yield "demo", mp.demo().calibration
 
 
 @case()
 def closed_form():
     yield "demo", mp.demo().closed_form
-    yield "linear", mp.fit(triad("faces-6"), closed_form=True)
-    yield "own-quadratic", mp.fit(triad("song-qin-6"), closed_form=True, model="own-quadratic")
+    yield "linear", fit(triad("faces-6"), closed_form=True)
+    yield "own-quadratic", fit(triad("song-qin-6"), closed_form=True, model="own-quadratic")
 
 
 @case()
 def chosen_terms():
-    yield "stepwise", mp.fit(triad("all-26", quadratic=8e-4), model="ieee", stepwise=True)
+    yield "stepwise", fit(triad("all-26", quadratic=8e-4), model="ieee", stepwise=True)
     yield (
         "stepwise two",
-        mp.fit(triad("fibonacci-60", cubic=2e-3, product=1e-3), model="ieee", stepwise=True),
+        fit(triad("fibonacci-60", cubic=2e-3, product=1e-3), model="ieee", stepwise=True),
     )
 
 
@@ -208,18 +218,18 @@ def chosen_terms():
 def stated_noise():
     data = triad("faces-edges-18")
     for name, sd in (("right", 1e-4), ("denied", 2e-5), ("overstated", 1e-3)):
-        yield name, mp.fit(data, reading_sd=sd)
-    yield "denied quadratic", mp.fit(triad("all-26"), reading_sd=2e-5, model="own-quadratic")
-    yield "each output", mp.fit(data, reading_sd=[1e-4, 3e-5, 2e-4])
-    yield "pool", mp.fit(data, reading_sd=5e-5, pool=True)
+        yield name, fit(data, reading_sd=sd)
+    yield "denied quadratic", fit(triad("all-26"), reading_sd=2e-5, model="own-quadratic")
+    yield "each output", fit(data, reading_sd=[1e-4, 3e-5, 2e-4])
+    yield "pool", fit(data, reading_sd=5e-5, pool=True)
     n = len(data["ax"])
     u = 1e-4 * (1.0 + 0.5 * noise(5, n, 3) ** 2)
     stated = table(None, u, ("u_ax", "u_ay", "u_az"))
-    yield "columns", mp.fit(data | stated)
+    yield "columns", fit(data | stated)
     dof = {f"dof_a{axis}": 5.0 + np.arange(n) % 4 for axis in "xyz"}
-    yield "columns with dof", mp.fit(data | stated | dof)
+    yield "columns with dof", fit(data | stated | dof)
     small = {name: 0.2 * column for name, column in stated.items()}
-    yield "columns denied with dof", mp.fit(data | small | dof)
+    yield "columns denied with dof", fit(data | small | dof)
     values = table(None, sensed(at("fibonacci-24"), seed=8))
     share = np.full((72, 72), 4e-9) + np.diag(np.full(72, 1e-8))
     together = mp.Readings(
@@ -228,29 +238,29 @@ def stated_noise():
         up=at("fibonacci-24"),
         covariance=share,
     )
-    yield "covariance", mp.fit(together)
+    yield "covariance", fit(together)
 
 
 @case(ITERATED)
 def uncertain():
     data = triad("fibonacci-24", off=0.1)
-    yield "fixed", mp.fit(data, orientation_sd=0.1)
-    yield "fixed reading_sd", mp.fit(data, orientation_sd=0.1, reading_sd=1e-4)
-    yield "fixed reading_sd denied", mp.fit(data, orientation_sd=0.1, reading_sd=1e-5)
+    yield "fixed", fit(data, orientation_sd=0.1)
+    yield "fixed reading_sd", fit(data, orientation_sd=0.1, reading_sd=1e-4)
+    yield "fixed reading_sd denied", fit(data, orientation_sd=0.1, reading_sd=1e-5)
     yield (
         "fixed quadratic",
-        mp.fit(triad("all-26", off=0.1, quadratic=3e-3), orientation_sd=0.1, model="own-quadratic"),
+        fit(triad("all-26", off=0.1, quadratic=3e-3), orientation_sd=0.1, model="own-quadratic"),
     )
-    yield "auto", mp.fit(data, orientation_sd="auto", reading_sd=1e-4)
-    yield "auto alone", mp.fit(triad("all-26", off=0.2), orientation_sd="auto")
+    yield "auto", fit(data, orientation_sd="auto", reading_sd=1e-4)
+    yield "auto alone", fit(triad("all-26", off=0.2), orientation_sd="auto")
     sd = np.where(np.arange(24) % 3, 0.1, 0.02)
-    yield "column", mp.fit(data | {"orientation_sd_deg": sd}, reading_sd=1e-4)
+    yield "column", fit(data | {"orientation_sd_deg": sd}, reading_sd=1e-4)
     exact = np.where(np.arange(24) % 2, 0.1, 0.0)
-    yield "column with exact rows", mp.fit(data | {"orientation_sd_deg": exact})
-    yield "level", mp.fit(rolled(), scheme="dual-axis-48", level_sd=0.05)
+    yield "column with exact rows", fit(data | {"orientation_sd_deg": exact})
+    yield "level", fit(rolled(), scheme="dual-axis-48", level_sd=0.05)
     both = {"level_sd": 0.05, "orientation_sd": 0.05, "reading_sd": 1e-4}
-    yield "level uncertain", mp.fit(rolled(0.05), scheme="dual-axis-48", **both)
-    yield "gravity", mp.fit(data, orientation_sd=0.1, gravity=9.81234, gravity_u=3e-4)
+    yield "level uncertain", fit(rolled(0.05), scheme="dual-axis-48", **both)
+    yield "gravity", fit(data, orientation_sd=0.1, gravity=9.81234, gravity_u=3e-4)
 
 
 @case(ITERATED)
@@ -258,22 +268,22 @@ def unknown():
     up = at("fibonacci-24")
     data = table(None, sensed(up))
     for gauge in ("lower", "symmetric"):
-        yield gauge, mp.fit(data, unknown_orientation=True, gauge=gauge)
+        yield gauge, fit(data, unknown_orientation=True, gauge=gauge)
         yield (
             f"{gauge} reading_sd",
-            mp.fit(data, unknown_orientation=True, gauge=gauge, reading_sd=1e-4),
+            fit(data, unknown_orientation=True, gauge=gauge, reading_sd=1e-4),
         )
-    yield "denied", mp.fit(data, unknown_orientation=True, reading_sd=2e-5)
-    yield "overstated", mp.fit(data, unknown_orientation=True, reading_sd=1e-3)
+    yield "denied", fit(data, unknown_orientation=True, reading_sd=2e-5)
+    yield "overstated", fit(data, unknown_orientation=True, reading_sd=1e-3)
     uneven = sensed(up, sd=0.0) + noise(6, 24, 3) * np.array([1e-4, 5e-4, 2e-3])
-    yield "unequal axes", mp.fit(table(None, uneven), unknown_orientation=True)
+    yield "unequal axes", fit(table(None, uneven), unknown_orientation=True)
     yield (
         "unequal axes stated",
-        mp.fit(table(None, uneven), unknown_orientation=True, reading_sd=[1e-4, 5e-4, 2e-3]),
+        fit(table(None, uneven), unknown_orientation=True, reading_sd=[1e-4, 5e-4, 2e-3]),
     )
     bent = table(None, sensed(at("fibonacci-40"), quadratic=3e-3))
-    yield "own-quadratic", mp.fit(bent, unknown_orientation=True, model="own-quadratic")
-    yield "gravity", mp.fit(data, unknown_orientation=True, gravity=9.81234, gravity_u=3e-4)
+    yield "own-quadratic", fit(bent, unknown_orientation=True, model="own-quadratic")
+    yield "gravity", fit(data, unknown_orientation=True, gravity=9.81234, gravity_u=3e-4)
 
 
 @case(ITERATED)
@@ -281,12 +291,12 @@ def robust():
     data = triad("faces-edges-18")
     data["ax"] = data["ax"] + np.where(np.arange(18) == 7, 5e-3, 0.0)
     for loss in ("huber", "soft-l1", "cauchy"):
-        yield loss, mp.fit(data, robust=loss)
-        yield f"{loss} reading_sd", mp.fit(data, robust=loss, reading_sd=1e-4)
+        yield loss, fit(data, robust=loss)
+        yield f"{loss} reading_sd", fit(data, robust=loss, reading_sd=1e-4)
     free = {name: data[name] for name in ("ax", "ay", "az")}
-    yield "unknown", mp.fit(free, robust="huber", unknown_orientation=True)
-    yield "uncertain", mp.fit(data, robust="huber", orientation_sd=0.05, reading_sd=1e-4)
-    yield "quadratic", mp.fit(data, robust="cauchy", model="own-quadratic")
+    yield "unknown", fit(free, robust="huber", unknown_orientation=True)
+    yield "uncertain", fit(data, robust="huber", orientation_sd=0.05, reading_sd=1e-4)
+    yield "quadratic", fit(data, robust="cauchy", model="own-quadratic")
 
 
 @case(ITERATED)
@@ -298,7 +308,7 @@ def mixed():
     names = ("ax", "ay", "az")
     yield (
         "some known, some not",
-        mp.fit(
+        fit(
             mp.Readings(values, outputs=names, up=listed, orientation_sd=np.radians(sd)),
             reading_sd=1e-4,
         ),
@@ -309,10 +319,10 @@ def mixed():
     group = ("",) * 24 + ("cube",) * 24
     both = np.concatenate([up, up])
     true = sensed(np.concatenate([up, other]), seed=3)
-    yield "a group", mp.fit(mp.Readings(true, outputs=names, up=both, group=group), reading_sd=1e-4)
+    yield "a group", fit(mp.Readings(true, outputs=names, up=both, group=group), reading_sd=1e-4)
     yield (
         "a group uncertain",
-        mp.fit(
+        fit(
             mp.Readings(true, outputs=names, up=both, group=group),
             orientation_sd=0.02,
             reading_sd=1e-4,
@@ -341,16 +351,16 @@ def rolls():
     data["roll_axis"] = [*axis, *["x"] * 12]
     data["angle_deg"] = [*(f"{a:.0f}" for a in angle), *[""] * 12]
     data["orientation_sd_deg"] = ["0"] * 12 + ["1"] * 12
-    yield "beside known", mp.fit(data)
-    yield "beside known reading_sd", mp.fit(data, reading_sd=1e-4)
+    yield "beside known", fit(data)
+    yield "beside known reading_sd", fit(data, reading_sd=1e-4)
     level = np.radians(45.0 * np.arange(8))
     c, s, zero = np.cos(level), np.sin(level), np.zeros(8)
     up = np.concatenate(
         [np.stack(one, axis=1) for one in ((zero, c, s), (c, zero, s), (c, s, zero))]
     )
     data = table(None, sensed(up)) | {"roll_axis": ["x"] * 8 + ["y"] * 8 + ["z"] * 8}
-    yield "level", mp.fit(data)
-    yield "level stated", mp.fit(data, reading_sd=1e-4)
+    yield "level", fit(data)
+    yield "level stated", fit(data, reading_sd=1e-4)
 
 
 @case(ITERATED)
@@ -358,28 +368,28 @@ def own_models():
     spring = "each = b + s*own/(1 + k*own^2)"
     data = triad("fibonacci-40", cubic=-2e-2)
     linear = "each = a + p*x + q*y + r*z"
-    yield "linear", mp.fit(data, model=linear)
-    yield "linear stated", mp.fit(data, model=linear, reading_sd=1e-4)
+    yield "linear", fit(data, model=linear)
+    yield "linear stated", fit(data, model=linear, reading_sd=1e-4)
     yield (
         "linear unknown",
-        mp.fit(
+        fit(
             {name: data[name] for name in ("ax", "ay", "az")},
             model=linear,
             unknown_orientation=True,
         ),
     )
-    yield "nonlinear", mp.fit(data, model=spring + " + c*x + d*y + e*z", outputs="ax", axes="x")
+    yield "nonlinear", fit(data, model=spring + " + c*x + d*y + e*z", outputs="ax", axes="x")
     full = "each = b + s*own/(1 + common_k*own^2) + p*x*y + q*y*z"
     clean = at("fibonacci-40")
     read = np.stack([b + c / (1.0 + 0.05 * c**2) for b, c in zip(BIAS, clean.T, strict=True)], 1)
     clean = table(clean, read + 1e-4 * noise(12, 40, 3))
-    yield "spring", mp.fit(clean, model=spring)
-    yield "spring stated", mp.fit(clean, model=spring, reading_sd=1e-4)
-    yield "spring uncertain", mp.fit(clean, model=spring, orientation_sd=0.02, reading_sd=1e-4)
-    yield "spring robust", mp.fit(clean, model=spring, robust="huber")
-    yield "common", mp.fit(clean, model="each = b + s*own/(1 + common_k*own^2)")
-    yield "common linear", mp.fit(clean, model="each = b + s*own + common_k*own^3")
-    yield "more terms", mp.fit(clean, model=full)
+    yield "spring", fit(clean, model=spring)
+    yield "spring stated", fit(clean, model=spring, reading_sd=1e-4)
+    yield "spring uncertain", fit(clean, model=spring, orientation_sd=0.02, reading_sd=1e-4)
+    yield "spring robust", fit(clean, model=spring, robust="huber")
+    yield "common", fit(clean, model="each = b + s*own/(1 + common_k*own^2)")
+    yield "common linear", fit(clean, model="each = b + s*own + common_k*own^3")
+    yield "more terms", fit(clean, model=full)
 
 
 def warm(scheme="fibonacci-24", seed=13):
@@ -392,12 +402,12 @@ def warm(scheme="fibonacci-24", seed=13):
 
 @case()
 def temperature():
-    cal = mp.fit(warm(), model="1 + x + y + z + temperature + temperature*own")
+    cal = fit(warm(), model="1 + x + y + z + temperature + temperature*own")
     yield "fit", cal
     for curve in mp.over_temperature(cal, [0.0, 10.0, 30.0]):
         yield f"curve {curve.name}", {"value": curve.value, "u": curve.u, "U": curve.U}
     square = "1 + x + y + z + temperature + temperature^2 + temperature*own + temperature^2*own"
-    yield "square", mp.fit(warm("faces-6"), model=square)
+    yield "square", fit(warm("faces-6"), model=square)
     data = warm()
     chosen = ("ax", "ay", "az", "temperature")
     yield (
@@ -409,19 +419,19 @@ def temperature():
 @case()
 def few_or_many_outputs():
     data = triad("fibonacci-24")
-    yield "one", mp.fit(data, outputs="ay", axes="y")
-    yield "one, two inputs", mp.fit(triad("roll-z-12"), outputs="ax", axes="x", inputs="x,y")
-    yield "two", mp.fit(data, outputs="ax,az", axes="x,z")
+    yield "one", fit(data, outputs="ay", axes="y")
+    yield "one, two inputs", fit(triad("roll-z-12"), outputs="ax", axes="x", inputs="x,y")
+    yield "two", fit(data, outputs="ax,az", axes="x,z")
     four = data | {"b": data["ax"] * 0.5 + 0.02 + 1e-4 * noise(14, 24)}
     four |= {"c": data["az"] * 1.5 - 0.01 + 2e-4 * noise(15, 24)}
-    redundant = mp.fit(four, outputs="ax,ay,az,b,c", axes="x,y,z,x,z")
+    redundant = fit(four, outputs="ax,ay,az,b,c", axes="x,y,z,x,z")
     yield "redundant", redundant
     names = ("ax", "ay", "az", "b", "c")
     yield (
         "redundant applied",
         mp.apply(redundant, {name: four[name][:5] for name in names}, uncertainty=True),
     )
-    two = mp.fit(data, outputs="ax,ay", axes="x,y", inputs="x,y")
+    two = fit(data, outputs="ax,ay", axes="x,y", inputs="x,y")
     yield "two inputs", two
     yield "two applied", mp.apply(two, {"ax": [0.1, 0.5], "ay": [0.7, 0.2]}, tilt=True)
 
@@ -431,10 +441,10 @@ def few_or_many_outputs_searched():
     four = triad("fibonacci-24")
     four["b"] = four["ax"] * 0.5 + 0.02 + 1e-4 * noise(14, 24)
     options = {"outputs": "ax,ay,az,b", "axes": "x,y,z,x", "reading_sd": 1e-4}
-    yield "redundant", mp.fit(four, orientation_sd=0.02, **options)
+    yield "redundant", fit(four, orientation_sd=0.02, **options)
     yield (
         "one uncertain",
-        mp.fit(triad(off=0.1), outputs="ay", axes="y", orientation_sd=0.1, reading_sd=1e-4),
+        fit(triad(off=0.1), outputs="ay", axes="y", orientation_sd=0.1, reading_sd=1e-4),
     )
 
 
@@ -443,9 +453,9 @@ def forces():
     f = np.concatenate([4.0 * at("fibonacci-24"), at("faces-6")])
     data = table(None, sensed(f, quadratic=8e-4, cubic=3e-4))
     data |= dict(zip(("f_x", "f_y", "f_z"), f.T, strict=True))
-    yield "linear", mp.fit(data)
-    yield "own-cubic", mp.fit(data, model="own-cubic")
-    yield "gravity", mp.fit(data, gravity=9.80123, gravity_u=1e-4, model="own-quadratic")
+    yield "linear", fit(data)
+    yield "own-cubic", fit(data, model="own-cubic")
+    yield "gravity", fit(data, gravity=9.80123, gravity_u=1e-4, model="own-quadratic")
 
 
 @case(ITERATED)
@@ -454,8 +464,8 @@ def forces_uncertain():
     data = table(None, sensed(f))
     data |= dict(zip(("f_x", "f_y", "f_z"), f.T, strict=True))
     stated = {f"reference_u_{axis}": np.full(30, 2e-4) for axis in "xyz"}
-    yield "reference u", mp.fit(data | stated)
-    yield "reference u reading_sd", mp.fit(data | stated, reading_sd=1e-4)
+    yield "reference u", fit(data | stated)
+    yield "reference u reading_sd", fit(data | stated, reading_sd=1e-4)
 
 
 @case(ITERATED)
@@ -465,10 +475,10 @@ def rows_correlated():
     for i, step in enumerate(noise(16, 96, 3)):
         slow[i] = 0.9 * slow[i - 1] + 3e-4 * step
     data = table(up, sensed(up) + slow) | {"time": 30.0 * np.arange(96)}
-    yield "known", mp.fit(data)
-    yield "stated", mp.fit(data, reading_sd=1e-4)
+    yield "known", fit(data)
+    yield "stated", fit(data, reading_sd=1e-4)
     free = {name: data[name] for name in ("ax", "ay", "az", "time")}
-    yield "unknown", mp.fit(free, unknown_orientation=True)
+    yield "unknown", fit(free, unknown_orientation=True)
 
 
 BENCH = {
@@ -487,31 +497,31 @@ BENCH = {
 @case()
 def budgets():
     two = {"scheme": "dual-axis-48", "budget": BENCH}
-    cal = mp.fit(rolled(sd=1e-5), **two)
+    cal = fit(rolled(sd=1e-5), **two)
     yield "fit", cal
     found = mp.evaluate_budget(cal)
     yield "evaluated", {"covariance": found.covariance, "dof": found.dof}
     yield "lines", found.columns()
     yield "sphere", mp.evaluate_sphere(cal)
     later = {"level": {"u_deg": 0.01}}
-    yield "later", mp.state_budget(mp.fit(rolled(), scheme="dual-axis-48"), later)
-    yield "pool", mp.fit(rolled(), pool=True, model="own-quadratic", **two)
+    yield "later", mp.state_budget(fit(rolled(), scheme="dual-axis-48"), later)
+    yield "pool", fit(rolled(), pool=True, model="own-quadratic", **two)
     apply_to = {"ax": [0.1, 0.9], "ay": [-0.3, 0.2], "az": [0.94, -0.4]}
     yield "applied", mp.apply(cal, apply_to, uncertainty=True, tilt=True)
     stable = {"stability": {"u_ax": 1e-4, "u_ay": 2e-4, "u_az": 1e-4, "dof": 5}}
-    yield "stability", mp.fit(triad("faces-edges-18"), budget=stable)
+    yield "stability", fit(triad("faces-edges-18"), budget=stable)
 
 
 @case(ITERATED)
 def budgets_searched():
     two = {"scheme": "dual-axis-48", "budget": BENCH, "reading_sd": 1e-4}
-    turned_ = mp.fit(rolled(0.02), orientation_sd=0.02, **two)
+    turned_ = fit(rolled(0.02), orientation_sd=0.02, **two)
     yield "uncertain", turned_
     yield "sphere", mp.evaluate_sphere(turned_)
     free = table(None, sensed(at("fibonacci-24")))
     stated = {"gravity": BENCH["gravity"], "gain": BENCH["gain"], "unseen": BENCH["unseen"]}
-    yield "unknown", mp.fit(free, unknown_orientation=True, budget=stated)
-    cal = mp.fit(rolled(), **two)
+    yield "unknown", fit(free, unknown_orientation=True, budget=stated)
+    cal = fit(rolled(), **two)
     yield "stated", cal
     yield "simulated", {"u": mp.simulate_budget(cal, trials=200, rng=1).u}
 
@@ -521,7 +531,7 @@ def budgets_searched():
 
 @case(ITERATED)
 def logs():
-    cal = mp.fit(triad("faces-edges-18"))
+    cal = fit(triad("faces-edges-18"))
     log = mp.simulate_log(cal, "faces-edges-18", sample_sd=1e-3, seed=3, rest=4.0)
     yield "log", {name: column for name, column in log.items() if name != "position"}
     yield "averages", rests(mp.average(log))
@@ -550,8 +560,8 @@ def recorded_mpu9150():
     cal = mp.calibrate(log, unknown_orientation=True, **options)
     yield "fit", cal
     yield "averages", rests(mp.average(log, **{k: v for k, v in options.items() if k != "unit"}))
-    yield "symmetric", mp.fit(cal.readings, unknown_orientation=True, gauge="symmetric")
-    yield "robust", mp.fit(cal.readings, unknown_orientation=True, robust="huber")
+    yield "symmetric", fit(cal.readings, unknown_orientation=True, gauge="symmetric")
+    yield "robust", fit(cal.readings, unknown_orientation=True, robust="huber")
 
 
 @case(ITERATED, needs="ferraris_session.csv")
@@ -574,10 +584,10 @@ def recorded_ferraris():
 def recorded_readings():
     for name in ("innalabs_24", "pointer_ee_24", "pointer_ab_24"):
         path = SHARED / f"{name}.csv"
-        yield name, mp.fit(path, unknown_orientation=True)
-        yield f"{name} quadratic", mp.fit(path, unknown_orientation=True, model="own-quadratic")
-        yield f"{name} stated", mp.fit(path, unknown_orientation=True, reading_sd=3e-4)
-        yield f"{name} robust", mp.fit(path, unknown_orientation=True, robust="soft-l1")
+        yield name, fit(path, unknown_orientation=True)
+        yield f"{name} quadratic", fit(path, unknown_orientation=True, model="own-quadratic")
+        yield f"{name} stated", fit(path, unknown_orientation=True, reading_sd=3e-4)
+        yield f"{name} robust", fit(path, unknown_orientation=True, robust="soft-l1")
 
 
 # --- what is done with calibrations
@@ -591,13 +601,13 @@ def checked(*given, **options):
 
 @case()
 def used():
-    cal = mp.fit(triad("faces-edges-18"))
+    cal = fit(triad("faces-edges-18"))
     data = triad("fibonacci-24", seed=21)
     raw = {name: data[name][:6] for name in ("ax", "ay", "az")}
     yield "apply", mp.apply(cal, raw, tilt=True, uncertainty=True)
     yield "apply reading_sd", mp.apply(cal, raw, tilt=True, uncertainty=True, reading_sd=1e-3)
     yield "apply parameters", mp.apply(cal, raw, uncertainty=True, parameters_only=True)
-    bent = mp.fit(triad("all-26", quadratic=8e-4), model="own-quadratic", gravity=9.81)
+    bent = fit(triad("all-26", quadratic=8e-4), model="own-quadratic", gravity=9.81)
     yield "apply bent", mp.apply(bent, raw, tilt=True, uncertainty=True)
     yield "check", checked(cal, data, limit_g=5e-4)
     yield "check tilt", checked(cal, data, tilt=True, limit_deg=0.05, within_deg=60.0)
@@ -606,20 +616,20 @@ def used():
     yield "simulate turned", mp.simulate(cal, "faces-6", orientation_sd=0.1, seed=6)
     yield "sphere", mp.evaluate_sphere(bent)
     yield "sphere 2 g", mp.evaluate_sphere(bent, size=2.0)
-    others = [mp.fit(triad("faces-edges-18", seed=seed)) for seed in (22, 23)]
+    others = [fit(triad("faces-edges-18", seed=seed)) for seed in (22, 23)]
     yield "compare", mp.compare(cal, *others)
 
 
 @case(ITERATED)
 def used_searched():
     options = {"unknown_orientation": True, "reading_sd": 1e-4}
-    many = [mp.fit(table(None, sensed(at("fibonacci-24"), seed=s)), **options) for s in (1, 2, 3)]
+    many = [fit(table(None, sensed(at("fibonacci-24"), seed=s)), **options) for s in (1, 2, 3)]
     yield "compare", mp.compare(*many)
     raw = {"ax": [0.1, 0.9], "ay": [-0.3, 0.2], "az": [0.94, -0.4]}
     yield "apply", mp.apply(many[0], raw, tilt=True, uncertainty=True)
     yield "sphere", mp.evaluate_sphere(many[0])
     data = triad("fibonacci-12", seed=31)
-    turned_ = mp.fit(triad(off=0.1), orientation_sd=0.1, reading_sd=1e-4)
+    turned_ = fit(triad(off=0.1), orientation_sd=0.1, reading_sd=1e-4)
     yield "check", checked(turned_, data, limit_g=1e-3)
     yield "check tilt", checked(turned_, data, tilt=True, limit_deg=0.1)
     for name, cal in (("stated", turned_), ("free", many[0])):
@@ -652,7 +662,7 @@ def tumbles():
     name = "roll-z-12+roll-y-12+roll-x-12"
     values = table(None, sensed(at(name), sd=1e-5))
     yield "triad", mp.tumble(values, scheme=name, model="ieee-odd")
-    first = mp.fit(values, scheme=name)
+    first = fit(values, scheme=name)
     bench = {"reading_sd": 1e-5, "first_sd_deg": 1e-3, "level_sd_deg": 1e-3}
     stated = mp.state_bench(first, **bench)
     yield "bench", {"covariance": stated.covariance}
@@ -679,10 +689,10 @@ def tumbles():
 @case(ITERATED)
 def bench_fitted():
     name = "roll-z-12+roll-y-12+roll-x-12"
-    first = mp.fit(table(None, sensed(at(name), sd=1e-5)), scheme=name)
+    first = fit(table(None, sensed(at(name), sd=1e-5)), scheme=name)
     stated = mp.state_bench(first, reading_sd=1e-5, first_sd_deg=1e-3, level_sd_deg=1e-3)
-    yield "fit", mp.fit(stated)
-    yield "fit ieee", mp.fit(stated, model="own-cubic")
+    yield "fit", fit(stated)
+    yield "fit ieee", fit(stated, model="own-cubic")
 
 
 def chamber(seed=51, n=240):
@@ -805,15 +815,15 @@ def many_searched():
 @case()
 def exports():
     """Numbers of the files, in their order, whatever the words around them."""
-    cal = mp.fit(triad("faces-edges-18"), gravity=9.80665, unit="g")
+    cal = fit(triad("faces-edges-18"), gravity=9.80665, unit="g")
     for to in ("c", "px4", "ardupilot", "ros-imu-calib", "imucal"):
         yield to, {"numbers": numbers(mp.export(cal, to=to, allow_lossy=True).text)}
     up = at("faces-edges-18")
-    counts = mp.fit(table(up, 4096.0 * sensed(up)), unit="count")
+    counts = fit(table(up, 4096.0 * sensed(up)), unit="count")
     yield "inav", {"numbers": numbers(mp.export(counts, to="inav", allow_lossy=True).text)}
-    bent = mp.fit(triad("all-26", quadratic=8e-4), model="own-quadratic")
+    bent = fit(triad("all-26", quadratic=8e-4), model="own-quadratic")
     yield "c bent", {"numbers": numbers(mp.export(bent, to="c").text)}
-    warmed = mp.fit(warm(), model="1 + x + y + z + temperature + temperature*own")
+    warmed = fit(warm(), model="1 + x + y + z + temperature + temperature*own")
     yield "c warm", {"numbers": numbers(mp.export(warmed, to="c").text)}
     regression = mp.regress(chamber(), response="error", variables="V,temperature", degree=2)
     yield "c regression", {"numbers": numbers(mp.export(regression, to="c").text)}

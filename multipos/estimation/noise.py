@@ -110,7 +110,8 @@ def estimate_noise(
     if nu <= 0:
         return problem, optimum, NoiseEstimate(1.0, np.inf)
     few = problem.places < SEPARATING
-    if problem.tied.any() and few and not stated and not problem.repeats:
+    alone = problem.tied.all() and not problem.shared and not problem.repeats
+    if few and alone and not stated:
         return _by_own_axes(problem, optimum)
     tied = problem.tied.any()
     orientation: Any = ("free" if estimate_sd else "centre") if tied else "exact"
