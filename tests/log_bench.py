@@ -28,9 +28,8 @@ def sensor(model="linear", *, bias=0.05, cross=0.01, size=1e-3, unit="g"):
     rng = np.random.default_rng(7)
     up = mp.read_scheme("fibonacci-40").up
     temperature = np.linspace(10.0, 40.0, 40)[rng.permutation(40)]
-    built = mp.fit(
-        mp.Readings(up, up=up, environment={"temperature": temperature}), model=model, unit=unit
-    ).model
+    exact = {"model": model, "unit": unit, "orientation_sd": 0.0, "exclude": "none"}
+    built = mp.fit(mp.Readings(up, up=up, environment={"temperature": temperature}), **exact).model
     values = []
     for output, term in built.keys:
         own = str(term) == built.axes[built.outputs.index(output)]
@@ -44,9 +43,7 @@ def sensor(model="linear", *, bias=0.05, cross=0.01, size=1e-3, unit="g"):
             values.append((cross if term.force_degree == 1 else size) * rng.uniform(-1, 1))
     y = built.predict(np.array(values), up, {"temperature": temperature})
     y = y + 1e-5 * rng.normal(size=y.shape)
-    return mp.fit(
-        mp.Readings(y, up=up, environment={"temperature": temperature}), model=model, unit=unit
-    )
+    return mp.fit(mp.Readings(y, up=up, environment={"temperature": temperature}), **exact)
 
 
 def columns_of(cal=None, scheme="faces-6", **options):

@@ -423,7 +423,7 @@ def _with_grid_variance(
     if readings.u is not None:
         return replace(readings, u=np.maximum(readings.u, lower_bound))
     u = np.where(steps > 0.0, lower_bound, np.maximum(sd, 1e-3 * steps.max()))
-    dof = np.where(steps > 0.0, _WITHIN, np.maximum(solution.dof, 1.0))
+    dof = np.where(steps > 0.0, _WITHIN, np.clip(solution.dof, 1.0, _WITHIN))
     return replace(readings, u=u, dof=np.broadcast_to(dof, u.shape))
 
 
