@@ -302,6 +302,9 @@ def _identifiable(problem: Problem, theta: Array, blocks: tuple[Block, ...]) -> 
     Such as a rotation about the only direction of a group.
     """
     p, P = len(theta), blocks[0].design.shape[3]
+    tied = problem.has_parameter_prior or problem.level_sd > 0.0
+    if p == P and not tied:
+        return Linear(blocks)
     prior, gradient, penalty = np.zeros(P), np.zeros(P), 0.0
     if problem.has_parameter_prior:
         excess, slope = problem.model.belief(theta)
