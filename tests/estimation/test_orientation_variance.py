@@ -5,13 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from scipy import optimize, stats
-from test_likelihood import KINDS, a_problem
-
-import multipos as mp
-from multipos.estimation.likelihood import evaluate, linearise
-from multipos.estimation.noise import linear_model
 from multipos.estimation.orientation_variance import (
     Block,
     Linear,
@@ -21,6 +14,13 @@ from multipos.estimation.orientation_variance import (
     _prior_of_both,
     find_both,
 )
+from numpy.testing import assert_allclose
+from scipy import optimize, stats
+from test_likelihood import KINDS, a_problem
+
+import multipos as mp
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.noise import linear_model
 from multipos.estimation.posteriors import (
     _COVERAGE,
     _INNER,
