@@ -2,6 +2,7 @@
 
 import inspect
 import math
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +20,8 @@ from multipos.reports.documents import markdown_report
 
 UP14 = mp.read_scheme("faces-corners-14").up
 LINEAR = np.column_stack([np.ones(14), UP14])
+
+exactly = partial(mp.fit, orientation_sd=0, exclude="none")
 
 
 def sensor(rng, up=UP14, noise=1e-3):
@@ -39,7 +42,7 @@ def by_hand(X, y, V=None):
 def test_unweighted_fit_by_hand():
     # eq. (1) of estimation.known
     values = sensor(np.random.default_rng(0))
-    cal = mp.fit(mp.Readings(values, up=UP14))
+    cal = exactly(mp.Readings(values, up=UP14))
     for i in range(3):
         b, C = by_hand(LINEAR, values[:, i])
         r = values[:, i] - LINEAR @ b
@@ -61,7 +64,7 @@ def test_weighted_fit_by_hand():
     rng = np.random.default_rng(1)
     u = rng.uniform(0.5e-3, 2e-3, (14, 3))
     values = sensor(rng, noise=0) + u * rng.standard_normal((14, 3))
-    cal = mp.fit(mp.Readings(values, up=UP14, u=u))
+    cal = exactly(mp.Readings(values, up=UP14, u=u))
     scatter = cal.variance_components.rest_to_rest["ay"].value
     for i in range(3):
         b, C = by_hand(LINEAR, values[:, i], np.diag(u[:, i] ** 2 + scatter**2))
@@ -80,7 +83,7 @@ def test_full_covariance_by_hand():
     root = np.kron(np.eye(14), np.array([[1, 0, 0], [0.8, 0.6, 0], [0.5, 0.5, 0.7]]))
     V = 1e-6 * (root @ root.T + 0.3)  # and a part that all readings share
     values = sensor(rng, noise=0) + (np.linalg.cholesky(V) @ rng.standard_normal(42)).reshape(14, 3)
-    cal = mp.fit(mp.Readings(values, up=UP14, covariance=V))
+    cal = exactly(mp.Readings(values, up=UP14, covariance=V))
     X = np.kron(LINEAR, np.eye(3))[:, np.arange(12).reshape(4, 3).T.ravel()]
     scatter = cal.variance_components.rest_to_rest["ax"].value
     b, C = by_hand(X, values.ravel(), V + scatter**2 * np.eye(42))
@@ -94,18 +97,18 @@ def test_full_covariance_by_hand():
 def test_a_diagonal_covariance_is_u():
     rng = np.random.default_rng(3)
     values, u = sensor(rng), np.full((14, 3), 1e-3)
-    one = mp.fit(mp.Readings(values, up=UP14, u=u))
-    other = mp.fit(mp.Readings(values, up=UP14, covariance=np.diag(u.ravel() ** 2)))
+    one = exactly(mp.Readings(values, up=UP14, u=u))
+    other = exactly(mp.Readings(values, up=UP14, covariance=np.diag(u.ravel() ** 2)))
     assert_array_equal(one.parameters, other.parameters)
     assert_array_equal(one.covariance, other.covariance)
-    again = mp.fit(mp.Readings(values, up=UP14), reading_sd=1e-3)
+    again = exactly(mp.Readings(values, up=UP14), reading_sd=1e-3)
     assert_array_equal(one.covariance, again.covariance)
 
 
 def test_reading_sd_overrules_the_readings_and_says_so():
     values = sensor(np.random.default_rng(4))
     readings = mp.Readings(values, up=UP14, u=np.full((14, 3), 1e-6))
-    cal = mp.fit(readings, reading_sd=[1e-3, 2e-3, 3e-3])
+    cal = exactly(readings, reading_sd=[1e-3, 2e-3, 3e-3])
     assert_array_equal(cal.readings.u[5], [1e-3, 2e-3, 3e-3])
     assert any("--reading-sd is used" in text for text in texts(cal))
 
@@ -116,7 +119,7 @@ def test_reading_sd_overrules_the_readings_and_says_so():
 def stated(factor, seed=5):
     """A fit of readings whose noise is `factor` times what they claim."""
     values = sensor(np.random.default_rng(seed), noise=factor * 1e-3)
-    return mp.fit(mp.Readings(values, up=UP14), reading_sd=1e-3)
+    return exactly(mp.Readings(values, up=UP14), reading_sd=1e-3)
 
 
 def test_a_denied_noise_is_added_to_and_said():
@@ -140,10 +143,10 @@ def test_a_denied_noise_is_added_to_and_said():
 def test_the_limit_is_the_99_9_percent_point():
     values = sensor(np.random.default_rng(6))[:, :1]
     readings = mp.Readings(values, up=UP14)
-    r = mp.fit(readings).residuals[:, 0]
+    r = exactly(readings).residuals[:, 0]
     limit = math.sqrt(float(r @ r) / stats.chi2.ppf(0.999, 10))
-    assert not texts(mp.fit(readings, reading_sd=limit * 1.0001))
-    (said,) = texts(mp.fit(readings, reading_sd=limit * 0.9999))
+    assert not texts(exactly(readings, reading_sd=limit * 1.0001))
+    (said,) = texts(exactly(readings, reading_sd=limit * 0.9999))
     assert "exceed the stated noise" in said
 
 
@@ -161,7 +164,7 @@ def test_an_overstated_noise_is_taken_and_said():
 def test_pooling_by_hand():
     values = sensor(np.random.default_rng(7))
     readings = mp.Readings(values, up=UP14)
-    apart, pooled = mp.fit(readings), mp.fit(readings, pool=True)
+    apart, pooled = exactly(readings), exactly(readings, pool=True)
     s2 = (apart.residuals**2).sum() / 30
     assert_array_equal(pooled.parameters, apart.parameters)
     assert_array_equal(pooled.dof, [30, 30, 30])
@@ -175,7 +178,7 @@ def test_pooling_of_unequal_degrees_of_freedom_by_hand():
     up = np.tile([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]], (2, 1))
     wave = np.repeat([1e-3, -1e-3], 4)[:, None]  # orthogonal to 1, x and y
     readings = mp.Readings(up[:, :2] + wave * [1.0, 3.0], up=up)
-    cal = mp.fit(readings, model="1 + x + own", pool=True)
+    cal = exactly(readings, model="1 + x + own", pool=True)
     assert_array_equal(cal.dof, [11, 11])
     assert cal["ax", "1"].u == pytest.approx(math.sqrt(80e-6 / 11 / 8), rel=1e-9)
     assert cal["ay", "y"].u == pytest.approx(math.sqrt(80e-6 / 11 / 4), rel=1e-9)
@@ -187,14 +190,14 @@ def test_pooling_is_warned_of_at_five_percent_by_hand(ratio, said):
     side, wave = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1e-3, -1e-3, 1e-3, -1e-3])
     values = side[:, None] + wave[:, None] * [1.0, math.sqrt(ratio)]  # the limit is r = 42.1
     readings = mp.Readings(values, outputs=("a", "b"), up=np.outer(side, [1.0, 0.0, 0.0]))
-    cal = mp.fit(readings, model="1 + x", axes="x,x", pool=True)
+    cal = exactly(readings, model="1 + x", axes="x,x", pool=True)
     assert any("residual variances of the outputs differ" in text for text in texts(cal)) == said
 
 
 def test_pooling_warns_where_equality_is_rejected():
     values = sensor(np.random.default_rng(8))
     values[:, 1] += 0.05 * np.random.default_rng(9).standard_normal(14)
-    cal = mp.fit(mp.Readings(values, up=UP14), pool=True)
+    cal = exactly(mp.Readings(values, up=UP14), pool=True)
     assert any("residual variances of the outputs differ" in text for text in texts(cal))
 
 
@@ -205,7 +208,9 @@ def test_a_column_that_vanishes_is_refused_and_what_no_file_could_hold():
         sensor(rng), up=UP14, environment={"temperature": 1e-38 * rng.uniform(1, 9, 14)}
     )
     with pytest.raises(MultiposError, match=r"`temperature\^3_a[xyz]` has no effect at these"):
-        mp.fit(readings, model="1 + x + y + z + temperature^3", orientation_sd=0.1, reading_sd=1e-3)
+        exactly(
+            readings, model="1 + x + y + z + temperature^3", orientation_sd=0.1, reading_sd=1e-3
+        )
     solution = SimpleNamespace(
         parameters=np.array([1.0, -1e111]), model=SimpleNamespace(names="sk")
     )
@@ -220,7 +225,7 @@ def test_a_column_that_vanishes_is_refused_and_what_no_file_could_hold():
 def test_scatter_that_does_not_count_beside_gravity_leaves_no_degrees_of_freedom(u, tmp_path):
     scatter = 1e-22 * np.random.default_rng(1).standard_normal(14)  # all that is not exact
     readings = mp.Readings((0.5 * UP14[:, 0] + scatter)[:, None], up=UP14, unit="V")
-    cal = mp.fit(readings, model="x", axes="x", gravity=9.80665, gravity_u=u)
+    cal = exactly(readings, model="x", axes="x", gravity=9.80665, gravity_u=u)
     assert np.isinf(cal.parameter_dof).all()
     cal.save(tmp_path / "cal.json")
     assert np.isinf(mp.load(tmp_path / "cal.json").parameter_dof).all()
@@ -232,10 +237,10 @@ def test_gravity_scales_and_carries_its_uncertainty():
     readings = mp.Readings(values, up=UP14, unit="V")
     g, u_g = 9.7803, 0.002
     plain, local = (
-        mp.fit(readings, model="own-cubic"),
-        mp.fit(readings, model="own-cubic", gravity=g),
+        exactly(readings, model="own-cubic"),
+        exactly(readings, model="own-cubic", gravity=g),
     )
-    common = mp.fit(readings, model="own-cubic", gravity=g, gravity_u=u_g)
+    common = exactly(readings, model="own-cubic", gravity=g, gravity_u=u_g)
     degree = np.array([term.force_degree for _, term in plain.model.keys])
     ratio = g / 9.80665
     assert_allclose(local.parameters, plain.parameters / ratio**degree, rtol=1e-9)
@@ -251,7 +256,7 @@ def test_welch_satterthwaite_by_hand():
     values = sensor(np.random.default_rng(11))
     readings = mp.Readings(values, up=UP14)
     g, u_g = 9.81, 0.002
-    local, common = (mp.fit(readings, gravity=g, gravity_u=u) for u in (None, u_g))
+    local, common = (exactly(readings, gravity=g, gravity_u=u) for u in (None, u_g))
     a, c = local["ax", "x"], common["ax", "x"]
     b = c.value * u_g / g
     # JCGM 100, G.2b: u_c⁴/(u_A⁴/10 + u_B⁴/∞)
@@ -263,7 +268,7 @@ def test_welch_satterthwaite_by_hand():
 
 def test_gravity_from_a_place():
     readings = mp.Readings(sensor(np.random.default_rng(12)), up=UP14)
-    cal = mp.fit(readings, latitude=45, height=100)
+    cal = exactly(readings, latitude=45, height=100)
     assert (cal.gravity.value, cal.gravity.u) == (mp.normal_gravity(45, 100), 0)
 
 
@@ -296,7 +301,7 @@ def test_gravity_from_a_place():
 def test_faulty_options_are_refused(options, message):
     readings = mp.Readings(sensor(np.random.default_rng(13)), up=UP14)
     with pytest.raises(UsageError, match=message):
-        mp.fit(readings, **options)
+        exactly(readings, **options)
 
 
 @pytest.mark.parametrize("value", [1e31, -1e308])
@@ -305,9 +310,9 @@ def test_a_column_of_the_model_has_powers(value):
     temperature[4] = value
     rng = np.random.default_rng(13)
     readings = mp.Readings(sensor(rng), up=UP14, environment={"temperature": temperature})
-    mp.fit(readings)  # which does not use it
+    exactly(readings)  # which does not use it
     with pytest.raises(MultiposError, match=r"row 5, column 'temperature': .* is beyond 5e.16"):
-        mp.fit(readings, model="1 + x + y + z + temperature^6")
+        exactly(readings, model="1 + x + y + z + temperature^6")
 
 
 # --- conventions, outputs, inputs, other columns
@@ -316,7 +321,7 @@ def test_a_column_of_the_model_has_powers(value):
 def test_conventions_differ_in_the_odd_terms():
     readings = mp.Readings(sensor(np.random.default_rng(14)), up=UP14)
     force, gravity = (
-        mp.fit(readings, model="own-cubic", convention=c) for c in ("specific-force", "gravity")
+        exactly(readings, model="own-cubic", convention=c) for c in ("specific-force", "gravity")
     )
     degree = np.array([term.force_degree for _, term in force.model.keys])
     assert_allclose(gravity.parameters, force.parameters * (-1.0) ** degree, rtol=1e-12, atol=1e-15)
@@ -334,7 +339,7 @@ def test_conventions_differ_in_the_odd_terms():
 def test_one_two_and_four_outputs(axes, names):
     own = ["xyz".index(axis) for axis in axes.split(",")]
     values = 0.2 + 3.0 * UP14[:, own] + 0.1 * UP14[:, [0]]
-    cal = mp.fit(mp.Readings(values, outputs=names, up=UP14), axes=axes)
+    cal = exactly(mp.Readings(values, outputs=names, up=UP14), axes=axes)
     for name, axis in zip(names, own, strict=True):
         b = np.array([0.2, 0.1, 0, 0])
         b[1 + axis] += 3.0
@@ -348,8 +353,8 @@ def test_inputs_restrict_the_model():
     values = np.column_stack([0.1 + up[:, 0], -0.1 + 2 * up[:, 1]])
     readings = mp.Readings(values, up=up)
     with pytest.raises(RankError, match=r"`cross_ax_z` has no effect at these positions"):
-        mp.fit(readings)
-    cal = mp.fit(readings, inputs="x,y")
+        exactly(readings)
+    cal = exactly(readings, inputs="x,y")
     assert cal.names == ("bias_ax", "scale_ax", "cross_ax_y", "bias_ay", "cross_ay_x", "scale_ay")
     assert_allclose(cal.parameters, [0.1, 1, 0, -0.1, 0, 2], atol=1e-15)
 
@@ -361,17 +366,17 @@ def test_a_formula_with_temperature():
     values = 0.1 + 2e-4 * t + (1 + 3e-5 * t) * up[:, 0] + 0.01 * up[:, 0] ** 2
     formula = "1 + x + y + z + own^2 + temperature + temperature*own"
     columns = {"ax": values, "temperature": t, "up_x": up[:, 0], "up_y": up[:, 1], "up_z": up[:, 2]}
-    cal = mp.fit(columns, model=formula)
+    cal = exactly(columns, model=formula)
     assert cal.names[-2:] == ("temperature_ax", "temperature*x_ax")
     assert_allclose(cal.parameters, [0.1, 1, 0, 0, 0.01, 2e-4, 3e-5], atol=1e-13)
     columns["humidity"] = rng.uniform(30, 60, 28)
-    assert mp.fit(columns, model=f"{formula} + humidity").outputs == ("ax",)
+    assert exactly(columns, model=f"{formula} + humidity").outputs == ("ax",)
     columns["temperature"][5] = math.nan
     with pytest.raises(MultiposError, match="row 6, column 'temperature'"):
-        mp.fit(columns, model=formula)
+        exactly(columns, model=formula)
     readings = mp.Readings(values, up=up, environment={"temperature": columns["temperature"]})
     with pytest.raises(MultiposError, match="row 6, column 'temperature' is empty or not finite"):
-        mp.fit(readings, model=formula)
+        exactly(readings, model=formula)
 
 
 # --- what cannot be separated
@@ -438,11 +443,11 @@ def test_t_intervals_cover(scheme, model):
     names = tuple(f"v{i}" for i in range(outputs))
     axes = ("x",) * outputs
     truth = mp.Readings(up[:, :1], up=up)
-    terms = mp.fit(truth, model=model).model.terms[0]
+    terms = exactly(truth, model=model).model.terms[0]
     hits, runs = np.zeros(len(terms)), 0
     for _ in range(3):
         values = up[:, :1] + 0.01 * rng.standard_normal((len(up), outputs))
-        cal = mp.fit(
+        cal = exactly(
             mp.Readings(values, outputs=names, up=up), model=model, axes=axes, confidence=0.9
         )
         error = cal.parameters.reshape(outputs, -1)
@@ -461,7 +466,7 @@ def test_intervals_of_believed_noise_cover(runs):
     hits = np.zeros(12)
     truth = np.concatenate([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     for _ in range(runs):
-        cal = mp.fit(mp.Readings(UP14 + u * rng.standard_normal((14, 3)), up=UP14, u=u))
+        cal = exactly(mp.Readings(UP14 + u * rng.standard_normal((14, 3)), up=UP14, u=u))
         hits += np.abs(cal.parameters - truth) <= cal.U
     assert_allclose(hits / runs, 0.95, atol=4.4 * math.sqrt(0.0475 / runs))
 
@@ -474,13 +479,13 @@ def test_diagnostics_are_there():
     up = np.vstack([UP14, UP14])
     values = sensor(rng, up)
     values[3, 0] += 0.05
-    cal = mp.fit(mp.Readings(values, up=up, positions=[f"p{i}" for i in range(28)]))
+    cal = exactly(mp.Readings(values, up=up, positions=[f"p{i}" for i in range(28)]))
     assert [t.partition(":")[0] for t in cal.diagnostics.outliers] == ["position p3"]
     assert set(cal.diagnostics.lack_of_fit) == {"ax", "ay", "az"}
     assert cal.diagnostics.lack_of_fit["ay"]["dof"] == [10, 14]
     assert cal.diagnostics.lack_of_fit["ay"]["p"] > 0.001
     squared = values + np.column_stack([0 * up[:, 0], 0.05 * up[:, 1] ** 2, 0 * up[:, 0]])
-    missing = mp.fit(mp.Readings(squared, up=up))
+    missing = exactly(mp.Readings(squared, up=up))
     assert missing.diagnostics.lack_of_fit["ay"]["p"] < 1e-6
     assert cal.diagnostics.condition >= 1
     assert cal.status.converged
@@ -512,6 +517,78 @@ def test_a_covariance_without_digits_and_a_number_of_samples_beyond_measure_are_
         mp.MultiposError, match="column 'n': 1e\\+102 is no number that is measured"
     ):
         mp.fit(path, scheme="faces-6")
+
+
+# --- what nothing is said of
+
+
+def rotated(rng, up, degrees):
+    """Directions that are off by a small rotation, each by its own."""
+    off = up + np.cross(np.radians(degrees) * rng.standard_normal(up.shape), up)
+    return off / np.linalg.norm(off, axis=1)[:, None]
+
+
+def test_orientation_errors_are_estimated_where_nothing_is_said_of_them():
+    """By simulation: the sd of .2 degrees is found, and U of biases is that of the noise."""
+    rng = np.random.default_rng(20)
+    up = mp.read_scheme("fibonacci-24").up
+    values = sensor(rng, rotated(rng, up, 0.2), noise=1e-4)
+    default = mp.fit(mp.Readings(values, up=up))
+    spread = default.variance_components.orientation_sd_deg
+    assert (spread.source, spread.determined) == ("estimated", True)
+    assert spread.low < spread.value < spread.high
+    assert spread.value == pytest.approx(0.2, rel=0.35)  # 24 positions of two angles each
+    same = mp.fit(mp.Readings(values, up=up), orientation_sd="auto")
+    assert_array_equal(default.parameters, same.parameters)
+    exact = exactly(mp.Readings(values, up=up))
+    assert exact["ax", "1"].U > 5.0 * default["ax", "1"].U
+    assert abs(default["ax", "1"].value - 0.1) < default["ax", "1"].U
+    assert exact.estimator == "linear"
+    assert default.estimator == "uncertain-orientation"
+
+
+def test_a_row_that_does_not_fit_is_set_aside_where_nothing_is_said_of_it():
+    values = sensor(np.random.default_rng(21), mp.read_scheme("fibonacci-24").up)
+    values[7, 1] += 0.02
+    readings = mp.Readings(values, up=mp.read_scheme("fibonacci-24").up)
+    assert [each.label for each in mp.fit(readings).excluded] == ["8"]
+    assert not mp.fit(readings, exclude="none").excluded
+
+
+TOGETHER = np.full((42, 42), 1e-7) + np.diag(np.full(42, 1e-6))
+
+
+@pytest.mark.parametrize(
+    ("readings", "options", "why"),
+    [
+        ({}, {"robust": "huber"}, "beside --robust"),
+        ({}, {"pool": True}, "beside --pool"),
+        ({"outputs": 2}, {}, "2 of three outputs"),
+        ({"force": UP14}, {}, "known forces"),
+        ({"n": 6}, {"model": "1 + x + y + z + own^2"}, "the model leaves 1 contrasts"),
+        ({"environment": {"run": np.arange(14.0) % 2}}, {}, "beside zeros of runs"),
+        ({"still": True}, {"model": "1 + x"}, "an output never changes"),
+        ({"covariance": TOGETHER}, {}, "readings are correlated between"),
+    ],
+    ids=lambda given: given if isinstance(given, str) else "",
+)
+def test_what_orientation_errors_cannot_stand_beside_leaves_them_exact(readings, options, why):
+    """The numbers are those of exact orientations, and a note says so once."""
+    given = dict(readings)
+    values = sensor(np.random.default_rng(22))
+    n, outputs = given.pop("n", 14), given.pop("outputs", 3)
+    if given.pop("still", False):
+        values[:, 2] = 0.25
+    up = None if "force" in given else UP14[:n]
+    measured = mp.Readings(values[:n, :outputs], up=up, **given)
+    default = mp.fit(measured, exclude="none", **options)
+    exact = exactly(measured, **options)
+    assert_array_equal(default.parameters, exact.parameters)
+    assert_array_equal(default.U, exact.U)
+    (note,) = (each for each in default.findings if each.code == "inseparable")
+    assert note.level == "note"
+    assert f"orientations are taken as exact: {why}" in note.text
+    assert "inseparable" not in {each.code for each in exact.findings}
 
 
 EDGES = mp.read_scheme("edges-12").up

@@ -20,7 +20,7 @@ from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation import correlated_rows, run_zeros, stated_uncertainty, uncertain
 from multipos.estimation.closed_form import solve_closed_form
-from multipos.estimation.known import solve_known
+from multipos.estimation.known import share_design, solve_known
 from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
 from multipos.files.spelling import Names, quoted, split_names
@@ -234,11 +234,7 @@ def fit(
         data = orientations.without_orientation(data, scheme)
     else:
         data = orientations.orient(data, scheme, order, estimable=True)
-    stated_up = orientations.place(data, size, **options.spread)
-    options, exactly = with_default_errors(options, stated_up, data, built)
-    if exactly is not None:
-        data = replace(data, findings=(*data.findings, _as_exact(exactly)))
-    stated_up = orientations.place(data, size, **options.spread)
+    _, _, stated_up = _with_errors(built, data, size, options)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed.
     sought: Names = "none" if closed_form else exclude
@@ -246,7 +242,7 @@ def fit(
     whole, everywhere = data, stated_up.reference
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
-        stated_up = orientations.place(data, size, **options.spread)
+    data, options, stated_up = _with_errors(built, data, size, options)
     refuse_drowned(data)
     try:
         calibration = calibrate_at(built, data, stated_up, options)
@@ -271,6 +267,17 @@ def fit(
     calibration = examine(calibration, sought=sought == "auto" and not apart.any())
     warn(calibration.findings)
     return calibration
+
+
+def _with_errors(
+    model: Model, readings: Readings, size: float, options: Options
+) -> tuple[Readings, Options, orientations.StatedOrientations]:
+    """Return readings, options and orientations with what is estimated of their errors."""
+    stated_up = orientations.place(readings, size, **options.spread)
+    options, exactly = with_default_errors(options, stated_up, readings, model)
+    if exactly is not None:
+        readings = replace(readings, findings=(*readings.findings, _as_exact(exactly)))
+    return readings, options, orientations.place(readings, size, **options.spread)
 
 
 def _as_exact(why: str) -> Finding:
@@ -532,6 +539,8 @@ def _solver(
             found = solve_robust_known(model, reference, readings, options.robust)
             if found is not None:
                 return found
+        if stated_up.estimated and model.has_terms:
+            share_design(model, reference, readings.environment)  # or it says what they separate
         return uncertain.solve_uncertain(
             model, readings, stated_up, gauge=options.gauge, robust=options.robust, pool=pool
         )

@@ -13,6 +13,7 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, Literal, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
@@ -233,6 +234,10 @@ def with_default_errors(
         why = "known forces are taken as they stand"
     elif spare < _LEFT:
         why = f"the model leaves {max(spare, 0)} contrasts of an output, of {_LEFT} needed"
+    elif (np.ptp(readings.values, axis=0) == 0.0).any():
+        why = "an output never changes"
+    elif _between_positions(readings):
+        why = "readings are correlated between positions"
     elif RUN in readings.environment:
         why = "beside zeros of runs no orientation error is estimated"
     elif correlated_rows.are_asked(model, readings, stated_up.reference, Estimator.LINEAR):
@@ -240,6 +245,15 @@ def with_default_errors(
     else:
         return replace(options, orientation_sd="auto"), None
     return options, why
+
+
+def _between_positions(readings: Readings) -> bool:
+    """Tell whether what is stated of the noise correlates readings of several positions."""
+    noise, n = readings.noise, len(readings)
+    if noise is None or noise.ndim == 1:
+        return False
+    position = np.arange(len(noise)) // (len(noise) // n)
+    return bool(noise[position[:, None] != position].any())
 
 
 def choose_estimator(options: Options, stated_up: StatedOrientations) -> Estimator:

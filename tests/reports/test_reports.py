@@ -43,7 +43,8 @@ def calibration():
     values += 2e-5 * rng.standard_normal(values.shape)
     values[7, 1] += 1e-3  # an outlier, for the warnings
     readings = mp.Readings(values, unit="g", positions=scheme.labels)
-    return mp.fit(readings, scheme=scheme, model="own-quadratic", budget=BUDGET)
+    as_listed = {"orientation_sd": 0, "exclude": "none"}
+    return mp.fit(readings, scheme=scheme, model="own-quadratic", budget=BUDGET, **as_listed)
 
 
 @pytest.fixture(scope="module")
