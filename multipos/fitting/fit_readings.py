@@ -396,8 +396,12 @@ def with_excluded(
         response = np.linalg.norm(calibration.sensitivity, axis=1)
         response[response == 0.0] = np.inf  # an output that does not respond is off by no force
         off = np.linalg.norm(left / response, axis=1)
-    pairs = zip(rows.labels, off.tolist(), strict=True)
-    excluded = tuple(Excluded(label, each, calibration.field.unit) for label, each in pairs)
+    places = (np.flatnonzero(apart) + 1).tolist()
+    unit = calibration.field.unit
+    excluded = tuple(
+        Excluded(label, each, unit, row)
+        for label, each, row in zip(rows.labels, off.tolist(), places, strict=True)
+    )
     calibration = replace(calibration, excluded=excluded)
     labels = tuple(each.label for each in excluded)
     note = Finding("excluded", "note", calibration.set_aside, rows=labels)

@@ -272,7 +272,7 @@ def _share_uncertain(
     """Return what units at uncertain orientations share, before anything was found of them."""
     readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
     stated = options.get("orientation_sd")
-    found = None if c.variance_components is None else c.variance_components.orientation_sd_deg
+    found = c.orientation_spread
     if found is not None and found.source == "estimated":
         stated = "auto"
     spread = Options(orientation_sd=stated).spread

@@ -162,7 +162,9 @@ def budget_section(c: Calibration, budget: Evaluation) -> Section:
 
 def _absent_quantities(c: Calibration, budget: Evaluation) -> list[str]:
     """Return what a budget could state and this one does not, in plain words."""
-    known = {row.quantity for row in budget.rows}.union(c.budget_tables)
+    estimator = c.estimator
+    held = estimator.contains | estimator.unaffected_by
+    known = {row.quantity for row in budget.rows}.union(c.budget_tables, held)
     return [kind.text for name, kind in KINDS.items() if name not in known]
 
 

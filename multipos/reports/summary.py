@@ -33,10 +33,10 @@ def counted_findings(findings: Iterable[Finding]) -> str:
 
 def calibration_sentence(c: Calibration) -> str:
     """Return from what a calibration was made, its rms error and U, and whether to use it."""
-    count = len(c.readings)
-    kind = c.field.row(c.estimator.position)
-    plural = "" if count == 1 else "s"
-    parts = [f"{', '.join(c.outputs)} calibrated from {count} {kind}{plural}"]
+    count, kind = len(c.readings), c.field.row(c.estimator.position)
+    whole = count + len(c.excluded)
+    of = f"{count} of {whole}" if c.excluded else f"{count}"
+    parts = [f"{', '.join(c.outputs)} calibrated from {of} {kind}{'' if whole == 1 else 's'}"]
     if math.isfinite(c.rms):
         before, after = rms_before(c), _with_angle(c, c.rms, " near level")
         if before is not None:

@@ -55,6 +55,7 @@ from multipos.sensor.found import (
     Estimator,
     Excluded,
     FoundOrientations,
+    OrientationSpread,
     Parameter,
     StatedBudget,
     Status,
@@ -244,6 +245,12 @@ class Calibration(Saved, Drawn):
         found = self.variance_components
         scatter = found is not None and found.rest_to_rest is not None
         return self.noise is not None and (scatter or bool(np.isinf(self.dof).all()))
+
+    @property
+    def orientation_spread(self) -> OrientationSpread | None:
+        """How far positions were off, where it was estimated."""
+        found = self.variance_components
+        return None if found is None else found.orientation_sd_deg
 
     @property
     def effective_rows(self) -> Mapping[str, float] | None:

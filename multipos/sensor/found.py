@@ -255,11 +255,15 @@ class FoundOrientations(Keyed):
 
 
 class Excluded(NamedTuple):
-    """A row that was set aside before the fit: its label, and how far off it is from the fit."""
+    """A row that was set aside before the fit: its label, how far off it is, and its number.
+
+    Versions before 0.3 did not say which row of its label it is: 0.
+    """
 
     label: str
     off: NotNegative
     unit: str
+    row: Annotated[int, OPTIONAL] = 0
 
 
 @frozen

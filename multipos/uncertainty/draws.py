@@ -20,7 +20,6 @@ from multipos.estimation.problem import circle_basis
 from multipos.numerics.arrays import Array, median
 from multipos.numerics.rotations import directions
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.found import VarianceComponents
 from multipos.sensor.simulation import turned
 from multipos.uncertainty.budgets import Quantity, read_budget
 from multipos.uncertainty.propagation import evaluate_budget, find_quantities
@@ -68,7 +67,7 @@ class Draws:
         )
         self.level, self.attitude = root * problem.level_sd, problem.attitude
         self.rolls = problem.rolls
-        estimated = (c.variance_components or VarianceComponents()).orientation_sd_deg
+        estimated = c.orientation_spread
         if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
             self.spread_dof = 0.5 * (estimated.value / estimated.u) ** 2
 

@@ -38,7 +38,7 @@ from multipos.estimation.gains import estimator_gain
 from multipos.numerics.arrays import LARGEST, Array, Mask, quadratic
 from multipos.results import Drawn, Result, Tabular, frozen, require
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.found import StatedBudget
+from multipos.sensor.found import Estimator, StatedBudget
 from multipos.uncertainty.budgets import OF_FORCE_ALONE, Budget, BudgetSource, Quantity, read_budget
 from multipos.uncertainty.common_causes import Cleared, clear_scatter
 from multipos.uncertainty.sensitivities import is_bounded, parameter_effects
@@ -328,6 +328,8 @@ def _scatter(calibration: Calibration, others: list[Row]) -> list[Row]:
     dof = c.dof_of_outputs
     stated = bool(np.isinf(c.dof).all())
     text = "noise of the readings, as stated" if stated else "residual noise"
+    if c.estimator is Estimator.UNCERTAIN:
+        text += " and orientation errors"
     return [
         Row(
             quantity="readings",

@@ -34,6 +34,7 @@ def found(tmp_path_factory):
         station_column="station",
         scheme=SCHEME,
         limits={"bias_ax": (-0.01, 0.01)},
+        orientation_sd=0,
     )
     return line.to_dict()
 

@@ -176,6 +176,51 @@ def test_before_of_an_unknown_orientation_is_the_error_of_the_size():
     assert f"rms error {in_unit(rms, 'g')} before" in build_content(c).sentence
 
 
+def displaced(seed=6):
+    """Readings at 24 positions off by .1 degrees about each axis, one of them of another place."""
+    rng = np.random.default_rng(seed)
+    up = mp.read_scheme("fibonacci-24").up
+    off = up + np.cross(np.radians(0.1) * rng.standard_normal(up.shape), up)
+    off /= np.linalg.norm(off, axis=1)[:, None]
+    values = off @ np.diag([1.002, 0.998, 1.001]) + [0.01, -0.02, 0.015]
+    values += 1e-4 * rng.standard_normal(values.shape)
+    values[7] += [0.02, 0.02, 0.0]
+    return mp.Readings(values, unit="g", positions=[f"p{i}" for i in range(24)], up=up)
+
+
+@pytest.fixture(scope="module")
+def estimated():
+    return mp.fit(displaced())
+
+
+@pytest.mark.usefixtures("without_drawing")
+def test_orientation_errors_that_were_estimated_stand_in_the_report(estimated, tmp_path):
+    found = estimated.variance_components.orientation_sd_deg
+    assert found.low < 0.1 < found.high  # which 68 % of such sets hold
+    content = build_content(estimated)
+    assert "calibrated from 23 of 24 positions: " in content.sentence
+    sections = {section.title: section for section in content.sections}
+    checks = dict(sections["Checks"].tables[0].rows)
+    ends = f"68 %: {found.low:.2g}° to {found.high:.2g}°"
+    assert checks["orientation errors (1 sigma)"] == f"{found.value:.2g}° ({ends})"
+    budget = sections["Uncertainty budget"]
+    assert budget.tables[0].rows[0][0] == "residual noise and orientation errors"
+    assert "orientation of each position" not in budget.paragraphs[1]
+    assert "no turn of its position explains" in sections["Residuals"].paragraphs[0]
+    notes = sections["Validity"].paragraphs
+    assert any(f"orientation errors of {found.value:.2g} degrees" in note for note in notes)
+    assert any(note.startswith("1 of 24 positions set aside: p7 (") for note in notes)
+    estimated.save(tmp_path / "cal.json")
+    again = build_content(mp.load(tmp_path / "cal.json"))
+    assert plain_report(again) == plain_report(content)
+
+
+def test_exact_orientations_have_no_errors_in_the_report(six):
+    checks = build_content(six).sections[-3].tables[0]
+    assert "orientation errors" not in str(checks)
+    assert "orientation of each position" in build_content(six).sections[1].paragraphs[1]
+
+
 def test_warnings_stand_on_top(calibration, page):
     content = build_content(calibration)
     assert any("position 8" in text for text in texts(content))
@@ -271,7 +316,8 @@ def many_positions(count):
 
 @pytest.mark.usefixtures("without_drawing")
 def test_long_tables_show_their_largest_rows(tmp_path, capsys):
-    all_of_them, long = (mp.fit(many_positions(count)) for count in (24, 101))
+    as_listed = {"orientation_sd": 0, "exclude": "none"}
+    all_of_them, long = (mp.fit(many_positions(count), **as_listed) for count in (24, 101))
     assert "\n17 " in text_report(all_of_them)
     assert "24 largest" not in text_report(all_of_them)
     title = "Residuals at every position (the 24 largest of 101; --json has all)\n"

@@ -55,7 +55,8 @@ def calibrations():
             confidence=0.99,
         ),
     )
-    yield "attitudes", mp.fit(mp.Readings(np.eye(6)[:, :3]), scheme="song-qin-6")
+    attitudes = mp.Readings(np.eye(6)[:, :3])  # nothing of which is at their orientation
+    yield "attitudes", mp.fit(attitudes, scheme="song-qin-6", orientation_sd=0)
 
 
 CALIBRATIONS = dict(calibrations())
@@ -288,3 +289,30 @@ def test_a_formula_of_a_single_column_is_read_back(tmp_path):
     found = mp.fit({**columns, **up}, model="heat", outputs="ax")
     found.save(tmp_path / "cal.json")
     assert mp.load(tmp_path / "cal.json").names == found.names
+
+
+def test_what_earlier_versions_said_of_orientation_errors_and_of_rows_set_aside():
+    """Version 0.2 gave value ± u alone, 0.1 no word on what was determined; neither gave rows."""
+    up = mp.read_scheme("fibonacci-24").up
+    rng = np.random.default_rng(4)
+    values = up + 2e-3 * rng.standard_normal(up.shape)
+    values[5] += 0.2
+    positions = [f"p{i}" for i in range(24)]
+    cal = mp.fit(mp.Readings(values, up=up, positions=positions))
+    content = json.loads(json.dumps(cal.to_dict()))
+    (aside,) = content["excluded"]
+    assert (aside["label"], aside["row"]) == ("p5", 6)
+    found = content["variance_components"]["orientation_sd_deg"]
+    assert set(found) == {"value", "u", "determined", "low", "high", "source"}
+    del aside["row"], found["low"], found["high"], found["source"]
+    found |= {"value": 0.1, "u": 0.02}
+    for gone in (set(), {"determined"}):
+        for key in gone:
+            del found[key]
+        again = from_dict(content)
+        spread = again.orientation_spread
+        assert spread.determined
+        assert (spread.low, spread.high) == pytest.approx((0.08, 0.12))
+        assert spread.source == "estimated"
+        assert again.excluded[0]._replace(row=6) == cal.excluded[0]
+        assert_array_equal(again.U, cal.U)
