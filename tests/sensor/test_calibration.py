@@ -305,7 +305,7 @@ def test_what_earlier_versions_said_of_orientation_errors_and_of_rows_set_aside(
     found = content["variance_components"]["orientation_sd_deg"]
     assert set(found) == {"value", "u", "determined", "low", "high", "source"}
     del aside["row"], found["low"], found["high"], found["source"]
-    found |= {"value": 0.1, "u": 0.02}
+    found |= {"value": 0.1, "u": 0.02, "determined": True}
     for gone in (set(), {"determined"}):
         for key in gone:
             del found[key]
