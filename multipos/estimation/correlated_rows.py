@@ -2,8 +2,7 @@
 
 `are_asked` tells whether rows can show correlation, `find_correlated` whether they do, and
 `spread_correlation` puts it into a solution; `order_in_time` is the order of rows with a time, for
-which `spread_in_time` is how much longer U is. `half_of_mixture` is U of a mixture, and
-`sd_of_rows` what rows scatter.
+which `spread_in_time` is how much longer U is. `sd_of_rows` is what rows scatter.
 
 A record given row by row, many rows a position, has n rows and far less than n independent ones:
 u by the scatter of rows alone is then too small. Where rows repeat positions, the scatter within
@@ -68,16 +67,16 @@ G. V. Bayley, J. M. Hammersley, J. R. Stat. Soc. Suppl. 8, 1946 (4); H. R. Küns
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import inf, log, pi, sqrt
+from math import inf, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from multipos.estimation.posteriors import Posterior
 from multipos.estimation.problem import Solution
+from multipos.estimation.variances import dof_of, half_of_mixture
 from multipos.numerics.arrays import SMALLEST, Array, Mask, Places, count_different, row_keys
 from multipos.numerics.cofactors import cofactors_of
-from multipos.numerics.quantiles import coverage_factor, coverage_factors, erf, normal_quantile
+from multipos.numerics.quantiles import coverage_factor, coverage_factors, normal_quantile
 from multipos.numerics.recursions import recur
 from multipos.positions.headers import RUN, TURN_RATE
 from multipos.positions.orientations import StatedOrientations
@@ -385,13 +384,13 @@ def _judge(design: Array, error: Array, along: Array | None = None) -> _RowPreci
         log_weight, variances, of_row = _at_turned_nodes(Q, e, gains, _means(along, together))
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    still = np.zeros((1, len(weight), p))
-    mixture = Posterior(still[:, :, 0], weight[None], still, variances[None, :, :p], np.ones(1))
+    half = half_of_mixture(weight[None], variances[None, :, :p])[0]
+    dof = dof_of(half / np.sqrt(weight @ variances[:, :p]))
     usual = coverage_factor(_COVERAGE, float(n - p)) * np.sqrt(plain)
     effective = together * float(weight @ (of_row / variances[:, p]))
     return _RowPrecision(
-        ratio=np.maximum(mixture.expanded(still[:, 0])[0] / usual, 1.0),
-        dof=min(float(mixture.shape[0]), float(n - p)),
+        ratio=np.maximum(half / usual, 1.0),
+        dof=min(float(np.median(dof)), float(n - p)),
         rows=min(effective, float(n)),
     )
 
@@ -457,31 +456,13 @@ def spread_in_time(
         )
     weight = np.exp(log - log.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
-    ratios = [np.maximum(half_of_mixture(weight, v, nu) / least, 1.0) for nu, v, least in parts]
+    ratios = [
+        np.maximum(half_of_mixture(weight, v, np.full(least.shape, nu)) / least, 1.0)
+        for nu, v, least in parts
+    ]
     worth = weight @ (n**2 / np.einsum("gnm->g", power))
     slow = weight[:, rho > _FAINT].sum(axis=1) > 1.0 - _LEVEL
     return ratios, np.where(slow, np.minimum(worth, n), float(n))
-
-
-def half_of_mixture(weight: Array, variances: Array, dof: float) -> Array:
-    """Return half the intervals (B, p) that hold 95 % of mixtures of t, (B, G, p) their variances.
-
-    Student's t by the normal of D. L. Wallace, Ann. Math. Statist. 30, 1959, which is within .001.
-    """
-    factor = (8.0 * dof + 1.0) / (8.0 * dof + 3.0)
-    sd = np.sqrt(variances)
-    half = coverage_factor(_COVERAGE, dof) * np.sqrt(np.einsum("bg,bgp->bp", weight, variances))
-    for _ in range(_STEPS):
-        t = half[:, None] / sd
-        z = factor * np.sqrt(dof * np.log1p(t**2 / dof))
-        slope = factor**2 * t**2 / (1.0 + t**2 / dof) / z  # dz/d ln U
-        density = np.einsum("bg,bgp->bp", weight, np.exp(-0.5 * z**2) * slope) * sqrt(2.0 / pi)
-        held = np.einsum("bg,bgp->bp", weight, erf(z / sqrt(2.0)))
-        step = np.clip((_COVERAGE - held) / density, -0.7, 0.7)
-        half = half * np.exp(step)
-        if np.abs(step).max() < _NEAR:
-            break
-    return np.asarray(half)
 
 
 def _are_beyond_chance(scatter: Array, place: Places, degrees: float) -> Mask:

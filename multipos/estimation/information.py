@@ -47,12 +47,6 @@ class FisherInformation(Protocol):
     def weighted(self) -> tuple[Array, Array]:
         """Return W (M, M, n) and W A (M, p + shared, n)."""
 
-    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
-        """Return S⁻¹ (p, p) widened for axes of unequal noise, where all positions are unknown.
-
-        `unstated` (n, M) is the fraction of the variance of a reading that is not stated.
-        """
-
 
 def information_at(problem: Problem, state: State, point: Point | None = None) -> FisherInformation:
     """Return the sums at a state; the model is evaluated there unless its point is given."""
@@ -93,10 +87,6 @@ class _OneRow:
 
     def weighted(self) -> tuple[Array, Array]:
         return self.normal[:, None] * self.normal, self.normal[:, None] * self.rows
-
-    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
-        fraction = self.normal.T**2 / self.precision * unstated
-        return _allow_for_axes(self.rows, self.height, fraction, inverse)
 
 
 class _General:
@@ -140,27 +130,3 @@ class _General:
             A[:, output, places] = slopes
         A[:, :, self.p :] = self.shared
         return self.marginal.transpose(1, 2, 0), (self.marginal @ A).transpose(1, 2, 0)
-
-    def allow_for_axes(self, inverse: Array, unstated: Array) -> Array:
-        if not self.along_force:
-            return inverse
-        # W = m m', and so each position is one row here too
-        largest = np.argmax(np.einsum("nmm->nm", self.marginal), axis=1)[:, None, None]
-        m = np.take_along_axis(self.marginal, largest, axis=2)[:, :, 0]
-        m = m / np.sqrt(np.take_along_axis(m, largest[:, :, 0], axis=1))
-        rows = np.zeros((self.p, len(m)))
-        for output, (places, slopes) in enumerate(self.point.blocks):
-            rows[places] += m[:, output] * slopes.T
-        height = np.einsum("nm,nm->n", m, self.point.residuals)
-        return _allow_for_axes(rows, height, m**2 / self.precision * unstated, inverse)
-
-
-def _allow_for_axes(rows: Array, height: Array, unstated: Array, inverse: Array) -> Array:
-    p, n = rows.shape
-    # No residual that could differ; what a prior on a parameter of one's own leaves is none either.
-    if n <= p or not np.square(height).any():
-        return inverse
-    from multipos.estimation.unequal_axes import allow_for_axes
-
-    found = (rows, height, unstated.T, inverse)
-    return np.asarray(allow_for_axes(*(np.asarray(each)[None] for each in found))[0])

@@ -79,7 +79,6 @@ class NoiseEstimate:
     moves: Array | None = None  # (p,), from the optimum to the estimate
     weight: Array | None = None  # (n,) of each position under a robust loss
     claim: NoiseTest | None = None  # of the stated noise, where there is one
-    unstated: Array | None = None  # (n, M), fraction of variances in which axes may be unequal
 
 
 Found = tuple[Problem, Optimum, NoiseEstimate]
@@ -105,8 +104,7 @@ def estimate_noise(
         found = _NO_ORIENTATION_SD if stated else _NO_UNCERTAINTY
         return problem, optimum, NoiseEstimate(np.nan, 0.0, findings=(found,))
     if not stated and not estimate_sd and not problem.has_prior:
-        unstated = np.ones(problem.values.shape)
-        return problem, optimum, NoiseEstimate(optimum.point.objective / nu, nu, unstated=unstated)
+        return problem, optimum, _of_residuals(problem, optimum, nu)
     if nu <= 0:
         return problem, optimum, NoiseEstimate(1.0, np.inf)
     few = problem.places < SEPARATING
@@ -116,6 +114,18 @@ def estimate_noise(
     tied = problem.tied.any()
     orientation: Any = ("free" if estimate_sd else "centre") if tied else "exact"
     return _with_components(problem, optimum, nu, Claims(stated, orientation, few))
+
+
+def _of_residuals(problem: Problem, optimum: Optimum, nu: float) -> NoiseEstimate:
+    """Return the noise as residuals show it; outputs may be unequal where all are fitted."""
+    noise = NoiseEstimate(optimum.point.objective / nu, nu)
+    if problem.exact.all() or not optimum.point.objective > 0.0:
+        return noise
+    linear = linear_model(problem, optimum).without_noise()
+    if linear.outer is not None:
+        return noise
+    u, dof = variances.with_unequal_outputs(linear)
+    return replace(noise, u=u[0], parameter_dof=dof[0])
 
 
 def _with_components(first: Problem, optimum: Optimum, nu: float, claims: Claims) -> Found:

@@ -32,8 +32,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from multipos.estimation.correlated_rows import half_of_mixture, sd_of_rows
+from multipos.estimation.correlated_rows import sd_of_rows
 from multipos.estimation.problem import Solution
+from multipos.estimation.variances import half_of_mixture
 from multipos.finding import Finding
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import coverage_factor
@@ -153,6 +154,7 @@ def _judge(X: Array, e: Array, Z: Array) -> tuple[Array, float] | None:
     weight = np.exp(log - log.max())
     own, moved = np.sum(B**2, axis=0), np.sum((B.T @ Z) ** 2, axis=1)
     variances = s2[:, None] * (own + kappa[:, None] * moved)
-    half = half_of_mixture(weight[None] / weight.sum(), variances[None], nu)[0]
+    dof = np.full((1, p), nu)
+    half = half_of_mixture(weight[None] / weight.sum(), variances[None], dof)[0]
     independent = coverage_factor(_COVERAGE, nu) * np.sqrt(total / nu * own)
     return half / independent, float(np.sqrt(max(between - within, 0.0) / m))

@@ -280,12 +280,8 @@ def _solution(
     inverse = np.asarray(np.linalg.inv(information))
     inverse = (inverse + inverse.T) / 2.0
     formal = np.sqrt(np.diag(inverse))
-    covariance = (
-        inverse if noise.unstated is None else fisher.allow_for_axes(inverse, noise.unstated)
-    )
-    own = np.sqrt(np.diag(covariance))
-    u = np.sqrt(noise.factor) * own if noise.u is None else noise.u * (own / formal)
-    covariance = covariance * np.outer(u / own, u / own)
+    u = np.sqrt(noise.factor) * formal if noise.u is None else noise.u
+    covariance = inverse * np.outer(u / formal, u / formal)
     magnitude = float(problem.magnitude.mean())
     sized = np.isfinite(noise.factor) and noise.factor > 0.0  # 0 where every residual is
     misfit = point.q / problem.weight / (noise.factor if sized else 1.0)

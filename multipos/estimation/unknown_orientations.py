@@ -60,7 +60,13 @@ from multipos.estimation.identifiability import plausible_range
 from multipos.estimation.known import ROUNDING
 from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
-from multipos.estimation.variances import Block, Claims, Linear, estimate
+from multipos.estimation.variances import (
+    Block,
+    Claims,
+    Linear,
+    estimate,
+    with_unequal_outputs,
+)
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.cofactors import cofactors_of
@@ -438,13 +444,8 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     valid &= ended & _is_identifiable(shared, place, surface.information, factor)
     chi2 = None
     if noise is None:
-        from multipos.estimation.unequal_axes import allow_for_axes
-
-        inverse = _inverse(surface.information)
-        unstated = np.moveaxis(surface.normal**2, 0, 1)
-        matrix = allow_for_axes(surface.rows, surface.height, unstated, inverse.matrix)
-        u = np.sqrt(np.einsum("bpp->bp", matrix) * factor[:, None])
-        found = _Found(place, u, np.full(u.shape, nu), valid & inverse.valid, start, surface)
+        u, dof = with_unequal_outputs(start.linear(place, variance).without_noise())
+        found = _Found(place, u, dof, valid & _inverse(surface.information).valid, start, surface)
     else:
         chi2 = place.objective.copy()
         found = _with_excess(start, place, noise, valid)

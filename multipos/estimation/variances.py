@@ -72,8 +72,8 @@ _ROUNDS = 5  # of components and solutions
 _CONVERGED = 0.05  # of ln of a component: an eighth of what a hundred contrasts know
 NODES = {1: 14, 2: 10, 3: 7}  # of each axis, by how many there are
 _NEGLIGIBLE = 1e-5  # probability at the ends of the second grid
-_STEPS = 2  # of eq. (4)
-_HALVINGS = 30
+_STEPS, _SETTLED = 2, 6  # of eq. (4), and where nothing else is sought
+_HALVINGS = 40
 _FAINT = 1e-5  # probability of a node that no interval feels
 _AT_ONCE = 40_000  # rows of all units and nodes
 _MOST_DOF = 1e3  # beyond which Student's t is normal to a thousandth
@@ -332,12 +332,16 @@ def _in_order(found: Sequence[tuple[Places, list[Array]]], valid: Mask) -> Compo
 
 
 class Names(NamedTuple):
-    """Which axis is what, None where there is none; whether the unit of all is known."""
+    """Which axis is what, None where there is none; whether the unit of all is known.
+
+    `equal` says that the outputs have one noise.
+    """
 
     stated: bool
     excess: int | None = None
     orientation: int | None = None
     label: int | None = None
+    equal: bool = False
 
 
 class _Scale(NamedTuple):
@@ -453,7 +457,7 @@ def _components(posterior: Posterior, names: Names, scale: _Scale, plain: _Plain
     if names.label is not None:
         moves = np.einsum("bg,bgp->bp", posterior.weights, posterior.shifts)
         posterior = posterior._replace(shifts=posterior.shifts - moves[:, None])
-    U, dof = _half_interval(posterior)
+    U, dof = half_interval(posterior)
     factor = np.ones_like(u) if plain.factor is None else plain.factor
     low, high = factor, factor
     if names.orientation is not None:
@@ -470,6 +474,30 @@ def _central(values: Array, weights: Array) -> Array:
     reached = np.cumsum(weights, axis=1) - 0.5 * weights
     pairs = list(zip(reached, values, strict=True))
     return np.array([[np.interp(p, *pair) for pair in pairs] for p in (0.16, 0.84)])
+
+
+def excess_of(linear: Linear, *, equal: bool) -> Posterior:
+    """Return the excess of units of exact orientations beyond the variances of their blocks."""
+    noise = np.sqrt(1.0 / _mean_inverse(linear))
+    axis = Axis(_LOW * noise, _HIGH * noise, _AS_STATED)
+    return integrate(linear, [axis], Names(stated=True, excess=0, equal=equal))
+
+
+def with_unequal_outputs(linear: Linear) -> tuple[Array, Array]:
+    """Return u and degrees of freedom (B, p) of least squares where outputs may be unequal.
+
+    Rows count alike, as where positions are unknown, and their noise is that of eq. (4).
+    """
+    count = len(linear.blocks[0].error)
+    model = _Model(linear, Names(stated=False), None)
+    nodes, best = np.zeros((0, count, 1)), np.zeros(count, dtype=np.intp)
+    model.balance(nodes, best, _SETTLED)
+    size = model.evaluate(nodes).size[:, 0]
+    model.balanced = False
+    _, should, parts, _ = model.at(nodes, best)
+    variance = parts.sum(axis=1)
+    u = np.sqrt(size[:, None] * variance)
+    return u, model.degrees_of(parts / variance[:, None], should)
 
 
 def own_axes_weights(linear: Linear) -> tuple[float, float]:
@@ -602,12 +630,13 @@ class _Model:
 
     def __init__(self, linear: Linear, names: Names, outputs: Array | None) -> None:
         self.linear, self.stated = linear, names.stated
-        self.excess, self.orientation, self.label = names[1:]
+        self.excess, self.orientation, self.label, self.equal = names[1:]
         block = linear.blocks[0]
         self.count = len(block.error)
         self.M = (block.error if block.mix is None else block.mix).shape[-1]
         self.outputs = np.ones((self.count, self.M)) if outputs is None else outputs
         self.nu = float(linear.contrasts)
+        self.balanced = True  # rows are weighed by d
 
     def _squares(self, nodes: Array, axis: int | None) -> Array:
         shape = nodes.shape[1:]
@@ -681,8 +710,8 @@ class _Model:
         for block in linear.blocks:
             V = self.covariance(block, nodes, units)
             _, k, r, _ = block.design.shape
-            W = np.linalg.inv(V)
-            logdet = logdet + np.linalg.slogdet(V)[1].sum(axis=2)
+            W = _inverse(V)
+            logdet = logdet + _log_determinant(V).sum(axis=2)
             Xe = np.concatenate([block.design, block.error[..., None]], axis=3)
             WX = W @ Xe[:, None]
             flat = np.swapaxes(Xe.reshape(count, k * r, P + 1), 1, 2)
@@ -711,14 +740,18 @@ class _Model:
         sums, _ = self._sums(self.linear, here, whole)
         P = sums.shape[-1] - 1
         inverse = np.linalg.inv(sums[:, 0, :P, :P])
+        if not self.balanced:
+            inverse = np.linalg.inv(
+                sum(np.einsum("bkrp,bkrq->bpq", b.design, b.design) for b in self.linear.blocks)
+            )
         shift = np.einsum("bpq,bq->bp", inverse, sums[:, 0, :P, P])
         size = self._evaluate(self.linear, here, whole).size[:, 0]
         left, should = np.zeros((2, self.count, self.M))
         parts = np.zeros((self.count, self.M, P))
         for block in self.linear.blocks:
             V = self.covariance(block, here, whole)[:, 0]
-            W = np.linalg.inv(V)
-            WX = W @ block.design
+            W = _inverse(V)
+            WX = (W if self.balanced else np.eye(len(V[0, 0]))) @ block.design
             left_over = block.error - np.einsum("bkrp,bp->bkr", block.design, shift)
             z = np.einsum("bkrs,bks->bkr", W, left_over)
             gain = WX @ inverse[:, None]
@@ -732,11 +765,11 @@ class _Model:
                 should[:, i] -= np.einsum("bkrp,bkrp->b", DG, WX)
         return left, should, parts, np.asarray(inverse)
 
-    def balance(self, nodes: Array, best: Places) -> None:
+    def balance(self, nodes: Array, best: Places, steps: int = _STEPS) -> None:
         """Move d by eq. (4)."""
-        if self.M == 1 or (self.stated and self.excess is None):
+        if self.M == 1 or self.equal or (self.stated and self.excess is None):
             return
-        for _ in range(_STEPS):
+        for _ in range(steps):
             left, should, _, _ = self.at(nodes, best)
             at = np.log(self.outputs)
             step = 0.5 * (left - should) - at / SHRUNK**2
@@ -751,42 +784,64 @@ class _Model:
         _, should, parts, inverse = self.at(nodes, best)
         outer = self.linear.outer
         if outer is not None:
-            dof = np.full((self.count, len(outer)), self.nu)
-            return dof
-        share = parts / np.einsum("bpp->bp", inverse)[:, None]
+            return np.full((self.count, len(outer)), self.nu)
+        return self.degrees_of(parts / np.einsum("bpp->bp", inverse)[:, None], should)
+
+    def degrees_of(self, share: Array, should: Array) -> Array:
+        """Return eq. (5) of parts (B, M, p) and of ν (B, M)."""
         away = share - share.mean(axis=1, keepdims=True)
         known = np.maximum(should, 0.0) + 2.0 / SHRUNK**2
         return np.asarray(1.0 / (1.0 / self.nu + np.sum(away**2 / known[:, :, None], axis=1)))
 
 
-def _half_interval(posterior: Posterior) -> tuple[Array, Array]:
+def _inverse(V: Array) -> Array:
+    """Return inverses of (…, r, r)."""
+    return np.asarray(1.0 / V if V.shape[-1] == 1 else np.linalg.inv(V))
+
+
+def _log_determinant(V: Array) -> Array:
+    """Return ln of determinants of (…, r, r)."""
+    return np.asarray(np.log(V[..., 0, 0]) if V.shape[-1] == 1 else np.linalg.slogdet(V)[1])
+
+
+def half_interval(posterior: Posterior, moves: Array | None = None) -> tuple[Array, Array]:
     """Return U (B, p) that holds 95 % of the mixture, and its degrees of freedom.
 
-    Of Student's t by Wallace's approximation to a normal, which is exact to .6 % from three
-    degrees of freedom on and is corrected at the end by what it is off for one t.
+    About the solution, or about estimates that moved from it by `moves` (B, p).
     """
-    dof = posterior.dof
-    U = _held(posterior, dof)
+    shifts, dof = posterior.shifts, posterior.dof
+    if moves is not None:
+        shifts = shifts - moves[:, None]
+    U = half_of_mixture(posterior.weights, posterior.variances, dof, shifts)
     if dof is not None:
-        return U * coverage_factors(0.95, dof) / _of_normal(1.959964, dof), dof
-    mean = np.einsum("bg,bgp->bp", posterior.weights, posterior.shifts**2 + posterior.variances)
-    return U, _dof_of(U / np.sqrt(mean))
+        return U, dof
+    mean = np.einsum("bg,bgp->bp", posterior.weights, shifts**2 + posterior.variances)
+    return U, dof_of(U / np.sqrt(mean))
 
 
-def _held(posterior: Posterior, dof: Array | None) -> Array:
-    """Return the half-width (B, p) about the solution that holds 95 % of the mixture."""
-    kept = posterior.weights.max(axis=0) > _FAINT
-    weights, shifts = posterior.weights[:, kept], posterior.shifts[:, kept]
-    sd = np.sqrt(posterior.variances[:, kept])
+def half_of_mixture(
+    weights: Array, variances: Array, dof: Array | None = None, shifts: Array | None = None
+) -> Array:
+    """Return half the intervals (B, p) that hold 95 % of mixtures, (B, G, p) their variances.
+
+    Of normal laws, or of Student's t of `dof` (B, p) by the normal of D. L. Wallace, Ann. Math.
+    Statist. 30, 1959, exact to .6 % from three degrees of freedom on and corrected by what it is
+    off for one t. `shifts` (B, G, p) are their means.
+    """
+    kept = weights.max(axis=0) > _FAINT
+    weights, sd = weights[:, kept], np.sqrt(variances[:, kept])
+    moved = np.zeros_like(sd) if shifts is None else shifts[:, kept]
     low = np.zeros((len(sd), sd.shape[2]))
-    high = (np.abs(shifts) + 40.0 * sd).max(axis=1)
+    high = (np.abs(moved) + 40.0 * sd).max(axis=1)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
-        inside = _normal((middle[:, None] - shifts) / sd, dof)
-        inside += _normal((middle[:, None] + shifts) / sd, dof)
-        held = np.einsum("bg,bgp->bp", weights, inside) - 1.0
+        inside = _normal((middle[:, None] - moved) / sd, dof)
+        inside += _normal((middle[:, None] + moved) / sd, dof)
+        held = np.einsum("bg,bgp->bp", weights, inside) - weights.sum(axis=1)[:, None]
         low, high = np.where(held < 0.95, middle, low), np.where(held < 0.95, high, middle)
-    return np.asarray(high)
+    if dof is None:
+        return np.asarray(high)
+    return np.asarray(high * coverage_factors(0.95, dof) / _of_normal(1.959964, dof))
 
 
 def _normal(t: Array, dof: Array | None) -> Array:
@@ -808,7 +863,7 @@ def _of_normal(z: float, dof: Array) -> Array:
 _SHAPES = np.geomspace(1.0, _MOST_DOF, 64)
 
 
-def _dof_of(k: Array) -> Array:
+def dof_of(k: Array) -> Array:
     """Return the degrees of freedom whose 95 % interval is so many standard uncertainties."""
     known = coverage_factors(0.95, _SHAPES)
     dof = np.interp(-k, -known, _SHAPES)
