@@ -71,10 +71,6 @@ class Estimates(NamedTuple):
         Of a reading, stated and in excess, where it is equal in all readings of an output.
     variances, weighted : (M, B, n) arrays or None
         Of readings, where it is not, and residuals of the fit that is weighted by them.
-    weight : (B, M, n) array or None
-        Of readings under a robust loss, 0 where one is set aside.
-    outlying : (B,) array of bool or None
-        Of which a reading is beyond chance under that loss.
     solutions : tuple of Solution
         Of the units, block by block, at uncertain and unknown orientations.
     """
@@ -91,8 +87,6 @@ class Estimates(NamedTuple):
     variance: Array | None = None
     variances: Array | None = None
     weighted: Array | None = None
-    weight: Array | None = None
-    outlying: NDArray[np.bool_] | None = None
     solutions: tuple[Solution, ...] = ()
 
 
@@ -145,8 +139,6 @@ def join_estimates(parts: Sequence[Estimates]) -> Estimates:
         variance=joined("variance"),
         variances=joined("variances", 1),
         weighted=joined("weighted", 1),
-        weight=joined("weight"),
-        outlying=joined("outlying"),
         solutions=tuple(each for part in parts for each in part.solutions),
     )
 

@@ -27,7 +27,7 @@ under the normal law: with all in full, 95 % intervals
 cover 93 % at 24 positions. Where the noise is stated and the
 weighted residuals do not reject it, the factor is what the loss costs under the normal law.
 
-At known orientations outputs are fitted one by one, by `multipos.estimation.robust_known`.
+At known orientations outputs are fitted one by one.
 
 References
 ----------

@@ -537,12 +537,6 @@ def _solver(
 
             if is_untied(model, readings):
                 return solve_own_known(model, reference, readings, pool=pool, tested=tested)
-        if estimator is Estimator.LINEAR and options.robust is not None and not pool:
-            from multipos.estimation.robust_known import solve_robust_known
-
-            found = solve_robust_known(model, reference, readings, options.robust)
-            if found is not None:
-                return found
         if stated_up.estimated and model.has_terms:
             share_design(model, reference, readings.environment)  # or it says what they separate
         return uncertain.solve_uncertain(

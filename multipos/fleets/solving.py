@@ -25,7 +25,6 @@ from multipos.diagnostics.projections import Kind
 from multipos.errors import CalibrationWarning, MultiposError, RankError, UsageError
 from multipos.estimation import (
     correlated_rows,
-    robust_known,
     uncertain_orientations,
     user_models,
 )
@@ -109,7 +108,7 @@ class Pattern:
     kinds : tuple of Kind
         Terms that all but plain fits at known orientations may lack.
     like : Calibration or None
-        The unit that was fitted, of robust fits and of unknown orientations.
+        The unit that was fitted, of unknown orientations.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
     """
@@ -185,17 +184,14 @@ def find_pattern(
     c = calibration
     plain = (
         c.readings.covariance is None
-        and (c.robust_weight is None or _is_robust_batch(c, options))
+        and c.robust_weight is None
         and c.budget is None
         and c.model.drift_per is None
         and not c.readings.forced.any()
     )
     own = not c.model.has_terms  # of which no correlation is asked
-    timed = c.robust_weight is None and correlated_rows.order_in_time(c.readings) is not None
-    timed &= not own
-    asked = c.robust_weight is None and correlated_rows.are_asked(
-        c.model, c.readings, c.reference, c.estimator
-    )
+    timed = correlated_rows.order_in_time(c.readings) is not None and not own
+    asked = correlated_rows.are_asked(c.model, c.readings, c.reference, c.estimator)
     asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
     whole = options.get("range") is None and options.get("exclude", "none") == "none"
@@ -212,22 +208,16 @@ def find_pattern(
     fixture, tests = None, None
     if isinstance(shared, SharedDesign):
         tests = unit_findings.unit_tests(c, shared)
-        if fixtures and c.readings.up is not None and c.robust_weight is None:
+        if fixtures and c.readings.up is not None:
             fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
-    named = c.robust_weight is not None or isinstance(shared, SharedSphere)
-    codes, like = _in_order(_codes(c) - _OF_UNITS), c if named else None
+    codes = _in_order(_codes(c) - _OF_UNITS)
+    like = c if isinstance(shared, SharedSphere) else None
     kinds: tuple[Kind, ...] = ()
-    if own or c.robust_weight is not None:
+    if own:
         kinds = unit_findings.lacking_in_batch(c)
     elif not isinstance(shared, SharedDesign):
         kinds = solution_findings.lacking_in_units(c)
     return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, like, timed)
-
-
-def _is_robust_batch(c: Calibration, options: Mapping[str, Any]) -> bool:
-    """Tell whether outputs are fitted one by one, with the noise that residuals show."""
-    alone = c.estimator is Estimator.LINEAR and not options.get("pool")
-    return alone and c.readings.noise is None
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
@@ -260,7 +250,7 @@ def _share_expression(
     c: Calibration, options: Mapping[str, Any]
 ) -> user_models.SharedExpression | None:
     """Return what units share at known orientations and, if any, one temperature; else None."""
-    plain = c.estimator is Estimator.LINEAR and c.robust_weight is None and not options.get("pool")
+    plain = c.estimator is Estimator.LINEAR and not options.get("pool")
     asked = TEMPERATURE in set(c.readings.environment) - set(c.model.environment)
     sized = c.gravity is not None and c.gravity.u > 0.0
     return user_models.share_expression(c) if plain and not asked and not sized else None
@@ -391,11 +381,6 @@ def solve_task(task: Task) -> Solved:
             {"u": task.stated, "dof": task.stated_dof},
             named.get(_REJECTED, False),
         )
-    if task.pattern.like is not None and isinstance(shared, SharedDesign):
-        tested = unit_findings.find_aside(task.pattern.like, shared, task.values, found)
-        looked_at |= unit_findings.may_lack_terms(
-            task.pattern.kinds, shared, found, task.temperature
-        )
     if isinstance(shared, SharedSphere | uncertain_orientations.SharedOrientations):
         columns = {**shared.environment, **dict(zip([TEMPERATURE], task.temperature, strict=False))}
         tested = solution_findings.find_about_solutions(
@@ -442,9 +427,6 @@ def _estimate(shared: Shared, task: Task) -> Estimates:
         )
     if isinstance(shared, user_models.SharedExpression):
         return user_models.estimate_expression(shared, task.values)
-    loss = task.options.get("robust")
-    if loss is not None:
-        return robust_known.estimate_robust(shared, task.values, loss)
     pool = bool(task.options.get("pool"))
     return estimate_known(shared, task.values, task.stated, task.stated_dof, pool=pool)
 

@@ -2,7 +2,7 @@
 
 - `unit_tests` returns what is worked out once, `UnitTests`; `find_in_units` what is found of each
   unit, `UnitFindings`, `find_in_expressions` of user-defined models.
-- `lacking_in_batch`, `may_lack_terms`, `find_aside` and `beyond_limit` are parts of it.
+- `lacking_in_batch` and `beyond_limit` are parts of it.
 
 What known positions alone decide is worked out once for all units: projections on missing terms,
 leverages, quantiles. The tests are then contractions over units:
@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.diagnostics import projections
-from multipos.diagnostics.examination import ILL_CONDITIONED
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
 from multipos.diagnostics.residuals import outlier_of_rows
 from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_by_noise, search_units
@@ -45,14 +44,12 @@ from multipos.diagnostics.variances import (
 )
 from multipos.estimation import known
 from multipos.estimation.batches import Estimates, model_coefficients
-from multipos.estimation.identifiability import condition
 from multipos.estimation.known import SharedDesign
-from multipos.estimation.robustness import ASIDE
 from multipos.estimation.stated_uncertainty import shrink_variances
 from multipos.estimation.user_models import SharedExpression, cofactors
 from multipos.finding import Finding
 from multipos.fleets.grouping import ONE_TEMPERATURE
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps, resolution, row_keys
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, resolution, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
@@ -492,51 +489,6 @@ def _missing_terms(
     return significant, score - 2.0 * np.log(np.maximum(np.sum(used > 0, axis=1), 1))
 
 
-def may_lack_terms(
-    kinds: Sequence[projections.Kind],
-    shared: SharedDesign,
-    found: Estimates,
-    temperature: Sequence[Array] = (),
-) -> Mask:
-    """Return in which units (B,) of a robust fit a kind of term may be significant.
-
-    The score test with the weights of each unit, on the most degrees of freedom that it may have,
-    so that none is missed; `temperature` as in `find_in_units`.
-    """
-    assert found.weight is not None
-    count, m, n = found.weight.shape
-    asked = bool(temperature) and not any(TEMPERATURE in kind.name for kind in kinds)
-    explained = np.full((count, len(kinds) + 2 * asked, m), np.nan)
-    q, left = np.zeros(explained.shape[1:]), np.empty((count, 1, m))
-    weights = np.maximum(found.weight, ASIDE).transpose(1, 0, 2)
-    errors, whole = np.empty_like(weights), np.empty((count, 1, m))
-    for i, each in enumerate(shared.by_output):
-        terms = [columns_of([kind], i, shared.reference, shared.environment) for kind in kinds]
-        scores, whole[:, 0, i] = _scores(each.Q, terms, weights[i], found.residuals[i])
-        for k, score in enumerate(scores):
-            explained[:, k, i] = np.maximum(score, 0.0)
-        q[: len(kinds), i] = [term.shape[1] for term in terms]
-        left[:, 0, i] = weights[i].sum(axis=1) - each.Q.shape[1]
-        push = (weights[i] * found.residuals[i]) @ each.Q
-        errors[i] = found.residuals[i] - _solved_under(each.Q, weights[i], push) @ each.Q.T
-    if asked:
-        q[len(kinds) :] = 1.0
-        explained[:, len(kinds) :] = _explained_by_temperature(
-            shared, temperature[0], weights, errors
-        )
-    logs, used = np.zeros(explained.shape[:2]), np.zeros(explained.shape[:2], dtype=np.intp)
-    for kind, i in np.argwhere(q > 0.0).tolist():
-        own = explained[:, kind, i]
-        free = float(n - shared.by_output[i].Q.shape[1] - q[kind, i])
-        tested = np.isfinite(own) & (free >= 1.0)
-        ratio = own * np.maximum(left[:, 0, i] - q[kind, i], 1.0)
-        least = np.maximum(_ROUNDING * whole[:, 0, i], _LEAST)
-        ratio /= q[kind, i] * np.maximum(whole[:, 0, i] - own, least)
-        logs[tested, kind] += f_log_tails(ratio[tested], q[kind, i], max(free, 1.0))
-        used[tested, kind] += 1
-    return np.asarray((logs < _limits(used) + _NEAR).any(axis=1))
-
-
 def _scores(
     Q: Array, terms: Sequence[Array], weight: Array, error: Array
 ) -> tuple[list[Array], Array]:
@@ -578,34 +530,6 @@ def _explained_under(
             scores, _ = _scores(each.Q, [blocks[b].T for b in mine], weights[i], residuals[i])
             explained[:, on.place[mine]] = np.stack(scores, axis=1)
     return explained.reshape(-1, *on.q.shape)
-
-
-def find_aside(
-    like: Calibration, shared: SharedDesign, values: tuple[Array, ...], found: Estimates
-) -> UnitFindings:
-    """Return of which units (B,) of a robust fit rows are set aside, or are outliers.
-
-    Without these rows `fit` may find positions poor, or readings coarse: it is asked then, as it is
-    where an outlier is an error or a lost sign. Of few degrees of freedom weights hide outliers.
-    """
-    assert found.weight is not None
-    assert found.variance is not None
-    assert found.outlying is not None
-    kept, outlying = found.weight > 0.0, found.outlying.copy()
-    aside: Mask = np.asarray(~kept.all(axis=(1, 2)))
-    singly: Mask = np.zeros_like(aside)
-    few = np.min(found.dof, axis=-1) < _FEW
-    for unit in np.flatnonzero(aside | outlying | few).tolist():
-        y = np.column_stack([each[unit] for each in values])
-        said = outlier_of_rows(replace(like, readings=replace(like.readings, values=y)))
-        own = (X[rows] for X, rows in zip(shared.designs, kept[unit], strict=True))
-        singly[unit] = (
-            coarse_steps(y, np.sqrt(found.variance[unit])).any()
-            or max(condition(X.T @ X) for X in own) > ILL_CONDITIONED
-            or (said is not None and (said.code, said.level) != ("outlier", "warning"))
-        )
-        outlying[unit] |= said is not None
-    return UnitFindings({"outlier": outlying, "set-aside": aside}, singly)
 
 
 def beyond_limit(ratio: Array, q: Array, free: Array, asked: Mask) -> tuple[Mask, Mask]:
