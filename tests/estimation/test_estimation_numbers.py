@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from multipos.estimation.posteriors import _dof_of_tail, _probable
+from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
@@ -36,7 +38,6 @@ from multipos.estimation.information import information_at
 from multipos.estimation.known import REJECTED, fit_output
 from multipos.estimation.noise import NoiseEstimate
 from multipos.estimation.outliers import _outlying, find_outlying_rows, view_of
-from multipos.estimation.posteriors import _dof_of_tail, _probable
 from multipos.estimation.problem import (
     OpenRolls,
     eliminate_free,
@@ -51,7 +52,6 @@ from multipos.estimation.stated_uncertainty import (
     with_stated_dof,
 )
 from multipos.estimation.uncertain import _scale_bias
-from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from multipos.estimation.unknown_orientations import fit_ellipsoids
 from multipos.estimation.user_models import _moved_by_rotations
 from multipos.fitting.options import Options

@@ -30,6 +30,13 @@ from multipos.estimation.posteriors import (
     dof_of_tails,
     integrate,
 )
+from numpy.testing import assert_allclose
+from scipy import optimize, stats
+from test_likelihood import KINDS, a_problem
+
+import multipos as mp
+from multipos.estimation.likelihood import evaluate, linearise
+from multipos.estimation.noise import linear_model
 from multipos.estimation.problem import start_state
 from multipos.positions.open_rolls import OpenRolls
 

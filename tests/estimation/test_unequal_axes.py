@@ -2,11 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from scipy.optimize import brentq
-from scipy.stats import t as student
-
-import multipos as mp
 from multipos.estimation.unequal_axes import (
     _divide,
     _half_interval,
@@ -14,6 +9,11 @@ from multipos.estimation.unequal_axes import (
     _Parts,
     allow_for_axes,
 )
+from numpy.testing import assert_allclose
+from scipy.optimize import brentq
+from scipy.stats import t as student
+
+import multipos as mp
 from multipos.numerics.quantiles import coverage_factor
 
 P = 9

@@ -33,7 +33,6 @@ from multipos.fleets.unit_findings import (
     _missing_terms,
     _one_row,
     _outliers,
-    may_lack_terms,
     unit_tests,
 )
 from multipos.numerics.rotations import directions, rotation_matrix
@@ -466,38 +465,6 @@ def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
     assert outlying.tolist() == [found]
 
 
-def test_terms_that_robust_fits_may_lack_by_weighted_regression():
-    """F with the weights of each unit, on the most degrees of freedom that it may have."""
-    rng = np.random.default_rng(6)
-    up, values, _ = a_batch(12, 19, 5)
-    c, shared = fitted(up, np.column_stack([each[0] for each in values]))
-    kinds = unit_tests(c, shared).kinds
-    X = np.column_stack([np.ones(19), up])
-    e, weight = rng.normal(size=(3, 12, 19)), rng.uniform(0.4, 1.0, (12, 3, 19))
-    e[1] += np.linspace(0.0, 14.0, 12)[:, None] * up[:, 1] ** 2
-    found = may_lack_terms(kinds, shared, SimpleNamespace(residuals=e, weight=weight))
-    logs, used = np.zeros((12, len(kinds))), np.zeros((1, len(kinds)), dtype=int)
-    for place, kind in enumerate(kinds):
-        for i in range(3):
-            added = columns_of([kind], i, c.reference, {})
-            q = added.shape[1]
-            used[0, place] += q > 0
-            for unit in range(12 if q else 0):
-                root = np.sqrt(weight[unit, i])
-                y, P = root * e[i, unit], root[:, None] * X
-                whole = np.sum(left_by(P, y) ** 2)
-                rest = np.sum(left_by(np.column_stack([P, root[:, None] * added]), y) ** 2)
-                left = weight[unit, i].sum() - 4.0
-                F = (whole - rest) * (left - q) / (q * rest)
-                logs[unit, place] += f.logsf(F, q, 15.0 - q)
-    limit = unit_findings._limits(used)
-    margin = (logs - limit - 0.05).min(axis=1)
-    sure = np.abs(margin) > 0.02
-    assert found[sure].tolist() == (margin < 0.0)[sure].tolist()
-    assert 2 < found.sum() < 10
-    assert sure.sum() > 9
-
-
 @pytest.mark.parametrize(
     ("fitted_with", "asked_for", "shared"),
     [
@@ -505,8 +472,7 @@ def test_terms_that_robust_fits_may_lack_by_weighted_regression():
         ({}, {"range": (1, 2)}, None),
         ({}, {"exclude": "auto"}, None),
         ({"gravity": 9.81, "gravity_u": 0.01}, {}, "SharedDesign"),
-        ({"robust": "huber"}, {}, "SharedDesign"),
-        ({"robust": "huber"}, {"pool": True}, None),
+        ({"robust": "huber"}, {}, None),
         ({"unknown_orientation": True}, {}, "SharedSphere"),
         ({"budget": {"gain": {"u": 0.01}}}, {}, None),
         ({"samples": 100}, {}, "SharedDesign"),
@@ -516,7 +482,7 @@ def test_terms_that_robust_fits_may_lack_by_weighted_regression():
 )
 @pytest.mark.usefixtures("without_findings")
 def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, shared):
-    """At known orientations the design (1, f), its residuals' tests and, but robust, a fixture."""
+    """At known orientations the design (1, f), its residuals' tests and a fixture."""
     up = mp.read_scheme("fibonacci-20").up
     values = up + 1e-4 * np.random.default_rng(1).normal(size=up.shape)
     given, options = {}, dict(fitted_with)
@@ -533,16 +499,16 @@ def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, share
     assert (found and type(found.shared).__name__) == shared
     if found is None:
         return
-    known, robust = shared == "SharedDesign", "robust" in options
+    known = shared == "SharedDesign"
     if known:
         force = up * options.get("gravity", 9.80665) / 9.80665
         for design in found.shared.designs:
             np.testing.assert_allclose(design, np.column_stack([np.ones(20), force]))
     else:
         assert found.findings == "orientation-ignored"
-    assert (found.tests is None, found.like is None) == (not known or robust, known and not robust)
-    assert (found.fixture is not None) == (known and not robust)
-    assert (found.timed, found.quick) == (timed, known and not robust)
+    assert (found.tests is None, found.like is None) == (not known, known)
+    assert (found.fixture is not None) == known
+    assert (found.timed, found.quick) == (timed, known)
     assert (found.gravity is not None) == ("gravity" in options)
 
 
@@ -569,33 +535,6 @@ class Like:
 @dataclass
 class Read:
     values: np.ndarray
-
-
-def test_robust_units_that_are_fitted_singly(monkeypatch):
-    """Readings that are coarse, poor positions, a lost sign, an error; an outlier is told here."""
-    said = {3: ("flipped-row", "warning"), 4: ("outlier", "error"), 5: ("outlier", "warning")}
-
-    def finding(c):
-        own = said.get(int(c.readings.values[0, 0]))
-        return own and SimpleNamespace(code=own[0], level=own[1])
-
-    monkeypatch.setattr(unit_findings, "outlier_of_rows", finding)
-    monkeypatch.setattr(unit_findings, "coarse_steps", lambda y, sd: np.array([y[0, 0] == 1.0]))
-    monkeypatch.setattr(unit_findings, "condition", lambda gram: gram[0, 0])
-    values = (np.tile(np.arange(7.0)[:, None], (1, 8)),)
-    weight = np.ones((7, 1, 8))
-    weight[[0, 1, 3, 4, 5, 6], 0, 1:3] = 0.0  # X'X of eight rows is poor, that of six is not
-    X = np.full((8, 1), math.sqrt(unit_findings.ILL_CONDITIONED / 7.0))
-    found = SimpleNamespace(
-        weight=weight,
-        variance=np.ones((7, 1)),
-        outlying=np.arange(7) == 2,
-        dof=np.full((7, 1), 9.0),
-    )
-    told = unit_findings.find_aside(Like(Read(None)), SimpleNamespace(designs=[X]), values, found)
-    assert told.singly.tolist() == [False, True, True, True, True, False, False]
-    assert told.found["outlier"].tolist() == [False, False, True, True, True, True, False]
-    assert told.found["set-aside"].tolist() == [True, True, False, True, True, True, True]
 
 
 def test_what_a_unit_is_said_to_be_found_of():
