@@ -236,8 +236,9 @@ def fit(
         data = orientations.orient(data, scheme, order, estimable=True)
     _, _, stated_up = _with_errors(built, data, size, options)
     _require_one_unit(data, sensed)
-    # Six positions that are inverted are all needed.
-    sought: Names = "none" if closed_form else exclude
+    # Six positions that are inverted are all needed, and a loss looks for rows itself.
+    all_of_them = closed_form or (robust is not None and exclude == "auto")
+    sought: Names = "none" if all_of_them else exclude
     apart = find_apart(built, data, stated_up, sought)
     whole, everywhere = data, stated_up.reference
     if apart.any():

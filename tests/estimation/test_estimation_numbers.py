@@ -6,13 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from multipos.estimation.posteriors import _dof_of_tail, _probable
-from multipos.estimation.unequal_axes import _AXES, _mixture, _Parts, _student
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import betainc, betaln
-from scipy.stats import chi2, norm, t
+from scipy.stats import chi2, t
 
 import multipos as mp
 from multipos.estimation import (
@@ -21,10 +19,7 @@ from multipos.estimation import (
     excess_variance,
     known,
     noise,
-    orientation_variance,
     outliers,
-    posteriors,
-    robust_known,
     robustness,
     starts,
     stated_uncertainty,
@@ -32,7 +27,6 @@ from multipos.estimation import (
     uncertain_orientations,
     user_models,
 )
-from multipos.estimation.excess_variance import _equal, _parts, _sums, _unequal
 from multipos.estimation.identifiability import CANDIDATES, least_determined
 from multipos.estimation.information import information_at
 from multipos.estimation.known import REJECTED, fit_output
@@ -126,118 +120,6 @@ def test_an_ellipsoid_gives_its_centre_and_its_triangle(crossed):
 
 
 # --- noise
-
-
-@pytest.mark.parametrize("equal", [True, False])
-def test_terms_of_a_node_are_those_of_the_restricted_likelihood(equal):
-    """Two outputs of one design: −½ (ln|V| + ln|X'V⁻¹X| + e'Pe), but for a constant."""
-    rng = np.random.default_rng(6)
-    n, p = 9, 3
-    X = np.column_stack([np.ones(n), rng.normal(size=(n, 2))])
-    u2 = np.full(n, 0.3) if equal else rng.uniform(0.1, 1.0, n)
-    e = rng.normal(size=(1, n, 2))
-    ((members, part),) = _parts([X, X], e, np.stack([u2, u2], axis=1)[None], range(2))
-    assert members == [0, 1]
-    nodes = np.array([[0.0, 0.2, 1.7]])
-    found = _equal(part, nodes) if equal else _unequal(part, nodes, whole=True)
-    by_hand = []
-    for g, node in enumerate(nodes[0]):
-        W = np.diag(1.0 / (u2 + node))
-        C = np.linalg.inv(X.T @ W @ X)
-        steps = C @ X.T @ W @ e[0]
-        left = e[0] - X @ steps
-        square = np.einsum("nm,nk,km->m", left, W, left).sum()
-        det = np.linalg.slogdet(W)[1] - np.linalg.slogdet(X.T @ W @ X)[1]
-        by_hand.append(0.5 * (2 * det - square))
-        assert_allclose(found.moves[0, g], steps.T.ravel(), atol=1e-9)
-        assert_allclose(found.variances[0, g], np.tile(np.diag(C), 2), rtol=1e-9)
-        assert found.information[0, g] == pytest.approx(2 * np.sum((u2 + node) ** -2.0))
-    assert_allclose(np.diff(found.log[0]), np.diff(by_hand), rtol=1e-8)
-    sums, w = _sums(part, nodes), 1.0 / (u2 + 0.2)
-    Q = part.basis
-    assert_allclose(sums.square[:, :, 0, 1], Q.T @ (w[:, None] * Q), atol=1e-12)
-    assert_allclose(sums.right[:, :, 0, 1], Q.T @ (w[:, None] * e[0]), atol=1e-12)
-    assert sums.misfit[0, 1] == pytest.approx(np.sum(w[:, None] * e[0] ** 2))
-    assert sums.log_weight[0, 1] == pytest.approx(np.log(w).sum())
-    assert p == Q.shape[1]
-
-
-@pytest.mark.parametrize("dof", [1.7, 6.0, 40.0, 400.0])
-def test_the_law_of_student_and_the_degrees_of_freedom_of_its_tails(dof):
-    law = _student(dof)
-    place = np.linspace(0.0, 1.0, len(law.inside))[1:-1]
-    inside = 2.0 * t.cdf(math.sqrt(dof) * place / (1.0 - place), dof) - 1.0
-    assert_allclose(law.inside[1:-1], inside, atol=2e-4)
-    assert_allclose(np.cumsum(law.rise), law.inside[1:])
-    assert law.k == pytest.approx(t.ppf(0.975, dof), rel=2e-3)
-    ratio = t.ppf(0.975, dof) / t.ppf(0.84, dof)
-    assert _dof_of_tail(ratio) == pytest.approx(dof, rel=0.02)
-
-
-def test_mixtures_of_normal_laws_and_the_interval_that_holds_a_share():
-    """Φ((U − m)/s) + Φ((U + m)/s) − 1 of each law, its slope and how that falls, by √2π the larger.
-
-    One law is a point; the search starts from single precision.
-    """
-    rng = np.random.default_rng(6)
-    means, sds = rng.normal(size=(2, 3, 2)) * [0.3, 5.0], rng.uniform(0.2, 2.0, (2, 3, 2))
-    weights = np.array([[0.2, 0.5, 0.3], [0.6, 0.1, 0.3]])
-
-    def held(half, unit, j):
-        m, s = means[unit, :, j], sds[unit, :, j]
-        return weights[unit] @ (norm.cdf((half - m) / s) + norm.cdf((half + m) / s) - 1.0)
-
-    half, small = np.array([[1.1, 4.0], [0.6, 7.0]]), 1e-4
-    found = posteriors._mixed(half, means / sds, 1.0 / sds, weights)
-    wanted = np.empty((3, 2, 2))
-    for at in np.ndindex(2, 2):
-        low, middle, high = (held(half[at] + d, *at) for d in (-small, 0.0, small))
-        fall = -(high - 2.0 * middle + low) / small**2
-        wanted[(slice(None), *at)] = middle, (high - low) / 2.0 / small, fall
-    root = math.sqrt(2.0 * math.pi)
-    assert_allclose(found[0], wanted[0], rtol=1e-9)
-    assert_allclose([found[1], found[2]], root * wanted[1:], rtol=1e-5, atol=1e-5)
-    sds[1, 1, 0] = 0.0
-    U = posteriors._halley(means, sds, weights, 0.9)
-    sds[1, 1, 0] = 1e-9
-    for at in np.ndindex(2, 2):
-        by_root = brentq(lambda x, at=at: held(x, *at) - 0.9, 0.0, 60.0, xtol=1e-13)
-        assert U[at] == pytest.approx(by_root, rel=1e-9)
-
-
-def test_ranges_where_something_is_probable():
-    low = -posteriors._BEYOND / 2.0
-    x = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 2)
-    log = np.array(
-        [
-            [low - 0.1, low - 0.1, low + 0.1, 0.0, low - 0.1, low - 0.1],
-            [0.0, low + 0.1, low - 0.1, low - 0.1, low - 0.1, low + 0.1],
-        ]
-    )
-    first, last = _probable(x, log)
-    assert (first.tolist(), last.tolist()) == ([2.0, 1.0], [5.0, 6.0])
-
-
-@pytest.mark.parametrize("parts", [4, 3])
-def test_weights_of_ratios_of_noise_are_their_likelihood_and_prior(parts):
-    """−½ (Σ w ln v + ν ln Σ w r²/v + x²/16) of ln s = x along the axes of the simplex."""
-    rng = np.random.default_rng(8)
-    V = rng.uniform(0.2, 1.0, (1, parts, 12))
-    squares, weight = rng.chisquare(1.0, (1, 12)), rng.uniform(0.5, 1.0, (1, 12))
-    own = _Parts(np.zeros((1, parts, 2, 2)), V, squares, weight, float(weight.sum()))
-    probability, s = _mixture(own)
-    assert probability.sum() == pytest.approx(1.0)
-    axes = _AXES[:, -parts:]
-    log = []
-    for ratios, p in zip(s[0], probability[0], strict=True):
-        x = axes @ np.log(ratios)  # q falls out: each axis sums to nothing
-        v = np.exp(x @ axes) @ V[0]
-        q = np.sum(weight[0] * squares[0] / v) / own.dof
-        assert_allclose(ratios, np.exp(x @ axes) * q, rtol=1e-9)
-        log.append(
-            -0.5 * (weight[0] @ np.log(v) + own.dof * math.log(q) + x @ x / 16.0) - math.log(p)
-        )
-    assert_allclose(log, log[0], atol=1e-9)
 
 
 # --- degrees of freedom and residuals
@@ -380,76 +262,6 @@ def test_medians_of_misfits_by_degrees_of_freedom():
 
 def density_of(middle, sd, at):
     return -0.5 * ((at - middle) / sd) ** 2
-
-
-@pytest.mark.parametrize("stated", [False, True])
-@pytest.mark.parametrize("dof", [9.0, 3.0])
-def test_a_posterior_over_a_grid_has_the_moments_of_its_density(stated, dof):
-    """Normal in ln(τ² + 1) and in ln F; at τ² = 0 a weight in units of ln V, where it may be."""
-
-    def evaluate(factors, tau2, whole):
-        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
-        log = density_of(2.0, 0.3, x) + density_of(-1.0, 0.2, y)
-        log[:, :stated] = -2.0 + density_of(-1.0, 0.2, y)
-        nothing = np.zeros((len(log), log[0].size, 1))
-        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
-
-    given = evaluate, dof, np.ones(1), np.array([50.0]), np.array([30.0])
-    first = posteriors.integrate_grid(*given, least=np.array([0.01]), stated=stated)
-    found = posteriors.integrate_grid(
-        *given, least=np.array([0.01]), stated=stated, near=first.ends
-    )
-    ends = 0.2 * norm.ppf([0.5, 0.16, 0.84]) - 1.0
-    assert_allclose(np.log(first.quantiles[:, 0]), ends, rtol=0, atol=2e-3)
-    assert_allclose(np.log(found.quantiles[:, 0]), ends, rtol=0, atol=6e-4)
-    nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
-    own = np.arange(len(nodes)) >= stated * found.factors.shape[1]
-    at = math.exp(-2.0) * 1.4 * max(6.0 / dof, 1.0) ** 2 if stated else 0.0
-    share = at / (at + 0.3 * math.sqrt(2.0 * math.pi))
-    assert weights[~own].sum() == pytest.approx(share, rel=0.02, abs=1e-12)
-    x, part = np.log(nodes[own] + 1.0), weights[own] / weights[own].sum()
-    assert part @ x == pytest.approx(2.0, abs=0.02)
-    assert math.sqrt(part @ (x - 2.0) ** 2) == pytest.approx(0.3, rel=0.03)
-
-
-def test_stated_orientations_that_may_be_right_have_a_weight():
-    """At F = 1, beside half of a normal density in ln F from there on."""
-
-    def evaluate(factors, tau2, whole):
-        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
-        log = density_of(2.0, 0.3, x) + density_of(0.0, 0.5, y)
-        nothing = np.zeros((len(log), log[0].size, 1))
-        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
-
-    found = posteriors.integrate_grid(
-        evaluate, 9.0, np.ones(1), np.array([50.0]), np.array([30.0]), least=None, stated=False
-    )
-    rest = 0.5 * 0.5 * math.sqrt(2.0 * math.pi)
-    assert found.factors[0, 0] == 1.0
-    assert found.at_least[0] == pytest.approx(1.4 / (1.4 + rest), rel=0.02)
-    median, low, high = found.quantiles[:, 0]
-    assert (median, low) == (1.0, 1.0)
-    share = 0.5 + 0.5 * (0.84 - 1.4 / (1.4 + rest)) * (1.4 + rest) / rest
-    assert np.log(high) == pytest.approx(0.5 * norm.ppf(share), rel=0.02)
-
-
-@pytest.mark.parametrize("slope", [0.0, 1e-20])
-def test_orientations_that_readings_hardly_show_may_be_far_off(slope):
-    """Normal in ln(τ² + 1) and, where they show at all, in ln F."""
-
-    def evaluate(factors, tau2, whole):
-        x, y = np.log(tau2 + 1.0)[:, :, None], np.log(factors)[:, None]
-        log = density_of(2.0, 0.3, x) + density_of(42.0, 1.0 if slope else 1e9, y)
-        nothing = np.zeros((len(log), log[0].size, 1))
-        return posteriors.Found(log.reshape(len(log), -1), nothing, nothing)
-
-    found = posteriors.integrate_grid(
-        evaluate, 9.0, np.ones(1), np.array([50.0]), np.array([slope]), least=None, stated=False
-    )
-    nodes, weights = found.posterior.nodes[0], found.posterior.weights[0]
-    assert weights @ np.log(nodes + 1.0) == pytest.approx(2.0, abs=0.02)
-    if slope:
-        assert np.log(found.quantiles[0, 0]) == pytest.approx(42.0, abs=0.1)
 
 
 # --- rows that are correlated
@@ -955,61 +767,6 @@ def test_the_noise_of_variance_components_in_numbers():
     assert_allclose(own.parameter_dof, 7.3)
 
 
-@pytest.mark.parametrize("kind", ["one", "equal", "unequal", "correlated"])
-@pytest.mark.parametrize("outputs", [3, 2])
-def test_the_likelihood_of_both_variances_by_dense_matrices(kind, outputs):
-    """−½ (ln|V| + ln|S| + q) of V = Σ + F s²JJ' + τ², Jeffreys' prior, and the parameters."""
-    rng = np.random.default_rng(5)
-    n, P, size = 6, 4, 0.6
-    error, design = rng.normal(size=(1, n, outputs)), rng.normal(size=(1, n, outputs, P))
-    spread = 0.8 * rng.normal(size=(1, n, outputs, 2))
-    prior, gradient = np.diag([0.0, 0.7, 0.0, 1.3]), np.array([0.0, 0.4, 0.0, -0.2])
-    penalty = 0.9
-    if kind == "one":  # eq. (5) of estimation.orientation_variance
-        variance = np.full((1, n, outputs), 0.7)
-        full = variance[0, :, :, None] * np.eye(outputs)
-        prior, gradient, penalty = 0.0 * prior, 0.0 * gradient, 0.0
-    elif kind == "equal":
-        variance = np.repeat(rng.uniform(0.3, 1.0, (1, n, 1)), outputs, axis=2)
-        full = variance[0, :, :, None] * np.eye(outputs)
-    elif kind == "unequal":
-        variance = rng.uniform(0.3, 1.0, (1, n, outputs))
-        full = variance[0, :, :, None] * np.eye(outputs)
-    else:
-        root = rng.normal(size=(n, outputs, 5))
-        full = root @ root.transpose(0, 2, 1) / 5.0
-        variance = full[None]
-    linear = orientation_variance.Linear(
-        (orientation_variance.Block(error, design, spread, variance),), prior, gradient, penalty
-    )
-    evaluator = orientation_variance._Evaluator(linear, np.array([size]))
-    factors, nodes = np.array([[0.4, 1.7, 3.0]]), np.array([[0.2, 2.5]])
-    both = evaluator.at_both(factors, nodes, whole=True)
-    alone = evaluator.at_excess(nodes, whole=True)
-
-    def by_hand(F, tau2, alone):
-        S, b, log, q, traces = prior.copy(), gradient.copy(), 0.0, penalty, np.zeros(3)
-        for k in range(n):
-            B = spread[0, k] @ spread[0, k].T
-            V = full[k] + F * B + tau2 * np.eye(outputs)
-            W, X, e = np.linalg.inv(V), design[0, k], error[0, k]
-            S, b, q = S + X.T @ W @ X, b + X.T @ W @ e, q + e @ W @ e
-            log -= 0.5 * np.linalg.slogdet(V)[1]
-            traces += [np.trace(W @ W), np.trace(W @ W @ B), np.trace(W @ B @ W @ B)]
-        log -= 0.5 * (np.linalg.slogdet(S)[1] + q - b @ np.linalg.solve(S, b))
-        jeffreys = traces[0] if alone else (traces[0] * traces[2] - traces[1] ** 2) * F**2
-        log += 0.5 * math.log(jeffreys) + math.log(tau2 + size)
-        return log, np.linalg.solve(S, b), np.diag(np.linalg.inv(S))
-
-    pairs = [(F, tau2, False) for tau2 in nodes[0] for F in factors[0]]
-    for found, cases in ((both, pairs), (alone, [(1.0, tau2, True) for tau2 in nodes[0]])):
-        for node, case in enumerate(cases):
-            log, moves, variances = by_hand(*case)
-            assert found.log[0, node] == pytest.approx(log, rel=1e-8)
-            assert_allclose(found.moves[0, node], moves, rtol=1e-7)
-            assert_allclose(found.variances[0, node], variances, rtol=1e-7)
-
-
 @pytest.mark.parametrize("robust", [None, "huber"])
 @pytest.mark.parametrize(("dof", "factor"), [(9.3, 1.7), (math.inf, 1.0)])
 def test_a_solution_has_the_inverse_of_its_information_and_what_noise_makes_of_it(
@@ -1251,20 +1008,6 @@ def test_outputs_beside_three_axes_are_not_compensated_by_steps():
     assert np.isnan(left).all()
     assert left.shape == (2, 3, 3)
     assert inverted.sound.tolist() == [False, False]
-
-
-def test_a_unit_without_noise_is_searched_alone_and_left_out_among_others():
-    up = mp.read_scheme("faces-corners-14").up
-    model = build_model("linear", ("ax", "ay", "az"), ("x", "y", "z"))
-    shared = known.share_design(model, up, {})
-    exact, noise = up.T + 0.02, 1e-3 * np.random.default_rng(1).normal(size=(3, 14))
-    both = np.stack([exact, exact + noise], axis=1)
-    with np.errstate(divide="ignore"):
-        alone = robust_known.fit_outputs(shared, both[:, :1], None, "huber")[0]
-        among = robust_known.fit_outputs(shared, both, None, "huber")[0]
-    assert alone.units.converged.tolist() == [True]
-    assert among.units.converged.tolist() == [False, True]
-    assert among.units.iterations[0] == 0
 
 
 @pytest.mark.parametrize(
