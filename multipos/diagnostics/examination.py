@@ -464,13 +464,16 @@ _EXPLAINED = {
 _SLOW_NOISE = 3.0  # times the noise within rests, that noise from rest to rest may well be
 
 
-def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
+def examine(
+    calibration: Calibration, *, sought: bool = False, exact: Calibration | None = None
+) -> Calibration:
     """Return a calibration with what does not look right about it.
 
     Beside the findings stand the tests of the terms that the model lacks. Of a magnetometer they
     are asked of the relative field, and said in its words. Rows that are outliers are not looked
     for again where they were sought before the fit, and none were there. Rows of several runs are
-    looked at less what the zeros of runs differ by.
+    looked at less what the zeros of runs differ by. Where errors of the orientations are estimated
+    `exact` is the calibration at those listed: they hide causes that it shows.
     """
     c = calibration
     readings = without_zeros(c.readings, c.model, c.reference) if c.estimator.exact else c.readings
@@ -478,10 +481,11 @@ def examine(calibration: Calibration, *, sought: bool = False) -> Calibration:
         within = examine(_within_runs(c, readings), sought=sought)
         return replace(c, diagnostics=within.diagnostics)
     if calibration.field.unit == "g":
-        return _examined(calibration, sought=sought)
+        return _examined(calibration, sought=sought, exact=exact)
     from multipos.diagnostics.magnetic import OF_FIELD
 
-    found = _examined(calibration.relative, sought=sought).diagnostics
+    plain = None if exact is None else exact.relative
+    found = _examined(calibration.relative, sought=sought, exact=plain).diagnostics
     own = tuple(ask(calibration) for ask in OF_FIELD)
     said = (replace(f, text=in_words(f.text), action=in_words(f.action)) for f in found.findings)
     known = {each.code for each in found.findings}  # with the rows that were set aside
@@ -510,7 +514,9 @@ def in_words(text: str) -> str:
     return MAGNETIC.worded(text)
 
 
-def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
+def _examined(
+    calibration: Calibration, *, sought: bool, exact: Calibration | None = None
+) -> Calibration:
     at_solution: AtSolution = partial(information_at_solution, calibration)
     if calibration.residuals.size <= MOST:  # of many rows it is asked for once
         at_solution = cache(at_solution)
@@ -535,7 +541,10 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
         if any(each.code == "quantized" for each in found):  # roundings follow no law
             found += [each for each in of_rows if each.code not in RIVALS]
         else:
-            found += compete(calibration, of_rows, residuals)
+            cause = [] if exact is None else _hidden_cause(exact, sought=sought)
+            if cause:
+                of_rows = [each for each in of_rows if each.code not in RIVALS]
+            found += cause + compete(calibration, of_rows, residuals)
     before = calibration.diagnostics
     if row_order.SLOW in {each.code for each in before.findings}:  # the log has shown it
         found = [each for each in found if each.code != row_order.SLOW]
@@ -546,6 +555,23 @@ def _examined(calibration: Calibration, *, sought: bool) -> Calibration:
             for each in every
         )
     return changed(calibration, diagnostics=changed(before, findings=without_explained(every)))
+
+
+def _hidden_cause(exact: Calibration, *, sought: bool) -> list[Finding]:
+    """Return the cause that explains residuals at listed orientations better than their errors."""
+    if not row_order.asked(exact):
+        return []
+    tested = score_tests.judge_model(exact)
+    exact = changed(exact, diagnostics=changed(exact.diagnostics, model_tests=tested.tests))
+    placed = Finding("placement", "warning", "their errors")
+    beside = (model_error.missing_term(exact), outlier(exact, sought=sought), placed)
+    rivals = [each for each in beside if each is not None]
+    residuals = cache(partial(residuals_of, exact))
+    found = compete(exact, rivals, residuals)
+    if len(found) > 1:  # no cause of time or table
+        freedom = float(exact.residuals.size - len(exact.parameters))
+        found = [max(found, key=lambda each: _score(exact, each, freedom, residuals))]
+    return [each for each in found if each.code not in ("placement", "outlier")]
 
 
 def without_explained(every: Sequence[Finding]) -> Findings:

@@ -351,6 +351,8 @@ def unequal_noise(c: Calibration, at_solution: AtSolution | None = None) -> Find
     """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
     if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
         return None
+    if not np.abs(c.residuals).max() > _ROUNDING * np.abs(c.readings.values).max():
+        return None
     p, sizes = judge_equality(c, at_solution)
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None

@@ -14,9 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from multipos.diagnostics import gross_errors
 from multipos.diagnostics.examination import examine
 from multipos.diagnostics.magnetic import moving_iron
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
+from multipos.diagnostics.residuals import outlier_of_rows
 from multipos.errors import MultiposError, UsageError
 from multipos.estimation import correlated_rows, run_zeros, stated_uncertainty, uncertain
 from multipos.estimation.closed_form import solve_closed_form
@@ -25,7 +27,7 @@ from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
-from multipos.finding import Finding, warn
+from multipos.finding import Finding, Findings, warn
 from multipos.fitting.completion import add_findings, complete
 from multipos.fitting.facing import face, note_names
 from multipos.fitting.options import (
@@ -241,31 +243,45 @@ def fit(
     sought: Names = "none" if all_of_them else exclude
     apart = find_apart(built, data, stated_up, sought)
     whole, everywhere = data, stated_up.reference
+    exactly = options.as_listed
+    listed, facing = orientations.place(data, size, **exactly.spread), stated_facing(axes)
+    repaired: Findings = ()
+    if listed.exact and (stated_up.estimated or apart.any()):
+        repaired = _repaired(built, data, listed, exactly, facing, apart)
+    if repaired and not _are_apart(repaired, data.labels, apart):
+        options = replace(exactly, orientation_sd=0.0)
+        apart = np.zeros_like(apart)  # so that all of it is seen
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
     data, options, stated_up = _with_errors(built, data, size, options)
     refuse_drowned(data)
+    exact: Calibration | None = None
+    if listed.exact and stated_up.estimated:
+        exact = _solved(built, data, orientations.place(data, size, **exactly.spread), exactly)
     try:
-        calibration = calibrate_at(built, data, stated_up, options)
+        calibration = _solved(built, data, stated_up, options)
     except MultiposError as error:
-        if not free:
+        if exact is not None:  # readings that say nothing of them
+            calibration, exact = add_findings(exact, _as_exact(_UNSOLVED)), None
+        elif free:
+            raise explain_failure(error, data) from None
+        else:
             raise
-        raise explain_failure(error, data) from None
-    except np.linalg.LinAlgError:
-        raise MultiposError(
-            f"{len(data)} positions do not determine the {len(built.keys)} parameters of this "
-            "model under these options; add positions, or drop a term or an option."
-        ) from None
     if apart.any():
         calibration = with_excluded(calibration, whole, everywhere, apart)
+        settled = (replace(each, level="warning") for each in repaired)
+        calibration = add_findings(calibration, *settled)
     if before is not None:
         calibration = replace(calibration, nominal=before)
-    calibration = face(calibration, stated_facing(axes))
+    calibration = face(calibration, facing)
+    if exact is not None:
+        exact = face(exact, facing)
     if stated is not None:
         from multipos.uncertainty.propagation import state_budget
 
         calibration = state_budget(calibration, stated)
-    calibration = examine(calibration, sought=sought == "auto" and not apart.any())
+    was_sought = sought == "auto" and not apart.any()
+    calibration = examine(calibration, sought=was_sought, exact=exact)
     warn(calibration.findings)
     return calibration
 
@@ -279,6 +295,55 @@ def _with_errors(
     if exactly is not None:
         readings = replace(readings, findings=(*readings.findings, _as_exact(exactly)))
     return readings, options, orientations.place(readings, size, **options.spread)
+
+
+_UNSOLVED = "their errors could not be solved for"
+
+
+def _solved(
+    model: Model,
+    readings: Readings,
+    stated_up: orientations.StatedOrientations,
+    options: Options,
+) -> Calibration:
+    """Return the calibration, or say in words that there is none."""
+    try:
+        return calibrate_at(model, readings, stated_up, options)
+    except np.linalg.LinAlgError:
+        raise MultiposError(
+            f"{len(readings)} positions do not determine the {len(model.keys)} parameters of this "
+            "model under these options; add positions, or drop a term or an option."
+        ) from None
+
+
+def _repaired(
+    model: Model,
+    readings: Readings,
+    listed: orientations.StatedOrientations,
+    options: Options,
+    facing: tuple[str, ...] | None,
+    apart: Mask,
+) -> Findings:
+    """Return what is grossly wrong with all rows as they are listed, which errors may hide."""
+    plain = replace(options, robust=None, stepwise=False)
+    try:
+        whole = face(_solved(model, readings, listed, plain), facing)
+    except MultiposError:
+        return ()
+    found = gross_errors.explained(whole)
+    if found or not apart.any():
+        return found
+    outlying = outlier_of_rows(whole)
+    if outlying is None or outlying.code != "flipped-row":
+        return ()
+    of_sign = (replace(outlying, action="Correct the sign."),)
+    return of_sign if _are_apart(of_sign, readings.labels, apart) else ()
+
+
+def _are_apart(found: Findings, labels: Sequence[str], apart: Mask) -> bool:
+    """Return whether all rows that are named are among those set aside."""
+    aside = {label for label, each in zip(labels, apart.tolist(), strict=True) if each}
+    return all(each.rows and aside >= {*each.rows} for each in found)
 
 
 def _as_exact(why: str) -> Finding:

@@ -183,6 +183,11 @@ class Options:
         _check_spread(self.orientation_sd)
 
     @property
+    def as_listed(self) -> "Options":
+        """The same with orientations taken as they are listed, where errors are estimated."""
+        return replace(self, orientation_sd=None) if self.orientation_sd == "auto" else self
+
+    @property
     def spread(self) -> dict[str, Any]:
         """How far orientations may be from those listed [rad], as `place` takes it."""
         sd = self.orientation_sd
