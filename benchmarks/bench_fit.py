@@ -24,8 +24,9 @@ def run() -> list[Ratio]:
         return found
 
     peer = "numpy.linalg.lstsq, covariance"
-    plain = paired_ratio(lambda: mp.fit(readings, model="own-quadratic"), by_hand)
-    with_u = paired_ratio(lambda: mp.fit(stated, model="own-quadratic"), by_hand)
+    same = {"model": "own-quadratic", "orientation_sd": 0, "exclude": "none"}
+    plain = paired_ratio(lambda: mp.fit(readings, **same), by_hand)
+    with_u = paired_ratio(lambda: mp.fit(stated, **same), by_hand)
     return [
         Ratio("fit, 24 positions, own-quadratic", peer, plain, 15),
         Ratio("the same, u of the readings stated", peer, with_u, 30),

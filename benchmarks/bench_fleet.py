@@ -18,10 +18,12 @@ _BLOCK = 8000  # units, as many as a task has
 
 def run() -> list[Ratio]:
     warnings.simplefilter("ignore", mp.CalibrationWarning)
-    known = {"scheme": "fibonacci-24"}
+    default = {"scheme": "fibonacci-24"}
+    known = default | {"orientation_sd": 0, "exclude": "none"}
     return [
         _bandwidth(100_000),
         _paired("linear", 20_000, 1 / 200, known),
+        _paired("by default", 1000, 1 / 30, default),
         _paired("own-quadratic", 20_000, 1 / 100, known | {"model": "own-quadratic"}),
         _paired("unknown orientation", 4000, 1 / 20, {"unknown_orientation": True}),
         _paired(

@@ -44,7 +44,7 @@ def calibration(model: str) -> mp.Calibration:
     up = mp.read_scheme("faces-corners-14").up
     K = np.eye(3) + 0.01 * rng.normal(size=(3, 3))
     y = up @ K.T + 0.1 + 1e-3 * up**2 + 1e-5 * rng.normal(size=up.shape)
-    return mp.fit(mp.Readings(y, outputs=OUTPUTS, up=up), model=model)
+    return mp.fit(mp.Readings(y, outputs=OUTPUTS, up=up), model=model, orientation_sd=0)
 
 
 def session(cal: mp.Calibration) -> dict[str, np.ndarray]:

@@ -51,7 +51,8 @@ def run() -> list[Ratio]:
 def write_session(path: Path) -> None:
     """Write a log in counts of 38 rests, as the peer's own is."""
     up = mp.read_scheme("fibonacci-38").up
-    sensor = mp.fit(mp.Readings(up + 1e-6 * np.sin(np.arange(114)).reshape(38, 3), up=up))
+    values = up + 1e-6 * np.sin(np.arange(114)).reshape(38, 3)
+    sensor = mp.fit(mp.Readings(values, up=up), orientation_sd=0)
     log = mp.simulate_log(sensor, "fibonacci-38", rest=11.0, turn=2.4, sample_sd=1e-3, seed=1)
     counts = [np.round(32768 + 6500 * log[name]) for name in sensor.outputs]
     np.savetxt(path, np.column_stack([log["time"], *counts]), fmt=["%.3f", *["%d"] * 3])

@@ -43,7 +43,8 @@ def budget() -> Ratio:
 
 def monte_carlo() -> Ratio:
     """The peer draws the readings and multiplies them by the gain, all at once, in NumPy."""
-    found = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", reading_sd=1e-4)
+    exact = {"reading_sd": 1e-4, "orientation_sd": 0}
+    found = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", **exact)
     gain = estimator_gain(found)
     rng = np.random.default_rng(1)
 
@@ -55,7 +56,8 @@ def monte_carlo() -> Ratio:
 
 
 def report() -> Ratio:
-    found = mp.fit(readings("dual-axis-48"), scheme="dual-axis-48", model="own-quadratic")
+    exact = {"model": "own-quadratic", "orientation_sd": 0}
+    found = mp.fit(readings("dual-axis-48"), scheme="dual-axis-48", **exact)
 
     def figures() -> object:
         sections = build_content(found).sections

@@ -85,7 +85,9 @@ def one(draw: Draw, claim: float, outputs: int) -> tuple[np.ndarray, float]:
     """Return which parameters U holds, and its mean length against a noise that is known."""
     columns, sd, options = draw()
     columns["values"] = columns["values"][:, :outputs]
-    cal = mp.fit(mp.Readings(**columns), reading_sd=claim * sd, **options)
+    listed = {} if options else {"orientation_sd": 0}
+    given = {"reading_sd": claim * sd, "exclude": "none", **listed, **options}
+    cal = mp.fit(mp.Readings(**columns), **given)
     truth = np.array([of_truth(output, term) for output, term in cal.model.keys])
     held = np.abs(cal.parameters - truth) <= cal.U
     if options:

@@ -57,7 +57,7 @@ def main() -> None:
 
 def control(rng, fit, check, moved=0.0):
     """Return p of one run, whether there is a finding, and its En."""
-    calibration = mp.fit(readings(rng, NOISE), **fit)
+    calibration = mp.fit(readings(rng, NOISE), orientation_sd=0, exclude="none", **fit)
     off = moved * np.array([calibration["bias_ax"].U, 0.0, 0.0])
     found = mp.check(calibration, readings(rng, NOISE, off), **check)
     return found.consistency.p, bool(found.findings), found.En.ravel()
@@ -65,7 +65,7 @@ def control(rng, fit, check, moved=0.0):
 
 def off_by_a_known_error(rng):
     """Return the worst verdict and that of the run, of 12 positions that are all off by 2.5 mg."""
-    calibration = mp.fit(readings(rng, EXACT, number=12))
+    calibration = mp.fit(readings(rng, EXACT, number=12), orientation_sd=0, exclude="none")
     off = TRUE_ERROR * MATRIX.sum(axis=1)  # of the readings, so that force is off so much
     run = readings(rng, NOISE, off, number=12)
     found = mp.check(calibration, run, limit_g=LIMIT, reading_sd=NOISE)

@@ -89,7 +89,7 @@ def runs(
         values = (rotation @ up)[:, :outputs]
         values = values + noise * rng.standard_normal(values.shape)
         readings = mp.Readings(values, rotation=rotation, up=rotation[:, :, 2], unit="g", **stated)
-        cal = mp.fit(readings)
+        cal = mp.fit(readings, orientation_sd=0, exclude="none")
         budget = evaluate_budget(cal, {"level": {"u_deg": level}})
         added = np.diag(budget.rows[-1].covariance)
         nu = welch_satterthwaite(

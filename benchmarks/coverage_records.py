@@ -48,7 +48,7 @@ def main() -> None:
 
 def one(rng: np.random.Generator, up: Array, correlation: float | None) -> tuple[float, ...]:
     noise = np.column_stack([drawn(rng, len(up), correlation) for _ in range(3)])
-    cal = mp.fit(mp.Readings(up + SD * noise, up=up))
+    cal = mp.fit(mp.Readings(up + SD * noise, up=up), orientation_sd=0, exclude="none")
     held = np.abs(cal.parameters - np.eye(3, 4, 1).ravel()) <= cal.U
     H = np.column_stack([np.ones(len(up)), up])
     plain = 1.96 * cal.residual_sd[:, None] * np.sqrt(np.diag(np.linalg.inv(H.T @ H)))

@@ -31,7 +31,7 @@ def world(soaks: int, zero: float, noise: float = 1e-3) -> None:
         values += noise * rng.standard_normal(up.shape)
         environment = {"temperature": warm}
         readings = mp.Readings(values, up=up, unit="g", environment=environment)
-        c = mp.fit(readings, model=MODEL)
+        c = mp.fit(readings, model=MODEL, orientation_sd=0, exclude="none")
         named.update({one.code for one in c.findings if one.code != "hidden-terms"})
         for i, curve in enumerate(mp.over_temperature(c, at)[::4]):
             inside.append(np.abs(curve.value - BIAS[i] - SLOPE[i] * at) <= curve.U)

@@ -40,7 +40,8 @@ class Readings:
         columns = dict(zip(OUTPUTS, self.values.T, strict=True)) | self.beside
         if self.up is not None and "unknown_orientation" not in options:
             columns |= dict(zip(("up_x", "up_y", "up_z"), self.up.T, strict=True))
-        return mp.fit(columns, outputs=OUTPUTS, unit="g", **options)
+            options = {"orientation_sd": 0} | options
+        return mp.fit(columns, outputs=OUTPUTS, unit="g", **{"exclude": "none"} | options)
 
 
 World = Callable[[np.random.Generator], Readings]

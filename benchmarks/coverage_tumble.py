@@ -69,7 +69,7 @@ def one(steps: int, sd: np.ndarray, ways: Sequence[str], rng: np.random.Generato
             yield "plain", fitted_coefficients(tumble.calibration, tumble.calibration.model.axes[0])
             yield "given", tumble.coefficients
         if "stated" in ways:
-            first = mp.fit(table)
+            first = mp.fit(table, orientation_sd=0, exclude="none")
             zero, circle, second, level, wobble = np.degrees(sd[[0, 1, 3, 5, 6]]).tolist()
             known = mp.state_bench(
                 first,

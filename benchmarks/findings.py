@@ -57,7 +57,9 @@ class Bench:
         options = dict(self.options)
         unit = options.pop("unit", "reading")
         readings = mp.Readings(self.values, up=self.up, unit=unit)
-        return mp.fit(readings, **options)
+        if "unknown_orientation" not in options:
+            options = {"orientation_sd": 0} | options
+        return mp.fit(readings, **{"exclude": "none"} | options)
 
 
 def main() -> None:

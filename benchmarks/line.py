@@ -42,6 +42,8 @@ def main() -> None:
             station_column="station",
             scheme="faces-corners-14",
             limits=LIMITS,
+            orientation_sd=0,
+            exclude="none",
         )
         spent = f"{time.perf_counter() - start:.0f} s, {time.process_time() - used:.0f} s CPU"
     report(found, kinds, spent)

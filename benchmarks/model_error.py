@@ -146,7 +146,9 @@ def fitted(
         stood /= np.linalg.norm(stood, axis=1)[:, None]
     values = sense(stood, name, size, drawn) + NOISE * rng.standard_normal(up.shape)
     readings = mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g")
-    cal = mp.fit(readings, **options)
+    if "unknown_orientation" not in options:
+        options = {"orientation_sd": 0} | options
+    cal = mp.fit(readings, exclude="none", **options)
     return cal, {finding.code for finding in cal.diagnostics.findings}, drawn
 
 

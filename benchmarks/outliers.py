@@ -81,7 +81,8 @@ def named(
         noise, row, _ = drawn(rng, len(up), outputs, rows, size, whole)
         names = ("ax", "ay", "az")[:outputs]
         values = up[:, :outputs] + SD * noise
-        cal = mp.fit(mp.Readings(values, up=up, outputs=names))
+        readings = mp.Readings(values, up=up, outputs=names)
+        cal = mp.fit(readings, orientation_sd=0, exclude="none")
         said = [finding for finding in cal.diagnostics.findings if finding.code == "outlier"]
         if size == 0.0:
             count += bool(said)

@@ -38,7 +38,8 @@ def main() -> None:
     rng = np.random.default_rng(2026)
     up = np.tile(mp.read_scheme("faces-6").up, (PLACED, 1))
     readings = [_session(rng, up) for _ in range(SESSIONS)]
-    fits = [mp.fit(mp.Readings(values, up=up), unit="g")["ax", "y"] for values in readings]
+    listed = {"unit": "g", "orientation_sd": 0, "exclude": "none"}
+    fits = [mp.fit(mp.Readings(values, up=up), **listed)["ax", "y"] for values in readings]
     ours = MILLI * np.array([[found.value, found.U] for found in fits])
     theirs = MILLI * np.array([_cross_of_imucal(values) for values in readings])
     truth = MILLI * MATRIX[0, 1]

@@ -32,7 +32,8 @@ def main() -> None:
     right = [0.02, -0.01, 0.005] + up * [1.01, 0.99, 1.0] + NOISE * rng.standard_normal(up.shape)
     wrong = right.copy()
     wrong[list(SWAPPED)] = wrong[list(SWAPPED[::-1])]
-    fits = [mp.fit(mp.Readings(values, up=up), unit="g") for values in (wrong, right)]
+    listed = {"unit": "g", "orientation_sd": 0, "exclude": "none"}
+    fits = [mp.fit(mp.Readings(values, up=up), **listed) for values in (wrong, right)]
     for cal in fits:
         codes = ", ".join(finding.code for finding in cal.diagnostics.findings) or "none"
         print(f"rms {1e3 * cal.rms:.1f} mg, findings: {codes}")

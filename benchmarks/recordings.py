@@ -51,7 +51,7 @@ def draw_rests(task: Task, axes: Axes) -> None:
 def draw_faces(task: Task, axes: Axes) -> None:
     log = {name: task.log[name] for name in ACC}
     found = mp.average(log, rate=task.rate, sections=task.sections, only=ORDER, scheme="faces-6")
-    cal = mp.fit(found)
+    cal = mp.fit(found, orientation_sd=0, exclude="none")
     for k, name in enumerate(ACC):
         bars = {"yerr": 1e3 * found.readings.u[:, k] / task.per_g, "fmt": "os^"[k]}
         axes.errorbar(ORDER, 1e3 * cal.residuals[:, k] / task.per_g, label=name, **bars)

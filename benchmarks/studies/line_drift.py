@@ -23,7 +23,8 @@ def main() -> None:
     values = zero[:, None] + up + 3e-4 * rng.standard_normal((9000, 14, 3))
     line = {"unit": np.repeat(units, 14)}
     line |= {name: values[:, :, i].ravel() for i, name in enumerate(("ax", "ay", "az"))}
-    found = mp.fit_many(line, unit_column="unit", scheme="faces-corners-14")
+    listed = {"scheme": "faces-corners-14", "orientation_sd": 0, "exclude": "none"}
+    found = mp.fit_many(line, unit_column="unit", **listed)
 
     figure = Figure(figsize=(6, 3), layout="constrained")
     axes = figure.subplots()

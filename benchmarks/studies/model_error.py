@@ -25,7 +25,8 @@ def main() -> None:
             found = []
             for _ in range(5):
                 values = 0.01 + up + cubic * up**3 + 1e-4 * rng.standard_normal(up.shape)
-                cal = mp.fit(mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g"))
+                readings = mp.Readings(values, outputs=("ax", "ay", "az"), up=up, unit="g")
+                cal = mp.fit(readings, orientation_sd=0, exclude="none")
                 raw = 0.01 + new + cubic * new**3
                 columns = dict(zip(cal.outputs, raw.T, strict=True))
                 told = mp.apply(cal, columns, uncertainty=True, parameters_only=True)

@@ -24,7 +24,8 @@ def main() -> None:
         found, trusted = [], []
         for _ in range(40):
             values = up + 1e-4 * rng.standard_normal((12, 3))
-            cal = mp.fit(mp.Readings(values, up=up), reading_sd=1e-4 * claim)
+            stated = {"reading_sd": 1e-4 * claim, "orientation_sd": 0, "exclude": "none"}
+            cal = mp.fit(mp.Readings(values, up=up), **stated)
             error = cal.parameters - np.eye(3, 4, 1).ravel()
             found.append(abs(error) <= cal.U)
             trusted.append(abs(error) <= np.tile(trusted_u, 3))

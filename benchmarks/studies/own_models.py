@@ -22,7 +22,7 @@ def main() -> None:
     readings = mp.Readings(sensor(up) + 1e-4 * rng.standard_normal((24, 3)), up=up, unit="g")
     new = mp.read_scheme("fibonacci-500").up
     for model in ("linear", "own-quadratic", "own-cubic", "each = b + s*own/(1 + k*own^2)"):
-        cal = mp.fit(readings, model=model)
+        cal = mp.fit(readings, orientation_sd=0, model=model)
         errors = [
             np.sqrt(np.mean((cal.compensate(sensor(size * new)) - size * new) ** 2))
             for size in (1.0, 1.5)
@@ -37,20 +37,24 @@ def main() -> None:
         ("own-cubic", "--"),
         ("each = b + s*own/(1 + k*own^2)", "-"),
     ):
-        error = mp.fit(readings, model=model).compensate(sensor(along)) - along
+        error = mp.fit(readings, orientation_sd=0, model=model).compensate(sensor(along)) - along
         axes.plot(along[:, 0], 1e3 * error[:, 0], line, label=model)
     axes.axvspan(-1, 1, color="0.92")
     axes.set(xlabel="force along x [g]", ylabel="error [mg]", ylim=(-60, 60))
     axes.legend()
     Path("own-models-error.svg").write_text(to_svg(figure), encoding="utf-8")
-    fit = mp.fit(readings, model="own-cubic", reading_sd=1e-4)
+    fit = mp.fit(readings, orientation_sd=0, model="own-cubic", reading_sd=1e-4)
     print(fit.findings[0].text)
-    print(mp.fit(readings, model="each = b + s*own/(1 + k*own^2)", reading_sd=1e-4).findings)
+    print(
+        mp.fit(
+            readings, orientation_sd=0, model="each = b + s*own/(1 + k*own^2)", reading_sd=1e-4
+        ).findings
+    )
     supply = 5.0 * rng.uniform(0.98, 1.02, 24)
     bridge = supply[:, None] * (0.01 + 0.2 * up) + 1e-4 * rng.standard_normal((24, 3))
     bridge = mp.Readings(bridge, up=up, environment={"supply": supply}, unit="V")
     for model in ("linear", "each = supply*(b + s*own)"):
-        print(f"{model:26} rms {1e3 * mp.fit(bridge, model=model).rms:.2f} mg")
+        print(f"{model:26} rms {1e3 * mp.fit(bridge, orientation_sd=0, model=model).rms:.2f} mg")
 
 
 if __name__ == "__main__":

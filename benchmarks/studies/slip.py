@@ -18,7 +18,7 @@ def main() -> None:
     up = rng.permutation(mp.read_scheme("fibonacci-24").up)
     stood = up + (np.arange(24) >= 12)[:, None] * np.cross(np.radians([0.2, -0.2, 0.1]), up)
     values = 0.01 + 1.002 * stood + 1e-4 * rng.standard_normal((24, 3))
-    found = mp.fit(mp.Readings(values, up=up, unit="g"))
+    found = mp.fit(mp.Readings(values, up=up, unit="g"), orientation_sd=0, exclude="none")
     assert [finding.rows for finding in found.findings if finding.code == "slipped"] == [("13",)]
 
     figure = Figure(figsize=(6, 2.8), layout="constrained")
