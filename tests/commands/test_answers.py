@@ -58,7 +58,8 @@ def folder(tmp_path_factory):
 ANSWERS = {
     "fit a.csv --unit V": FIT,
     f"fit a.csv --unit V --model={NINE}": FIT,
-    "fit off.csv --unit V": f"Not fit for use: {FIT.replace('warning', 'error')}",
+    "fit off.csv --unit V": FIT.replace("24 positions", "23 of 24 positions"),
+    "fit off.csv --unit V --exclude none": f"Not fit for use: {FIT.replace('warning', 'error')}",
     "calibrate log.csv --scheme fibonacci-24 -o k.json": FIT,
     "average log.csv": r"24 rests of log.csv averaged; u up to .*",
     "apply a.json b.csv -o f.csv": r"24 rows compensated, 0 of them outside .*",

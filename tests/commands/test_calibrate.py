@@ -37,7 +37,7 @@ def test_it_is_average_and_fit_in_one(log):
     known = mp.calibrate(log, scheme="faces-corners-14", model="own-quadratic")
     matched = mp.average(log, scheme="faces-corners-14").readings
     same = mp.fit(matched, model="own-quadratic")
-    assert known.estimator == "linear"
+    assert known.estimator == "uncertain-orientation"
     np.testing.assert_array_equal(known.parameters, same.parameters)
     linear = mp.calibrate(log, scheme="faces-corners-14")
     assert np.abs((linear.parameters - sensor().parameters) / linear.u).max() < 4.5  # 12 of them
@@ -161,7 +161,8 @@ def test_positions_that_cannot_tell_everything_ask_for_a_scheme():
     with pytest.raises(mp.RankError, match="Name the positions with --scheme") as raised:
         mp.calibrate(faces, model="linear")
     assert raised.value.parameters == 9
-    assert mp.calibrate(faces, scheme="faces-6").estimator == "linear"
+    assert mp.calibrate(faces, scheme="faces-6").estimator == "uncertain-orientation"
+    assert mp.calibrate(faces, scheme="faces-6", orientation_sd=0).estimator == "linear"
     with pytest.raises(mp.RankError) as raised:
         mp.calibrate(faces, unknown_orientation=True, model="linear")
     assert "say so with --scheme" not in str(raised.value)

@@ -190,7 +190,7 @@ SAID = [
     (FIT.format("deccomma_comma.csv"), "with semicolons between cells", FIT.format("deccomma.csv")),
     (FIT_G.format("ms2.csv"), r"State --unit m/s\^2", f"{FIT} --unit m/s^2".format("ms2.csv")),
     (
-        FIT_G.format("swapped.csv"),
+        f"{FIT_G} --orientation-sd 0 --exclude none".format("swapped.csv"),
         "3, 8 are .*interchanged.*Exchange",
         FIT.format("crlf.csv"),
     ),
@@ -200,7 +200,7 @@ SAID = [
     (FIT_G.format("header.csv"), "give one row per position", None),
     (FIT_G.format("few.csv"), r"fit '1 \+ x \+ y'", None),
     (
-        FIT_G.format("same_twice.csv"),
+        f"{FIT_G} --exclude none".format("same_twice.csv"),
         "--exclude 7",
         f"{FIT_G} --exclude 7".format("same_twice.csv"),
     ),
@@ -269,6 +269,23 @@ def test_what_is_read_rightly_without_a_word(command, folder, capsys, monkeypatc
     assert (status, err) == (0, "")
     _, out, _ = run(capsys, *command.split(), "--json")
     require_right(out)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("swapped", "2 of 14 positions set aside: 3 (919 mg), 8 (920 mg)\n"),
+        ("same_twice", "1 of 14 positions set aside: 7 (1.78e+03 mg)\n"),
+    ],
+)
+def test_what_does_not_fit_is_set_aside_by_name(name, said, folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    command = FIT_G.format(f"{name}.csv").split()
+    status, out, err = run(capsys, *command)
+    assert (status, err) == (0, "")
+    assert said in out
+    assert f" {14 - int(said[0])} of 14 positions: " in out.splitlines()[0]
+    require_right(run(capsys, *command, "--json")[1])
 
 
 @pytest.mark.parametrize(("command", "said", "way_out"), SAID)

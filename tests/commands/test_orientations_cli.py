@@ -47,6 +47,7 @@ def fitted(capsys, *options):
         (("--unknown-orientation",), "unknown-orientation", "lower", 9),
         (("--unknown-orientation", "--gauge", "symmetric"), "unknown-orientation", "symmetric", 9),
         (("--unknown-orientation", "--model", "own-cubic"), "unknown-orientation", "lower", 15),
+        (LISTED, "uncertain-orientation", None, 12),
         ((*LISTED, "--orientation-sd", "0"), "linear", None, 12),
         ((*LISTED, "--orientation-sd", "0.01"), "uncertain-orientation", None, 12),
         ((*LISTED, "--orientation-sd", "auto"), "uncertain-orientation", None, 12),
@@ -75,7 +76,13 @@ def test_a_column_chooses_the_uncertain_estimator(here, capsys):
     (here / "r.csv").write_text(table(off_deg=0.0, columns=cells | {"orientation_sd_deg": sd}))
     found, _ = fitted(capsys, "--reading-sd", "1e-5")
     assert found["estimator"] == "uncertain-orientation"
-    assert found["orientation_sd_deg"] == pytest.approx([0.01] * 20 + [0, 0, None, None])
+    size = found["orientation_sd_deg"][0]
+    assert 0.0 < size < 0.005  # the likely 0.01 of positions that are exact
+    assert found["orientation_sd_deg"] == pytest.approx([size] * 20 + [0, 0, None, None])
+    spread = found["variance_components"]["orientation_sd_deg"]
+    assert spread["source"] == "stated"
+    assert spread["value"] == pytest.approx(size)
+    assert spread["high"] < 0.01
     assert found["orientation_error_deg"][22:] == [None, None]
     ignored, _ = fitted(capsys, "--reading-sd", "1e-5", "--unknown-orientation")
     assert ignored["estimator"] == "unknown-orientation"
