@@ -651,3 +651,17 @@ def test_what_calibrates_takes_the_options_of_the_fit(front, own):
 def test_an_option_that_is_none_is_refused_with_the_nearest(front):
     with pytest.raises(TypeError, match=r"takes no option 'gravty'; did you mean 'gravity'\?"):
         front("readings.csv", gravty=9.81)
+
+
+def test_stepwise_leaves_out_what_positions_cannot_separate_where_errors_are_estimated():
+    """At rest x² + y² + z² = 1: the whole quadratic cannot be fitted, a choice of it can."""
+    up = mp.read_scheme("fibonacci-24").up
+    rng = np.random.default_rng(23)
+    values = sensor(rng, up, noise=1e-4)
+    values[:, 0] += 0.02 * up[:, 0] * up[:, 1]
+    readings = mp.Readings(values, up=up)
+    cal = mp.fit(readings, model="full-quadratic", stepwise=True)
+    assert cal.estimator == "uncertain-orientation"
+    kept = {str(term) for output, term in cal.model.keys if output == "ax"}
+    assert {"1", "x", "x*y"} <= kept
+    assert cal["ax", "x*y"].value == pytest.approx(0.02, abs=cal["ax", "x*y"].U)

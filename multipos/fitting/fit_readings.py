@@ -19,7 +19,7 @@ from multipos.diagnostics.examination import examine
 from multipos.diagnostics.magnetic import moving_iron
 from multipos.diagnostics.repairs import explain_failure, refuse_drowned
 from multipos.diagnostics.residuals import outlier_of_rows
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import MultiposError, RankError, UsageError
 from multipos.estimation import correlated_rows, run_zeros, stated_uncertainty, uncertain
 from multipos.estimation.closed_form import solve_closed_form
 from multipos.estimation.known import share_design, solve_known
@@ -625,7 +625,12 @@ def _stepwise(
         raise UsageError("--stepwise chooses among the terms of a formula, not of an expression.")
     if stated_up.exact:
         return select_terms(model, stated_up.reference, readings)
-    whole = solve(model)  # where the positions are is found with all terms
+    try:
+        whole = solve(model)  # where the positions are is found with all terms
+    except RankError:
+        if not stated_up.listed.all():
+            raise
+        return select_terms(model, stated_up.reference, readings)
     return select_terms(whole.model, whole.reference, readings)
 
 

@@ -235,7 +235,7 @@ def test_the_drift_of_a_session_is_as_well_known_as_it_is():
     up = np.tile(read_scheme("all-26").up, (2, 1))
     values = 1.1 * up + 0.02 + 1e-3 * away_from_zero((52, 3))
     values += 1e-3 * np.arange(52.0)[:, None]
-    cal = mp.fit(mp.Readings(values, up=up, unit="g"), drift=True)
+    cal = mp.fit(mp.Readings(values, up=up, unit="g"), drift=True, orientation_sd=0)
     setting, present, _ = measured(cal)
     drifts = [i for i, key in enumerate(cal.model.keys) if str(key[1]) == "drift"]
     assert len(drifts) == 3
@@ -248,7 +248,8 @@ def test_the_drift_of_a_session_is_as_well_known_as_it_is():
 def test_slow_noise_of_a_bias_falls_with_more_readings_and_what_gravity_adds_does_not(monkeypatch):
     """Biases 2 times as uncertain as by the noise alone, scales 1.5 times, crosses as by it."""
     up = read_scheme("all-26").up
-    cal = mp.fit(mp.Readings(up + 1e-3 * away_from_zero((26, 3)), up=up, unit="g"), reading_sd=1e-3)
+    readings = mp.Readings(up + 1e-3 * away_from_zero((26, 3)), up=up, unit="g")
+    cal = mp.fit(readings, reading_sd=1e-3, orientation_sd=0)
     size = np.tile([2.0, 1.0, 1.0, 1.0], 3)
     size[[1, 6, 11]] = 1.5
     known = replace(cal, covariance=cal.covariance * np.outer(size, size))

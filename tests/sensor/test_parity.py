@@ -58,7 +58,8 @@ def test_tail_of_a_parity_by_hand():
     up, axes = read_scheme("fibonacci-24").up, [0, 1, 2, 0, 1]
     names = ("a", "b", "c", "d", "e")
     exact = dict(zip(names, up[:, axes].T, strict=True))
-    cal = mp.fit(exact, scheme="fibonacci-24", axes="x,y,z,x,y", reading_sd=1e-9)
+    stated = {"axes": "x,y,z,x,y", "reading_sd": 1e-9, "orientation_sd": 0}
+    cal = mp.fit(exact, scheme="fibonacci-24", **stated)
     cal = with_known_noise(cal)
     raw = up[:1, axes] + SD * np.array([[2.0, 0.0, 0.0, -2.0, 0.0]])
     found = parity(cal, raw, cal.compensate(raw), {}, np.full(5, SD))
@@ -71,7 +72,8 @@ def test_a_fault_is_one_in_a_thousand_by_hand(size, fault):
     """1e-3 of the normal law lies beyond 3.2905 sd, and 1 + 4/3000 is the variance of a parity."""
     up = read_scheme("fibonacci-3000").up
     exact = columns(1.2 * up @ TETRAHEDRON.T)
-    cal = mp.fit(exact, scheme="fibonacci-3000", axes="x,y,z,x", reading_sd=SD)
+    stated = {"axes": "x,y,z,x", "reading_sd": SD, "orientation_sd": 0}
+    cal = mp.fit(exact, scheme="fibonacci-3000", **stated)
     raw = 1.2 * up[:1] @ TETRAHEDRON.T + SD * size / 2  # (1, 1, 1, 1)/2 sees twice as much
     assert mp.apply(cal, columns(raw))["fault"] == [fault]
 
