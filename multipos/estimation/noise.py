@@ -49,6 +49,8 @@ from multipos.sensor.inverse import parameter_jacobian
 _DETERMINED = 2.0  # factor to either side within which an orientation error is called determined
 _MORE = 2.0  # times the stated orientation sd, from which on a larger one is said
 _ROUNDING = 1e-9  # relative, below which no sd is known
+_FINEST = 1e-15  # of the largest reading, below which no noise is
+_WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
 SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 _NO_UNCERTAINTY = Finding(
@@ -201,6 +203,8 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     unit = _Unit(first, first, optimum, stated=False)
     linear = unit.linear()
     noise, factor = variances.own_axes_weights(linear)
+    noise = max(noise, (_FINEST * float(np.abs(first.values).max())) ** 2)
+    factor = min(factor, (_WIDEST / float(first.orientation_sd.max())) ** 2)
     m = first.values.shape[1]
     following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
     model = first.model

@@ -172,6 +172,8 @@ class Posterior(NamedTuple):
         Of eq. (5) where nothing is stated.
     grids : tuple of A (B, C) arrays
         Logarithms of the nodes of each axis.
+    nu : float
+        Contrasts.
     """
 
     weights: Array
@@ -182,6 +184,7 @@ class Posterior(NamedTuple):
     outputs: Array
     dof: Array | None
     grids: tuple[Array, ...]
+    nu: float
 
     def of(self, units: Places | Mask) -> "Posterior":
         """Return some of the units."""
@@ -194,6 +197,7 @@ class Posterior(NamedTuple):
             self.outputs[units],
             None if self.dof is None else self.dof[units],
             tuple(grid[units] for grid in self.grids),
+            self.nu,
         )
 
     def mean(self, values: Array) -> Array:
@@ -452,7 +456,10 @@ def _components(posterior: Posterior, names: Names, scale: _Scale, plain: _Plain
     """Return the fields of `Components` of the units of a posterior, but for the last."""
     excess = names.excess
     sd = np.sqrt(posterior.size) if excess is None else posterior.ratios[excess]
-    u = np.sqrt(posterior.mean((sd - posterior.mean(sd)[:, None]) ** 2))
+    spread = posterior.mean((sd - posterior.mean(sd)[:, None]) ** 2)
+    if excess is None:  # and the size at one node, of ν contrasts
+        spread = spread + posterior.mean(posterior.size) / (2.0 * posterior.nu)
+    u = np.sqrt(spread)
     moves = np.zeros_like(posterior.shifts[:, 0])
     if names.label is not None:
         moves = np.einsum("bg,bgp->bp", posterior.weights, posterior.shifts)
@@ -463,6 +470,7 @@ def _components(posterior: Posterior, names: Names, scale: _Scale, plain: _Plain
     if names.orientation is not None:
         sds = posterior.ratios[names.orientation] * np.sqrt(posterior.size)
         low, high = _central(sds / scale.spread[:, None], posterior.weights) ** 2
+        low, high = np.minimum(low, factor), np.maximum(high, factor)
     return [U, dof, moves, plain.noise, u, factor, low, high, plain.label]
 
 
@@ -504,7 +512,7 @@ def own_axes_weights(linear: Linear) -> tuple[float, float]:
     """Return the noise of one unit, as least squares leaves it, and F far above it."""
     noise = float(_mean_square(linear, "error")[0])
     spread = float(_mean_square(linear, "spread")[0]) / 2.0
-    return noise, _FAR**2 * noise / spread
+    return noise, _FAR**2 * noise / max(spread, _TINY)
 
 
 def by_own_axes(linear: Linear, crossed: Mask) -> tuple[Array, float]:
@@ -556,7 +564,7 @@ def integrate(
     terms = model.evaluate(nodes)
     weights = _weights(terms.log + prior)
     found = (weights, nodes, terms.size, terms.shifts, terms.variances)
-    return Posterior(*found, model.outputs, model.degrees(nodes, best), tuple(grids))
+    return Posterior(*found, model.outputs, model.degrees(nodes, best), tuple(grids), model.nu)
 
 
 def _weights(log: Array) -> Array:
