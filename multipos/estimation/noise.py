@@ -4,15 +4,13 @@
 `estimate_tied_noise` those of outputs that are tied. `linear_model` is the linear model about an
 optimum, and `with_degrees` gives a solution the degrees of freedom of its outputs.
 
-- **Stated** noise is a lower bound; the excess variance is integrated over.
 - **Unstated** noise, equal in all readings, is F/ν where every position is exact or unknown, F of
   `multipos.estimation.likelihood`, and ν = Σ m_k − (parameters and shared unknowns) the degrees of
-  freedom: m_k = M outputs at a position, less two where nothing is known of its orientation.
-- Where orientation errors explain part of the residuals, noise is integrated over, alone or
-  together with the orientation sd (`multipos.estimation.orientation_variance`).
-
-Where every position is unknown, a noise that is not stated, or whose statement the χ² test rejects,
-may be unequal from axis to axis (`multipos.estimation.unequal_axes`).
+  freedom: m_k = M outputs at a position, less two where nothing is known of its orientation; u
+  allows for outputs of unequal noise.
+- All else, the excess of **stated** noise and the sds of orientations and labels, is integrated
+  over by `multipos.estimation.variances`; at few positions of which nothing is stated the estimate
+  is that which orientation errors reach least.
 
 Where priors or shared parameters tie the outputs and no noise is stated, a prior weighs in its own
 unit, so that the noise decides how much it counts, and outputs that share a parameter weigh each
@@ -36,7 +34,7 @@ import numpy as np
 
 from multipos.estimation import descent, known, likelihood, starts, variances
 from multipos.estimation.problem import Optimum, Problem, Solution
-from multipos.estimation.variances import Block, Claims, Components, Linear
+from multipos.estimation.variances import Block, Components, Linear, StatedComponents
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
 from multipos.numerics.quantiles import coverage_factors
@@ -113,9 +111,10 @@ def estimate_noise(
     alone = problem.tied.all() and not problem.shared and not problem.repeats
     if few and alone and not stated:
         return _by_own_axes(problem, optimum)
-    tied = problem.tied.any()
+    tied = bool(problem.tied.any())
     orientation: Any = ("free" if estimate_sd else "centre") if tied else "exact"
-    return _with_components(problem, optimum, nu, Claims(stated, orientation, few))
+    few = few and tied and not problem.repeats
+    return _with_components(problem, optimum, nu, StatedComponents(stated, orientation, few))
 
 
 def _of_residuals(problem: Problem, optimum: Optimum, nu: float) -> NoiseEstimate:
@@ -130,33 +129,33 @@ def _of_residuals(problem: Problem, optimum: Optimum, nu: float) -> NoiseEstimat
     return replace(noise, u=u[0], parameter_dof=dof[0])
 
 
-def _with_components(first: Problem, optimum: Optimum, nu: float, claims: Claims) -> Found:
+def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedComponents) -> Found:
     """Return the solution under the variance components that readings show."""
-    unit = _Unit(first, first, optimum, claims.noise)
-    found = variances.estimate(unit, np.ones(1, dtype=np.bool_), claims)
+    unit = _Unit(first, first, optimum, given.noise)
+    found = variances.estimate(unit, np.ones(1, dtype=np.bool_), given)
     problem = unit.problem
     dof = median(found.dof[0])
     u = found.U[0] / coverage_factors(0.95, found.dof[0])
     noise = NoiseEstimate(
         1.0,
         float(dof),
-        components=_components(problem, found, claims, float(dof)),
+        components=_components(problem, found, given, float(dof)),
         u=u,
         parameter_dof=found.dof[0],
         moves=found.moves[0] if problem.repeats else None,
     )
     findings: list[Finding] = []
-    if claims.noise:
+    if given.noise:
         alone, _ = unit.searched(np.zeros_like(found.noise), found.factor)
         claim = NoiseTest(alone.optimum.point.objective, nu)
         noise = replace(noise, claim=claim)
         findings += known.overstated(claim)
-    if claims.orientation == "exact":
+    if given.orientation == "exact":
         return problem, unit.optimum, replace(noise, findings=tuple(findings))
     assert noise.components is not None
     spread = noise.components.orientation_sd_deg
     assert spread is not None
-    if claims.orientation == "centre" and found.low[0] > _MORE**2:
+    if given.orientation == "centre" and found.low[0] > _MORE**2:
         text = (
             f"residuals suggest orientation errors of {spread.value:.2g} degrees (1 sigma), more "
             "than stated; U includes them"
@@ -174,24 +173,24 @@ def _with_components(first: Problem, optimum: Optimum, nu: float, claims: Claims
 
 
 def _components(
-    problem: Problem, found: Components, claims: Claims, dof: float
+    problem: Problem, found: Components, given: StatedComponents, dof: float
 ) -> VarianceComponents:
     """Return the noise, and the sds of orientations, of a unit."""
     variance, u = found.noise[0], float(found.u[0])
     rest_to_rest = reading = spread = None
-    if claims.noise:
+    if given.noise:
         sds = np.sqrt(variance).tolist()
         parts = [RestToRest(sd, u, dof) for sd in sds]
         rest_to_rest = dict(zip(problem.model.outputs, parts, strict=True))
     else:
         sd = float(np.sqrt(variance.mean()))
         reading = Component(sd, max(u, _ROUNDING * sd))
-    if claims.orientation != "exact":
+    if given.orientation != "exact":
         value = _widest(problem)
         ends = (found.low[0], found.high[0])
         low, high = (value * float(np.sqrt(end / found.factor[0])) for end in ends)
         source: Literal["stated", "estimated"]
-        source = "stated" if claims.orientation == "centre" else "estimated"
+        source = "stated" if given.orientation == "centre" else "estimated"
         determined = high <= _DETERMINED**2 * low
         half = max((high - low) / 2.0, _ROUNDING * value)
         spread = OrientationSpread(value, half, determined, low, max(high, low), source)

@@ -9,12 +9,9 @@ Every unit has the problem of `multipos.estimation.likelihood` at the listed pos
 and takes the steps of its eqs. (5) and (6) from the listed directions u_k, hardly damped at first:
 angles t_k of a few degrees bend F by little, and each step leaves a small part of the one before.
 
-`estimate_uncertain` fits many units, all of them in step, with the noise that is stated, or with
-one so small that it could only just matter. Excess variance, or with orientation sds to be
-estimated excess variance and their common factor, are then integrated over
-(`multipos.estimation.orientation_variance`). A unit is left to the fit of one where a search has
-not ended, where no excess variance explains the residuals of stated noise, where the positions
-separate parameters badly or noise leaves scale factors open, where a position sticks out, and where
+`estimate_uncertain` fits many units, all of them in step; their variance components are integrated
+over (`multipos.estimation.variances`). A unit is left to the fit of one where a search has not
+ended, where the positions separate parameters badly or noise leaves scale factors open, where a position sticks out, and where
 readings are too noisy.
 """
 
@@ -36,7 +33,7 @@ from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.estimation.unknown_orientations import Place, SearchedUnits, combined, search
-from multipos.estimation.variances import Block, Claims, Linear, estimate
+from multipos.estimation.variances import Block, Linear, StatedComponents, estimate
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
 from multipos.numerics.levenberg_marquardt import Rules
@@ -336,10 +333,10 @@ class SharedOrientations:
         """Degrees of freedom that the parameters leave."""
         return float(len(COMPONENTS) * len(self.reference) - len(self.model.keys))
 
-    def claims(self, *, stated: bool) -> Claims:
+    def given(self, *, stated: bool) -> StatedComponents:
         """Return what is stated of the noise."""
         few = len(self.reference) < SEPARATING
-        return Claims(stated, "free" if self.estimated else "centre", few)
+        return StatedComponents(stated, "free" if self.estimated else "centre", few)
 
     @property
     def listed(self) -> Positions:
@@ -444,7 +441,7 @@ def _estimate(
     chi2 = None if noise is None else place.objective.copy()  # under the stated noise alone
     units = _Units.under_stated(start, place, stated=noise is not None)
     try:
-        found = estimate(units, valid, shared.claims(stated=noise is not None))
+        found = estimate(units, valid, shared.given(stated=noise is not None))
         valid, U, dof, excess = found.valid, found.U, found.dof, found.noise
     except np.linalg.LinAlgError:  # some unit is as good as singular
         valid = np.zeros_like(valid)

@@ -33,9 +33,8 @@ neither a unit nor a guess is needed. M M' = (ρ²/g²) B⁻¹ then, and M is it
 show. What the positions do not determine stays zero in S₀, as on a sphere. Noise can make the
 quadric something else than an ellipsoid; then cross terms are left out of S₀, and last all of it.
 
-Where nothing is stated of the noise, cov θ = S⁻¹ F/ν with ν = n − p, and u allows for axes of
-unequal noise (`multipos.estimation.unequal_axes`). Stated noise is a lower bound: the excess
-variance is integrated over (`multipos.estimation.orientation_variance`).
+Stated noise is a lower bound: its excess is integrated over. Where nothing is stated, u allows for
+axes of unequal noise (both in `multipos.estimation.variances`).
 
 `estimate_unknown` leaves a unit to the fit of one where the ellipsoid needs more care than least
 squares, where a search has not ended, where S is badly conditioned, where noise might hide a
@@ -62,8 +61,8 @@ from multipos.estimation.problem import Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.estimation.variances import (
     Block,
-    Claims,
     Linear,
+    StatedComponents,
     estimate,
     with_unequal_outputs,
 )
@@ -476,7 +475,7 @@ def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: 
     first = replace(start, variance=start.variance.copy())
     units = _Units(first, start, place)
     try:
-        found = estimate(units, valid & noise.sound, Claims(True, "exact"))
+        found = estimate(units, valid & noise.sound, StatedComponents(True, "exact"))
     except np.linalg.LinAlgError:  # some unit is as good as singular
         nothing = np.full(place.theta.shape, np.nan)
         return _Found(place, nothing, nothing, np.zeros_like(valid), start, start.linearise(place))

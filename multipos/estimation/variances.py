@@ -1,10 +1,13 @@
 """Where residuals become variances, degrees of freedom and U: variance components of B units.
 
 `estimate` alternates the variance components of units with their solutions, `integrate` returns
-the posterior of components and parameters at linearised fits, and `by_own_axes` is U where few
-positions cannot tell noise from orientation errors. `Linear` of `Block` is a linearised fit,
-`Claims` what is stated of its noise, an `Axis` what is known of a component beforehand,
-`Posterior` and `Components` what is found.
+the posterior of components and parameters at linearised fits, `excess_of` that of the excess of
+stated noise alone; `with_unequal_outputs` is u where nothing but noise is asked, and
+`own_axes_weights` and `by_own_axes` are noise and U where few positions cannot tell noise from
+orientation errors. `half_interval` is U of a posterior, `half_of_mixture` of any mixture, and
+`dof_of` its degrees of freedom. `Linear` of `Block` is a linearised fit, `StatedComponents` what is
+stated of its noise, an `Axis` what is known of a component beforehand, `Posterior` and `Components`
+what is found.
 
 Near a solution the readings of a unit are linear in its unknowns θ. With e_k the residuals of
 position k at its listed orientation, X_k their slopes by θ, S_k those by the two angles by which
@@ -212,7 +215,7 @@ class _Terms(NamedTuple):
     variances: Array  # (B, G, P)
 
 
-class Claims(NamedTuple):
+class StatedComponents(NamedTuple):
     """What is stated of the noise of units, beside the variances of their blocks.
 
     Attributes
@@ -283,7 +286,7 @@ class Units(Protocol):
 UnitsT = TypeVar("UnitsT", bound=Units)
 
 
-def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
+def estimate(units: UnitsT, valid: Mask, given: StatedComponents) -> Components:
     """Alternate variance components and solutions of units, which follow.
 
     Parameters
@@ -291,7 +294,7 @@ def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
     units : Units
     valid : (B,) array of bool
         The units that are asked.
-    claims : Claims
+    given : StatedComponents
     """
     going, valid = np.flatnonzero(valid), valid.copy()
     before = np.full((2, len(valid)), np.inf)
@@ -302,7 +305,7 @@ def estimate(units: UnitsT, valid: Mask, claims: Claims) -> Components:
             break
         here = units.of(going)
         linear = here.linear()
-        axes, names, scale = _axes(linear, claims)
+        axes, names, scale = _axes(linear, given)
         near = integrate(linear, axes, names, near)
         plain = _plain(near, names, scale)
         following, ended = here.searched(plain.noise, plain.factor)
@@ -360,33 +363,33 @@ class _Scale(NamedTuple):
         return _Scale(*(each[units] for each in self))
 
 
-def _axes(linear: Linear, claims: Claims) -> tuple[list[Axis], Names, _Scale]:
-    """Return the axes that the claims call for."""
+def _axes(linear: Linear, given: StatedComponents) -> tuple[list[Axis], Names, _Scale]:
+    """Return the axes that what is stated calls for."""
     error = np.sqrt(_mean_square(linear, "error"))
     spread = np.sqrt(_mean_square(linear, "spread") / 2.0)
-    unit = not claims.noise and claims.orientation != "centre" and not np.ndim(linear.information)
-    noise = np.sqrt(1.0 / _mean_inverse(linear)) if claims.noise else error
+    unit = not given.noise and given.orientation != "centre" and not np.ndim(linear.information)
+    noise = np.sqrt(1.0 / _mean_inverse(linear)) if given.noise else error
     scale = _Scale(spread, noise, (1e-9 * noise) ** 2 + _TINY)
     axes: list[Axis] = []
     excess = orientation = label = None
     if not unit:
         excess = len(axes)
-        if claims.noise:
-            axes.append(Axis(_LOW * noise, (_FEW if claims.few else _HIGH) * noise, _AS_STATED))
+        if given.noise:
+            high = _FEW * noise if given.few else np.maximum(_HIGH * noise, _WIDEST * error)
+            axes.append(Axis(_LOW * noise, high, _AS_STATED))
         else:
             axes.append(Axis(_FINEST * error, _WIDEST * error))
-    unit_of_spread = np.ones_like(noise) if unit else noise
-    if claims.orientation == "free":
+    one = np.ones_like(noise) if unit else noise
+    any_size = Axis(_LOW * one, (_HIGH if unit else _HIGHER) * one, _NONE)
+    if given.orientation == "free":
         orientation = len(axes)
-        high = _HIGH if unit else _HIGHER
-        axes.append(Axis(_LOW * unit_of_spread, high * unit_of_spread, _NONE))
-    elif claims.orientation == "centre":
+        axes.append(any_size)
+    elif given.orientation == "centre":
         orientation = len(axes)
         axes.append(Axis(spread, spread, 0.0, spread, CENTRE_SD))
     if orientation is not None and any(block.label is not None for block in linear.blocks):
         label = len(axes)
-        high = _HIGH if unit else _HIGHER
-        axes.append(Axis(_LOW * unit_of_spread, high * unit_of_spread, _NONE))
+        axes.append(any_size)
     return axes, Names(not unit, excess, orientation, label), scale
 
 
@@ -487,7 +490,8 @@ def _central(values: Array, weights: Array) -> Array:
 def excess_of(linear: Linear, *, equal: bool) -> Posterior:
     """Return the excess of units of exact orientations beyond the variances of their blocks."""
     noise = np.sqrt(1.0 / _mean_inverse(linear))
-    axis = Axis(_LOW * noise, _HIGH * noise, _AS_STATED)
+    high = np.maximum(_HIGH * noise, _WIDEST * np.sqrt(_mean_square(linear, "error")))
+    axis = Axis(_LOW * noise, high, _AS_STATED)
     return integrate(linear, [axis], Names(stated=True, excess=0, equal=equal))
 
 
