@@ -11,8 +11,8 @@ angles t_k of a few degrees bend F by little, and each step leaves a small part 
 
 `estimate_uncertain` fits many units, all of them in step; their variance components are integrated
 over (`multipos.estimation.variances`). A unit is left to the fit of one where a search has not
-ended, where the positions separate parameters badly or noise leaves scale factors open, where a position sticks out, and where
-readings are too noisy.
+ended, where the positions separate parameters badly or noise leaves scale factors open, where a
+position sticks out, and where readings are too noisy.
 """
 
 from collections.abc import Mapping, Sequence

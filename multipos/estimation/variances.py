@@ -60,7 +60,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 
 from multipos.numerics.arrays import Array, Mask, Places
-from multipos.numerics.quantiles import coverage_factors, erf
+from multipos.numerics.quantiles import coverage_factors, erf, normal_quantile
 
 SHRUNK = 1.0  # s of eq. (4): ln of a variance
 CENTRE_SD = 1.1  # of ln of an orientation sd about what is stated
@@ -763,10 +763,12 @@ class _Model:
         for block in self.linear.blocks:
             V = self.covariance(block, here, whole)[:, 0]
             W = _inverse(V)
-            WX = (W if self.balanced else np.eye(len(V[0, 0]))) @ block.design
-            left_over = block.error - np.einsum("bkrp,bp->bkr", block.design, shift)
-            z = np.einsum("bkrs,bks->bkr", W, left_over)
-            gain = WX @ inverse[:, None]
+            Xe = np.concatenate([block.design, block.error[..., None]], axis=3)
+            WX = (W if self.balanced else np.eye(len(V[0, 0]))) @ Xe
+            if self.label is not None and block.turned is not None:
+                WX, W = _without_labels(block, W, WX, here[self.label, :, 0] ** 2)
+            z = WX[..., P] - np.einsum("bkrp,bp->bkr", WX[..., :P], shift)
+            gain = WX[..., :P] @ inverse[:, None]
             for i in range(self.M):
                 d = np.where(np.arange(self.M) == i, self.outputs, 0.0)
                 D = np.broadcast_to(self.noise(block, here, d)[:, 0], V.shape)
@@ -774,7 +776,7 @@ class _Model:
                 should[:, i] += np.einsum("bkrs,bksr->b", W, D)
                 DG = D @ gain
                 parts[:, i] += np.einsum("bkrp,bkrp->bp", gain, DG)
-                should[:, i] -= np.einsum("bkrp,bkrp->b", DG, WX)
+                should[:, i] -= np.einsum("bkrp,bkrp->b", DG, WX[..., :P])
         return left, should, parts, np.asarray(inverse)
 
     def balance(self, nodes: Array, best: Places, steps: int = _STEPS) -> None:
@@ -804,6 +806,22 @@ class _Model:
         away = share - share.mean(axis=1, keepdims=True)
         known = np.maximum(should, 0.0) + 2.0 / SHRUNK**2
         return np.asarray(1.0 / (1.0 / self.nu + np.sum(away**2 / known[:, :, None], axis=1)))
+
+
+def _without_labels(block: Block, W: Array, WX: Array, L: Array) -> tuple[Array, Array]:
+    """Return W X (B, k, r, P) and the blocks W_kk (B, k, r, r) of W with labels eliminated."""
+    assert block.turned is not None
+    assert block.label is not None
+    R = block.turned
+    WR = W @ R
+    names = np.unique(block.label)
+    one = (block.label == names[:, None]).astype(float)
+    H = np.einsum("lk,bkri,bkrj->blij", one, R, WR)
+    K = np.linalg.inv(H + np.eye(3) / np.maximum(L, _TINY)[:, None, None, None])
+    C = np.einsum("lk,bkri,bkrp->blip", one, R, WX)
+    of_row = np.searchsorted(names, block.label)
+    WX = WX - WR @ (K @ C)[:, of_row]
+    return WX, W - WR @ K[:, of_row] @ np.swapaxes(WR, 2, 3)
 
 
 def _inverse(V: Array) -> Array:
@@ -853,7 +871,7 @@ def half_of_mixture(
         low, high = np.where(held < 0.95, middle, low), np.where(held < 0.95, high, middle)
     if dof is None:
         return np.asarray(high)
-    return np.asarray(high * coverage_factors(0.95, dof) / _of_normal(1.959964, dof))
+    return np.asarray(high * coverage_factors(0.95, dof) / _of_normal(normal_quantile(0.975), dof))
 
 
 def _normal(t: Array, dof: Array | None) -> Array:
