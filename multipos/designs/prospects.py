@@ -174,7 +174,21 @@ def measured(calibration: Calibration) -> tuple[Setting, Array, Array]:
         # what slow noise adds to a bias falls with more readings, as noise does
         biases = [str(term) == "1" for _, term in model.keys]
         covered[biases] = ratio[biases]
+    if calibration.estimator is Estimator.UNCERTAIN:
+        # U is that of a mixture, which each parameter has a share of its own in
+        covered = _of_readings(calibration) / _variances(present)
     return setting, present, covered
+
+
+def _of_readings(calibration: Calibration) -> Array:
+    """Return the variances (p,) that the readings give, without what all positions share."""
+    c = calibration
+    if c.budget is not None and c.budget.scatter is not None:
+        return np.diag(c.budget.scatter)
+    if c.gravity is None:
+        return c.u**2
+    shared = c.model.force_degrees * c.parameters * c.gravity.u / c.gravity.value
+    return np.asarray(c.u**2 - shared**2)
 
 
 def _up(calibration: Calibration) -> Array:

@@ -420,7 +420,7 @@ def test_predicted_u_of_unknown_orientation_is_the_scatter():
     assert_allclose(ratio, 1.0, atol=4 / math.sqrt(2 * runs))
 
 
-@pytest.mark.parametrize("options", [{}, {"unknown_orientation": True}, {"orientation_sd": 0.01}])
+@pytest.mark.parametrize("options", [{"orientation_sd": 0}, {"unknown_orientation": True}])
 def test_predicted_u_is_what_the_fit_states(options):
     rng, sd = np.random.default_rng(10), 1e-4
     up = read_scheme("all-26").up
@@ -432,9 +432,23 @@ def test_predicted_u_is_what_the_fit_states(options):
     ratio = cal.u / list(entry["u"].values())
     assert 0.95 < ratio.mean() < 1.1
     assert_allclose(ratio / ratio.mean(), 1.0, rtol=3e-3)
-    if not options:  # the sensor is nominal to some 1e-4
+    if "orientation_sd" in options:  # the sensor is nominal to some 1e-4
         known = with_known_noise(cal)
         assert_allclose(known.u, list(entry["u"].values()), rtol=1e-3)
+
+
+def test_predicted_u_is_what_the_fit_states_where_it_finds_orientation_errors():
+    """The sd of 52 angles is known to a tenth, and u is of a mixture over what it may be."""
+    rng, sd = np.random.default_rng(10), 1e-4
+    up = read_scheme("all-26").up
+    stood = up + np.cross(np.radians(0.05) * rng.standard_normal(up.shape), up)
+    values = stood / np.linalg.norm(stood, axis=1)[:, None] + sd * rng.standard_normal(up.shape)
+    table = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+    table |= dict(zip(OUTPUTS, values.T, strict=True))
+    cal = mp.fit(table, reading_sd=sd)
+    found = cal.orientation_spread.value
+    (entry,) = mp.schemes("all-26", reading_sd=sd, orientation_sd=found)["schemes"]
+    assert_allclose(cal.u / list(entry["u"].values()), 1.0, atol=0.12)
 
 
 # --- exact designs
@@ -639,7 +653,7 @@ def measured_at(up, scale=1.0):
 def test_u_after_is_what_a_calibration_with_the_positions_states():
     # eq. (1) of designs.prospects
     rng = np.random.default_rng(8)
-    options = {"model": "own-quadratic", "reading_sd": 0.001}
+    options = {"model": "own-quadratic", "reading_sd": 0.001, "orientation_sd": 0}
     cal = with_known_noise(mp.fit(readings("faces-corners-14", rng), **options))
     found = mp.design(positions=17, include=cal, criterion="u:ay:y^2")
     assert (found.model, found.included) == ("own-quadratic", 14)
@@ -684,6 +698,25 @@ def test_u_after_where_orientations_are_not_exact_or_the_model_is_ones_own(optio
     assert_allclose(after(found), then.u, rtol=0.2)
     assert (after(found) <= (1.0 + 1e-12) * before(found)).all()
     assert after(found).sum() < 0.99 * before(found).sum()
+
+
+def test_u_after_is_about_what_the_fit_states_where_it_finds_orientation_errors():
+    """Fourteen positions know the sd of their .1 degrees to an eighth."""
+    rng = np.random.default_rng(12)
+
+    def placed(up):
+        stood = up + np.cross(np.radians(0.1) * rng.standard_normal(up.shape), up)
+        stood /= np.linalg.norm(stood, axis=1)[:, None]
+        columns = dict(zip(("up_x", "up_y", "up_z"), up.T, strict=True))
+        values = stood + 1e-4 * rng.standard_normal(up.shape)
+        return columns | dict(zip(OUTPUTS, values.T, strict=True))
+
+    cal = mp.fit(placed(read_scheme("faces-corners-14").up))
+    found = mp.design(positions=30, include=cal)
+    assert_allclose(before(found), cal.u, rtol=1e-9)
+    then = mp.fit(placed(np.array(found.positions)))
+    assert_allclose(after(found) / then.u, 1.0, atol=0.35)
+    assert (after(found) < 0.85 * before(found)).all()
 
 
 def test_what_positions_share_no_position_lowers():
