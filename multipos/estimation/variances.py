@@ -71,6 +71,7 @@ _NONE = 0.3  # probability that there are none
 _AS_STATED = 0.5  # probability that the noise is as stated
 _FEW = 3.0  # of the stated noise, which its excess is below where few positions show neither
 _FINEST, _WIDEST = 1e-3, 2.0  # of residuals, between which a noise is that is not their unit
+_NEARLY_NONE = 1e-6  # of what orientation errors do, as noise
 _ROUNDS = 5  # of components and solutions
 _CONVERGED = 0.05  # of ln of a component: an eighth of what a hundred contrasts know
 NODES = {1: 14, 2: 10, 3: 7}  # of each axis, by how many there are
@@ -378,7 +379,8 @@ def _axes(linear: Linear, given: StatedComponents) -> tuple[list[Axis], Names, _
             high = _FEW * noise if given.few else np.maximum(_HIGH * noise, _WIDEST * error)
             axes.append(Axis(_LOW * noise, high, _AS_STATED))
         else:
-            axes.append(Axis(_FINEST * error, _WIDEST * error))
+            far = np.maximum(error, _NEARLY_NONE * spread / _FINEST)  # or V is as good as singular
+            axes.append(Axis(_FINEST * far, _WIDEST * far))
     one = np.ones_like(noise) if unit else noise
     any_size = Axis(_LOW * one, (_HIGH if unit else _HIGHER) * one, _NONE)
     if given.orientation == "free":
