@@ -559,7 +559,7 @@ def _examined(
 
 def _hidden_cause(exact: Calibration, *, sought: bool) -> list[Finding]:
     """Return the cause that explains residuals at listed orientations better than their errors."""
-    if not row_order.asked(exact):
+    if not row_order.asked(exact) or columns.quantized(exact) is not None:
         return []
     tested = score_tests.judge_model(exact)
     exact = changed(exact, diagnostics=changed(exact.diagnostics, model_tests=tested.tests))

@@ -146,8 +146,7 @@ def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedC
     )
     findings: list[Finding] = []
     if given.noise:
-        alone, _ = unit.searched(np.zeros_like(found.noise), found.factor)
-        claim = NoiseTest(alone.optimum.point.objective, nu)
+        claim = NoiseTest(_misfit_alone(unit, found, nu), nu)
         noise = replace(noise, claim=claim)
         findings += known.overstated(claim)
     if given.orientation == "exact":
@@ -170,6 +169,19 @@ def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedC
     findings.append(Finding("estimated-noise", "note", text))
     sd = problem.orientation_sd
     return problem, unit.optimum, replace(noise, orientation_sd=sd, findings=tuple(findings))
+
+
+def _misfit_alone(unit: "_Unit", found: Components, nu: float) -> float:
+    """Return F under the stated noise alone, at the likely orientation errors.
+
+    Where it is more than ν, at the largest of them: what these explain denies no noise.
+    """
+    nothing = np.zeros_like(found.noise)
+    likely, most = (
+        unit.searched(nothing, factor)[0].optimum.point.objective
+        for factor in (found.factor, found.high)
+    )
+    return float(likely if likely <= nu else max(most, nu))
 
 
 def _components(

@@ -605,11 +605,18 @@ def _solver(
                 return solve_own_known(model, reference, readings, pool=pool, tested=tested)
         if stated_up.estimated and model.has_terms:
             share_design(model, reference, readings.environment)  # or it says what they separate
-        return uncertain.solve_uncertain(
+        found = uncertain.solve_uncertain(
             model, readings, stated_up, gauge=options.gauge, robust=options.robust, pool=pool
         )
+        return found if tested else _untested(found)
 
     return solve
+
+
+def _untested(found: Solution) -> Solution:
+    """Return a solution without what it says of a noise that nobody stated."""
+    findings = tuple(each for each in found.findings if each.code != "overstated-noise")
+    return replace(found, claim=None, findings=findings)
 
 
 def _stepwise(

@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from consumers import read_back
+from findings_bench import EXACT, warned
 from scipy import optimize
 
 import multipos as mp
@@ -38,7 +39,8 @@ def turned(up, vector):
 
 
 def world(cause, seed, scheme="fibonacci-24", **options):
-    """Return the fit of readings in random order that a cause has spoilt."""
+    """Return the fit of readings in random order that a cause has spoilt, as stated exactly."""
+    options = options if "unknown_orientation" in options else EXACT | options
     rng = np.random.default_rng(seed)
     up = rng.permutation(mp.read_scheme(scheme).up)
     n = len(up)
@@ -81,6 +83,21 @@ def test_the_one_cause_is_named(cause):
     assert sum(found == [cause] for found in codes) >= 7, codes
 
 
+@pytest.mark.parametrize("cause", [*CAUSES[:-3], CAUSES[-1]])
+def test_it_is_named_where_orientation_errors_are_estimated(cause):
+    """Which explain what it adds to the readings, all but along the force."""
+    found = [warned(world(cause, seed, orientation_sd=None)) for seed in range(8)]
+    assert sum(each == [cause] for each in found) >= 7, found
+
+
+def test_rows_that_are_set_aside_are_no_cause_of_others():
+    for cause in ("outlier", "vibration"):
+        found = [world(cause, seed, orientation_sd=None, exclude="auto") for seed in range(8)]
+        apart = [c for c in found if c.excluded]
+        assert len(apart) >= 6
+        assert sum(map(bool, map(warned, apart))) <= 1
+
+
 @pytest.mark.parametrize("cause", ["drift", "replaced", "settling", "hysteresis", "vibration"])
 def test_the_one_cause_is_named_at_unknown_orientations(cause):
     codes = [
@@ -97,7 +114,7 @@ def test_settling_of_one_output_is_named():
     y = ZERO[0] + up @ K[0]
     y[1:] = 0.95 * y[1:] + 0.05 * y[:-1]
     y += SD * rng.standard_normal(24)
-    (finding,) = mp.fit(mp.Readings(y[:, None], up=up), model="linear").findings
+    (finding,) = mp.fit(mp.Readings(y[:, None], up=up), model="linear", **EXACT).findings
     assert finding.code == "settling"
     assert abs(float(re.search(r"([\d.]+) %", finding.text)[1]) - 5.0) < 0.5
 
@@ -198,7 +215,7 @@ def test_a_drift_is_fitted_and_left_out_of_compensation(tmp_path):
     drift = c["ax", "drift"]
     assert (drift.name, drift.unit) == ("drift_ax", "g/h")
     assert abs(drift.value - 5e-3 / (time[-1] / 3600.0)) < 2.0 * drift.U
-    assert not c.findings
+    assert not warned(c)
     assert abs(c["bias_ax"].value - ZERO[0]) < 2.0 * c["bias_ax"].U
     c.save(tmp_path / "c.json")
     assert mp.load(tmp_path / "c.json") == c
@@ -230,7 +247,8 @@ def test_a_drift_is_fitted_whatever_is_known_of_orientations(options, tmp_path):
     assert read_back(tmp_path / "c.c", c).difference < 1e-12
 
 
-def test_a_coarse_grid_is_the_floor_of_u():
+@pytest.mark.parametrize("options", [EXACT, {}], ids=["exact", "estimated"])
+def test_a_coarse_grid_is_the_floor_of_u(options):
     """Readings to 8 mg of a noise of .1 mg: a rounding is uniform, of sd 8/√12 = 2.31 mg."""
     hits = []
     for seed in range(25):
@@ -239,8 +257,10 @@ def test_a_coarse_grid_is_the_floor_of_u():
         slopes = np.eye(3) + 8e-3 * rng.uniform(-1.0, 1.0, (3, 3))
         zero = 0.02 * rng.standard_normal(3)
         y = zero + up @ slopes.T + SD * rng.standard_normal((6, 3))
-        c = mp.fit(mp.Readings(8e-3 * np.round(y / 8e-3), up=up, unit="g"))
-        assert "quantized" in {finding.code for finding in c.findings}
+        c = mp.fit(mp.Readings(8e-3 * np.round(y / 8e-3), up=up, unit="g"), **options)
+        assert not warned(c)
+        if options:
+            assert "quantized" in {finding.code for finding in c.findings}
         assert c.U.min() > 1.9 * 8e-3 / math.sqrt(12.0 * 6.0)
         hits.append(np.abs(c.parameters - np.column_stack([zero, slopes]).ravel()) <= c.U)
     assert np.mean(hits) > 0.93
@@ -264,7 +284,7 @@ def test_axes_that_are_not_square_are_no_turn():
     slanted[1] = [0.5, math.sqrt(0.75), 0.0]  # y stands 30° from where it should
     up = mp.read_scheme("fibonacci-24").up
     noise = SD * np.random.default_rng(6).standard_normal((24, 3))
-    assert not mp.fit(mp.Readings(up @ slanted.T + noise, up=up)).findings
+    assert not warned(mp.fit(mp.Readings(up @ slanted.T + noise, up=up)))
 
 
 def test_one_degree_of_freedom_has_no_cause_of_time():
