@@ -2,7 +2,6 @@
 
 from typing import Any
 
-
 EXACT: dict[str, Any] = {"orientation_sd": 0, "exclude": "none"}  # least squares of all rows
 
 

@@ -25,6 +25,7 @@ from multipos.numerics.losses import LOSSES, Loss
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import ModelText
 from multipos.positions.attitudes import Convention, check_convention
+from multipos.positions.headers import TEMPERATURE
 from multipos.positions.order import Order
 from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
@@ -33,7 +34,7 @@ from multipos.results import frozen
 from multipos.sensor.bench import BenchOptions
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
-from multipos.sensor.temperature import runs_of
+from multipos.sensor.temperature import runs_of, soaks_of
 from multipos.uncertainty.budgets import Budget, BudgetSource
 
 _CONTRADICT = {
@@ -245,6 +246,8 @@ def with_default_errors(
         why = "readings are correlated between positions"
     elif runs_of(readings, model) is not None:
         why = "beside zeros of runs no orientation error is estimated"
+    elif TEMPERATURE in model.environment and soaks_of(readings) is not None:
+        why = "beside zeros of soaks no orientation error is estimated"
     elif correlated_rows.are_asked(model, readings, stated_up.reference, Estimator.LINEAR):
         why = "rows of one record, many a position, say nothing of orientation errors"
     else:

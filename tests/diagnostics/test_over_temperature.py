@@ -29,7 +29,8 @@ def over_temperature(seed, *, zero=0.0, curve=0.0, sd=1e-4):
 
 
 def found(c):
-    return [finding.code for finding in c.diagnostics.findings if finding.code != "hidden-terms"]
+    beside = ("hidden-terms", "inseparable")  # orientations are exact beside soaks
+    return [finding.code for finding in c.diagnostics.findings if finding.code not in beside]
 
 
 def test_soaks_are_levels_or_stays_in_order():
