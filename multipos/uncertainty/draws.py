@@ -5,8 +5,8 @@ force, level, orientation error and index turn it, voltmeter and temperature mov
 
 Noise estimated from residuals on ν degrees of freedom is drawn from Student's t (JCGM 101, 6.4.9),
 as one scale for all readings of an output. Where orientations were uncertain or unknown, positions,
-and a table that is not level, are turned by what the likelihood of the fit allows them, so that
-their standard deviations, where they were estimated, are drawn like the noise.
+and a table that is not level, are turned by what the likelihood of the fit allows them, and
+their standard deviations, where they were estimated, are drawn about the estimate, none below zero.
 """
 
 import math
@@ -40,7 +40,7 @@ class Draws:
         scatter = [row for row in budget.rows if row.quantity == "readings"]
         self.dof = budget.cleared.dof
         self.joint = len(scatter) == 1 and self.m > 1
-        self.spread, self.level, self.spread_dof = np.zeros(self.n), 0.0, math.inf
+        self.spread, self.level, self.spread_u = np.zeros(self.n), 0.0, 0.0
         if not c.estimator.exact:
             self._take_from_likelihood()
         else:
@@ -65,11 +65,13 @@ class Draws:
         self.spread = np.where(
             np.isfinite(problem.orientation_sd), root * problem.orientation_sd, 0.0
         )
+        if any(each.code == "inseparable" for each in c.findings):
+            self.spread[:] = 0.0  # of own axes, whose U holds where orientations are exact
         self.level, self.attitude = root * problem.level_sd, problem.attitude
         self.rolls = problem.rolls
         estimated = c.orientation_spread
-        if estimated is not None:  # u of ln s² is 2 u(s)/s, and of ln chi²_nu it is sqrt(2/nu)
-            self.spread_dof = 0.5 * (estimated.value / estimated.u) ** 2
+        if estimated is not None and estimated.value > 0.0:
+            self.spread_u = estimated.u / estimated.value
 
     def __call__(self, trials: int) -> Array:
         """Return readings (trials, n, M) about the fitted model."""
@@ -129,9 +131,9 @@ class Draws:
                 along = circle_basis(direction, self.rolls.vectors[rows])[:, :, 0]
                 across = np.einsum("tni,ni->tn", turns[:, rows], along)
                 turns[:, rows] = across[:, :, None] * along
-            if math.isfinite(self.spread_dof):
-                drawn = self.rng.chisquare(self.spread_dof, (trials, 1, 1))
-                turns *= np.sqrt(self.spread_dof / drawn)
+            if self.spread_u > 0.0:
+                drawn = 1.0 + self.spread_u * self.rng.standard_normal((trials, 1, 1))
+                turns *= np.maximum(drawn, 0.0)
         if self.level and self.attitude is not None:
             tilt = self.level * self.rng.standard_normal((trials, 2))
             turns += np.einsum("tq,niq->tni", tilt, self.attitude[:, :, :2])

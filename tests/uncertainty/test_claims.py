@@ -185,12 +185,13 @@ def test_laws_of_the_monte_carlo_have_their_half_width(law, ratio):
     assert draws.std() == pytest.approx(0.5, rel=0.03)
 
 
-def test_spread_of_positions_is_drawn_with_its_degrees_of_freedom():
-    """An sd known to a quarter: of ln s² the u is 1/2, whose square is 2/ν, so ν = 8."""
+def test_spread_of_positions_is_drawn_about_its_estimate():
+    """An sd of .4(1) is known to a quarter."""
     c = mp.fit(readings("fibonacci-24"), scheme="fibonacci-24", orientation_sd="auto")
-    told = VarianceComponents(orientation_sd_deg=OrientationSpread(0.4, 0.1, determined=True))
+    spread = OrientationSpread(0.4, 0.1, True, 0.3, 0.5, "estimated")
+    told = VarianceComponents(orientation_sd_deg=spread)
     draws = Draws(replace(c, variance_components=told), np.random.default_rng(1))
-    assert draws.spread_dof == pytest.approx(8.0, rel=1e-12)
+    assert draws.spread_u == pytest.approx(0.25, rel=1e-12)
 
 
 def test_fourier_view_by_hand():

@@ -147,13 +147,18 @@ def test_noise_is_drawn_with_its_covariance_and_degrees_of_freedom(joint):
 
 
 def test_turns_of_positions_are_as_wide_as_the_likelihood_says():
-    """The spread of each with t of 10, and a level that all share by their attitudes."""
+    """The spread of each, known to a tenth or to its size, and a level that all share."""
     attitude = np.array([[[0.6, 0.8, 0.1], [0.3, 0.4, 9.0], [0.2, -0.7, 9.0]]] * 2)
     state = draws(
-        spread=np.array([0.01, 0.03]), rolls=None, spread_dof=10.0, level=0.0, attitude=attitude
+        spread=np.array([0.01, 0.03]), rolls=None, spread_u=0.1, level=0.0, attitude=attitude
     )
     turns = Draws._allowed(state, 40_000)
-    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(10 / 8)
+    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(1.0 + 0.1**2)
+    assert_allclose(turns.std(axis=0), wanted, rtol=0.03)
+    # E max(1 + z, 0)² = 2 Φ(1) + φ(1)
+    state.spread_u = 1.0
+    turns = Draws._allowed(state, 40_000)
+    wanted = np.array([[0.01] * 3, [0.03] * 3]) * math.sqrt(2 * 0.841345 + 0.241971)
     assert_allclose(turns.std(axis=0), wanted, rtol=0.03)
     state.spread, state.level = np.zeros(2), 0.02
     turns = Draws._allowed(state, 40_000)
@@ -376,7 +381,7 @@ def test_rolls_of_open_angle_turn_only_across_their_circles():
         rows=np.array([True, False]), vectors=np.array([[1.0, 0, 0], [0, 0, 0]])
     )
     state = draws(
-        spread=np.array([0.01, 0.02]), rolls=rolls, spread_dof=math.inf, level=0.0, attitude=None
+        spread=np.array([0.01, 0.02]), rolls=rolls, spread_u=0.0, level=0.0, attitude=None
     )
     state.c = SimpleNamespace(reference=reference)
     turns = Draws._allowed(state, 20_000)
@@ -521,7 +526,7 @@ def test_gravity_of_a_budget_is_as_it_was_used(used, law):
 
 @pytest.mark.parametrize("correlated", [False, True])
 def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatch):
-    """All sds by √2.5: the noise as V = 2.5 W⁻¹ in blocks; ν of s by ½ (s/u)² of 4 and 1."""
+    """All sds by √2.5: the noise as V = 2.5 W⁻¹ in blocks; u of s is a quarter of it."""
     rng = np.random.default_rng(3)
     root = rng.normal(size=(4, 2, 5))
     V = root @ root.transpose(0, 2, 1)
@@ -533,8 +538,9 @@ def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatc
     monkeypatch.setattr(drawing, "restate", lambda c: problem)
     monkeypatch.setattr(drawing, "return_to_optimum", lambda *_: None)
     monkeypatch.setattr(drawing, "noise_factor", lambda *_: 2.5)
-    estimated = SimpleNamespace(orientation_sd_deg=SimpleNamespace(value=4.0, u=1.0))
-    draws = SimpleNamespace(c=SimpleNamespace(variance_components=estimated), n=4, m=2)
+    spread = SimpleNamespace(value=4.0, u=1.0)
+    c = SimpleNamespace(orientation_spread=spread, findings=())
+    draws = SimpleNamespace(c=c, n=4, m=2)
     Draws._take_from_likelihood(draws)
     if correlated:
         whole = np.zeros((8, 8))
@@ -545,7 +551,7 @@ def test_draws_take_noise_and_spreads_from_the_likelihood(correlated, monkeypatc
         assert_allclose(draws.noise**2, 2.5 * variances.ravel())
     assert_allclose(draws.spread, math.sqrt(2.5) * np.array([0.1, 0.0, 0.0, 0.3]))
     assert draws.level == pytest.approx(math.sqrt(2.5) * 0.2)
-    assert (draws.spread_dof, draws.attitude, draws.rolls) == (8.0, "a", "r")
+    assert (draws.spread_u, draws.attitude, draws.rolls) == (0.25, "a", "r")
 
 
 @pytest.mark.parametrize(
