@@ -351,8 +351,6 @@ def unequal_noise(c: Calibration, at_solution: AtSolution | None = None) -> Find
     """Find outputs of unequal noise where the likelihood takes them as equal, or as stated."""
     if c.estimator.exact or c.robust_weight is not None or len(c.outputs) < 2:
         return None
-    if not np.abs(c.residuals).max() > _ROUNDING * np.abs(c.readings.values).max():
-        return None
     p, sizes = judge_equality(c, at_solution)
     if not p < _LEVEL or significant(c.diagnostics.model_tests):
         return None
@@ -449,7 +447,8 @@ def judge_equality(c: Calibration, at_solution: AtSolution | None = None) -> tup
         Standard deviations that the residuals show.
     """
     n, m = c.residuals.shape
-    if n * m > MOST:
+    nothing = _ROUNDING * float(np.abs(c.readings.values).max())
+    if n * m > MOST or not float(np.abs(c.residuals).max()) > nothing:
         return 1.0, np.full(m, np.nan)
     problem, optimum = at_solution() if at_solution else information_at_solution(c)
     if float(problem.degrees.sum()) - problem.unknowns < FEW:

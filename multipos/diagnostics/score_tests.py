@@ -52,6 +52,7 @@ LEVEL = 0.01  # chance that a model that lacks nothing is said to lack something
 # of the readings' span: what scatters less is rounded, and rounding follows no law
 FINEST = 3e-7
 _LARGEST = 1e30  # of R, where nothing is left
+_SLIGHT = 0.02  # mean square of a term at the positions, a third of what x y has all around
 CLEAR = 0.005  # of a column's square: with as much left of it no term is hidden
 
 
@@ -284,6 +285,7 @@ def _as_one(
     explained, q, least = _explained(gram, score, sums.size, kind_of, len(kinds))
     asked = np.array([name not in added for name in names])
     explained, q = explained * asked, q * asked
+    least[_slight(c, kinds)] = 0.0
     faint = [k for k, name in enumerate(names) if least[k] < CLEAR and name in projections.OF_FORCE]
     hidden: tuple[str, ...] = ()
     if faint and not added:
@@ -293,6 +295,12 @@ def _as_one(
     least_variance = np.full(1, sums.least_variance)
     alone = explained[:, None], whole, q[:, None], left, least_variance
     return Tested(_ratios(names, (), *alone), hidden)
+
+
+def _slight(c: Calibration, kinds: _Kinds) -> list[int]:
+    """Return the kinds of which a term is hardly applied: what is left of little is little."""
+    Z, _, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
+    return np.unique(kind_of[np.mean(Z**2, axis=1) < _SLIGHT]).tolist()
 
 
 def _sums_at_known(c: Calibration, kinds: _Kinds) -> _Sums:

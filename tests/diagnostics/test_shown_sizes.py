@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from findings_bench import EXACT
 
 import multipos as mp
 from multipos.diagnostics.projections import shown_sizes
@@ -12,7 +13,7 @@ def fitted(scheme, model="linear", cubic=0.0, **options):
     up = mp.read_scheme(scheme).up
     values = 0.01 + up @ np.diag([2.0, 4.0, 8.0]) + cubic * np.array([2.0, 4.0, 8.0]) * up**3
     values += 1e-3 * np.random.default_rng(3).standard_normal(up.shape)
-    return mp.fit(mp.Readings(values, up=up, unit="V"), model=model, **options)
+    return mp.fit(mp.Readings(values, up=up, unit="V"), model=model, **EXACT, **options)
 
 
 def test_sizes_are_those_of_a_fit_with_the_term():
