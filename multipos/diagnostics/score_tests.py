@@ -300,7 +300,7 @@ def _as_one(
 def _slight(c: Calibration, kinds: _Kinds) -> list[int]:
     """Return the kinds of which a term is hardly applied: what is left of little is little."""
     Z, _, kind_of = projections.terms_of(kinds, c.reference, c.readings.environment)
-    return np.unique(kind_of[np.mean(Z**2, axis=1) < _SLIGHT]).tolist()
+    return [int(kind) for kind in np.unique(kind_of[np.mean(Z**2, axis=1) < _SLIGHT])]
 
 
 def _sums_at_known(c: Calibration, kinds: _Kinds) -> _Sums:
