@@ -90,6 +90,8 @@ def judge_model(
             tested = _at_known(c, kinds, added) if alone else _as_one(c, kinds, added, at_solution)
     except np.linalg.LinAlgError:  # as good as singular: nothing can be said of what is beside it
         return Tested((), ())
+    if c.by_own_axes:  # residuals along own axes are none
+        return replace(tested, tests=())
     if not c.effective_rows or _beats_slow_noise(c, tested.tests):
         return tested
     share = min(c.effective_rows.values()) / len(c.residuals)

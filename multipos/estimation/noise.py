@@ -33,7 +33,7 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from multipos.estimation import descent, known, likelihood, starts, variances
-from multipos.estimation.problem import Optimum, Problem, Solution
+from multipos.estimation.problem import Optimum, Problem, Solution, start_state
 from multipos.estimation.variances import Block, Components, Linear, StatedComponents
 from multipos.finding import Finding, Findings
 from multipos.numerics.arrays import LARGEST, Array, Mask, Places, median
@@ -224,8 +224,8 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     crossed = ~constant & ~np.isin(np.arange(len(constant)), list(own))
     U, dof = variances.by_own_axes(following.linear(), crossed)
     text = (
-        "noise and orientation errors cannot be told apart at these positions: biases and own "
-        "scale factors are those of own-axis readings, and U holds where orientations are exact"
+        "noise and orientation errors cannot be told apart here: biases and own scale factors are "
+        "of own-axis readings, and U holds where orientations are exact"
     )
     action = "State --reading-sd, or --orientation-sd in degrees (0: exact), or read each twice."
     finding = Finding("inseparable", "note", text, action)
@@ -241,7 +241,10 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
         u,
         np.full(len(u), dof),
     )
-    return following.problem, following.optimum, estimate
+    # What angles would take up is noise as likely: residuals are those at the listed directions.
+    problem, state = following.problem, start_state(first, following.optimum.state.theta)
+    point = likelihood.evaluate(problem, state)
+    return problem, replace(following.optimum, state=state, point=point), estimate
 
 
 class _Unit:

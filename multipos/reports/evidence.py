@@ -84,7 +84,7 @@ def residual_tables(c: Calibration) -> tuple[PageTable, ...]:
 def _kind_of_residual(c: Calibration) -> str:
     """Return what a residual is."""
     said = "Residual = reading − model. The bars are ±2 standard deviations of each residual."
-    return f"{said} {c.estimator.residual_note}".rstrip()
+    return said if c.by_own_axes else f"{said} {c.estimator.residual_note}".rstrip()
 
 
 def _kind_of_error(c: Calibration) -> str:

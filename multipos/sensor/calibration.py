@@ -253,6 +253,14 @@ class Calibration(Saved, Drawn):
         return None if found is None else found.orientation_sd_deg
 
     @property
+    def by_own_axes(self) -> bool:
+        """Whether few positions tell neither noise nor orientation errors, but both together."""
+        found, sd = self.orientations, self.readings.orientation_sd
+        if self.estimator is not Estimator.UNCERTAIN or found is None or sd is None:
+            return False
+        return bool((sd > 0.0).all()) and not np.any(found.orientation_error_deg)
+
+    @property
     def effective_rows(self) -> Mapping[str, float] | None:
         """Effective number of rows of each output; None where rows are independent."""
         found = self.variance_components
