@@ -78,7 +78,7 @@ def judge_model(
         Returns what `information_at_solution` does.
     """
     kinds = projections.lacking(c)
-    alone = c.estimator.exact and c.model.has_terms
+    alone = (c.estimator.exact or c.by_own_axes) and c.model.has_terms
     identifiable = bool((np.isfinite(c.residual_sd) & (c.residual_sd > 0.0)).all())
     identifiable = alone or (
         identifiable and (c.robust_weight is None or c.robust_weight.ndim == 1)
