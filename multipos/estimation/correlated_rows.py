@@ -385,7 +385,7 @@ def _judge(design: Array, error: Array, along: Array | None = None) -> _RowPreci
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
     half = half_of_mixture(weight[None], variances[None, :, :p])[0]
-    dof = dof_of(half / np.sqrt(weight @ variances[:, :p]))
+    dof = dof_of(weight[None], variances[None, :, :p])
     usual = coverage_factor(_COVERAGE, float(n - p)) * np.sqrt(plain)
     effective = together * float(weight @ (of_row / variances[:, p]))
     return _RowPrecision(

@@ -34,7 +34,14 @@ from multipos.estimation.noise import (
     estimate_tied_noise,
     with_degrees,
 )
-from multipos.estimation.problem import Optimum, Problem, Solution, State, state_problem
+from multipos.estimation.problem import (
+    RELATIVE_NOISE,
+    Optimum,
+    Problem,
+    Solution,
+    State,
+    state_problem,
+)
 from multipos.estimation.starts import (
     own_starts,
     reduced_information,
@@ -99,6 +106,8 @@ def solve_uncertain(
         return _solve_separately(model, readings, stated_up, robust)
     model = _with_gauge(model, stated_up, gauge)
     problem = state_problem(model, readings, stated_up, None if robust is None else "huber")
+    if stated_up.estimated:
+        problem = _with_small_sds(problem)
     if _degrees(problem, model) < 0:
         raise too_few(problem)
     held: Findings = ()
@@ -129,9 +138,23 @@ def solve_uncertain(
     return found if dof is None else with_degrees(found, problem, optimum, dof)
 
 
+def _diagonal(precision: Array) -> Array:
+    """Return the precision (n, M) of each reading."""
+    return precision if precision.ndim == 2 else np.diagonal(precision, axis1=1, axis2=2)
+
+
 def _degrees(problem: Problem, model: Model) -> float:
     """Return the degrees of freedom: readings and priors less what is unknown."""
     return float(problem.degrees.sum()) - problem.unknowns + int(np.count_nonzero(model.beliefs))
+
+
+def _with_small_sds(problem: Problem) -> Problem:
+    """Return the problem whose orientation sds, of any size yet, do not drown the noise."""
+    noise = float(np.sqrt(1.0 / np.max(_diagonal(problem.precision))))
+    size = float(np.sqrt(np.mean((problem.values - problem.values.mean(axis=0)) ** 2)))
+    by = min(noise / (RELATIVE_NOISE * size), 1.0) if size > 0.0 else 1.0
+    sd = problem.orientation_sd
+    return replace(problem, orientation_sd=np.where(np.isfinite(sd), by * sd, sd))
 
 
 def _with_gauge(model: Model, stated_up: StatedOrientations, gauge: Gauge) -> Model:
@@ -286,11 +309,7 @@ def _solution(
     sized = np.isfinite(noise.factor) and noise.factor > 0.0  # 0 where every residual is
     misfit = point.q / problem.weight / (noise.factor if sized else 1.0)
     robust = problem.robust is not None
-    precision = (
-        problem.precision
-        if problem.precision.ndim == 2
-        else np.diagonal(problem.precision, axis1=1, axis2=2)
-    )
+    precision = _diagonal(problem.precision)
     kept = problem.weight == 1.0
     residual_sd = np.sqrt(
         np.mean(1.0 / precision[kept], axis=0) * (1.0 if robust else noise.factor)

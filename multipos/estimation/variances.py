@@ -847,8 +847,7 @@ def half_interval(posterior: Posterior, moves: Array | None = None) -> tuple[Arr
     U = half_of_mixture(posterior.weights, posterior.variances, dof, shifts)
     if dof is not None:
         return U, dof
-    mean = np.einsum("bg,bgp->bp", posterior.weights, shifts**2 + posterior.variances)
-    return U, dof_of(U / np.sqrt(mean))
+    return U, dof_of(posterior.weights, posterior.variances)
 
 
 def half_of_mixture(
@@ -892,11 +891,10 @@ def _of_normal(z: float, dof: Array) -> Array:
     )
 
 
-_SHAPES = np.geomspace(1.0, _MOST_DOF, 64)
-
-
-def dof_of(k: Array) -> Array:
-    """Return the degrees of freedom whose 95 % interval is so many standard uncertainties."""
-    known = coverage_factors(0.95, _SHAPES)
-    dof = np.interp(-k, -known, _SHAPES)
-    return np.asarray(np.where(k <= known[-1], np.inf, dof))
+def dof_of(weights: Array, variances: Array) -> Array:
+    """Return Satterthwaite's degrees of freedom (B, p) of variances (B, G, p) known by weights."""
+    mean = np.einsum("bg,bgp->bp", weights, variances)
+    spread = np.einsum("bg,bgp->bp", weights, (variances - mean[:, None]) ** 2)
+    with np.errstate(divide="ignore", over="ignore"):
+        dof = 2.0 * mean**2 / spread
+    return np.asarray(np.where(dof > _MOST_DOF, np.inf, np.maximum(dof, 1.0)))
