@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amounts import exactly
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,6 @@ import multipos as mp
 from multipos.estimation import (
     batches,
     correlated_rows,
-    excess_variance,
     known,
     noise,
     outliers,
@@ -709,19 +709,6 @@ def test_degrees_of_freedom_of_outputs_that_share_parameters(monkeypatch):
     assert_allclose(noise._degrees(tied.problem, tied.optimum), [together] * 2)
 
 
-def test_precisions_and_covariances_of_an_excess():
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(4, 3, 5))
-    whole = root @ root.transpose(0, 2, 1)
-    plain = rng.uniform(1.0, 3.0, (4, 3))
-    of = lambda precision: SimpleNamespace(precision=precision, values=np.zeros((4, 3)))  # noqa: E731
-    assert_allclose(noise._covariances(of(plain))[2], np.diag(1.0 / plain[2]))
-    assert_allclose(noise._covariances(of(whole)), np.linalg.inv(whole))
-    assert_allclose(noise._precision(of(plain), 0.7), 1.0 / (1.0 / plain + 0.7))
-    wanted = np.linalg.inv(np.linalg.inv(whole) + 0.7 * np.eye(3))
-    assert_allclose(noise._precision(of(whole), 0.7), wanted)
-
-
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("kind", ["alike", "unlike", "correlated"])
 def test_combinations_that_free_angles_do_not_move(count, kind):
@@ -745,26 +732,6 @@ def test_combinations_that_free_angles_do_not_move(count, kind):
         X = np.column_stack([design[k], error[k]])
         Y = np.column_stack([block.design[0, k], block.error[0, k]])
         assert_allclose(Y.T @ inner @ Y, X.T @ P @ X, atol=1e-9)
-
-
-def test_the_noise_of_variance_components_in_numbers():
-    model = SimpleNamespace(keys=(1, 2, 3), outputs=("a", "b"))
-    problem = SimpleNamespace(
-        model=model, precision=np.array([[4.0, 2.0], [3.0, 7.0]]), has_parameter_prior=False
-    )
-    found = SimpleNamespace(
-        dof=np.array([7.3]), excess=np.array([0.09]), u=np.array([0.04]),
-        U=np.array([[0.5, 0.7, 0.2]]), tails=None,
-    )  # fmt: skip
-    stated = noise._noise_of(problem, found, stated=True)
-    assert stated.components.rest_to_rest["b"].value == pytest.approx(0.3)
-    assert stated.components.rest_to_rest["a"].u == 0.04
-    assert (stated.factor, stated.dof) == (1.0, 7.3)
-    assert_allclose(stated.u, found.U[0] / t.ppf(0.975, 7.3), rtol=1e-6)
-    own = noise._noise_of(problem, found, stated=False)
-    assert own.components.reading_sd.value == pytest.approx(0.5)
-    assert noise._noise_in_words(own) == "reading noise of 0.5 (uncertain by 8 %)"
-    assert_allclose(own.parameter_dof, 7.3)
 
 
 @pytest.mark.parametrize("robust", [None, "huber"])
@@ -857,34 +824,6 @@ def test_what_weights_make_of_outputs_of_one_design():
         assert_allclose(left, values - X @ wanted, atol=1e-7)
 
 
-@pytest.mark.parametrize(("ratio", "equal"), [(1.2, True), (60.0, False)])
-def test_outputs_share_an_excess_variance_unless_they_are_unequal(ratio, equal):
-    """Of one unit in two here; where it is refused each output has its own, as alone."""
-    rng = np.random.default_rng(8)
-    X = np.column_stack([np.ones(12), rng.normal(size=(12, 2))])
-    e = rng.normal(size=(2, 12, 2)) * np.sqrt([1.0, 1.0])
-    e[1, :, 1] *= math.sqrt(ratio)
-    e -= X @ np.linalg.lstsq(X, e.transpose(1, 0, 2).reshape(12, 4), rcond=None)[0].reshape(
-        3, 2, 2
-    ).transpose(1, 0, 2)
-    stated = np.full((2, 12, 2), 0.2)
-    found = excess_variance.estimate_excess([X, X], e, stated)
-    pooled = excess_variance.estimate_excess([X, X], e, stated, pool=True)
-    assert_allclose(found.variance[0], pooled.variance[0])
-    assert pooled.variance[1, 0] == pooled.variance[1, 1]
-    if equal:
-        assert_allclose(found.variance, pooled.variance)
-        unlike = np.array([1.0, 10.0])  # as noisy as stated of each
-        given = [X, X], e * unlike, np.broadcast_to(1.5 * unlike**2, e.shape)
-        pooled = excess_variance.estimate_excess(*given, pool=True)
-        assert_allclose(excess_variance.estimate_excess(*given).variance, pooled.variance)
-    else:
-        for i in range(2):
-            one = excess_variance.estimate_excess([X], e[:, :, [i]], stated[:, :, [i]])
-            assert_allclose(found.variance[1, i], one.variance[1, 0])
-            assert_allclose(found.dof[1, i], one.dof[1, 0])
-
-
 @pytest.mark.parametrize("timed", [False, True])
 def test_the_misfit_along_the_force_is_what_is_asked_for_correlation(timed, monkeypatch):
     """n'e of M'n = f over its sd, and how parameters move it, by a solution for each row."""
@@ -975,13 +914,6 @@ def test_which_weights_the_short_way_has_digits_for():
         assert known._are_regular(group, 1e-9 * variance).tolist() == [fine, False]
 
 
-def test_outputs_of_one_design_have_their_degrees_of_freedom_together():
-    """Three outputs of five rows and two parameters: 3 (5 − 2)."""
-    basis = np.linalg.qr(np.random.default_rng(1).normal(size=(5, 2)))[0]
-    part = excess_variance.Part(basis, np.eye(2), np.zeros((1, 5, 3)), np.ones((1, 5)))
-    assert part.degrees == 9.0
-
-
 @pytest.mark.parametrize(("near", "clear"), [(1e-7, True), (1e-9, False)])
 def test_a_unit_is_clear_whatever_the_size_of_its_parameters(near, clear):
     """Two parameters with a correlation of 1 − near, of eigenvalues near and 2, in units of 10⁶."""
@@ -1052,7 +984,7 @@ def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
     up = mp.read_scheme("fibonacci-24").up
     rng = np.random.default_rng(3)
     values = 0.01 + 1.1 * up / (1.0 + 0.2 * up**2) + 2e-3 * rng.standard_normal((3, 24, 3))
-    one = mp.fit(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)")
+    one = exactly(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)")
     shared = user_models.share_expression(one)
     found = user_models.estimate_expression(shared, list(np.moveaxis(values[1:], 2, 0)))
     assert found.sound.all()

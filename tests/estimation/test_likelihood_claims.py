@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from amounts import rest_slow
+from amounts import exactly, rest_slow
 from log_bench import shared
 from numpy.testing import assert_allclose
 from profile_oracle import profile_interval
@@ -85,8 +85,8 @@ def test_a_group_returns_to_its_optimum():
 @pytest.mark.parametrize("noise", [{"reading_sd": 1e-3}, {}], ids=["stated", "estimated"])
 def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
     data = readings()
-    linear = mp.fit(data, pool=True, **noise)
-    certain = mp.fit(data, orientation_sd=1e-5, **noise)  # degrees: 2e-4 of the noise
+    linear = exactly(data, pool=True, **noise)
+    certain = exactly(data, orientation_sd=1e-5, **noise)  # degrees: 2e-4 of the noise
     for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
         p = linear[output, term]
         ends = profile_interval(certain, output, term)
@@ -107,7 +107,7 @@ def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
     ids=lambda options: " ".join(f"{key}={value}" for key, value in options.items()),
 )
 def test_profile_is_the_t_interval_where_nearly_linear(options):
-    c = mp.fit(readings(off_deg=0.2), **options)
+    c = exactly(readings(off_deg=0.2), **options)
     for output, term in (("ax", "1"), ("ay", "y"), ("az", "x")):
         p = c[output, term]
         low, high = profile_interval(c, output, term)
@@ -171,18 +171,18 @@ def test_second_order_of_real_recordings(name, p):
     data = shared(f"{name}.csv")
     (test,) = [
         test
-        for test in mp.fit(data, unknown_orientation=True).diagnostics.model_tests
+        for test in exactly(data, unknown_orientation=True).diagnostics.model_tests
         if test.term == "own^2"
     ]
     assert float(f"{test.p:.1g}") == p
-    (test,) = judge_included(mp.fit(data, unknown_orientation=True, model="own-quadratic"))
+    (test,) = judge_included(exactly(data, unknown_orientation=True, model="own-quadratic"))
     assert math.log(test.p / p) == pytest.approx(0.0, abs=math.log(3.0))  # axes of unequal noise
 
 
 def test_included_terms_of_known_orientations_combine_the_outputs():
     from scipy.special import fdtrc
 
-    c = mp.fit(readings(quad=1e-3), model="own-quadratic")
+    c = exactly(readings(quad=1e-3), model="own-quadratic")
     (test,) = judge_included(c)
     ratios = [(c[f"quad_a{axis}"].value / c[f"quad_a{axis}"].u) ** 2 for axis in "xyz"]
     total = -2 * sum(math.log(fdtrc(1, 19, ratio)) for ratio in ratios)
@@ -296,7 +296,7 @@ def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, optio
     options = {"model": "own-quadratic", "gravity": GRAVITY, "reading_sd": 1e-4, **options}
     if uncertain:
         options["scheme"] = ROLLS
-    c = mp.fit(mp.Readings(values, unit="g", positions=given.labels), **options)
+    c = exactly(mp.Readings(values, unit="g", positions=given.labels), **options)
     quantity = read_budget(TABLES).quantities[name]
     # gravity acts through the calibration's own
     c = replace(c, model=replace(c.model, field=replace(c.field, u=1e-5)))
@@ -305,7 +305,7 @@ def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, optio
     components = {"resolution": (0, 40, 100), "level": (0, 1)}.get(name, (0,))
     for component in components:
         moved = [
-            mp.fit(
+            exactly(
                 mp.Readings(
                     world(c, name, side * step, component), unit="g", positions=given.labels
                 ),

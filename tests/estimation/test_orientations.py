@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import log_bench
 import numpy as np
 import pytest
-from amounts import few_and_many, rest_slow
+from amounts import exactly, few_and_many, rest_slow
 from findings_bench import texts
 from numpy.testing import assert_allclose
 from orientation_bench import (
@@ -67,8 +67,8 @@ def close(cal, truth, times=4.0):
 @pytest.mark.parametrize("model", ["linear", "own-quadratic"])
 def test_no_orientation_error_is_the_linear_fit_exactly(model):
     readings = readings_of(SENSOR, UP, rng())
-    known = mp.fit(readings, model=model)
-    zero = mp.fit(readings, model=model, orientation_sd=0.0)
+    known = exactly(readings, model=model)
+    zero = exactly(readings, model=model, orientation_sd=0.0)
     assert zero.estimator == "linear"
     assert (zero.parameters == known.parameters).all()
     assert (zero.covariance == known.covariance).all()
@@ -77,11 +77,11 @@ def test_no_orientation_error_is_the_linear_fit_exactly(model):
 @pytest.mark.parametrize("model", ["linear", "own-quadratic"])
 def test_small_orientation_error_tends_to_the_linear_fit(model):
     readings = readings_of(SENSOR, UP, rng())
-    known = mp.fit(readings, model=model, reading_sd=1e-5)
+    known = exactly(readings, model=model, reading_sd=1e-5)
     for sd_deg in (1e-5, 1e-7, 1e-9):
         # the prior's pull is (s/sigma)² of a residual
         tolerance = 2.0 * (np.radians(sd_deg) / 1e-5) ** 2
-        small = mp.fit(readings, model=model, reading_sd=1e-5, orientation_sd=sd_deg)
+        small = exactly(readings, model=model, reading_sd=1e-5, orientation_sd=sd_deg)
         assert small.estimator == "uncertain-orientation"
         assert_allclose(small.parameters, known.parameters, rtol=0, atol=1e-5 * tolerance + 2e-15)
         assert_allclose(small.U, known.U, rtol=tolerance + 1e-3)  # two integrals, other nodes
@@ -91,12 +91,12 @@ def test_small_orientation_error_tends_to_the_linear_fit(model):
 @pytest.mark.parametrize("sd_deg", [1e-300, 1e-20, 5e-324])
 def test_an_error_below_the_rounding_of_a_direction_is_none(sd_deg):
     readings = readings_of(SENSOR, "all-26", rng())
-    known = mp.fit(readings)
+    known = exactly(readings)
     listed = replace(readings, orientation_sd=np.full(len(readings), np.radians(sd_deg)))
     for small in (
-        mp.fit(readings, orientation_sd=sd_deg),
-        mp.fit(readings, level_sd=sd_deg),
-        mp.fit(listed),
+        exactly(readings, orientation_sd=sd_deg),
+        exactly(readings, level_sd=sd_deg),
+        exactly(listed),
     ):
         assert small.estimator == "linear"
         assert (small.parameters == known.parameters).all()
@@ -119,7 +119,7 @@ def test_as_many_equations_as_unknowns_leave_no_uncertainty(orientation_sd):
 def test_a_tilt_that_explains_all_residuals_leaves_finite_uncertainties():
     # One residual in five parameters, which the tilt of the table can take whole.
     one = mp.Readings(TABLE_2[:, :1], outputs=("ax",))
-    cal = mp.fit(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
+    cal = exactly(one, model="own-quadratic", scheme="song-qin-6", level_sd=0.5)
     assert np.isfinite(cal.u).all()
     # What is left is rounding, and how well its size is determined hangs on the kernel.
     assert any(said.startswith("estimated") for said in texts(cal))
@@ -134,13 +134,13 @@ def test_a_model_that_feels_no_force_is_not_moved_by_a_level():
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
 def test_robust_noise_ends_at_what_the_digits_tell(loss):
     up = read_scheme("fibonacci-24").up
-    exact = mp.fit(mp.Readings(up, up=up), robust=loss)  # no residual at all
+    exact = exactly(mp.Readings(up, up=up), robust=loss)  # no residual at all
     assert_allclose(exact.residuals, 0.0, atol=1e-14)
     assert (exact.u < 1e-14).all()
     assert (exact.parameter_dof > 0.0).all()
     # Six positions 10 degrees off explain any six readings: noise has no lower end of its own.
     with pytest.raises(mp.MultiposError, match="too many positions to estimate the noise"):
-        mp.fit(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
+        exactly(readings_of(SENSOR, "faces-6", rng()), robust=loss, orientation_sd=9.8)
 
 
 @pytest.mark.parametrize("model", ["linear", "each = b + s*own + common_k*own^2"])
@@ -220,8 +220,8 @@ def test_one_position_of_unknown_orientation_is_too_few():
 @pytest.mark.parametrize("scheme", ["fibonacci-24", "all-26"])
 def test_large_orientation_error_tends_to_unknown_orientation(scheme):
     readings = readings_of(SENSOR, scheme, rng(), off_deg=1.0)
-    large = mp.fit(readings, reading_sd=1e-5, orientation_sd=170.0)
-    unknown = mp.fit(mp.Readings(readings.values), unknown_orientation=True, reading_sd=1e-5)
+    large = exactly(readings, reading_sd=1e-5, orientation_sd=170.0)
+    unknown = exactly(mp.Readings(readings.values), unknown_orientation=True, reading_sd=1e-5)
     (b, M), (b0, M0) = parts(large), parts(unknown)
     # the prior of 3 rad still pulls with (sigma/s)² = 1e-11 of a turn
     assert_allclose(b, b0, rtol=0, atol=1e-9)
@@ -262,7 +262,7 @@ def test_unknown_orientation_finds_the_sensor(model, gauge):
         root = vectors * np.sqrt(values) @ vectors.T
     sensor = Sensor(matrix=root, quadratic=QUADRATIC if model != "linear" else np.zeros(3))
     readings = readings_of(sensor, "fibonacci-48", rng())
-    cal = mp.fit(mp.Readings(readings.values), unknown_orientation=True, model=model, gauge=gauge)
+    cal = exactly(mp.Readings(readings.values), unknown_orientation=True, model=model, gauge=gauge)
     truth = sensor.truth(cal.model)
     truth[[str(term)[1:] == "^3" for _, term in cal.model.keys]] = 0.0
     assert close(cal, truth)
@@ -352,8 +352,8 @@ def test_stated_noise_weighs_unequal_axes():
 def test_denied_noise_is_added_to_and_said(mode):
     readings = readings_of(Sensor(matrix=lower(MATRIX)), UP, rng(), sd=1e-4, off_deg=0.005)
     how = {"unknown_orientation": True} if mode == "unknown" else {"orientation_sd": 0.005}
-    cal = mp.fit(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
-    honest = mp.fit(mp.Readings(readings.values, up=readings.up), **how)
+    cal = exactly(mp.Readings(readings.values, up=readings.up), reading_sd=1e-6, **how)
+    honest = exactly(mp.Readings(readings.values, up=readings.up), **how)
     said = [w for w in texts(cal) if "exceed the stated noise" in w]
     assert len(said) == 1
     assert "variation between rests" in said[0]
@@ -407,7 +407,7 @@ def test_both_standard_deviations_are_estimated_and_how_well():
 
 def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     readings = readings_of(SENSOR, UP, rng(), sd=2e-5, off_deg=0.05)
-    cal = mp.fit(readings, orientation_sd="auto", reading_sd=2e-5)
+    cal = exactly(readings, orientation_sd="auto", reading_sd=2e-5)
     found = cal.variance_components
     assert found.reading_sd is None
     assert found.rest_to_rest["ax"].value < 2e-5
@@ -419,7 +419,7 @@ def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     assert f"orientation errors of {placed.value:.2g} degrees" in said
     low, high = map(float, re.search(r"\(68 %: ([\d.]+) to ([\d.]+)\)", said).groups())
     assert placed.u == pytest.approx((high - low) / 2.0, rel=0.1)  # ends are said to two digits
-    twelve = mp.fit(
+    twelve = exactly(
         readings_of(SENSOR, UP[::2], rng(), sd=2e-5, off_deg=0.02),
         orientation_sd="auto",
         reading_sd=2e-5,
@@ -434,11 +434,11 @@ def test_noise_beside_a_tilt_of_the_table_has_the_right_size():
     tilt = np.radians([0.2, -0.14])
     turned = scheme.rotation @ rotation_matrix(np.array([*tilt, 0.0]))
     values = SENSOR.read(turned[:, :, 2]) + 1e-5 * rng().standard_normal((72, 3))
-    cal = mp.fit(mp.Readings(values), scheme=scheme, level_sd=0.3)
+    cal = exactly(mp.Readings(values), scheme=scheme, level_sd=0.3)
     assert_allclose(cal.residual_sd, 1e-5, rtol=0.2)
     assert close(cal, SENSOR.truth(cal.model))
     assert_allclose(cal.orientations.level_tilt_deg, np.degrees(tilt), atol=1e-3)
-    tied = mp.fit(mp.Readings(values), scheme=scheme)
+    tied = exactly(mp.Readings(values), scheme=scheme)
     assert tied.residual_sd.max() > 1e-3
 
 
@@ -653,8 +653,8 @@ def test_level_sd_needs_whole_attitudes():
 def test_level_sd_is_inside_every_u():
     scheme = read_scheme("dual-axis-48")
     readings = mp.Readings(SENSOR.read(scheme.up) + 1e-6 * rng().standard_normal((48, 3)))
-    plain = mp.fit(readings, scheme=scheme, reading_sd=1e-6)
-    level = mp.fit(readings, scheme=scheme, reading_sd=1e-6, level_sd=0.05)
+    plain = exactly(readings, scheme=scheme, reading_sd=1e-6)
+    level = exactly(readings, scheme=scheme, reading_sd=1e-6, level_sd=0.05)
     assert (level.u >= plain.u * (1.0 - 1e-9)).all()
     assert level.u.max() > 1.4 * plain.u.max()
     assert level.orientations.level_sd_deg == pytest.approx(0.05)
@@ -778,7 +778,7 @@ def test_without_a_loss_the_same_reading_moves_a_lot():
     readings = readings_of(SENSOR, UP, rng(), sd=1e-4)
     values = readings.values.copy()
     values[3, 1] += 0.1
-    clean, bad = mp.fit(readings), mp.fit(mp.Readings(values, up=UP))
+    clean, bad = exactly(readings), exactly(mp.Readings(values, up=UP))
     assert (np.abs(bad.parameters - clean.parameters) / clean.u).max() > 10.0
     assert any("position 4" in text for text in bad.diagnostics.outliers)
 
@@ -972,7 +972,7 @@ def test_uncertain_orientation_names_the_need(readings, message):
 
 def test_parameters_that_are_estimable_only_formally_are_named():
     eight = readings_of(SENSOR, UP[::3], rng(), sd=1e-5)
-    badly = mp.fit(eight, reading_sd=1e-5, orientation_sd=80.0)
+    badly = exactly(eight, reading_sd=1e-5, orientation_sd=80.0)
     assert any("cross_ay_z` is estimable only" in t for t in badly.diagnostics.unidentifiable)
 
 
@@ -1033,7 +1033,7 @@ def test_estimated_standard_deviations_are_said_in_words():
 
 
 def test_bad_condition_is_a_warning():
-    cal = mp.fit(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
+    cal = exactly(readings_of(SENSOR, UP, rng()), reading_sd=1e-6, orientation_sd=60.0)
     assert cal.diagnostics.condition > 1e4
     assert any(
         "parameters are nearly inseparable at these positions (condition" in w for w in texts(cal)

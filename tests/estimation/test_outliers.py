@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from amounts import few_and_many
+from amounts import exactly, few_and_many
 from numpy.testing import assert_allclose
 from scipy.special import betainc
 
@@ -49,11 +49,11 @@ def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
     given = readings(np.random.default_rng(1), 24, off, size)
     labels = tuple(str(row + 1) for row in off)
     with pytest.warns(mp.CalibrationWarning):
-        plain = mp.fit(given, unknown_orientation=unknown)
+        plain = exactly(given, unknown_orientation=unknown)
     (finding,) = (each for each in plain.diagnostics.findings if each.code == "outlier")
     assert finding.rows == labels
     assert f"--exclude {','.join(labels)}" in finding.action
-    cal = mp.fit(given, unknown_orientation=unknown, exclude="auto")
+    cal = exactly(given, unknown_orientation=unknown, exclude="auto")
     (note,) = (each for each in cal.findings if each.code == "excluded")
     assert (note.level, note.rows) == ("note", labels)
     assert note.text.startswith(f"{len(off)} of 24 positions set aside: {labels[0]} (")
@@ -62,7 +62,7 @@ def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
     kept = [row for row in range(24) if row not in off]
     same = mp.Readings(given.values[kept], outputs=given.outputs, up=given.up[kept], unit="g")
     assert_allclose(
-        cal.parameters, mp.fit(same, unknown_orientation=unknown).parameters, rtol=1e-12
+        cal.parameters, exactly(same, unknown_orientation=unknown).parameters, rtol=1e-12
     )
 
 
@@ -114,7 +114,7 @@ def test_a_lost_sign_is_named_and_is_unfit():
         values = given.values.copy()
         values[row, 2] *= -1.0
         with pytest.warns(mp.CalibrationWarning):
-            cal = mp.fit(mp.Readings(values, outputs=given.outputs, up=given.up, unit="g"))
+            cal = exactly(mp.Readings(values, outputs=given.outputs, up=given.up, unit="g"))
         (finding, *_) = cal.diagnostics.findings
         assert (finding.code, finding.level) == ("flipped-row", "error")
         assert (finding.rows, finding.outputs) == ((str(row + 1),), ("az",))

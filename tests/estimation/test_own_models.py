@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amounts import exactly
 from findings_bench import texts
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
@@ -38,7 +39,7 @@ def readings(sd=1e-4, seed=1, force=UP, **columns):
 def test_the_fit_is_that_of_scipy():
     # eq. (2) of estimation.user_models
     data = readings()
-    cal = mp.fit(data, model=SATURATING)
+    cal = exactly(data, model=SATURATING)
     for i, output in enumerate(cal.outputs):
         own = UP[:, i]
 
@@ -208,7 +209,7 @@ def test_priors_at_as_many_positions_as_parameters_have_no_unequal_axes(tmp_path
     up = mp.read_scheme("fibonacci-6").up
     values = 1.02 * up + 0.02 * np.random.default_rng(4).standard_normal(up.shape)
     path = written(tmp_path, "s = {start = 1.0, sd = 0.01}", 'each = "b + s*own"')
-    cal = mp.fit(mp.Readings(values), model=path, unknown_orientation=True, reading_sd=1e-4)
+    cal = exactly(mp.Readings(values), model=path, unknown_orientation=True, reading_sd=1e-4)
     # readings of 0.02 say little beside a prior of 0.01
     assert_allclose(cal.u[1::2], 0.01, rtol=0.1)
 
@@ -219,7 +220,7 @@ def test_a_prior_beside_a_rejected_noise_keeps_its_own_dof(tmp_path, sd):
     up = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (5, 1))
     values = 0.1 + 1.005 * up[:, :1] + 0.05 * np.random.default_rng(4).standard_normal((10, 1))
     path = written(tmp_path, f"s = {{start = 1.0, sd = {sd}}}", 'each = "b + s*own"')
-    cal = mp.fit(mp.Readings(values, up=up), model=path, axes="x", reading_sd=0.01)
+    cal = exactly(mp.Readings(values, up=up), model=path, axes="x", reading_sd=0.01)
     b, s = values.mean(), float(np.mean(values * up[:, :1]))
     squares = float(np.sum((values - b - s * up[:, :1]) ** 2))
     V = np.exp(np.linspace(np.log(0.01**2), 0.0, 20_000))
@@ -240,8 +241,8 @@ def test_a_prior_beside_a_rejected_noise_keeps_its_own_dof(tmp_path, sd):
 def test_bounds_hold_and_are_said(tmp_path):
     data = readings()
     path = written(tmp_path, "k = {start = 0.01, low = 0, high = 0.04}", SATURATING_FILE)
-    cal = mp.fit(data, model=path)
-    free = mp.fit(data, model=SATURATING)
+    cal = exactly(data, model=path)
+    free = exactly(data, model=SATURATING)
     # where the bound is not in the way, nothing changes
     assert_allclose(cal.parameters[:6], free.parameters[:6], rtol=0, atol=1e-4 * free.u.min())
     assert_allclose(cal.u[:6], free.u[:6], rtol=1e-4)
@@ -536,9 +537,9 @@ def test_an_output_of_zeros_leaves_the_others_their_fit(tmp_path):
     )
     up = read_scheme("all-26").up
     values = up / (1 + 0.2 * up**2) + 1e-3 * np.random.default_rng(1).standard_normal(up.shape)
-    whole = mp.fit(mp.Readings(values, up=up), model=path)
+    whole = exactly(mp.Readings(values, up=up), model=path)
     with pytest.warns(CalibrationWarning, match="has the same reading at all 26 positions"):
-        found = mp.fit(mp.Readings(values * [0.0, 1.0, 1.0], up=up), model=path)
+        found = exactly(mp.Readings(values * [0.0, 1.0, 1.0], up=up), model=path)
     assert found.parameters[:2].tolist() == [0.0, 0.0]
     # the outputs share nothing; a search ends within 1e-8 u
     np.testing.assert_allclose(found.parameters[2:], whole.parameters[2:], atol=1e-6 * 1e-3)
@@ -552,7 +553,7 @@ def test_an_output_without_residuals_follows_its_readings_as_the_others(tmp_path
     )
     up = read_scheme("all-26").up
     values = up / (1 + 0.2 * up**2) + 1e-3 * np.random.default_rng(1).standard_normal(up.shape)
-    found = mp.fit(mp.Readings(values, up=up), model=path)
+    found = exactly(mp.Readings(values, up=up), model=path)
     none = replace(found, residual_sd=found.residual_sd * [1.0, 0.0, 1.0])
     gain, wanted = estimator_gain(none), estimator_gain(found)
     others = found.model.slices[0], found.model.slices[2]

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from amounts import exactly
 from numpy.testing import assert_allclose
 from scipy import stats
 
@@ -89,12 +90,12 @@ def test_the_next_run_has_its_zero_in_u_of_force_and_in_its_check():
 @pytest.mark.parametrize("labels", ["one run", "a run each", "another name"])
 def test_what_is_no_run_moves_nothing(labels):
     zeros = 5.0 * NOISE * np.random.default_rng(1).standard_normal((4, 3))
-    plain = mp.fit(runs_of(zeros, label="lot"))
+    plain = exactly(runs_of(zeros, label="lot"))
     readings = runs_of(zeros, label="lot" if labels == "another name" else "run")
     if labels != "another name":
         own = np.zeros(24) if labels == "one run" else np.arange(24.0)
         readings = mp.Readings(readings.values, up=readings.up, unit="g", environment={"run": own})
-    c = mp.fit(readings)
+    c = exactly(readings)
     assert_allclose(c.U, plain.U, rtol=1e-12)
     assert "zero-per-soak" not in codes(c)
 

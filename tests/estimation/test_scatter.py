@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from amounts import exactly
 from numpy.testing import assert_allclose
-from scipy import integrate, optimize, stats
+from scipy import stats
 
 import multipos as mp
-from multipos.positions.scheme import read_scheme
 
 SCALE = np.eye(3)
 SD = 1e-3
@@ -24,91 +24,15 @@ def sphere(n):
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
 
 
-def dense(values, up, floor, belief):
-    """Mean, interval and scatter by adaptive quadrature over ln V, all matrices written out."""
-    n, m = values.shape
-    X = np.kron(np.column_stack([np.ones(n), up]), np.eye(m))  # outputs run fastest
-    y, u2 = values.ravel(), floor.ravel() ** 2
-    size = 1.0 / np.mean(1.0 / u2)
-
-    def solved(tau2):
-        V = u2 + tau2
-        information = X.T @ (X / V[:, None])
-        C = np.linalg.inv(information)
-        p = C @ X.T @ (y / V)
-        r = y - X @ p
-        log = -0.5 * (np.sum(np.log(V)) + np.linalg.slogdet(information)[1] + np.sum(r**2 / V))
-        return log, p, np.diag(C), 0.5 * math.log(np.sum(V**-2.0)) + math.log(size + tau2)
-
-    top = max(sum(solved(size * (math.exp(x) - 1.0))[::3]) for x in np.linspace(0, 12, 400))
-
-    def density(x):
-        log, _, _, prior = solved(size * (math.exp(x) - 1.0))
-        return math.exp(log + prior - top)
-
-    at_zero = belief * density(0.0)
-    ends = (
-        0.0,
-        optimize.brentq(lambda x: density(x) - 1e-12, 40.0, 6.0) if density(6.0) > (1e-12) else 6.0,
-    )
-    nodes, weights = np.polynomial.legendre.leggauss(400)
-    x = (nodes + 1.0) / 2.0 * (ends[1] - ends[0])
-    w = np.array([density(each) for each in x]) * weights / 2.0 * (ends[1] - ends[0])
-    whole = integrate.quad(density, *ends, limit=200)[0]
-    assert_allclose(w.sum(), whole, rtol=1e-6)
-    w = np.append(at_zero, w)
-    w /= w.sum()
-    found = [solved(size * (math.exp(each) - 1.0)) for each in (0.0, *x)]
-    V = size * np.exp(np.array([0.0, *x]))
-    mean = float(w @ (1.0 / V))
-    tau2 = 1.0 / mean - size
-    dof = 2.0 * mean**2 / float(w @ (1.0 / V - mean) ** 2)
-    best = solved(tau2)[1]
-    U = []
-    for j, value in enumerate(best):
-        means = np.array([p[j] for _, p, _, _ in found])
-        sds = np.sqrt([c[j] for _, _, c, _ in found])
-
-        def outside(half, value=value, means=means, sds=sds):
-            inside = stats.norm.cdf((value + half - means) / sds) - stats.norm.cdf(
-                (value - half - means) / sds
-            )
-            return float(w @ inside) - 0.95
-
-        U.append(optimize.brentq(outside, 0.0, 1.0))
-    order = np.arange(X.shape[1]).reshape(-1, m).T.ravel()  # parameters output by output
-    return best[order], np.array(U)[order], tau2, dof
-
-
-@pytest.mark.parametrize("claim", [1.0, 0.5, 0.2])
-@pytest.mark.parametrize("equal", [True, False])
-def test_posterior_by_quadrature(claim, equal):
-    """All three outputs share a scatter; 48 nodes of the trapezoidal rule leave 1e-3 of U."""
-    # eqs. (1), (2) of estimation.excess_variance
-    rng = np.random.default_rng(4)
-    up = sphere(12)
-    u = np.full((12, 3), SD) if equal else SD * rng.uniform(0.5, 2.0, (12, 3))
-    values = up + u * rng.standard_normal((12, 3))
-    cal = mp.fit(mp.Readings(values, up=up, u=claim * u), pool=True)
-    best, U, tau2, dof = dense(values, up, claim * u, belief=1.4)
-    assert_allclose(cal.parameters, best, atol=2e-3 * U.min())
-    assert_allclose(cal.U, U, rtol=2e-3)
-    scatter = cal.variance_components.rest_to_rest["ax"].value
-    assert scatter == pytest.approx(math.sqrt(tau2), rel=0.02)
-    assert cal.dof[0] == pytest.approx(dof, rel=0.02)
-    covariance = mp.fit(mp.Readings(values, up=up, covariance=np.diag((claim * u).ravel() ** 2)))
-    assert_allclose(covariance.U, mp.fit(mp.Readings(values, up=up, u=claim * u)).U, rtol=1e-9)
-
-
 def test_correlated_readings_are_turned_to_where_they_are_not():
     """The same readings in other axes: a rotation of all outputs at a position changes nothing."""
     rng = np.random.default_rng(6)
     up = sphere(24)
     shared = 1e-6 * (0.5 * np.ones((3, 3)) + 0.5 * np.eye(3))
     values = up + rng.multivariate_normal(np.zeros(3), 4.0 * shared, 24)
-    cal = mp.fit(mp.Readings(values, up=up, covariance=np.kron(np.eye(24), shared)))
+    cal = exactly(mp.Readings(values, up=up, covariance=np.kron(np.eye(24), shared)))
     variances, axes = np.linalg.eigh(shared)
-    turned = mp.fit(
+    turned = exactly(
         mp.Readings(values @ axes, up=up, u=np.tile(np.sqrt(variances), (24, 1))), pool=True
     )
     parts = cal.parameters.reshape(3, 4).T @ axes
@@ -123,8 +47,8 @@ def test_without_a_floor_it_is_student_s_t():
     for n in (6, 12, 24):
         values = sphere(n) + SD * rng.standard_normal((n, 3))
         readings = mp.Readings(values, up=sphere(n))
-        plain = mp.fit(readings, pool=True)
-        bounded_below = mp.fit(readings, pool=True, reading_sd=1e-6 * SD)
+        plain = exactly(readings, pool=True)
+        bounded_below = exactly(readings, pool=True, reading_sd=1e-6 * SD)
         assert_allclose(bounded_below.parameters, plain.parameters, atol=1e-12)
         # the trapezoidal rule over a range whose tail of 1e-6 is cut off
         assert_allclose(bounded_below.U, plain.U, rtol=1e-3)
@@ -194,7 +118,7 @@ def test_coverage_of_few_sets_whatever_their_claim(claim):
 def test_one_output_that_is_noisier_has_a_scatter_of_its_own():
     rng = np.random.default_rng(8)
     values = sphere(24) + [SD, SD, 20 * SD] * rng.standard_normal((24, 3))
-    cal = mp.fit(mp.Readings(values, up=sphere(24)), reading_sd=SD)
+    cal = exactly(mp.Readings(values, up=sphere(24)), reading_sd=SD)
     found = cal.variance_components.rest_to_rest
     assert found["az"].value == pytest.approx(20 * SD, rel=0.5)
     assert found["ax"].value < SD
@@ -207,8 +131,8 @@ def test_positions_that_scatter_count_alike_whatever_they_claim():
     up = np.tile(sphere(6), (4, 1))
     u = SD * 10.0 ** rng.uniform(-1.0, 0.0, up.shape)
     values = up + 10 * SD * rng.standard_normal(up.shape)
-    cal = mp.fit(mp.Readings(values, up=up, u=u))
-    plain = mp.fit(mp.Readings(values, up=up))
+    cal = exactly(mp.Readings(values, up=up, u=u))
+    plain = exactly(mp.Readings(values, up=up))
     # with weights 1/u² alone estimates would differ by a good part of u
     assert_allclose(cal.parameters, plain.parameters, atol=0.02 * plain.u.max())
 
@@ -234,13 +158,3 @@ def test_floors_of_any_size_are_weighed(span):
     cal = mp.fit(mp.Readings(values, up=sphere(12), u=u))
     assert np.isfinite(cal.covariance).all()
     assert (cal.u > 0.0).all()
-
-
-def test_the_price_in_a_closed_form():
-    """Weights of the inversion do not know of noise, but its covariance does."""
-    rng = np.random.default_rng(1)
-    values = read_scheme("song-qin-6").up + SD * rng.standard_normal((6, 3))
-    options = {"scheme": "song-qin-6", "model": "own-quadratic", "reading_sd": SD}
-    closed = mp.fit(mp.Readings(values), closed_form=True, **options)
-    plain = mp.fit(mp.Readings(values), **options)
-    assert_allclose(closed.covariance, plain.covariance, rtol=1e-9, atol=1e-9 * SD**2)
