@@ -160,7 +160,7 @@ def _of_readings(problem: Problem, optimum: Optimum) -> _Own:
 def _settle_noise(problem: Problem, optimum: Optimum) -> tuple[Problem, Optimum]:
     """Scale the noise to the median misfit, which a few bad positions do not move."""
     kept = problem.weight == 1.0
-    tied = np.isfinite(problem.orientation_sd)
+    tied = problem.tied
     widest = float(problem.orientation_sd[tied].max()) if tied.any() else 0.0
     finest = (FINEST + _FINEST_OF_ORIENTATION * widest) * float(np.abs(problem.values).max())
     before = np.inf

@@ -63,6 +63,7 @@ from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_factors, erf, normal_quantile
 
 SHRUNK = 1.0  # s of eq. (4): ln of a variance
+_APART = 3.0  # the same where orientations are exact, so that each output shows its own
 CENTRE_SD = 1.1  # of ln of an orientation sd about what is stated
 _LOW, _HIGH = 0.3, 300.0  # ratios to the noise between which orientation errors are looked for
 _FAR = 30.0  # the same, at which own axes alone count
@@ -70,7 +71,7 @@ _HIGHER = 3000.0  # the same to a stated noise
 _NONE = 0.3  # probability that there are none
 _AS_STATED = 0.5  # probability that the noise is as stated
 _FEW = 3.0  # of the stated noise, which its excess is below where few positions show neither
-_FINEST, _WIDEST = 1e-3, 2.0  # of residuals, between which a noise is that is not their unit
+_FINEST, _WIDEST = 1e-3, 10.0  # of residuals, between which a noise is that is not their unit
 _NEARLY_NONE = 1e-6  # of what orientation errors do, as noise
 _ROUNDS = 5  # of components and solutions
 _CONVERGED = 0.05  # of ln of a component: an eighth of what a hundred contrasts know
@@ -342,7 +343,7 @@ def _in_order(found: Sequence[tuple[Places, list[Array]]], valid: Mask) -> Compo
 class Names(NamedTuple):
     """Which axis is what, None where there is none; whether the unit of all is known.
 
-    `equal` says that the outputs have one noise.
+    `equal` says that the outputs have one noise, `shrunk` is s of eq. (4).
     """
 
     stated: bool
@@ -350,6 +351,7 @@ class Names(NamedTuple):
     orientation: int | None = None
     label: int | None = None
     equal: bool = False
+    shrunk: float = SHRUNK
 
 
 class _Scale(NamedTuple):
@@ -494,7 +496,7 @@ def excess_of(linear: Linear, *, equal: bool) -> Posterior:
     noise = np.sqrt(1.0 / _mean_inverse(linear))
     high = np.maximum(_HIGH * noise, _WIDEST * np.sqrt(_mean_square(linear, "error")))
     axis = Axis(_LOW * noise, high, _AS_STATED)
-    return integrate(linear, [axis], Names(stated=True, excess=0, equal=equal))
+    return integrate(linear, [axis], Names(stated=True, excess=0, equal=equal, shrunk=_APART))
 
 
 def with_unequal_outputs(linear: Linear) -> tuple[Array, Array]:
@@ -644,7 +646,7 @@ class _Model:
 
     def __init__(self, linear: Linear, names: Names, outputs: Array | None) -> None:
         self.linear, self.stated = linear, names.stated
-        self.excess, self.orientation, self.label, self.equal = names[1:]
+        self.excess, self.orientation, self.label, self.equal, self.shrunk = names[1:]
         block = linear.blocks[0]
         self.count = len(block.error)
         self.M = (block.error if block.mix is None else block.mix).shape[-1]
@@ -788,8 +790,8 @@ class _Model:
         for _ in range(steps):
             left, should, _, _ = self.at(nodes, best)
             at = np.log(self.outputs)
-            step = 0.5 * (left - should) - at / SHRUNK**2
-            step /= 0.5 * np.maximum(should, 0.0) + 1.0 / SHRUNK**2
+            step = 0.5 * (left - should) - at / self.shrunk**2
+            step /= 0.5 * np.maximum(should, 0.0) + 1.0 / self.shrunk**2
             at = at + np.clip(step, -1.0, 1.0)
             self.outputs = np.exp(at - at.mean(axis=1, keepdims=True))
 
@@ -806,7 +808,7 @@ class _Model:
     def degrees_of(self, share: Array, should: Array) -> Array:
         """Return eq. (5) of parts (B, M, p) and of ν (B, M)."""
         away = share - share.mean(axis=1, keepdims=True)
-        known = np.maximum(should, 0.0) + 2.0 / SHRUNK**2
+        known = np.maximum(should, 0.0) + 2.0 / self.shrunk**2
         return np.asarray(1.0 / (1.0 / self.nu + np.sum(away**2 / known[:, :, None], axis=1)))
 
 

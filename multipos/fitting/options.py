@@ -228,7 +228,8 @@ def with_default_errors(
     The second is why not, in words, where they are taken as exact all the same; None where they
     are estimated, stated or unknown.
     """
-    if options.orientation_sd is not None or options.closed_form or not stated_up.exact:
+    stated = options.orientation_sd is not None or readings.orientation_sd is not None
+    if stated or options.closed_form or not stated_up.exact:
         return options, None
     beside = [name for name in _EXACT_BESIDE if getattr(options, name)]
     spare = len(readings) - max(len(terms) for terms in model.terms)
