@@ -63,7 +63,7 @@ from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import coverage_factors, erf, normal_quantile
 
 SHRUNK = 1.0  # s of eq. (4): ln of a variance
-_APART = 3.0  # the same where orientations are exact, so that each output shows its own
+_APART = 6.0  # the same where orientations are exact, so that each output shows its own
 CENTRE_SD = 1.1  # of ln of an orientation sd about what is stated
 _LOW, _HIGH = 0.3, 300.0  # ratios to the noise between which orientation errors are looked for
 _FAR = 30.0  # the same, at which own axes alone count
@@ -76,8 +76,10 @@ _NEARLY_NONE = 1e-6  # of what orientation errors do, as noise
 _ROUNDS = 5  # of components and solutions
 _CONVERGED = 0.05  # of ln of a component: an eighth of what a hundred contrasts know
 NODES = {1: 14, 2: 10, 3: 7}  # of each axis, by how many there are
-_NEGLIGIBLE = 1e-5  # probability at the ends of the second grid
-_STEPS, _SETTLED = 2, 6  # of eq. (4), and where nothing else is sought
+_NEGLIGIBLE = 1e-5  # probability at the ends of the next grid
+_FINER = 4  # grids after the first, at most
+_SHARP = 0.4  # probability of a node above which the grid is coarse: steps of a standard deviation
+_STEPS, _SETTLED = 2, 8  # of eq. (4), and where nothing else is sought
 _HALVINGS = 40
 _FAINT = 1e-5  # probability of a node that no interval feels
 _AT_ONCE = 40_000  # rows of all units and nodes
@@ -507,7 +509,7 @@ def with_unequal_outputs(linear: Linear) -> tuple[Array, Array]:
     count = len(linear.blocks[0].error)
     model = _Model(linear, Names(stated=False), None)
     nodes, best = np.zeros((0, count, 1)), np.zeros(count, dtype=np.intp)
-    model.balance(nodes, best, _SETTLED)
+    model.balance(nodes, best)
     size = model.evaluate(nodes).size[:, 0]
     model.balanced = False
     _, should, parts, _ = model.at(nodes, best)
@@ -565,10 +567,14 @@ def integrate(
         weights = _weights(model.evaluate(nodes).log + prior)
     else:
         grids, weights = list(near.grids), near.weights
-    grids = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
-    nodes, prior = _nodes(axes, grids)
-    best = _weights(model.evaluate(nodes).log + prior).argmax(axis=1)
-    model.balance(nodes, best)
+    for _ in range(_FINER):
+        grids = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
+        nodes, prior = _nodes(axes, grids)
+        weights = _weights(model.evaluate(nodes).log + prior)
+        best = weights.argmax(axis=1)
+        model.balance(nodes, best)
+        if _are_fine(weights, grids):
+            break
     terms = model.evaluate(nodes)
     weights = _weights(terms.log + prior)
     found = (weights, nodes, terms.size, terms.shifts, terms.variances)
@@ -600,6 +606,15 @@ def _marginal(weights: Array, grids: Sequence[Array], axis: int) -> Array:
     whole = weights.reshape(len(weights), *shape)
     others = tuple(i + 1 for i in range(len(shape)) if i != axis)
     return np.asarray(whole.sum(axis=others))
+
+
+def _are_fine(weights: Array, grids: Sequence[Array]) -> bool:
+    """Tell whether no node but that of none has most of the probability."""
+    for i, grid in enumerate(grids):
+        first = int(np.isneginf(grid[:, 0]).all())
+        if (_marginal(weights, grids, i)[:, first:] > _SHARP).any():
+            return False
+    return True
 
 
 def _second(grid: Array, probability: Array) -> Array:
@@ -783,11 +798,11 @@ class _Model:
                 should[:, i] -= np.einsum("bkrp,bkrp->b", DG, WX[..., :P])
         return left, should, parts, np.asarray(inverse)
 
-    def balance(self, nodes: Array, best: Places, steps: int = _STEPS) -> None:
+    def balance(self, nodes: Array, best: Places) -> None:
         """Move d by eq. (4)."""
         if self.M == 1 or self.equal or (self.stated and self.excess is None):
             return
-        for _ in range(steps):
+        for _ in range(_SETTLED if self.orientation is None else _STEPS):
             left, should, _, _ = self.at(nodes, best)
             at = np.log(self.outputs)
             step = 0.5 * (left - should) - at / self.shrunk**2
@@ -894,9 +909,13 @@ def _of_normal(z: float, dof: Array) -> Array:
 
 
 def dof_of(weights: Array, variances: Array) -> Array:
-    """Return Satterthwaite's degrees of freedom (B, p) of variances (B, G, p) known by weights."""
-    mean = np.einsum("bg,bgp->bp", weights, variances)
-    spread = np.einsum("bg,bgp->bp", weights, (variances - mean[:, None]) ** 2)
+    """Return the degrees of freedom (B, p) of variances (B, G, p) known by weights.
+
+    Those of the χ² whose ratio of mean and variance is that of the precisions.
+    """
+    precision = 1.0 / variances
+    mean = np.einsum("bg,bgp->bp", weights, precision)
+    spread = np.einsum("bg,bgp->bp", weights, (precision - mean[:, None]) ** 2)
     with np.errstate(divide="ignore", over="ignore"):
         dof = 2.0 * mean**2 / spread
     return np.asarray(np.where(dof > _MOST_DOF, np.inf, np.maximum(dof, 1.0)))

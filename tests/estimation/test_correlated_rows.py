@@ -267,7 +267,7 @@ def test_correlation_in_time_by_dense_matrices():
     weight = np.exp(logs - logs.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     plain = np.sqrt(np.sum(errors**2, axis=1)[:, None] / (n - 2) * np.diag(B @ B.T))
-    U = half_of_mixture(weight, variances, float(n - 2))
+    U = half_of_mixture(weight, variances, np.full((1, 1), n - 2.0))
     expected = np.maximum(U / (stats.t.isf(0.025, n - 2) * plain), 1.0)
     (ratios,), worth = spread_in_time([X], [errors])
     assert_allclose(ratios, expected, rtol=1e-6)

@@ -50,9 +50,9 @@ def test_without_a_floor_it_is_student_s_t():
         plain = exactly(readings, pool=True)
         bounded_below = exactly(readings, pool=True, reading_sd=1e-6 * SD)
         assert_allclose(bounded_below.parameters, plain.parameters, atol=1e-12)
-        # the trapezoidal rule over a range whose tail of 1e-6 is cut off
-        assert_allclose(bounded_below.U, plain.U, rtol=1e-3)
-        assert_allclose(bounded_below.dof, plain.dof, rtol=1e-3)
+        # a grid of 14 nodes over where the posterior is
+        assert_allclose(bounded_below.U, plain.U, rtol=2e-3)
+        assert_allclose(bounded_below.dof, plain.dof, rtol=0.05)
 
 
 def test_a_claim_far_above_the_residuals_is_the_noise():
