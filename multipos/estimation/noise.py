@@ -218,11 +218,7 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     factor = min(factor, (_WIDEST / float(first.orientation_sd.max())) ** 2)
     m = first.values.shape[1]
     following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
-    model = first.model
-    own = {*model.own_scales}
-    constant = np.array([not term.factors for _, term in model.keys])
-    crossed = ~constant & ~np.isin(np.arange(len(constant)), list(own))
-    U, dof = variances.by_own_axes(following.linear(), crossed)
+    U, dof = variances.by_own_axes(following.linear(), _are_crossed(first))
     text = (
         "noise and orientation errors cannot be told apart here: biases and own scale factors are "
         "of own-axis readings, and U holds where orientations are exact"
@@ -245,6 +241,15 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     problem, state = following.problem, start_state(first, following.optimum.state.theta)
     point = likelihood.evaluate(problem, state)
     return problem, replace(following.optimum, state=state, point=point), estimate
+
+
+def _are_crossed(problem: Problem) -> Mask:
+    """Return which parameters (p,) are neither constant nor the scale of an own axis."""
+    model = problem.model
+    if not model.has_terms:
+        return np.ones(len(model.keys), dtype=np.bool_)
+    own = {*model.own_scales}
+    return np.array([bool(t.factors) and i not in own for i, (_, t) in enumerate(model.keys)])
 
 
 class _Unit:
