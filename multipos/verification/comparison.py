@@ -4,9 +4,9 @@
   `multipos.verification.regression_repeats` says of them.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
-stability of the biases and the drift (`multipos.verification.repeat_drift`). Several methods on the
-same readings share their noise, so no test of spread applies: they agree where no parameter differs
-by more than its expanded uncertainty.
+stability of the biases, and drift and changes (`multipos.verification.recalibration`). Several
+methods on the same readings share their noise, so no test of spread applies: they agree where no
+parameter differs by more than its expanded uncertainty.
 
 References
 ----------
@@ -33,9 +33,15 @@ from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.uncertainty.propagation import GRAVITY, evaluate_budget
 from multipos.verification.consistency import Judgement, judge_repeats
-from multipos.verification.recalibration import Change, LimitsSource, days_of, find_changes
+from multipos.verification.recalibration import (
+    DAY,
+    Change,
+    LimitsSource,
+    dates_of,
+    find_changes,
+    find_drift,
+)
 from multipos.verification.regression_repeats import RegressionComparison, compare_regressions
-from multipos.verification.repeat_drift import find_drift, since_1970
 from multipos.verification.repeat_findings import find_repeats
 
 Run = Calibration | Regression | Regressions | StrPath
@@ -98,13 +104,11 @@ class Comparison(Judgement, Result, Drawn):
         judged = [each for each in self.changes if math.isfinite(each.En)]
         return max(judged, key=lambda each: each.En, default=None)
 
-    def _largest(self) -> dict[str, Any] | None:
-        """The largest E_n, and the chance that any parameter has one as large (Šidák)."""
-        most = self.largest
-        if most is None:
-            return None
-        of_any = -math.expm1(len(self.changes) * math.log1p(-most.p)) if most.p < 1.0 else 1.0
-        return {"name": most.name, "En": most.En, "p": of_any}
+    @property
+    def largest_p(self) -> float:
+        """The chance that any parameter has so large an E_n (Šidák); NaN where there is none."""
+        p = math.nan if self.largest is None else self.largest.p
+        return 1.0 if p >= 1.0 else -math.expm1(len(self.changes) * math.log1p(-p))
 
     def to_pandas(self) -> Any:
         """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
@@ -121,7 +125,7 @@ class Comparison(Judgement, Result, Drawn):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
-        first = self.calibrations[0].model
+        first, most = self.calibrations[0].model, self.largest
         judged = ("chi2", "dof", "p", "scatter_dof")
         names = ("mean", "sd", "range", *judged, "drift", "drift_u", "drift_p")
         parameters = [
@@ -154,7 +158,7 @@ class Comparison(Judgement, Result, Drawn):
                 plain(each) | {"per_year": each.per_year and plain(each.per_year._asdict())}
                 for each in self.changes
             ],
-            "largest": self._largest(),
+            "largest": most and {"name": most.name, "En": most.En, "p": self.largest_p},
             "common": self.common,
             "drift_per": self.per,
             "drift_times": self.times,
@@ -225,8 +229,8 @@ def _compare(
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
     drift = find_drift(found, values)
-    same, at = _same_readings(found), since_1970(found)
-    day = days_of(found, at)
+    same = _same_readings(found)
+    day = dates_of(found) // DAY
     if same:
         judged = Judgement.of_methods(found, values)
     else:
@@ -244,7 +248,7 @@ def _compare(
         sd=sd,
         range=np.ptp(values, axis=0),
         bias_stability=_of_biases(found[0], sd),
-        changes=() if same else find_changes(found, at, limits),
+        changes=() if same else find_changes(found, limits),
         common="" if same else _common(found, day),
         **drift._asdict(),
         findings=in_order(findings),

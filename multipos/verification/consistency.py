@@ -1,7 +1,8 @@
 """Agreement of repeated calibrations within their uncertainties: exact tests for few degrees.
 
 - `judge_repeats` returns the `Judgement` of repeats.
-- `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3).
+- `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3), and
+  `worded_test` says it with its numbers.
 - `is_apart` says whether outputs have no noise in common.
 
 R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
@@ -44,6 +45,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from multipos.files.numbers import number, p_in_words
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import frozen
@@ -223,6 +225,14 @@ def judge_together(
     statistic = 0.0 - 2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
     dof = 2.0 * len(tails)
     return statistic, dof, chi2_tail(statistic, dof), words.several
+
+
+def worded_test(test: str, statistic: float, dof: float | Sequence[float], p: float) -> str:
+    """Return the name of a test with its numbers; of none why there is none."""
+    if not math.isfinite(statistic):
+        return test
+    on = ", ".join(map(number, dof if isinstance(dof, Sequence) else [dof]))
+    return f"{test}: {number(statistic)} on {on} degrees of freedom, {p_in_words(p)}"
 
 
 def _by_days(values: Array, covariances: Array, of_days: Array, day: Array) -> float:
