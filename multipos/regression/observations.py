@@ -66,17 +66,13 @@ class Data:
 
 @frozen(eq=True)
 class Observations:
-    """What was read: the data, the time column, rates formed with their windows, rows dropped.
-
-    `order` says by what the rows were put in order, which matters where they are correlated.
-    """
+    """What was read: the data, the time column, rates formed with their windows, rows dropped."""
 
     data: Data
     time: str | None
     rates: dict[str, float]
     dropped: int
     findings: Findings
-    order: Findings
 
 
 RUN = "run"  # the column that tells joined files apart
@@ -175,9 +171,7 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large or small a one.
     """
-    said: Findings = ()
-    if time is None:
-        time, said = _usual_time(table, (response, *wanted))
+    time = time or _usual_time(table, (response, *wanted))
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
     needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
@@ -196,25 +190,22 @@ def read_observations(
     clock = np.arange(float(len(kept))) if time is None else columns[time]
     order = time_order(clock, runs)
     data = Data(columns, columns[response], order, runs)
-    return Observations(data, time, rates, table.rows - len(kept), found, said)
+    return Observations(data, time, rates, table.rows - len(kept), found)
 
 
-def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, Findings]:
-    """Return the time column by its name, and what there is to say of it.
+def _usual_time(table: Table, used: Sequence[str]) -> str | None:
+    """Return the time column by its name; None where rows are consecutive.
 
     `time` is one where it holds numbers; another name must be no variable, and never fall.
     """
     for name in sorted(table.columns, key=lambda name: name != "time"):
         if name in used or not _TIME.fullmatch(name.casefold()) or table.is_text(name):
             continue
-        if name == "time":
-            return name, ()
         values = table.number(name, empty=True)
         values = values[np.isfinite(values)]
-        if not (values[1:] < values[:-1]).any():
-            return name, (Finding("time-column", "note", f"column '{name}' is the time"),)
-    text = "no time column: rows are taken as consecutive in the order of the table"
-    return None, (Finding("no-time-column", "note", text),)
+        if name == "time" or not (values[1:] < values[:-1]).any():
+            return name
+    return None
 
 
 def _named(column: str | None) -> tuple[str, ...]:

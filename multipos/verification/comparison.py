@@ -23,7 +23,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files import spelling, trees
 from multipos.files.spelling import StrPath
-from multipos.finding import Finding, Findings, in_order
+from multipos.finding import Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
@@ -45,8 +45,6 @@ from multipos.verification.regression_repeats import RegressionComparison, compa
 from multipos.verification.repeat_findings import find_repeats
 
 Run = Calibration | Regression | Regressions | StrPath
-
-_LEAST = 4  # repeats that the six-position paper asks for
 
 
 @frozen
@@ -235,11 +233,6 @@ def _compare(
         judged = Judgement.of_methods(found, values)
     else:
         judged = judge_repeats(found, values, day, 1.0 - confidence)
-    findings = () if same else find_repeats(found)
-    if len(found) < _LEAST and not same:
-        text = f"{len(found)} repeats determine stability poorly"
-        action = f"Calibrate at least {_LEAST} times."
-        findings += (Finding("few-repeats", "note", text, action),)
     return Comparison(
         calibrations=found,
         files=files,
@@ -251,7 +244,7 @@ def _compare(
         changes=() if same else find_changes(found, limits),
         common="" if same else _common(found, day),
         **drift._asdict(),
-        findings=in_order(findings),
+        findings=() if same else in_order(find_repeats(found)),
         **vars(judged),
     )
 
