@@ -174,14 +174,19 @@ def read_observations(
     time = time or _usual_time(table, (response, *wanted))
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
-    needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
-    _require_columns(table, [*needed, *_named(run)])
+    needed = list(dict.fromkeys(filter(None, [response, *plain, *formed.values(), time])))
+    _require_columns(table, [*needed, *filter(None, [run])])
     if formed and time is None:
         raise MultiposError(
             f"{table.source}: no column '{next(iter(formed))}', and no time column of numbers "
             "to form it from; name one with --time."
         )
-    columns, kept, found = _read_complete(table, needed, largest, drop_missing)
+    columns = {
+        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in needed
+    }
+    kept, found = _complete(table, columns, drop_missing)
+    if len(kept) < table.rows:
+        columns = {name: column[kept] for name, column in columns.items()}
     runs = None if run is None else _labelled(table, run, kept)
     rates: dict[str, float] = {}
     if time is not None:
@@ -208,11 +213,6 @@ def _usual_time(table: Table, used: Sequence[str]) -> str | None:
     return None
 
 
-def _named(column: str | None) -> tuple[str, ...]:
-    """Return the column that an option names, if it names one."""
-    return () if column is None else (column,)
-
-
 def _rates_to_form(table: Table, wanted: Sequence[str]) -> dict[str, str]:
     """Return the wanted rates that are no columns, each with the column it is the rate of."""
     absent = [name for name in wanted if name not in table and name.endswith("_rate")]
@@ -226,19 +226,6 @@ def _require_columns(table: Table, names: Sequence[str]) -> None:
         raise MultiposError(
             f"{table.source}: no column '{missing[0]}'; the columns are {', '.join(table.columns)}."
         )
-
-
-def _read_complete(
-    table: Table, names: Sequence[str], largest: Mapping[str, float], drop: bool
-) -> tuple[dict[str, Array], Rows, Findings]:
-    """Return columns as numbers in the rows without an empty cell, these rows, and findings."""
-    columns = {
-        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in names
-    }
-    kept, found = _complete(table, columns, drop)
-    if len(kept) < table.rows:
-        columns = {name: column[kept] for name, column in columns.items()}
-    return columns, kept, found
 
 
 def _refuse_lost(source: str, columns: Mapping[str, Array], largest: Mapping[str, float]) -> None:
