@@ -354,7 +354,7 @@ def deliver(
         data = path == STDOUT or answer.verbatim or arguments.json
         if not (data or answer.failure):
             made = _first(answer.sentence(), made, verbose)
-        pieces = _complete("" if answer.failure else made, stack)
+        pieces = _complete("" if answer.failure and path != STDOUT else made, stack)
         if not data:
             print_out(pieces)
         found = in_order(answer.findings())
