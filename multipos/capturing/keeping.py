@@ -193,27 +193,27 @@ def _owner(lock: Path) -> int | None:
     )
 
 
-def _make_way(log: Path) -> str | None:
-    """Move the rows of an earlier session aside; return what to say of it."""
+def _make_way(log: Path, say: Callable[[str], object]) -> None:
+    """Move the rows of an earlier session aside, and say so."""
     if not log.exists() or not log.stat().st_size:
-        return None
+        return
     names = (log.with_name(f"{log.stem}.old{i}.csv") for i in count(1))
     old = next(path for path in names if not path.exists())
     log.rename(old)
-    return f"the rows of an earlier session are now {old}"
+    say(f"the rows of an earlier session are now {old}")
 
 
-def _end_with_a_row(log: Path) -> str | None:
-    """Leave out what was not written to its end; return what to say of it."""
+def _end_with_a_row(log: Path, say: Callable[[str], object]) -> None:
+    """Leave out what was not written to its end, and say so."""
     with log.open("r+b") as stream:
         start = max(stream.seek(0, os.SEEK_END) - _LAST, 0)
         stream.seek(start)
         last = stream.read()
         cut = last[last.rfind(b"\n") + 1 :]
-        if not cut:
-            return None
-        stream.truncate(start + len(last) - len(cut))
-    return f"the last row of {log}, {cut.decode(errors='replace')!r}, is cut off and left out"
+        if cut:
+            stream.truncate(start + len(last) - len(cut))
+            said = cut.decode(errors="replace")
+            say(f"the last row of {log}, {said!r}, is cut off and left out")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -239,11 +239,7 @@ class RawLog:
         self._delimiter = ","
         self._stream: IO[str] | None = None
         if self._going_on and self._path is not None:
-            self._tell(_end_with_a_row(self._path))
-
-    def _tell(self, text: str | None) -> None:
-        if text is not None:
-            self._say(text)
+            _end_with_a_row(self._path, kept.say)
 
     def begin(self, log: Log) -> None:
         """Open it, and write the header where the columns have names."""
@@ -251,7 +247,7 @@ class RawLog:
             return
         self._delimiter = log.delimiter
         if not self._going_on:
-            self._tell(_make_way(self._path))
+            _make_way(self._path, self._say)
         with writing(self._path):
             self._stream = self._path.open(
                 "a" if self._going_on else "w",

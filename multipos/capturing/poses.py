@@ -32,7 +32,7 @@ from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.positions.attitudes import Convention
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import unit_of_gravity
 
 REPEAT_DEG = 5.0
 _HAND_DEG = 30.0  # a hand that is asked for a direction comes nearer than that,
@@ -40,8 +40,6 @@ _FOLLOWED = 0.75  # at so many of the poses, and at four
 _IN_SPACE = 0.3  # smallest singular value of directions that are in no plane
 _SPREAD = 30.0  # condition of eq. (1) up to which the centre is identifiable
 _SIGNIFICANT = 5.0  # times its standard uncertainty, of a drift
-_ONE_G = (1.0, STANDARD_GRAVITY, 1000.0)
-_NEAR = 0.15  # relative: how far a bias moves the size of gravity
 
 
 @frozen
@@ -200,8 +198,7 @@ def _find_frame(means: Array, blank: Frame, calibration: Calibration | None) -> 
         size = float(median(np.linalg.norm(means - centre, axis=1)))
         return replace(blank, centre=centre, size=size)
     size = float(median(np.linalg.norm(means, axis=1)))
-    in_known_unit = any(abs(size / one - 1.0) < _NEAR for one in _ONE_G)
-    return replace(blank, size=size) if in_known_unit else None
+    return None if unit_of_gravity(size) is None else replace(blank, size=size)
 
 
 def _centre(means: Array) -> Array | None:

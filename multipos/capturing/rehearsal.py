@@ -61,10 +61,9 @@ def rehearse(
         The session would end without a calibration, or with one that cannot be used.
     """
     asked = plan.fitting.get("unit")
-    kind = plan.fitting.get("field")
-    units = (asked,) if asked else ("uT",) if kind == "magnetic" else ("g", "count")
-    failed: list[MultiposError | ValueError] = []
-    for unit in units:
+    magnetic = plan.fitting.get("field") == "magnetic"
+    failed: list[MultiposError] = []
+    for unit in (asked,) if asked else ("uT",) if magnetic else ("g", "count"):
         try:
             calibration = _fitted(plan, outputs, unit)
             if calibration is not None:
@@ -79,63 +78,49 @@ def _fitted(plan: SessionPlan, outputs: tuple[str, ...] | None, unit: str) -> Ca
     """Return the calibration of nominal readings; None of a model that these do not suit."""
     written = read_model(plan.fitting.get("model", "linear"))
     own = isinstance(written, ParsedModel)
-    names = outputs or _names(written, unit, plan.fitting.get("field"))
-    _check_targets(plan, outputs, names, unit)
-    for scheme in (plan.scheme,) if plan.scheme is not None else (_FREE, _MANY):
-        laid = read_scheme(scheme)
+    names, targets = outputs, plan.targets
+    if names is None:
+        names = _names(written, unit, plan.fitting.get("field"))
+        targets = {name.partition("_")[0]: U for name, U in targets.items()}
+    model_of(replace(plan, targets=targets), names, unit)
+    schemes = (_FREE, _MANY) if plan.scheme is None else (plan.scheme,)
+    for scheme in schemes:
         try:
-            return _fit(plan, laid, names, unit, written)
+            return _fit(plan, read_scheme(scheme), names, unit, written)
         except (RankError, ConvergenceError):
-            if own:  # what it is near is not known before a reading
-                return None
-            if scheme != _FREE:
+            if not own and scheme == schemes[-1]:
                 raise
-    return None
+    return None  # what a model of one's own is near is not known before a reading
 
 
 def _names(written: str | ParsedModel, unit: str, kind: str | None) -> tuple[str, ...]:
     """Return the outputs that nobody has named: those of the model, or of the kind of sensor."""
     if isinstance(written, ParsedModel) and written.lines[0][0] != "each":
         return tuple(name for name, _ in written.lines)
-    magnetic = kind != "gravity" and (kind == "magnetic" or unit in MAGNETIC_UNITS)
+    magnetic = kind == "magnetic" or (kind is None and unit in MAGNETIC_UNITS)
     return tuple(f"{'m' if magnetic else 'a'}{axis}" for axis in COMPONENTS)
 
 
-def _check_targets(
-    plan: SessionPlan, outputs: tuple[str, ...] | None, names: tuple[str, ...], unit: str
-) -> None:
-    """Refuse targets of no parameter; where outputs have no names yet, of no kind of them."""
-    targets = plan.targets
-    if outputs is None:
-        targets = {name.partition("_")[0]: U for name, U in targets.items()}
-    model_of(replace(plan, targets=targets), names, unit)
-
-
 def _fit(
-    plan: SessionPlan,
-    scheme: Scheme,
-    names: tuple[str, ...],
-    unit: str,
-    written: str | ParsedModel,
+    plan: SessionPlan, scheme: Scheme, names: tuple[str, ...], unit: str, written: Any
 ) -> Calibration:
     """Return the fit of eq. (1) at the positions of a scheme."""
-    options = {n: v for n, v in plan.fitting.items() if n not in ("model", "unit", "exclude")}
-    axes = default_axes(names, options.get("axes"))
-    values = _nominal(scheme, axes, unit, plan)
     if isinstance(written, ParsedModel):
         columns = written.columns_among(())
     else:  # a single word is no column, but the name of a model
         columns = tuple(name for name in formula_columns(written) if name != written.strip())
-    log = _as_log(scheme, dict(zip(names, values.T, strict=False)), columns)
+    values = _nominal(plan, scheme, default_axes(names, plan.fitting.get("axes")), unit)
+    log = _as_log(scheme, names, values, columns)
+    found = average(log, label_column="position", outputs=names, accept_faults=True)
+    found = replace(found, scheme_up=None if plan.scheme is None else scheme.up)
+    options = {n: v for n, v in plan.fitting.items() if n not in ("model", "exclude")}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CalibrationWarning)
-        found = average(log, label_column="position", outputs=names, accept_faults=True)
-        known = None if plan.scheme is None else scheme.up
-        found = replace(found, scheme_up=known)
-        return fit_rests(found, plan.fitting.get("model", "linear"), unit=unit, **options)
+        model = plan.fitting.get("model", "linear")
+        return fit_rests(found, model, **{**options, "unit": unit})
 
 
-def _nominal(scheme: Scheme, axes: tuple[str, ...], unit: str, plan: SessionPlan) -> Array:
+def _nominal(plan: SessionPlan, scheme: Scheme, axes: tuple[str, ...], unit: str) -> Array:
     """Return the readings (n, M) of eq. (1) without noise."""
     size, bias = _SIZES.get(unit, 1.0), 0.0
     limits = plan.fitting.get("range")
@@ -147,17 +132,19 @@ def _nominal(scheme: Scheme, axes: tuple[str, ...], unit: str, plan: SessionPlan
     return np.asarray(bias + sign * size * scheme.up[:, sensed])
 
 
-def _as_log(scheme: Scheme, outputs: dict[str, Array], columns: tuple[str, ...]) -> dict[str, Any]:
-    """Return rests at the positions, noise about their readings, and columns that vary."""
+def _as_log(
+    scheme: Scheme, names: tuple[str, ...], values: Array, columns: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return rests at the positions, noise about their readings (n, M), and columns that vary."""
     rng = np.random.default_rng(1)
-    size = max(float(np.ptp(column)) for column in outputs.values()) or 1.0
-    rows = len(scheme) * _REST
+    size = float(np.ptp(values)) or 1.0
+    rows = np.repeat(values, _REST, axis=0)
+    rows += _NOISE * size * rng.normal(size=rows.shape)
     found: dict[str, Any] = {
         "position": np.repeat(scheme.names, _REST),
-        "time": np.arange(rows) / _RATE,
+        "time": np.arange(len(rows)) / _RATE,
+        **dict(zip(names, rows.T, strict=False)),
     }
-    for name, column in outputs.items():
-        found[name] = np.repeat(column, _REST) + _NOISE * size * rng.normal(size=rows)
     for name in columns:
         mean, reach = _WARM.get(name, (1.0, 0.1))
         found[name] = np.repeat(mean + reach * rng.uniform(-1.0, 1.0, len(scheme)), _REST)

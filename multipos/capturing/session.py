@@ -8,7 +8,7 @@ Whoever looks at it from another thread holds `changed`, its lock. What is shown
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +46,8 @@ class Session:
         Once the columns are known.
     field : Field
         What the outputs sense, by names and unit.
+    decided : dict of str to str
+        What the user took back: the first row of each rest, and why.
     next : NextPose or None
     newest : (M,) array or None
         What the sensor reads.
@@ -85,7 +87,7 @@ class Session:
         self.newest: Array | None = None
         self.under_way: poses.Pose | None = None
         self._asked: list[tuple[int, Array]] = []  # first row, and the direction asked for from it
-        self._decided: dict[str, str] = {}  # what the user took back, by position, and why
+        self.decided: dict[str, str] = {}
 
     # What changes it
 
@@ -148,7 +150,7 @@ class Session:
             pose = self.poses[i]
             if pose.undone:
                 self.poses[i] = pose.restored()
-                self._decided.pop(self.key(pose))
+                self.decided.pop(self.key(pose))
                 self._again = "" if self._again == position else self._again
                 self._evaluate()
                 return True
@@ -176,15 +178,6 @@ class Session:
         self.under_way = None
         self.next = None
         self.version += 1
-
-    def decide(self, decided: Mapping[str, str]) -> None:
-        """Take back what was taken back in a session that goes on."""
-        self._decided |= decided
-
-    @property
-    def decided(self) -> Mapping[str, str]:
-        """What the user took back: the first row of each rest, and why."""
-        return self._decided
 
     # What it is
 
@@ -299,7 +292,7 @@ class Session:
             reason = self._repeats(still)
         if reason is not None:
             return replace(pose, accepted=False, reason=self.field.worded(reason))
-        taken_back = self._decided.get(self.key(pose))
+        taken_back = self.decided.get(self.key(pose))
         return pose if taken_back is None else pose.taken_back(taken_back)
 
     def _repeats(self, still: Still) -> str | None:
@@ -340,7 +333,7 @@ class Session:
     def _take_back(self, place: int, reason: str) -> None:
         pose = self.poses[place]
         self.poses[place] = pose.taken_back(reason)
-        self._decided[self.key(pose)] = reason
+        self.decided[self.key(pose)] = reason
         self._evaluate()
 
     @staticmethod

@@ -118,8 +118,11 @@ def _serial_source(rest: str) -> RowSource:
 
 def _replay_source(rest: str) -> RowSource:
     path, _, last = rest.rpartition(":")
-    speed = _number(last)
-    if not path or speed is None:
+    try:
+        speed = float(last)
+    except ValueError:
+        path = ""
+    if not path:
         path, speed = rest, 1.0
     if not path or not 0.0 <= speed < math.inf:
         raise UsageError(
@@ -129,13 +132,6 @@ def _replay_source(rest: str) -> RowSource:
     opened = f"replay:{Path(path).resolve()}"
     source = RowSource(path, opened, Path(path), lambda columns: _replay(source, columns, speed))
     return source
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _replay(source: RowSource, columns: Names | None, speed: float) -> Iterator[Arrival]:

@@ -3,7 +3,7 @@
 import argparse
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from multipos.capturing import keeping, running
 from multipos.capturing.evaluation import SessionPlan
@@ -12,13 +12,12 @@ from multipos.capturing.rehearsal import rehearse
 from multipos.capturing.running import captured
 from multipos.capturing.session import Session
 from multipos.capturing.sources import open_source
-from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
+from multipos.commands.answers import STDOUT, Answer, Exports, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
 from multipos.commands.options import declare, options_of, say
 from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
-from multipos.finding import Finding
 from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
@@ -106,89 +105,63 @@ def _begin(
             print_out([to_json_line(line)], data=True)
 
     session = Session(plan, kept.as_before(reading), running.teller(tell))
-    session.decide(kept.decided)
+    session.decided.update(kept.decided)
     return session
 
 
 def _rehearse_exports(calibration: Calibration, arguments: argparse.Namespace) -> None:
     """Export nominal readings, so that a target is refused before a pose is taken."""
     asked = argparse.Namespace(**{**vars(arguments), "force": True})  # whatever is found of them
-    refused = make_exports(calibration, asked, "nominal.json")[1]
+    refused = make_exports(calibration, asked, "nominal.json").refused
     if refused:
         raise MultiposError(refused[0])
 
 
-class _Made(NamedTuple):
-    """What stands beside the readings: files, findings, and why the rest could not be made."""
-
-    files: dict[Any, Any]
-    findings: list[Finding]
-    failed: list[Exception]
-
-
-def _made(found: running.Captured, arguments: argparse.Namespace) -> _Made:
-    """Return the calibration, its report and its exports, as far as they can be made."""
-    made = _Made({}, [], [])
-    calibration = found.calibration
-    if calibration is None:
-        made.failed.append(MultiposError(f"no calibration: {found.problem}"))
-    if calibration is None or arguments.output in (None, STDOUT):
-        return made
-    path = _calibration_path(arguments.output)
+def _exports(
+    calibration: Calibration, arguments: argparse.Namespace, path: Path
+) -> tuple[Exports, Exception | None]:
+    """Return calibration, exports and report, as far as they can be made, and what went wrong."""
+    made, error = Exports({}, [], [], []), None
+    try:
+        made = make_exports(calibration, arguments, path)
+    except Exception as fault:  # the readings are worth more than what is made of them
+        error = fault
     made.files[path] = to_json(calibration.to_dict())
-    for make in (_export, _report):
-        try:
-            make(calibration, arguments, path, made)
-        except Exception as error:  # the readings are worth more than what is made of them
-            made.failed.append(error)
-    return made
-
-
-def _report(
-    calibration: Calibration, arguments: argparse.Namespace, path: Path, made: _Made
-) -> None:
     try:
         made.files[path.with_suffix(".html")] = html_report(build_content(calibration))
-    except ModuleNotFoundError as error:
-        say(f"no report is written: it needs {error.name}; pip install {error.name}")
-
-
-def _export(
-    calibration: Calibration, arguments: argparse.Namespace, path: Path, made: _Made
-) -> None:
-    exports, refused = make_exports(calibration, arguments, path)
-    made.failed.extend(map(MultiposError, refused))
-    for place, each in exports.items():
-        made.files.update(each.files(place))
-        made.findings.extend(each.findings)
-
-
-def _failure(failed: list[Exception]) -> str | BaseException:
-    """Return what could not be done: in words, or as the error that says it."""
-    if failed and not isinstance(failed[0], MultiposError | UsageError):
-        return failed[0]
-    return " ".join(map(str, failed))
+    except ModuleNotFoundError as fault:
+        say(f"no report is written: it needs {fault.name}; pip install {fault.name}")
+    except Exception as fault:
+        error = fault
+    return made, error
 
 
 def _answer(
     arguments: argparse.Namespace, found: running.Captured, ended_by: BaseException | None = None
 ) -> Answer:
     """Return what is written and printed; of a session that an error ended its readings."""
-    made = _made(found, arguments) if ended_by is None else _Made({}, [], [])
+    made, calibration = Exports({}, [], [], []), found.calibration
+    failure = ended_by
+    if ended_by is None and calibration is None:
+        failure = MultiposError(f"no calibration: {found.problem}")
+    elif calibration is not None and arguments.output not in (None, STDOUT):
+        made, failure = _exports(calibration, arguments, _calibration_path(arguments.output))
+    if isinstance(failure, UsageError):  # after the poses it is their fault no more
+        failure = MultiposError(str(failure))
     table = "" if found.averages is None else format_csv(found.averages.columns())
 
     def files(first: str) -> Any:
         return first if arguments.output == STDOUT else {arguments.output: first, **made.files}
 
     def sentence() -> str:
-        if found.calibration is not None:
-            return calibration_sentence(found.calibration)
+        if calibration is not None:
+            return calibration_sentence(calibration)
         return "" if found.averages is None else averages_sentence(found.averages)
 
     def text() -> str:
-        if arguments.headless or found.calibration is None:
+        if calibration is None or arguments.headless:
             return ""
-        return parameter_text(found.calibration)
+        return parameter_text(calibration)
 
     def detail() -> str:
         parts = [averages_text(found.averages)] if found.averages is not None else []
@@ -201,10 +174,7 @@ def _answer(
         detail=detail,
         verbatim=arguments.headless,
         json=lambda: "" if arguments.headless else to_json(found.to_dict()),
-        forms={
-            "table": lambda: files(table),
-            "json": lambda: files(to_json(found.to_dict())),
-        },
+        forms={"table": lambda: files(table), "json": lambda: files(to_json(found.to_dict()))},
         findings=lambda: (*found.findings, *made.findings),
-        failure=ended_by or _failure(made.failed),
+        failure=failure or " ".join(made.refused),
     )

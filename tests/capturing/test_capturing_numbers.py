@@ -95,6 +95,7 @@ def test_an_easy_direction_is_taken_where_it_is_nearly_the_best(share, fine, mon
 )
 def test_a_frame_without_a_centre_is_of_a_known_g(size, found):
     """Within 15 % of 9.80665, 1 or 1000; of many poses their centre tells it."""
+    # eq. (1) of capturing.poses
     up = mp.read_scheme("fibonacci-3").up
     frame = poses.find_frame(size * up, (2, 0, 1), "gravity", None)
     assert (frame is not None) is found

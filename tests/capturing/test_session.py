@@ -25,7 +25,6 @@ from multipos.capturing.live_rows import LiveRows
 from multipos.capturing.next_pose import _state
 from multipos.capturing.poses import (
     Frame,
-    find_frame,
     find_turn,
     refuse_repeat,
     refuse_rest,
@@ -35,7 +34,6 @@ from multipos.capturing.read_ahead import read_ahead
 from multipos.capturing.running import _goes_on, make_plan, make_reading, run_session
 from multipos.capturing.screen import (
     _SHOWN,
-    _draw,
     _listed,
     obey,
     picture_of,
@@ -45,10 +43,9 @@ from multipos.capturing.sources import open_source
 from multipos.capturing.state import state_of
 from multipos.capturing.targets import read_targets, spread_targets
 from multipos.cli import main
-from multipos.logs import samples
 from multipos.logs.opening import open_log
 from multipos.logs.rests import Rest
-from multipos.logs.samples import Store, Timing, rises, rows_in_log
+from multipos.logs.samples import Timing, rows_in_log
 from multipos.positions.attitudes import pose_words
 
 RATE = 100.0
@@ -609,15 +606,6 @@ def test_mistakes_end_in_one_line(log, tmp_path, capsys):
         assert "report it" not in last[0]  # as a fault of the program's own is
 
 
-def test_a_frame_by_a_sphere_needs_no_unit_and_no_zero():
-    # eq. (1) of capturing.poses
-    up = mp.read_scheme("faces-6").up
-    frame = find_frame(2048.0 + 819.0 * up, (0, 1, 2), "specific-force", None)
-    assert_allclose(frame.up(2048.0 + 819.0 * up), up, atol=1e-9)
-    assert frame.size == pytest.approx(819.0)
-    assert find_frame(2048.0 + 819.0 * up[:2], (0, 1, 2), "specific-force", None) is None
-
-
 def test_five_degrees_are_a_repeat():
     taken = np.array([[0.0, 0.0, 1.0]])
     for degrees, repeats in ((4.9, True), (5.1, False)):
@@ -697,24 +685,6 @@ def test_a_rest_in_another_unit_is_refused(size, said):
     assert refuse_unit(still, frame, means[:1]) is None
 
 
-def test_rows_that_are_kept_in_a_file_and_let_go(monkeypatch):
-    monkeypatch.setattr(samples, "_IN_MEMORY", 10)
-    store, table = Store(), np.arange(22.0).reshape(2, 11)
-    for first, last in ((0, 4), (4, 8), (8, 11)):
-        store.add(np.ascontiguousarray(table[:, first:last]))
-
-    def kept():
-        return [(first, piece.tolist()) for first, piece in store.pieces()]
-
-    parts = [(first, table[:, first:last].tolist()) for first, last in ((0, 4), (4, 8), (8, 11))]
-    for row, left in ((0, parts), (7, parts[1:]), (8, parts[2:]), (10, parts[2:]), (11, [])):
-        store.forget(row)
-        assert kept() == left
-    store.add(table[:, :3])
-    assert kept() == [(11, table[:, :3].tolist())]
-    store.close()
-
-
 def test_lines_are_whole_and_a_silent_source_is_heard():
     assert _whole_lines(b"1,2", b"3\r\n4,5\r6") == ("1,23\n4,5\n", b"6")
     assert _whole_lines(b"", b"4,5\r") == ("", b"4,5\r")  # a line feed may follow
@@ -769,31 +739,6 @@ def test_what_an_earlier_session_fixed_and_what_was_asked_for():
     plan = SessionPlan({"convention": "gravity"}, {}, None, None, None)
     assert plan.convention == "gravity"
     assert SessionPlan({}, {}, None, None, None).convention == "specific-force"
-
-
-@pytest.mark.parametrize(
-    ("time", "rising"),
-    [
-        ([0.0, 1.0, 1.0, 2.0], True),
-        ([1.0, np.nan, 2.0], True),
-        ([1.0, 1.0], False),
-        ([0.0, 2.0, 1.0, 3.0], False),
-        ([3.0, 1.0], False),
-        ([1.0], False),
-        ([], False),
-    ],
-)
-def test_a_column_that_rises_may_be_a_time(time, rising):
-    assert rises(np.array(time)) == rising
-
-
-def test_lines_are_drawn_over_those_before_and_end_before_the_edge(capsys, monkeypatch):
-    size = SimpleNamespace(columns=20)
-    monkeypatch.setattr("multipos.capturing.screen.shutil.get_terminal_size", lambda: size)
-    assert _draw(["x" * 30, "y"], 0) == 2
-    assert capsys.readouterr().err == "x" * 19 + "\ny\n"
-    assert _draw(["z"], 2) == 1
-    assert capsys.readouterr().err == "\x1b[2F\x1b[Jz\n"
 
 
 def test_what_is_known_before_a_fit_of_the_same_terms(monkeypatch):
