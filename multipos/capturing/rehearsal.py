@@ -4,7 +4,7 @@
 of the session. An option that would be refused after the last pose is refused here, before a pose
 is taken. Position k reads
 
-    y_k = b + s (±u_k) + ε,                                                                 (1)
+    y_k = b + s (±u_k) + ε,
 
 with s the size of the field in the unit of the readings, b zero, and ε small; where limits of the
 readings are stated, they lie around the middle of them. Nothing of it is kept.
@@ -104,7 +104,7 @@ def _names(written: str | ParsedModel, unit: str, kind: str | None) -> tuple[str
 def _fit(
     plan: SessionPlan, scheme: Scheme, names: tuple[str, ...], unit: str, written: Any
 ) -> Calibration:
-    """Return the fit of eq. (1) at the positions of a scheme."""
+    """Return the fit of nominal readings at the positions of a scheme."""
     if isinstance(written, ParsedModel):
         columns = written.columns_among(())
     else:  # a single word is no column, but the name of a model
@@ -121,7 +121,7 @@ def _fit(
 
 
 def _nominal(plan: SessionPlan, scheme: Scheme, axes: tuple[str, ...], unit: str) -> Array:
-    """Return the readings (n, M) of eq. (1) without noise."""
+    """Return nominal readings (n, M) without noise."""
     size, bias = _SIZES.get(unit, 1.0), 0.0
     limits = plan.fitting.get("range")
     if limits is not None and len(limits) == 2 and limits[0] < limits[1]:
