@@ -32,6 +32,7 @@ Lett. 77, 2007 (which candidates can be left out).
 
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -52,12 +53,10 @@ from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
-_PIVOTED = 4  # times that as many candidates as parameters are picked
 _WORKING = 80  # candidates solved together at the start
 _MOST = 200  # candidates solved together at most
 _SMALL = 80  # equations up to which BLAS starts no threads
 _JOINED = 30  # candidates that join them in a round at most
-_EARLY = 0.03  # of the last gap, to which the weights of a round are found
 _NEGLIGIBLE = 1e-9  # weight that is none
 _ROUNDS = 20  # one is usual, eleven the most seen
 _STEPS = 60  # of the interior point; twenty are usual
@@ -67,6 +66,9 @@ _MAXIMA = 100  # local maxima of the grid that are climbed
 _CLIMBS = 8  # Newton steps
 _SAME = 1.0 - 1e-9  # cosine from which two directions are one
 _SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
+
+
+Working = TypeVar("Working", Array, Places)  # directions, or candidates by number
 
 
 @frozen
@@ -106,32 +108,14 @@ def optimise_candidates(rows: Blocks, criterion: Criterion) -> ContinuousOptimum
     start = np.unique(np.linspace(0, n - 1, min(n, _WORKING)).astype(np.intp))
     if log_det(inform(_taken(rows, start))) == -np.inf:
         start = _spread(rows)
-    working, found = start, 1.0
-    for _ in range(_ROUNDS):
-        chosen = _taken(rows, working)
-        aim = max(_EARLY * found, 0.01 * GAP)
-        weights = weigh(chosen, criterion, gap=aim)
-        weights[weights <= _NEGLIGIBLE] = 0.0
-        weights /= weights.sum()
-        information = inform(chosen, weights)
-        s = sensitivity(rows, kernels(information, criterion))
-        found = float(s.max()) - 1.0
-        if found <= GAP:
-            kept = weights > 0.0
-            reached = objective(information, criterion), log_det(information), found
-            return ContinuousOptimum(np.empty((0, 3)), working[kept], weights[kept], *reached)
-        # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
-        alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
-        if not alive.any():
-            break
-        heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
-        staying = working[alive][heaviest]
-        if log_det(inform(_taken(rows, staying))) == -np.inf:  # L: weights of all but one are small
-            staying = working[np.argsort(-weights, kind="stable")[: _MOST - _JOINED]]
-        s[working] = -np.inf
+
+    def price(kernel: Blocks) -> tuple[Places, Array]:
+        s = sensitivity(rows, kernel)
         highest = np.argpartition(-s, min(_JOINED, n - 1))[:_JOINED]
-        working = np.concatenate([staying, highest[s[highest] > 1.0]])
-    raise ConvergenceError(_unfinished(found))
+        return highest, s[highest]
+
+    chosen, weights, reached = _optimise(start, partial(_taken, rows), price, criterion)
+    return ContinuousOptimum(np.empty((0, 3)), chosen, weights, *reached)
 
 
 def optimise_sphere(setting: Setting, criterion: Criterion) -> ContinuousOptimum:
@@ -144,26 +128,48 @@ def optimise_sphere(setting: Setting, criterion: Criterion) -> ContinuousOptimum
     MultiposError
         A formula has no value somewhere.
     """
-    up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
-    for _ in range(_ROUNDS):
-        rows = setting.rows(up)
-        require_values(setting, rows)
-        weights = weigh(rows, criterion, gap=0.01 * GAP)
-        kept = weights > _NEGLIGIBLE
-        up, weights = up[kept], weights[kept] / weights[kept].sum()
-        information = inform(_taken(rows, np.flatnonzero(kept)), weights)
-        sensed = partial(_sensed, setting, kernels(information, criterion))
+
+    def price(kernel: Blocks) -> tuple[Array, Array]:
+        sensed = partial(_sensed, setting, kernel)
         peaks, heights = maxima(sensed)
         if heights.max() - 1.0 <= GAP:  # before it is said, look closer
-            peaks, heights = maxima(sensed, _FINE)
-        found = float(heights.max()) - 1.0
-        if found <= GAP:
-            reached = objective(information, criterion), log_det(information), found
-            return ContinuousOptimum(up, np.empty(0, dtype=np.intp), weights, *reached)
-        joining = peaks[heights > 1.0][: _MOST // 3]
+            return maxima(sensed, _FINE)
+        return peaks, heights
+
+    start = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
+    require_values(setting, setting.rows(start))
+    up, weights, reached = _optimise(start, setting.rows, price, criterion)
+    return ContinuousOptimum(up, np.empty(0, dtype=np.intp), weights, *reached)
+
+
+def _optimise(
+    working: Working,
+    rows_of: Callable[[Working], Blocks],
+    price: Callable[[Blocks], tuple[Working, Array]],
+    criterion: Criterion,
+) -> tuple[Working, Array, tuple[float, float, float]]:
+    """Return the candidates that carry weight, it, and value, log_det and gap.
+
+    `price` returns those of highest s of all that there are, and s.
+    """
+    for _ in range(_ROUNDS):
+        rows = rows_of(working)
+        weights = weigh(rows, criterion, gap=0.01 * GAP)
+        kept = np.flatnonzero(weights > _NEGLIGIBLE)
+        working, weights = working[kept], weights[kept] / weights[kept].sum()
+        information = inform(_taken(rows, kept), weights)
+        highest, s = price(kernels(information, criterion))
+        gap = float(s.max()) - 1.0
+        if gap <= GAP:
+            reached = objective(information, criterion), log_det(information), gap
+            return working, weights, reached
+        joining = highest[s > 1.0][: _MOST // 3]
         heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
-        up = np.concatenate([up[np.sort(heaviest)], joining])
-    raise ConvergenceError(_unfinished(found))
+        working = np.concatenate([working[np.sort(heaviest)], joining])
+    raise ConvergenceError(
+        f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
+        "the model is nearly inseparable on these positions, drop a term."
+    )
 
 
 def largest_sensitivity(setting: Setting, information: Blocks) -> float:
@@ -331,34 +337,11 @@ def _taken(rows: Blocks, chosen: Places) -> Blocks:
 
 def _spread(rows: Blocks) -> Places:
     """Return candidates that determine every parameter: pivots of each block, as QR picks them."""
-    chosen: list[int] = []
+    from scipy.linalg import qr
+
+    chosen = []
     for Z in rows:
-        n, k, p = Z.shape
-        flat = Z.reshape(n * k, p)
-        left = np.ones(n * k, dtype=np.bool_)
-        for _ in range(_PIVOTED):
-            found = [row for row in _pivots(flat * left[:, None]) if left[row]]
-            left[found] = False
-            chosen += [row // k for row in found]
-    return np.unique(np.array(chosen, dtype=np.intp))
-
-
-def _pivots(rows: Array) -> list[int]:
-    """Return rows (n, p) of which each, one by one, is the longest across those before it."""
-    rest, found = rows.copy(), []
-    for _ in range(rows.shape[1]):
-        size = np.einsum("np,np->n", rest, rest)
-        longest = int(np.argmax(np.round(size, 12)))
-        if not size[longest] > 0.0:
-            break
-        direction = rest[longest] / np.sqrt(size[longest])
-        rest -= np.outer(rest @ direction, direction)
-        found.append(longest)
-    return found
-
-
-def _unfinished(gap: float) -> str:
-    return (
-        f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
-        "the model is nearly inseparable on these positions, drop a term."
-    )
+        _, k, p = Z.shape
+        _, pivots = qr(Z.reshape(-1, p).T, mode="r", pivoting=True)
+        chosen.append(pivots[:p] // k)
+    return np.unique(np.concatenate(chosen))

@@ -30,7 +30,6 @@ from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
     _FINE,
     _derivatives,
-    _pivots,
     maxima,
     optimise_candidates,
     optimise_sphere,
@@ -966,10 +965,6 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
         assert [fall(x)[0] for fall in seen] == [np.inf] * 3
 
 
-def test_pivots_of_rows_by_hand():
-    assert _pivots(np.array([[1.0, 0.0], [0.0, 3.0], [2.0, 0.0]])) == [1, 2]
-
-
 def test_a_certificate_is_looked_at_closer_before_it_is_said(monkeypatch):
     looked = []
 
@@ -991,17 +986,19 @@ def test_included_positions_help_candidates_that_separate_nothing_by_themselves(
     assert found.efficiency <= found.bench_efficiency * (1.0 + 1e-7)  # to the gaps of both optima
 
 
-def test_weights_that_no_search_finds_are_refused():
-    """At 40 degrees of orientation error a face tells 1e6 times less of its own axis."""
+def test_weights_that_no_search_finds_are_refused(monkeypatch):
+    monkeypatch.setattr("multipos.designs.optimum._ROUNDS", 1)
+    rows = setting("ieee").rows(read_scheme("fibonacci-2000").up)
     with pytest.raises(mp.ConvergenceError, match="nearly inseparable"):
-        mp.design(
-            "1 + x",
-            3,
-            criterion="A",
-            candidates="faces-6",
-            orientation_sd=40.0,
-            reading_sd=1e-3,
-        )
+        optimise_candidates(rows, Criterion("D"))
+
+
+def test_weights_where_a_face_tells_a_millionth_of_its_own_axis_by_hand():
+    """At 40 degrees w = 1/(1 + (0.7/0.001)²): A is least where 2/(t w) + 4/(1 − t) is."""
+    noise = {"orientation_sd": 40.0, "reading_sd": 1e-3}
+    found = mp.design("1 + x", 3, criterion="A", candidates="faces-6", **noise)
+    small = math.sqrt(2.0) * 1e-3 / math.radians(40.0)
+    assert_allclose(found.optimum["weights"][2:], small / (1.0 + small) / 4.0, rtol=3e-3)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
