@@ -22,7 +22,7 @@ import numpy as np
 from multipos.designs import assessment
 from multipos.designs.assessment import orientation
 from multipos.designs.criteria import Criterion, kernels, make_criterion, sensitivity
-from multipos.designs.exchange import choose, polish, polish_largest
+from multipos.designs.exchange import choose, polish
 from multipos.designs.information import Setting, inform, log_det, nothing_to_weigh
 from multipos.designs.optimum import (
     ContinuousOptimum,
@@ -206,6 +206,7 @@ def design_csv(found: Design) -> str:
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
 _MOST = 200  # new positions: the search grows with their square, what it gains not at all
+_POWERS = (20.0, 100.0, 500.0)  # by which the largest variance is smoothed, one after the other
 _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
@@ -552,9 +553,11 @@ def _search_largest(
 
     ranked = sorted((judged(up) for up in choices), key=lambda result: -result[0])
     if bench is None:
-        seen = read_bench("all-26+fibonacci-400")
-        moved = [polish_largest(setting, up, given, seen) for _, up in ranked[:2]]
-        ranked += [judged(up) for up in moved]
+        seen = setting.rows(read_bench("all-26+fibonacci-400"))
+        for _, up in ranked[:2]:
+            for power in _POWERS:
+                _, up = polish(setting, up, Criterion("G", power=power, seen=seen), given)
+            ranked.append(judged(up))
     return max(ranked, key=lambda result: result[0])
 
 

@@ -1,8 +1,7 @@
 """The best N positions: exchange of candidates, restarts, polish.
 
 `choose` returns choices of candidates, best first, and `exchange` one that no replacement of a
-position improves. `polish` moves positions freely on the sphere, `polish_largest` those of
-criterion G.
+position improves. `polish` moves positions freely on the sphere.
 
 N positions with rows Z_k have the information M = Z'Z/N. Replacing position i by candidate j
 changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j;
@@ -22,8 +21,6 @@ Technometrics 22, 1980.
 """
 
 import math
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -37,7 +34,7 @@ _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
 _H = 1e-5  # [rad], of central differences
 _STEPS = 300  # of the polish
-_REACH = 0.3  # [rad], of a step at most
+_LEVEL = 1e-8  # [1/rad], slope of the criterion from which it counts as level
 _RIDGE = 1e-3  # part of the candidates' mean information that makes a random start regular
 
 
@@ -144,7 +141,7 @@ class _State:
 
     def gains(self, leaving: int) -> Array:
         """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
-        if self.criterion.power is not None:
+        if self.criterion.power:
             return self._gains_of_least(leaving, self.criterion.power)
         determinants = np.ones(len(self.rows[0]))
         falls = np.zeros(len(self.rows[0]))
@@ -211,6 +208,8 @@ def polish(
     setting: Setting, up: Array, criterion: Criterion, included: Array
 ) -> tuple[float, Array]:
     """Return the criterion and positions (n, 3) after they have moved freely on the sphere."""
+    from scipy.optimize import minimize
+
     fixed, frame = setting.rows(included), tangents(up)
     corners = _H * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
@@ -227,65 +226,12 @@ def polish(
 
     start = np.zeros(2 * len(up))
     before = -fall(start)[0]
-    x, value = _descend(fall, start, _STEPS)
-    # an equal choice from the list has rounder numbers
-    return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
-
-
-def polish_largest(setting: Setting, up: Array, included: Array, directions: Array) -> Array:
-    """Return positions (n, 3), moved to make the largest p s(u) small: criterion G.
-
-    The maximum is smoothed, (mean of s^q)^(1/q) over the directions, and sharpened by steps.
-    """
-    fixed, frame = setting.rows(included), tangents(up)
-    seen = setting.rows(directions)
-    criterion = Criterion("G")
-
-    def smooth(x: Array, power: float) -> float:
-        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
-        if objective(information, criterion) == -math.inf:
-            return math.inf
-        s = sensitivity(seen, kernels(information, criterion))
-        return float(np.log(s.max()) + np.log(np.mean((s / s.max()) ** power)) / power)
-
-    def fall(x: Array, power: float) -> tuple[float, Array]:
-        steps = _H * np.eye(len(x))
-        slope = [smooth(x + step, power) - smooth(x - step, power) for step in steps]
-        return smooth(x, power), np.array(slope) / (2.0 * _H)
-
-    x = np.zeros(2 * len(up))
-    for power in (20.0, 100.0):
-        x, _ = _descend(partial(fall, power=power), x, _STEPS // 10)
-    return _tidy(_moved(up, frame, x))
-
-
-def _descend(
-    function: Callable[[Array], tuple[float, Array]], x: Array, steps: int
-) -> tuple[Array, float]:
-    """Return where a function of value and gradient is least nearby, and its value: BFGS."""
-    value, gradient = function(x)
-    H = np.eye(len(x))
-    for _ in range(steps):
-        direction = -H @ gradient
-        if not gradient @ direction < 0.0:
-            H, direction = np.eye(len(x)), -gradient
-        length = min(1.0, _REACH / max(float(np.abs(direction).max()), 1e-300))
-        while True:
-            s = length * direction
-            lower, slope = function(x + s)
-            if lower <= value + 1e-4 * float(gradient @ s):
-                break
-            length *= 0.3
-            if length < 1e-8:
-                return x, value
-        y, gained = slope - gradient, value - lower
-        x, value, gradient = x + s, lower, slope
-        if gained <= 1e-13:
-            break
-        if (curvature := float(y @ s)) > 1e-14:
-            V = np.eye(len(x)) - np.outer(s, y) / curvature
-            H = V @ H @ V.T + np.outer(s, s) / curvature
-    return x, value
+    lowest = minimize(
+        fall, start, jac=True, method="BFGS", options={"gtol": _LEVEL, "maxiter": _STEPS}
+    )
+    if -lowest.fun > before + 1e-9:
+        return -float(lowest.fun), _tidy(_moved(up, frame, lowest.x))
+    return before, up  # an equal choice from the list has rounder numbers
 
 
 def _moved(up: Array, frame: Array, x: Array) -> Array:

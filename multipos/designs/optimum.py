@@ -236,7 +236,7 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
     for Z, M, G in zip(rows, information, kernel, strict=True):
         k = Z.shape[1]
         flat = Z.reshape(n * k, -1)
-        if criterion.power is not None:
+        if criterion.power:
             value = objective(information, criterion)
             curvature += _bend_of_least(Z, M, value, criterion.power)
             continue
@@ -246,7 +246,7 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
         else:
             products = 2.0 * plain * multiply(flat, G @ flat.T)
         curvature += products.reshape(n, k, n, k).sum(axis=(1, 3))
-    if criterion.weight is not None or criterion.power is not None:
+    if criterion.weight is not None or criterion.power:
         curvature -= (criterion.power or 1.0) * np.outer(s, s)
     return s, curvature
 

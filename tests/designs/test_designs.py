@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from multipos.designs.criteria import (
     objective,
     sensitivity,
 )
-from multipos.designs.exchange import _bordered, _descend, _State, choose
+from multipos.designs.exchange import _bordered, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
     _FINE,
@@ -874,24 +875,6 @@ def test_maxima_of_a_function_of_directions():
     assert height.max() == pytest.approx(1.0, abs=1e-5)
 
 
-def test_the_search_for_positions_ends_at_the_least_value():
-    def bowl(x):
-        A = np.array([[3.0, 1.0], [1.0, 2.0]])
-        off = x - [0.03, -0.02]
-        return float(off @ A @ off) + 7.0, 2.0 * A @ off
-
-    x, value = _descend(bowl, np.zeros(2), 50)
-    np.testing.assert_allclose(x, [0.03, -0.02], atol=1e-7)
-    assert value == pytest.approx(7.0, abs=1e-13)
-
-    def valley(x):  # H. H. Rosenbrock, Computer Journal 3, 1960
-        a, b = 1.0 - x[0], x[1] - x[0] ** 2
-        return a**2 + 100.0 * b**2, np.array([-2.0 * a - 400.0 * x[0] * b, 200.0 * b])
-
-    x, value = _descend(valley, np.array([-1.2, 1.0]), 400)
-    np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["D", "L", "E"])
 def test_slopes_and_curvature_of_a_criterion_by_differences(kind):
     rng = np.random.default_rng(5)
@@ -947,14 +930,21 @@ def test_large_definite_equations_are_solved_by_halves():
 
 def test_slopes_of_moving_positions_by_differences(monkeypatch):
     """Positions that are included weigh in the mean too."""
-    seen = []
-    monkeypatch.setattr(exchange, "_descend", lambda f, x, steps: seen.append(f) or (x, f(x)[0]))
+    # eq. (4) of designs.criteria
+    falls = []
+
+    def noted(fall, start, **options):
+        falls.append(fall)
+        return SimpleNamespace(x=start, fun=fall(start)[0])
+
+    monkeypatch.setattr("scipy.optimize.minimize", noted)
     up = mp.read_scheme("fibonacci-12").up[:6]
     mine = setting("linear")
-    exchange.polish(mine, up, Criterion("D"), mp.read_scheme("faces-6").up[:4])
-    exchange.polish_largest(mine, up, up[:3], mp.read_scheme("icosahedron-12").up)
+    seen = mine.rows(mp.read_scheme("icosahedron-12").up)
+    for criterion in (Criterion("D"), Criterion("G", power=20.0, seen=seen)):
+        exchange.polish(mine, up, criterion, mp.read_scheme("faces-6").up[:4])
     x = 0.05 * np.random.default_rng(4).normal(size=12)
-    for fall in seen:
+    for fall in falls:
         slope = fall(x)[1]
         for j in (0, 7):
             step = 1e-4 * np.eye(12)[j]
@@ -962,7 +952,7 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
             assert slope[j] == pytest.approx(by_differences, rel=1e-3, abs=1e-6)
     monkeypatch.setattr(exchange, "objective", lambda information, criterion: -np.inf)
     with np.errstate(invalid="ignore"):  # no step leads where a parameter is lost
-        assert [fall(x)[0] for fall in seen] == [np.inf] * 3
+        assert [fall(x)[0] for fall in falls] == [np.inf] * 2
 
 
 def test_a_certificate_is_looked_at_closer_before_it_is_said(monkeypatch):
