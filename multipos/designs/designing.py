@@ -184,6 +184,8 @@ def _summary(found: Design) -> str:
         f"largest variance {certificate['max_variance']:.8g} of the best on {reach} "
         f"for {certificate['parameters']} parameters, less 1"
     )
+    if found.criterion == "E":
+        proof = f"part by which the least eigenvalue of the best on {reach} may be larger"
     lines = [
         ["efficiency", f"{found.efficiency:.6f}", "against the best on the whole sphere"],
         ["log det", f"{found.log_det:.6f}", f"at most {found.optimum_log_det:.6f}"],

@@ -30,6 +30,7 @@ from multipos.numerics.arrays import Array, Places
 
 Choice = Places
 
+_TRIED = 40  # candidates whose eigenvalues are taken, of criterion E
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
 _H = 1e-5  # [rad], of central differences
@@ -131,6 +132,10 @@ class _State:
         self.value = objective(self.information, criterion)
         if self.value == -math.inf:
             return
+        if criterion.power:
+            s = sensitivity(rows, kernels(self.information, criterion))
+            self.nearest = np.argsort(-s)[:_TRIED]
+            return
         inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in self.information]
         self.own, self.left = _forms(rows, inverse)
         if criterion.weight is not None:
@@ -165,16 +170,18 @@ class _State:
             return np.asarray(math.log(now) - np.log(left))
 
     def _gains_of_least(self, leaving: int, power: float) -> Array:
-        """Return the gain of criterion E, from the eigenvalues with every candidate."""
+        """Return the gain of criterion E, from the eigenvalues with candidates of the largest s."""
         found = [
-            np.linalg.eigvalsh(M - Z[leaving].T @ Z[leaving] + Z.transpose(0, 2, 1) @ Z)
+            np.linalg.eigvalsh(M - Z[leaving].T @ Z[leaving] + near.transpose(0, 2, 1) @ near)
             for M, Z in zip(self.information, self.rows, strict=True)
+            for near in [Z[self.nearest]]
         ]
         eigen = np.concatenate(found, axis=1)
         # what rounding leaves of a parameter that is lost
         eigen = np.maximum(eigen, 1e-12 * eigen.max(axis=1, keepdims=True))
-        now = np.concatenate([np.linalg.eigvalsh(M) for M in self.information])
-        return smooth_least(eigen, power) - smooth_least(now, power)
+        gains = np.full(len(self.rows[0]), -np.inf)
+        gains[self.nearest] = smooth_least(eigen, power) - self.value
+        return gains
 
 
 def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:

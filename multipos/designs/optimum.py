@@ -3,7 +3,7 @@
 `optimise_sphere` returns the best weights over all directions, `optimise_candidates` those on
 candidates and `weigh` those on a few hundred, each with its gap. `largest_sensitivity` is max s of
 criterion D, `maxima` finds where a function of directions is largest, and `solve_definite` solves
-for a positive definite matrix.
+for a positive definite matrix. `gap_of_least` is the certificate of the least eigenvalue.
 
 Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.criteria` as
 large as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
@@ -11,7 +11,10 @@ large as it can be. F is concave, so a solution is known when it is seen: with s
     F* − F(w) ≤ max s − 1,                                                                 (1)
 
 Kiefer and Wolfowitz's equivalence theorem as a certificate; the right-hand side is the gap. For D
-the efficiency that can be missing is 1 − exp(−gap).
+the efficiency that can be missing is 1 − exp(−gap). E is made smooth, but its certificate is that
+of the least eigenvalue itself: no M' has a larger one than tr(G M')/tr G, so that
+
+    λ*_min/λ_min − 1 ≤ max s/(λ_min tr G) − 1.                                              (3)
 
 Weights on a few hundred candidates come from a primal–dual interior-point iteration,
 
@@ -36,7 +39,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
+from multipos.designs.criteria import Criterion, kernels, least_eigenvalue, objective, sensitivity
 from multipos.designs.information import (
     Blocks,
     Setting,
@@ -85,7 +88,7 @@ class ContinuousOptimum:
     value, log_det : float
         The criterion, and ln det of the information per position.
     gap : float
-        max s − 1, over the candidates or refined over the sphere.
+        max s − 1, over the candidates or refined over the sphere; of E eq. (3).
     """
 
     up: Array
@@ -158,11 +161,13 @@ def _optimise(
         kept = np.flatnonzero(weights > _NEGLIGIBLE)
         working, weights = working[kept], weights[kept] / weights[kept].sum()
         information = inform(_taken(rows, kept), weights)
-        highest, s = price(kernels(information, criterion))
+        kernel = kernels(information, criterion)
+        highest, s = price(kernel)
         gap = float(s.max()) - 1.0
         if gap <= GAP:
-            reached = objective(information, criterion), log_det(information), gap
-            return working, weights, reached
+            if criterion.power:
+                gap = gap_of_least(information, kernel, gap)
+            return working, weights, (objective(information, criterion), log_det(information), gap)
         joining = highest[s > 1.0][: _MOST // 3]
         heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
         working = np.concatenate([working[np.sort(heaviest)], joining])
@@ -170,6 +175,12 @@ def _optimise(
         f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
         "the model is nearly inseparable on these positions, drop a term."
     )
+
+
+def gap_of_least(information: Blocks, kernel: Blocks, gap: float) -> float:
+    """Return by which part the least eigenvalue may fall short of the best one, eq. (3)."""
+    traces = sum(float(np.trace(G)) for G in kernel)
+    return (1.0 + gap) / (traces * least_eigenvalue(information)) - 1.0
 
 
 def largest_sensitivity(setting: Setting, information: Blocks) -> float:

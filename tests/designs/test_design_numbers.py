@@ -21,7 +21,7 @@ from multipos.designs.assessment import (
     scheme_rows,
     schemes_sentence,
 )
-from multipos.designs.criteria import Criterion, make_criterion
+from multipos.designs.criteria import Criterion, kernels, make_criterion
 from multipos.designs.designing import (
     Design,
     _check_count,
@@ -37,7 +37,7 @@ from multipos.designs.designing import (
 )
 from multipos.designs.exchange import _tidy, polish
 from multipos.designs.information import Setting, tangents
-from multipos.designs.optimum import _apart, _length, _spread
+from multipos.designs.optimum import _apart, _length, _spread, gap_of_least
 from multipos.designs.prospects import begin, information_of, measured, rank_positions
 from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
@@ -138,6 +138,14 @@ def test_candidates_that_determine_every_parameter_are_picked_of_rows_of_two():
     rows = np.zeros((30, 2, 2))
     rows[17, 1, 0] = rows[23, 0, 1] = 1.0  # nothing else tells anything
     assert _spread((rows,)).tolist() == [17, 23]
+
+
+def test_what_a_least_eigenvalue_may_fall_short_by_by_hand():
+    """Of ½ and 1 % more x = 1.01^−100 = .36971 counts, tr G = (2 + 2x/1.01)/(1 + x) = 1.994655."""
+    # eq. (3) of designs.optimum
+    M = (np.diag([0.5, 0.505]),)
+    kernel = kernels(M, make_criterion("E", Setting(LINEAR)))
+    assert gap_of_least(M, kernel, 0.2) == pytest.approx(1.2 / (0.5 * 1.994655) - 1.0, abs=1e-5)
 
 
 def test_a_step_ends_before_an_entry_vanishes():
