@@ -319,18 +319,13 @@ def design(
     _require_separated(described.identifiable, positions)  # what many candidates barely show
     u = () if begun is None else _u_of(begun, up[len(given) :])
     if u:
-        keys = [f"{entry['output']}:{entry['term']}" for entry in u]
-        after = [entry["after"] for entry in u]
-        described = replace(described, u=dict(zip(keys, after, strict=True)))
+        after = {f"{entry['output']}:{entry['term']}": entry["after"] for entry in u}
+        described = replace(described, u=after)
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
-    if criterion == "E":
-        if described.e_efficiency is None:
-            raise MultiposError(
-                f"the E-optimum of '{setting.model.text}' was not found, so that no efficiency can "
-                "be stated; take --criterion A, which also weights the least known."
-            )
+    if criterion == "E" and described.e_efficiency is not None:
         efficiency, on_bench = described.e_efficiency, None
     turned = travel_deg(up)
+    time_s = None if move_time is None else move_time[0] * len(up) + move_time[1] * turned
     return Design(
         model=setting.model.text,
         orientation=orientation(setting),
@@ -347,7 +342,7 @@ def design(
         },
         bench_efficiency=on_bench,
         travel_deg=turned,
-        time_s=_time_s(move_time, len(up), turned),
+        time_s=time_s,
         scheme=described,
         findings=nothing_to_weigh(setting),
         settings=_settings(up, len(given), candidates, include if begun is None else None),
@@ -441,12 +436,13 @@ def _settings(
     include: "Source | Scheme | None",
 ) -> tuple[dict[str, Any], ...]:
     """Return how included positions and those of the candidates are set; nothing without both."""
-    own: tuple[dict[str, Any], ...] = tuple({} for _ in up)
-    if include is not None:
-        own = (*bench_settings(include, up[:included]), *own[included:])
-    if candidates is not None:
-        own = (*own[:included], *bench_settings(candidates, up[included:]))
-    return own if any(own) else ()
+    settings = _of_bench(include, up[:included]) + _of_bench(candidates, up[included:])
+    return settings if any(settings) else ()
+
+
+def _of_bench(source: "Source | Scheme | None", up: Array) -> tuple[dict[str, Any], ...]:
+    settings = () if source is None else bench_settings(source, up)
+    return settings or tuple({} for _ in up)
 
 
 def _efficiency(
@@ -456,10 +452,6 @@ def _efficiency(
     if criterion == "G":  # the value is −ln of the largest s on the sphere, 1 at the optimum
         return min(1.0, math.exp(value)), None
     return min(1.0, math.exp(value - sphere.value)), min(1.0, math.exp(value - best.value))
-
-
-def _time_s(move_time: tuple[float, float] | None, count: int, turned_deg: float) -> float | None:
-    return None if move_time is None else move_time[0] * count + move_time[1] * turned_deg
 
 
 def _certificate(setting: Setting, best: ContinuousOptimum, over: str) -> dict[str, Any]:

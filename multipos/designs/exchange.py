@@ -28,8 +28,6 @@ from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array, Places
 
-Choice = Places
-
 _TRIED = 40  # candidates whose eigenvalues are taken, of criterion E
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
@@ -47,7 +45,7 @@ def choose(
     included: Blocks | None = None,
     starts: int = 20,
     rng: np.random.Generator,
-) -> list[tuple[float, Choice]]:
+) -> list[tuple[float, Places]]:
     """Return choices of `count` candidates, best first, with their criteria.
 
     A candidate may be taken more than once: the position is taken up again.
@@ -75,19 +73,18 @@ def choose(
     fixed = tuple(Z[:0] for Z in rows) if included is None else included
     found: dict[tuple[int, ...], float] = {}
     for _ in range(starts):
-        choice = rng.integers(n, size=count)
-        for ridge in (_RIDGE, 0.0):
-            choice = exchange(rows, choice, criterion, fixed, ridge)
-        choice.sort()
-        found[tuple(choice.tolist())] = objective(_information(rows, choice, fixed), criterion)
+        regular = exchange(rows, rng.integers(n, size=count), criterion, fixed, _RIDGE)
+        best = exchange(rows, regular.choice, criterion, fixed)
+        per_position = best.value - math.log(count + len(fixed[0]))
+        found[tuple(sorted(best.choice.tolist()))] = per_position
     ranked = sorted(found.items(), key=lambda item: -item[1])
     return [(value, np.array(choice, dtype=np.intp)) for choice, value in ranked]
 
 
 def exchange(
-    rows: Blocks, choice: Choice, criterion: Criterion, fixed: Blocks, ridge: float = 0.0
-) -> Choice:
-    """Return a choice that no replacement of one position improves, eq. (1).
+    rows: Blocks, choice: Places, criterion: Criterion, fixed: Blocks, ridge: float = 0.0
+) -> "_State":
+    """Return the state of a choice that no replacement of one position improves, eq. (1).
 
     `ridge` adds this part of the mean information of all candidates, for singular starts.
     """
@@ -98,14 +95,14 @@ def exchange(
     )
     state = _State(rows, criterion, staying, choice)
     if state.value == -math.inf:
-        return choice
+        return state
     for _ in range(_SWEEPS):
         before = state
         for place in range(len(choice)):
             state = _replace_at(state, place)
         if state is before:
             break
-    return state.choice
+    return state
 
 
 def _replace_at(state: "_State", place: int) -> "_State":
@@ -124,7 +121,7 @@ def _replace_at(state: "_State", place: int) -> "_State":
 class _State:
     """A choice, its criterion, and what the gains of eq. (1) need of it."""
 
-    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Choice) -> None:
+    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Places) -> None:
         self.rows, self.criterion = rows, criterion
         self.staying, self.choice = staying, choice
         taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in rows]
@@ -247,10 +244,6 @@ def _moved(up: Array, frame: Array, x: Array) -> Array:
 
 def _joined(rows: Blocks, fixed: Blocks) -> Blocks:
     return inform(tuple(np.concatenate(pair) for pair in zip(rows, fixed, strict=True)))
-
-
-def _information(rows: Blocks, choice: Choice, fixed: Blocks) -> Blocks:
-    return _joined(tuple(Z[choice] for Z in rows), fixed)
 
 
 def _tidy(up: Array) -> Array:

@@ -31,7 +31,6 @@ from multipos.designs.designing import (
     _search,
     _search_largest,
     _summary,
-    _time_s,
     design_sentence,
     smaller_designs,
 )
@@ -170,8 +169,8 @@ def test_efficiency_time_and_degrees_of_freedom_by_hand():
     assert _efficiency("A", -2.4, sphere, best) == (1.0, 1.0)
     assert _efficiency("G", -0.3, sphere, best) == (pytest.approx(math.exp(-0.3)), None)
     assert _efficiency("G", 0.3, sphere, best) == (1.0, None)
-    assert _time_s((20.0, 0.3), 7, 910.0) == pytest.approx(20.0 * 7 + 0.3 * 910.0)
-    assert _time_s(None, 7, 910.0) is None
+    timed = mp.design(positions=4, candidates="faces-6", move_time=(20.0, 0.3))
+    assert timed.time_s == pytest.approx(20.0 * 4 + 0.3 * timed.travel_deg)
     model = SimpleNamespace(outputs=("ax", "ay"), terms=("12", "123"), keys="12345")
     assert _dof(SimpleNamespace(model=model, orientation_sd=0.3), 11) == {"ax": 9, "ay": 8}
     assert _dof(SimpleNamespace(model=model, orientation_sd=math.inf), 11) == {"all": 6}

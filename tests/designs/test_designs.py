@@ -898,9 +898,8 @@ def test_slopes_and_curvature_of_a_criterion_by_differences(kind):
 def test_an_exchange_of_which_rounding_leaves_no_trace_gains_nothing():
     """The gain is ln t/(t − f); of candidates whose f is t or more it is −∞ and no number less."""
     rows = np.random.default_rng(4).normal(size=(9, 1, 3))
-    choice = np.array([0, 1, 2, 3])
-    state = _State([rows], Criterion("A", (np.diag([1.0, 2.0, 3.0]),)), [np.zeros((3, 3))], choice)
-    assert np.isfinite(state.value)
+    criterion = Criterion("A", (np.diag([1.0, 2.0, 3.0]),))
+    state = _State([rows], criterion, [np.zeros((3, 3))], np.arange(4))
     falls = state.trace * (1.0 - np.exp(-state.gains(2)))
     state.trace = np.sort(falls)[-2:].mean()
     assert state.trace > 0.0
@@ -939,9 +938,8 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
 
     monkeypatch.setattr("scipy.optimize.minimize", noted)
     up = mp.read_scheme("fibonacci-12").up[:6]
-    mine = setting("linear")
-    seen = mine.rows(mp.read_scheme("icosahedron-12").up)
-    for criterion in (Criterion("D"), Criterion("G", power=20.0, seen=seen)):
+    mine, seen = setting("linear"), mp.read_scheme("icosahedron-12").up
+    for criterion in (Criterion("D"), Criterion("G", power=20.0, seen=mine.rows(seen))):
         exchange.polish(mine, up, criterion, mp.read_scheme("faces-6").up[:4])
     x = 0.05 * np.random.default_rng(4).normal(size=12)
     for fall in falls:
@@ -978,9 +976,8 @@ def test_included_positions_help_candidates_that_separate_nothing_by_themselves(
 
 def test_weights_that_no_search_finds_are_refused(monkeypatch):
     monkeypatch.setattr("multipos.designs.optimum._ROUNDS", 1)
-    rows = setting("ieee").rows(read_scheme("fibonacci-2000").up)
     with pytest.raises(mp.ConvergenceError, match="nearly inseparable"):
-        optimise_candidates(rows, Criterion("D"))
+        optimise_candidates(setting("ieee").rows(read_bench("sphere")), Criterion("D"))
 
 
 def test_weights_where_a_face_tells_a_millionth_of_its_own_axis_by_hand():
