@@ -28,11 +28,11 @@ from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression, Regressions, all_of, load_regression
-from multipos.results import Drawn, Result, data_frame, frozen, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.uncertainty.propagation import GRAVITY, evaluate_budget
-from multipos.verification.consistency import Judgement, judge_repeats
+from multipos.verification.consistency import Judgement, judge_methods, judge_repeats
 from multipos.verification.recalibration import (
     DAY,
     Change,
@@ -44,11 +44,15 @@ from multipos.verification.recalibration import (
 from multipos.verification.regression_repeats import RegressionComparison, compare_regressions
 from multipos.verification.repeat_findings import find_repeats
 
+_OF_PARAMETERS = (
+    *("mean", "sd", "range", "chi2", "dof", "p", "scatter_dof"),
+    *("drift", "drift_u", "drift_p"),
+)
 Run = Calibration | Regression | Regressions | StrPath
 
 
 @frozen
-class Comparison(Judgement, Result, Drawn):
+class Comparison(Judgement, Result, Drawn, Tabular):
     """Repeated calibrations, or several methods on the same readings, and their judgement.
 
     Attributes
@@ -108,24 +112,15 @@ class Comparison(Judgement, Result, Drawn):
         p = math.nan if self.largest is None else self.largest.p
         return 1.0 if p >= 1.0 else -math.expm1(len(self.changes) * math.log1p(-p))
 
-    def to_pandas(self) -> Any:
-        """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
+    def columns(self) -> dict[str, Any]:
+        """Return the parameters: their values by run, mean, sd, range, tests and drift."""
         runs = {f"run {i + 1}": row for i, row in enumerate(self.values)}
-        columns = ("mean", "sd", "range", "drift", "drift_p", "chi2", "p")
-        found = {name: getattr(self, name) for name in columns}
-        return data_frame({"name": self.calibrations[0].names, **runs, **found})
+        rest = {name: getattr(self, name) for name in _OF_PARAMETERS}
+        return {"name": self.calibrations[0].names, **runs, **rest}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
         first, most = self.calibrations[0].model, self.largest
-        judged = ("chi2", "dof", "p", "scatter_dof")
-        names = ("mean", "sd", "range", *judged, "drift", "drift_u", "drift_p")
         parameters = [
             {
                 "output": output,
@@ -134,7 +129,7 @@ class Comparison(Judgement, Result, Drawn):
                 "unit": first.units[i],
                 "U": tuple(float(c.U[i]) for c in self.calibrations),
                 "values": self.values[:, i],
-                **{key: getattr(self, key)[i] for key in names},
+                **{key: getattr(self, key)[i] for key in _OF_PARAMETERS},
                 "drift_unit": f"{first.units[i]}/{'s' if self.per == 'time' else 'run'}",
                 "moved": name in self.moved,
             }
@@ -229,10 +224,11 @@ def _compare(
     drift = find_drift(found, values)
     same = _same_readings(found)
     day = dates_of(found) // DAY
-    if same:
-        judged = Judgement.of_methods(found, values)
-    else:
-        judged = judge_repeats(found, values, day, 1.0 - confidence)
+    judged = (
+        judge_methods(found, values)
+        if same
+        else judge_repeats(found, values, day, 1.0 - confidence)
+    )
     return Comparison(
         calibrations=found,
         files=files,

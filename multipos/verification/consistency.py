@@ -1,6 +1,7 @@
 """Agreement of repeated calibrations within their uncertainties: exact tests for few degrees.
 
-- `judge_repeats` returns the `Judgement` of repeats.
+- `judge_repeats` returns the `Judgement` of repeats, `judge_methods` that of several methods on the
+  same readings.
 - `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3), and
   `worded_test` says it with its numbers.
 - `is_apart` says whether outputs have no noise in common.
@@ -96,28 +97,19 @@ class Judgement:
     consistent: bool
     moved: tuple[str, ...]
 
-    @classmethod
-    def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
-        """Methods on the same readings share their noise: no repeat, and no χ²."""
-        nothing = np.full(values.shape[1], math.nan)
-        spread = np.ptp(values, axis=0)
-        expanded = np.min([c.U for c in found], axis=0)
-        rounding = 1e-12 * np.abs(values).max()
-        beyond = spread > np.maximum(np.where(np.isnan(expanded), 0.0, expanded), rounding)
-        names = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
-        return cls(
-            chi2=nothing,
-            dof=nothing,
-            scatter_dof=nothing,
-            p=nothing,
-            statistic=math.nan,
-            dof_total=math.nan,
-            p_total=math.nan,
-            consistent=not names,
-            moved=names,
-            test="the readings are the same, so their noise cannot separate the methods: "
-            "consistent where no parameter differs by more than its U",
-        )
+
+def judge_methods(found: Sequence[Calibration], values: Array) -> Judgement:
+    """Judge methods on the same readings: they share their noise, so there is no χ²."""
+    expanded = np.nan_to_num(np.min([c.U for c in found], axis=0))
+    beyond = np.ptp(values, axis=0) > np.maximum(expanded, 1e-12 * np.abs(values).max())
+    moved = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
+    test = (
+        "the readings are the same, so their noise cannot separate the methods: consistent where "
+        "no parameter differs by more than its U"
+    )
+    none = np.full(values.shape[1], math.nan)
+    of_all = math.nan
+    return Judgement(none, none, none, none, of_all, of_all, of_all, test, not moved, moved)
 
 
 @frozen
