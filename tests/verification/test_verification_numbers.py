@@ -432,16 +432,15 @@ def test_errors_beside_the_columns_of_a_run():
 def test_several_regressions_are_checked_side_by_side(monkeypatch):
     """All rows of both together have a U of their own, by the degrees of freedom of each."""
 
-    def part(dof, table):
+    def part(r, table):
+        dof = r.segments[0].dof[1]
         column, inside = np.array([1.0, 2.0, 3.0]) * dof, np.array([True, True, dof < 9])
         segments = Frozen({"1": np.array([dof > 0] * 3)})
         return regression_checks._Part(
             column, column, column, column, column, inside, "t", segments, no_agreement("no test")
         )
 
-    monkeypatch.setattr(
-        regression_checks, "_check_one", lambda r, table: part(r.segments[0].dof[1], table)
-    )
+    monkeypatch.setattr(regression_checks, "_check_one", part)
     both = [
         SimpleNamespace(
             response=name,
