@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 52_694, 49_232
+ALL, TESTS = 52_687, 49_232
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -39,7 +39,7 @@ CEILINGS = {
     "reports": 2733,
     "sensor": 3693,
     "uncertainty": 1763,
-    "verification": 2549,
+    "verification": 2541,
 }
 
 _NO_CODE = (
