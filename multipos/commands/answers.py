@@ -52,11 +52,10 @@ FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "export": ((), "what the target reads"),
     "folder": ((), "a folder"),
 }
-_DOC = (".docx", ".doc", ".odt")  # which no command writes
-# Endings that say what a file is: a command writes it, or refuses.
+# Endings that say what a file is: a command writes it, or refuses; the last three none does.
 KNOWN = frozenset(
-    [".json", ".csv", ".svg", ".png", ".pdf", ".html", ".md", ".xml", ".xlsx", ".parquet", *_DOC]
-)
+    [".json", ".csv", ".svg", ".png", ".pdf", ".html", ".md", ".xml", ".xlsx", ".parquet"]
+).union([".docx", ".doc", ".odt"])
 
 _IN_MEMORY = 1 << 24  # bytes of what is printed in pieces; more go to a temporary file
 _PIECE = 1 << 20
