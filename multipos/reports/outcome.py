@@ -60,7 +60,7 @@ def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Secti
         (
             "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
             "errors along the up vector, filled where they point out; each picture has a scale of "
-            "its own, the arrow beside its largest error."
+            "its own, as the arrow at its largest error shows."
         ),
         partial(error_picture, c),
     )
