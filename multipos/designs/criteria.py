@@ -118,11 +118,11 @@ def _by_draw(setting: Setting, weigh: Callable[[Setting], Array]) -> Blocks:
 
 def _mean_prediction(setting: Setting, *, region: Array | None) -> Array:
     """Return the mean of X'X over a region, or over the sphere."""
-    if region is not None:
-        return _average(setting, region)
-    if not setting.model.has_terms or abs(setting.size) != 1.0:
-        return _average(setting, read_scheme("fibonacci-1000").up)
-    return _moments(setting.model)
+    if region is None and setting.model.has_terms and abs(setting.size) == 1.0:
+        return _moments(setting.model)
+    up = read_scheme("fibonacci-1000").up if region is None else region
+    X = setting.design(setting.size * up)
+    return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(up))
 
 
 def _weight_of_one(name: str, setting: Setting) -> Blocks:
@@ -231,11 +231,6 @@ def sensitivity(rows: Blocks, kernel: Blocks) -> Array:
         flat = Z.reshape(-1, Z.shape[2])
         total += np.einsum("ij,ij->i", multiply(flat, G), flat).reshape(len(Z), -1).sum(axis=1)
     return total
-
-
-def _average(setting: Setting, region: Array) -> Array:
-    X = setting.design(setting.size * region)
-    return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(region))
 
 
 def _moments(model: Model) -> Array:

@@ -489,9 +489,9 @@ def _check_candidates(assessor: assessment.Assessor, bench: Array | None, given:
     problems, _ = assessor.separate(everything)
     if not problems:
         return
-    who, way_out = "the candidates cannot", "drop terms, or add candidates that differ more"
-    if bench is None:
-        who, way_out = "no static positions can", "drop terms from the model"
+    who, way_out = "no static positions can", "drop terms from the model"
+    if bench is not None:
+        who, way_out = "the candidates cannot", "drop terms, or add candidates that differ more"
     total = len(assessor.setting.model.keys)
     raise RankError(
         f"{who} separate the parameters: {join_combinations(problems)}; {way_out}.",

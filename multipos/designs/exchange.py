@@ -21,6 +21,7 @@ Technometrics 22, 1980.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -33,7 +34,8 @@ _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
 _H = 1e-5  # [rad], of central differences
 _STEPS = 300  # of the polish
-_LEVEL = 1e-8  # [1/rad], slope of the criterion from which it counts as level
+_REACH = 0.3  # [rad], of a step at most
+_STILL = 1e-9  # [rad], of a step that is none
 _RIDGE = 1e-3  # part of the candidates' mean information that makes a random start regular
 
 
@@ -75,8 +77,7 @@ def choose(
     for _ in range(starts):
         regular = exchange(rows, rng.integers(n, size=count), criterion, fixed, _RIDGE)
         best = exchange(rows, regular.choice, criterion, fixed)
-        per_position = best.value - math.log(count + len(fixed[0]))
-        found[tuple(sorted(best.choice.tolist()))] = per_position
+        found[tuple(sorted(best.choice.tolist()))] = best.value - math.log(count + len(fixed[0]))
     ranked = sorted(found.items(), key=lambda item: -item[1])
     return [(value, np.array(choice, dtype=np.intp)) for choice, value in ranked]
 
@@ -122,8 +123,7 @@ class _State:
     """A choice, its criterion, and what the gains of eq. (1) need of it."""
 
     def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Places) -> None:
-        self.rows, self.criterion = rows, criterion
-        self.staying, self.choice = staying, choice
+        self.rows, self.criterion, self.staying, self.choice = rows, criterion, staying, choice
         taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in rows]
         self.information = tuple(M + T.T @ T for M, T in zip(staying, taken, strict=True))
         self.value = objective(self.information, criterion)
@@ -212,8 +212,6 @@ def polish(
     setting: Setting, up: Array, criterion: Criterion, included: Array
 ) -> tuple[float, Array]:
     """Return the criterion and positions (n, 3) after they have moved freely on the sphere."""
-    from scipy.optimize import minimize
-
     fixed, frame = setting.rows(included), tangents(up)
     corners = _H * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
@@ -230,12 +228,32 @@ def polish(
 
     start = np.zeros(2 * len(up))
     before = -fall(start)[0]
-    lowest = minimize(
-        fall, start, jac=True, method="BFGS", options={"gtol": _LEVEL, "maxiter": _STEPS}
-    )
-    if -lowest.fun > before + 1e-9:
-        return -float(lowest.fun), _tidy(_moved(up, frame, lowest.x))
-    return before, up  # an equal choice from the list has rounder numbers
+    x, value = _descend(fall, start)
+    # an equal choice from the list has rounder numbers
+    return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
+
+
+def _descend(function: Callable[[Array], tuple[float, Array]], x: Array) -> tuple[Array, float]:
+    """Return where a function of value and gradient is least nearby, and its value: BFGS."""
+    value, gradient = function(x)
+    H = np.eye(len(x))
+    for _ in range(_STEPS):
+        step = -H @ gradient
+        step *= min(1.0, _REACH / max(float(np.abs(step).max()), 1e-300))
+        lower, slope = function(x + step)
+        while lower > value + 1e-4 * float(gradient @ step):
+            step *= 0.3
+            if np.abs(step).max() < _STILL:
+                return x, value
+            lower, slope = function(x + step)
+        y, gained = slope - gradient, value - lower
+        x, value, gradient = x + step, lower, slope
+        if gained <= 1e-13:
+            break
+        if (curvature := float(y @ step)) > 1e-14:
+            V = np.eye(len(x)) - np.outer(step, y) / curvature
+            H = V @ H @ V.T + np.outer(step, step) / curvature
+    return x, value
 
 
 def _moved(up: Array, frame: Array, x: Array) -> Array:

@@ -348,11 +348,16 @@ def _taken(rows: Blocks, chosen: Places) -> Blocks:
 
 def _spread(rows: Blocks) -> Places:
     """Return candidates that determine every parameter: pivots of each block, as QR picks them."""
-    from scipy.linalg import qr
+    chosen = [pivot // Z.shape[1] for Z in rows for pivot in _pivots(Z.reshape(-1, Z.shape[2]))]
+    return np.unique(np.array(chosen, dtype=np.intp))
 
-    chosen = []
-    for Z in rows:
-        _, k, p = Z.shape
-        _, pivots = qr(Z.reshape(-1, p).T, mode="r", pivoting=True)
-        chosen.append(pivots[:p] // k)
-    return np.unique(np.concatenate(chosen))
+
+def _pivots(rows: Array) -> list[int]:
+    """Return p rows of (n, p), of which each is the longest across those before it."""
+    rest, pivots = rows.copy(), []
+    for _ in range(rows.shape[1]):
+        length = np.linalg.norm(rest, axis=1)
+        pivots.append(int(np.argmax(np.round(length, 12))))
+        direction = rest[pivots[-1]] / max(float(length[pivots[-1]]), 1e-300)
+        rest -= np.outer(rest @ direction, direction)
+    return pivots

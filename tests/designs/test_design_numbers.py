@@ -143,8 +143,8 @@ def test_what_a_least_eigenvalue_may_fall_short_by_by_hand():
     """Of ½ and 1 % more x = 1.01^−100 = .36971 counts, tr G = (2 + 2x/1.01)/(1 + x) = 1.994655."""
     # eq. (3) of designs.optimum
     M = (np.diag([0.5, 0.505]),)
-    kernel = kernels(M, make_criterion("E", Setting(LINEAR)))
-    assert gap_of_least(M, kernel, 0.2) == pytest.approx(1.2 / (0.5 * 1.994655) - 1.0, abs=1e-5)
+    found = gap_of_least(M, kernels(M, make_criterion("E", Setting(LINEAR))), 0.2)
+    assert found == pytest.approx(1.2 / (0.5 * 1.994655) - 1.0, abs=1e-5)
 
 
 def test_a_step_ends_before_an_entry_vanishes():

@@ -6,7 +6,6 @@ import itertools
 import json
 import math
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from multipos.designs.criteria import (
     objective,
     sensitivity,
 )
-from multipos.designs.exchange import _bordered, _State, choose
+from multipos.designs.exchange import _bordered, _descend, _State, choose
 from multipos.designs.information import Setting, inform, log_det, make_setting
 from multipos.designs.optimum import (
     _FINE,
@@ -875,6 +874,14 @@ def test_maxima_of_a_function_of_directions():
     assert height.max() == pytest.approx(1.0, abs=1e-5)
 
 
+def test_the_search_for_positions_ends_at_the_least_value():
+    def valley(x):  # H. H. Rosenbrock, Computer Journal 3, 1960
+        a, b = 1.0 - x[0], x[1] - x[0] ** 2
+        return a**2 + 100.0 * b**2, np.array([-2.0 * a - 400.0 * x[0] * b, 200.0 * b])
+
+    assert_allclose(_descend(valley, np.array([-1.2, 1.0]))[0], [1.0, 1.0], atol=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["D", "L", "E"])
 def test_slopes_and_curvature_of_a_criterion_by_differences(kind):
     rng = np.random.default_rng(5)
@@ -931,12 +938,7 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
     """Positions that are included weigh in the mean too."""
     # eq. (4) of designs.criteria
     falls = []
-
-    def noted(fall, start, **options):
-        falls.append(fall)
-        return SimpleNamespace(x=start, fun=fall(start)[0])
-
-    monkeypatch.setattr("scipy.optimize.minimize", noted)
+    monkeypatch.setattr(exchange, "_descend", lambda f, x: falls.append(f) or (x, f(x)[0]))
     up = mp.read_scheme("fibonacci-12").up[:6]
     mine, seen = setting("linear"), mp.read_scheme("icosahedron-12").up
     for criterion in (Criterion("D"), Criterion("G", power=20.0, seen=mine.rows(seen))):
@@ -949,18 +951,16 @@ def test_slopes_of_moving_positions_by_differences(monkeypatch):
             by_differences = (fall(x + step)[0] - fall(x - step)[0]) / 2e-4
             assert slope[j] == pytest.approx(by_differences, rel=1e-3, abs=1e-6)
     monkeypatch.setattr(exchange, "objective", lambda information, criterion: -np.inf)
-    with np.errstate(invalid="ignore"):  # no step leads where a parameter is lost
-        assert [fall(x)[0] for fall in falls] == [np.inf] * 2
+    # no step leads where a parameter is lost
+    assert [fall(x)[0] for fall in falls] == [np.inf] * 2
 
 
 def test_a_certificate_is_looked_at_closer_before_it_is_said(monkeypatch):
     looked = []
-
-    def noted(sensed, *fine):
-        looked.append(fine)
-        return maxima(sensed, *fine)
-
-    monkeypatch.setattr("multipos.designs.optimum.maxima", noted)
+    monkeypatch.setattr(
+        "multipos.designs.optimum.maxima",
+        lambda sensed, *fine: looked.append(fine) or maxima(sensed, *fine),
+    )
     optimise_sphere(setting("linear"), Criterion("D"))
     assert looked[-1] == (_FINE,)
     assert looked.count((_FINE,)) == 1  # as it takes longer
