@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 52_686, 49_232
+ALL, TESTS = 52_679, 49_232
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -38,7 +38,7 @@ CEILINGS = {
     "regression": 2220,
     "reports": 2733,
     "sensor": 3693,
-    "uncertainty": 1763,
+    "uncertainty": 1756,
     "verification": 2541,
 }
 
