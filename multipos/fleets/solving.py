@@ -37,7 +37,7 @@ from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import Options
 from multipos.fleets import solution_findings, unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.fleets.suspects import find_suspects
+from multipos.fleets.suspects import Sought, find_suspects
 from multipos.fleets.unit_findings import UnitFindings
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
@@ -111,6 +111,8 @@ class Pattern:
         The unit that was fitted, of unknown orientations.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
+    sought : Sought or None
+        Where rows that do not fit are looked for: a unit that has one is fitted singly.
     """
 
     shared: Shared
@@ -122,6 +124,7 @@ class Pattern:
     kinds: tuple[Kind, ...] = ()
     like: Calibration | None = None
     timed: bool = False
+    sought: Sought | None = None
 
     @property
     def quick(self) -> bool:
@@ -194,7 +197,8 @@ def find_pattern(
     asked = correlated_rows.are_asked(c.model, c.readings, c.reference, c.estimator)
     asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
-    whole = options.get("range") is None and options.get("exclude", "none") == "none"
+    exclude = options.get("exclude", "auto")
+    whole = options.get("range") is None and exclude in ("auto", "none") and not c.excluded
     # Rests of a log are weighed by their numbers of samples where few of these are independent.
     whole &= c.readings.samples is None or c.readings.dof is None
     if not (plain and whole) or ((asked or timed) and not alike):
@@ -208,8 +212,9 @@ def find_pattern(
     fixture, tests = None, None
     if isinstance(shared, SharedDesign):
         tests = unit_findings.unit_tests(c, shared)
-        if fixtures and c.readings.up is not None:
-            fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
+    if fixtures and c.readings.up is not None:
+        fixture = _fixture(shared, c)
+    sought = None if exclude == "none" else _sought(shared, c)
     codes = _in_order(_codes(c) - _OF_UNITS)
     like = c if isinstance(shared, SharedSphere) else None
     kinds: tuple[Kind, ...] = ()
@@ -217,7 +222,28 @@ def find_pattern(
         kinds = unit_findings.lacking_in_batch(c)
     elif not isinstance(shared, SharedDesign):
         kinds = solution_findings.lacking_in_units(c)
-    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, like, timed)
+    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, like, timed, sought)
+
+
+def _fixture(shared: Shared, c: Calibration) -> Fixture | None:
+    """Return the fixture of positions that are listed."""
+    assert c.readings.up is not None
+    if isinstance(shared, uncertain_orientations.SharedOrientations):
+        shared = share_design(shared.model, shared.reference, shared.environment)
+    if not isinstance(shared, SharedDesign):
+        return None
+    return Fixture.of(shared, c.readings.labels, c.readings.up)
+
+
+def _sought(shared: Shared, c: Calibration) -> Sought | None:
+    """Return how rows that do not fit are looked for; None where they are not, as in `fit`."""
+    if isinstance(shared, user_models.SharedExpression):
+        return None
+    if isinstance(shared, SharedSphere):
+        return Sought(c.model, c.readings, None)
+    if isinstance(shared, SharedDesign):
+        return Sought(c.model, c.readings, shared.reference)
+    return Sought(c.model, c.readings, shared.reference, shared.orientation_sd)
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
@@ -268,7 +294,7 @@ def _share_uncertain(
     spread = Options(orientation_sd=stated).spread
     size = c.sign * float(np.linalg.norm(c.reference[0]))
     stated_up = place(orient(readings, options.get("scheme"), estimable=True), size, **spread)
-    apart = stated_up.groups or stated_up.rolls is not None
+    apart = stated_up.groups or stated_up.rolls is not None or stated_up.repeats
     if apart or options.get("level_sd", 0.0):
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
@@ -362,11 +388,13 @@ def solve_task(task: Task) -> Solved:
     count = len(task.units)
     fixtures: tuple[FixtureSums, ...] = ()
     if task.pattern.fixture is not None:
-        fixtures = sum_fixtures(task.pattern.fixture, found, task.stations)
+        fixtures = sum_fixtures(task.pattern.fixture, task.values, found, task.stations)
     uncertain_orientation = isinstance(shared, uncertain_orientations.SharedOrientations)
     looked_at = ~(found.sound & in_time) | find_suspects(
         shared.model, task.values, found, uncertain_orientation=uncertain_orientation
     )
+    if task.pattern.sought is not None:
+        looked_at |= task.pattern.sought.find(task.values, task.stated, task.stated_dof, ~looked_at)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
     named = _chi2_findings(shared, task, found)
