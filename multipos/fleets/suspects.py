@@ -33,6 +33,7 @@ from multipos.results import frozen
 from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
+CALM = 0.015  # [g], below which orientations as listed hide no error of the two percent above
 _LARGEST = 0.008  # [g]
 _LEANS = 0.97  # cosine
 _OTHER = 1.2  # times the sensitivity of the units beside it
