@@ -279,7 +279,7 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     return None if share is None else share(c, table, options)
 
 
-def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
+def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> SharedDesign | None:
     """Return what units share at known orientations."""
     if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
         return None
