@@ -534,7 +534,7 @@ def _examined(
         across = partial(orientation_error, residuals=residuals, outlying=outlying)
         equal = partial(unequal_noise, at_solution=at_solution)
         listed = calibration if exact is None else exact
-        given = {
+        given: dict[Any, Question] = {
             orientation_error: across,
             unequal_noise: equal,
             drift_absorbed: lambda _: drift_absorbed(listed),
