@@ -533,7 +533,13 @@ def _examined(
         outlying = () if beyond is None else beyond.rows
         across = partial(orientation_error, residuals=residuals, outlying=outlying)
         equal = partial(unequal_noise, at_solution=at_solution)
-        given = {orientation_error: across, unequal_noise: equal}
+        listed = calibration if exact is None else exact
+        given: dict[Any, Question] = {
+            orientation_error: across,
+            unequal_noise: equal,
+            drift_absorbed: lambda _: drift_absorbed(listed),
+            hidden_table: lambda _: hidden_table(listed),
+        }
         questions = [given.get(ask, ask) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):

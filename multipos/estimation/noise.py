@@ -220,8 +220,8 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
     U, dof = variances.by_own_axes(following.linear(), _are_crossed(first))
     text = (
-        "noise and orientation errors cannot be told apart here: biases and own scale factors are "
-        "of own-axis readings, and U holds where orientations are exact"
+        "noise and orientation errors are inseparable here: biases and own scale factors are of "
+        "own-axis readings, and U holds where orientations are exact"
     )
     action = "State --reading-sd, or --orientation-sd in degrees (0: exact), or read each twice."
     finding = Finding("inseparable", "note", text, action)

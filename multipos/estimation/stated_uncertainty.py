@@ -223,18 +223,20 @@ def combined_dof(dof: Array, variance: Array, stated_dof: Array, excess: Array) 
 
 
 def combined_jointly(dof: Array, noise: StatedNoise, excess: Array) -> Array:
-    """Return degrees of freedom (B,) of parameters that rest on all outputs together, eq. (3).
+    """Return degrees of freedom (B, p) of parameters that rest on all outputs together, eq. (3).
 
     Parameters
     ----------
-    dof, excess : (B,) arrays
-        Of the variance of a reading, and τ².
+    dof : (B, p) array
+        Of the parameters.
     noise : StatedNoise
+    excess : (B, M) array
+        τ² of the outputs.
     """
     if noise.dof is None:
         return dof
-    spread = _spread(noise.u**2, noise.dof, excess[:, None]).max(axis=1)
-    return np.asarray(1.0 / (1.0 / dof + spread))
+    spread = _spread(noise.u**2, noise.dof, excess).max(axis=1)
+    return np.asarray(1.0 / (1.0 / dof + spread[:, None]))
 
 
 def _spread(variance: Array, dof: Array, excess: Array) -> Array:

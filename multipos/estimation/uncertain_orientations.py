@@ -35,7 +35,7 @@ from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly
 from multipos.estimation.unknown_orientations import Place, SearchedUnits, combined, search
 from multipos.estimation.variances import Block, Linear, StatedComponents, estimate
 from multipos.files.records import LARGEST
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places, median
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules
 from multipos.numerics.quantiles import coverage_factors
 from multipos.numerics.rotations import directions, step_derivative, step_on_sphere, tangent_basis
@@ -375,7 +375,7 @@ def share_orientations(
     if not (triad and uncertain and model.has_all_linear):
         return None
     design = share_design(model, reference, environment)
-    spare = len(reference) - len(model.keys)
+    spare = len(COMPONENTS) * len(reference) - len(model.keys)
     if not design.well_posed or spare < 1 or len(reference) < SEPARATING:
         return None
     inverses = tuple(design.inverses)
@@ -411,8 +411,7 @@ def estimate_uncertain(
             part, scatter = _estimate(shared, y, noise)
             u = part.u / coverage_factors(0.95, part.dof)
             if noise is not None:
-                own = combined_jointly(median(part.dof, axis=1), noise, scatter.mean(axis=1))
-                part = part._replace(dof=np.broadcast_to(own[:, None], u.shape))
+                part = part._replace(dof=combined_jointly(part.dof, noise, scatter))
         parts.append(part._replace(u=u))
     return join_estimates(parts)
 
@@ -438,11 +437,14 @@ def _estimate(
     valid &= np.einsum("mbn,mbn->b", *[place.residuals] * 2) > least
     place, ended = search(start, place)
     valid &= ended
-    chi2 = None if noise is None else place.objective.copy()  # under the stated noise alone
+    chi2 = None
     units = _Units.under_stated(start, place, stated=noise is not None)
     try:
         found = estimate(units, valid, shared.given(stated=noise is not None))
         valid, U, dof, excess = found.valid, found.U, found.dof, found.noise
+        if noise is not None:  # of what the stated noise alone leaves
+            same = units.of(np.arange(count))  # which a search would move
+            chi2 = same.searched(np.zeros_like(excess), found.factor)[0].found.objective
     except np.linalg.LinAlgError:  # some unit is as good as singular
         valid = np.zeros_like(valid)
         U, dof, excess = np.full(theta.shape, np.nan), *np.full((2, *theta.shape), np.nan)

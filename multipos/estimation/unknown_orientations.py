@@ -480,10 +480,9 @@ def _with_excess(start: UnknownSearch, place: Place, noise: StatedNoise, valid: 
         nothing = np.full(place.theta.shape, np.nan)
         return _Found(place, nothing, nothing, np.zeros_like(valid), start, start.linearise(place))
     u = found.U / coverage_factors(0.95, found.dof)
-    dof = combined_jointly(median(found.dof, axis=1), noise, found.noise.mean(axis=1))
-    each = np.broadcast_to(dof[:, None], u.shape)
+    dof = combined_jointly(found.dof, noise, found.noise)
     surface = units.search.linearise(units.found)
-    return _Found(units.found, u, each, found.valid, units.search, surface)
+    return _Found(units.found, u, dof, found.valid, units.search, surface)
 
 
 def _start(shared: SharedSphere, values: Array) -> tuple[Mask, Array, Array]:

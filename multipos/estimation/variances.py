@@ -876,8 +876,10 @@ def half_of_mixture(
     Statist. 30, 1959, exact to .6 % from three degrees of freedom on and corrected by what it is
     off for one t. `shifts` (B, G, p) are their means.
     """
-    kept = weights.max(axis=0) > _FAINT
-    weights, sd = weights[:, kept], np.sqrt(variances[:, kept])
+    felt = np.where(weights > _FAINT * weights.sum(axis=1, keepdims=True), weights, 0.0)
+    felt *= (weights.sum(axis=1) / felt.sum(axis=1))[:, None]  # of each unit for itself
+    kept = felt.any(axis=0)
+    weights, sd = felt[:, kept], np.sqrt(variances[:, kept])
     moved = np.zeros_like(sd) if shifts is None else shifts[:, kept]
     low = np.zeros((len(sd), sd.shape[2]))
     high = (np.abs(moved) + 40.0 * sd).max(axis=1)

@@ -234,9 +234,9 @@ def with_default_errors(
     beside = [name for name in _EXACT_BESIDE if getattr(options, name)]
     spare = len(readings) - max(len(terms) for terms in model.terms)
     if beside:
-        why = f"beside --{beside[0].replace('_', '-')} no orientation error is estimated"
+        why = f"their errors are not estimated with --{beside[0].replace('_', '-')}"
     elif len(readings.outputs) < len(COMPONENTS):
-        why = f"{len(readings.outputs)} of three outputs cannot tell an orientation error"
+        why = f"{len(readings.outputs)} of three outputs do not show their errors"
     elif readings.forced.any():
         why = "known forces are taken as they stand"
     elif spare < _LEFT:
@@ -246,11 +246,11 @@ def with_default_errors(
     elif _between_positions(readings):
         why = "readings are correlated between positions"
     elif runs_of(readings, model) is not None:
-        why = "beside zeros of runs no orientation error is estimated"
+        why = "their errors are not estimated with a zero for each run"
     elif TEMPERATURE in model.environment and soaks_of(readings) is not None:
-        why = "beside zeros of soaks no orientation error is estimated"
+        why = "their errors are not estimated with a zero for each soak"
     elif correlated_rows.are_asked(model, readings, stated_up.reference, Estimator.LINEAR):
-        why = "rows of one record, many a position, say nothing of orientation errors"
+        why = "rows of one record, many for each position, do not show their errors"
     else:
         return replace(options, orientation_sd="auto"), None
     return options, why

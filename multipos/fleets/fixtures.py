@@ -18,6 +18,7 @@ positions share, which every unit's cross terms take up, and on few positions mo
 six faces: half of every angle goes into cross terms). Positions with such a part have no value.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ class Fixture:
     labels : tuple of n str
     up : (n, 3) array
         As listed.
+    left : (M, n, n) array
+        I − H_i, from readings to residuals.
     inverse : (3 n, 3 n) array
         From e, position by position, to δ [rad].
     identifiable : (n,) array of bool
@@ -51,6 +54,7 @@ class Fixture:
 
     labels: tuple[str, ...]
     up: Array
+    left: Array
     inverse: Array
     identifiable: Mask
 
@@ -61,17 +65,18 @@ class Fixture:
         if sorted(axes) != sorted(COMPONENTS) or n > _MOST:
             return None
         crossed = -cross_matrix(shared.reference)  # δ × f = −[f]× δ
+        pairs = zip(shared.designs, shared.inverses, strict=True)
+        left = np.stack([np.eye(n) - design @ inverse for design, inverse in pairs])
         G = np.zeros((n, 3, n, 3))
-        for design, inverse, axis in zip(shared.designs, shared.inverses, axes, strict=True):
+        for own, axis in zip(left, axes, strict=True):
             i = COMPONENTS.index(axis)
-            left = np.eye(n) - design @ inverse
-            G[:, i] = left[:, :, None] * crossed[None, :, i]
+            G[:, i] = own[:, :, None] * crossed[None, :, i]
         U, s, Vt = np.linalg.svd(G.reshape(3 * n, 3 * n))
         seen = s > _UNSEEN
         if not seen.any():
             return None
         pinv = (Vt[seen].T / s[seen]) @ U[:, seen].T
-        return cls(labels, up, pinv, _identifiable(Vt[~seen], shared.reference))
+        return cls(labels, up, left, pinv, _identifiable(Vt[~seen], shared.reference))
 
 
 def _identifiable(unseen: Array, reference: Array) -> Mask:
@@ -97,12 +102,16 @@ class FixtureSums(NamedTuple):
     square: Array
 
 
-def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[FixtureSums, ...]:
+def sum_fixtures(
+    fixture: Fixture, values: Sequence[Array], found: Estimates, stations: Places
+) -> tuple[FixtureSums, ...]:
     """Return the sums of units, station by station.
 
     Parameters
     ----------
     fixture : Fixture
+    values : sequence of M (B, n) arrays
+        Readings of each output.
     found : Estimates
         Of B units.
     stations : (B,) array of int
@@ -112,7 +121,8 @@ def sum_fixtures(fixture: Fixture, found: Estimates, stations: Places) -> tuple[
     if not usable.any():
         return ()
     usable &= rms <= _WILD * median(rms[usable])
-    left = np.moveaxis(found.residuals, 0, 2) @ found.inverse.transpose(0, 2, 1)
+    residuals = np.stack([y @ own for y, own in zip(values, fixture.left, strict=True)], axis=2)
+    left = residuals @ found.inverse.transpose(0, 2, 1)
     angles = left.reshape(len(left), -1) @ fixture.inverse.T
     angles = angles.reshape(len(left), -1, 3)  # δ̂_u (B, n, 3) of every unit
     known = fixture.labels, fixture.up, fixture.identifiable

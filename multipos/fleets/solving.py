@@ -14,7 +14,7 @@ outliers are looked for only in units that are fitted one by one.
 
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from multiprocessing import parent_process
 from typing import Any, NamedTuple
 
@@ -34,15 +34,15 @@ from multipos.estimation.unknown_orientations import SharedSphere, estimate_unkn
 from multipos.files.tables import Table
 from multipos.finding import Finding, errors_of, serious
 from multipos.fitting.fit_readings import fit
-from multipos.fitting.options import Options
+from multipos.fitting.options import Options, with_default_errors
 from multipos.fleets import solution_findings, unit_findings
 from multipos.fleets.fixtures import Fixture, FixtureSums, sum_fixtures
-from multipos.fleets.suspects import find_suspects
+from multipos.fleets.suspects import CALM, Sought, find_suspects
 from multipos.fleets.unit_findings import UnitFindings
 from multipos.numerics.arrays import Array, Mask, Places
 from multipos.numerics.quantiles import chi2_quantile, coverage_factors
 from multipos.positions.headers import TEMPERATURE
-from multipos.positions.orientations import orient, place
+from multipos.positions.orientations import StatedOrientations, orient, place
 from multipos.positions.reading_tables import read_readings
 from multipos.results import frozen
 from multipos.sensor.calibration import Calibration
@@ -88,6 +88,13 @@ class Solved(NamedTuple):
     fixtures: tuple[FixtureSums, ...] = ()
 
 
+class Listed(NamedTuple):
+    """Positions as they are listed, and what is asked of residuals there."""
+
+    shared: SharedDesign
+    tests: unit_findings.UnitTests
+
+
 @frozen(eq=True)
 class Pattern:
     """What units of one group share, found from one of them.
@@ -111,6 +118,10 @@ class Pattern:
         The unit that was fitted, of unknown orientations.
     timed : bool
         Rows are in order of time, so that U allows for slow noise.
+    sought : Sought or None
+        Where rows that do not fit are looked for: a unit that has one is fitted singly.
+    listed : Listed or None
+        Where errors of the orientations are estimated: what those as listed may show.
     """
 
     shared: Shared
@@ -122,6 +133,8 @@ class Pattern:
     kinds: tuple[Kind, ...] = ()
     like: Calibration | None = None
     timed: bool = False
+    sought: Sought | None = None
+    listed: Listed | None = None
 
     @property
     def quick(self) -> bool:
@@ -194,7 +207,8 @@ def find_pattern(
     asked = correlated_rows.are_asked(c.model, c.readings, c.reference, c.estimator)
     asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
-    whole = options.get("range") is None and options.get("exclude", "none") == "none"
+    exclude = options.get("exclude", "auto")
+    whole = options.get("range") is None and exclude in ("auto", "none") and not c.excluded
     # Rests of a log are weighed by their numbers of samples where few of these are independent.
     whole &= c.readings.samples is None or c.readings.dof is None
     if not (plain and whole) or ((asked or timed) and not alike):
@@ -208,8 +222,14 @@ def find_pattern(
     fixture, tests = None, None
     if isinstance(shared, SharedDesign):
         tests = unit_findings.unit_tests(c, shared)
-        if fixtures and c.readings.up is not None:
-            fixture = Fixture.of(shared, c.readings.labels, c.readings.up)
+    if fixtures and c.readings.up is not None:
+        fixture = _fixture(shared, c)
+    sought = _sought(shared, c, exclude)
+    listed = None
+    if isinstance(shared, uncertain_orientations.SharedOrientations) and shared.estimated:
+        listed = _listed(c, table, options)
+        if listed is None:
+            return None
     codes = _in_order(_codes(c) - _OF_UNITS)
     like = c if isinstance(shared, SharedSphere) else None
     kinds: tuple[Kind, ...] = ()
@@ -217,7 +237,39 @@ def find_pattern(
         kinds = unit_findings.lacking_in_batch(c)
     elif not isinstance(shared, SharedDesign):
         kinds = solution_findings.lacking_in_units(c)
-    return Pattern(shared, fixture, c.gravity, codes, asked, tests, kinds, like, timed)
+    of_units = tests, kinds, like, timed, sought, listed
+    return Pattern(shared, fixture, c.gravity, codes, asked, *of_units)
+
+
+def _listed(c: Calibration, table: Table, options: Mapping[str, Any]) -> Listed | None:
+    """Return the positions as listed, at which `fit` looks for what their errors may hide."""
+    as_listed = {**options, "orientation_sd": 0.0, "exclude": "none"}
+    exact = fit_one(table, as_listed)
+    if not isinstance(exact, Calibration):
+        return None
+    shared = _share_known(exact, table, as_listed)
+    tests = None if shared is None else unit_findings.unit_tests(exact, shared)
+    return None if shared is None or tests is None else Listed(shared, tests)
+
+
+def _fixture(shared: Shared, c: Calibration) -> Fixture | None:
+    """Return the fixture of positions that are listed."""
+    assert c.readings.up is not None
+    if isinstance(shared, uncertain_orientations.SharedOrientations):
+        shared = share_design(shared.model, shared.reference, shared.environment)
+    if not isinstance(shared, SharedDesign):
+        return None
+    return Fixture.of(shared, c.readings.labels, c.readings.up)
+
+
+def _sought(shared: Shared, c: Calibration, exclude: str) -> Sought | None:
+    """Return how rows that do not fit are looked for, as in `fit`, whether set aside or named."""
+    if isinstance(shared, uncertain_orientations.SharedOrientations):
+        return Sought(c.model, c.readings, shared.reference, shared.orientation_sd)
+    if exclude == "none" or isinstance(shared, user_models.SharedExpression):
+        return None
+    reference = None if isinstance(shared, SharedSphere) else shared.reference
+    return Sought(c.model, c.readings, reference)
 
 
 def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
@@ -227,10 +279,12 @@ def _share(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared |
     return None if share is None else share(c, table, options)
 
 
-def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> Shared | None:
+def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> SharedDesign | None:
     """Return what units share at known orientations."""
     if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
         return None
+    if _oriented(c, table, options)[0].orientation_sd == "auto":
+        return None  # of this unit alone orientations are taken as they are listed
     # Residuals are asked for temperature, where the model has no term of it, too.
     columns = c.readings.environment
     shared = replace(share_design(c.model, c.reference, columns), environment=columns)
@@ -260,16 +314,9 @@ def _share_uncertain(
     c: Calibration, table: Table, options: Mapping[str, Any]
 ) -> uncertain_orientations.SharedOrientations | None:
     """Return what units at uncertain orientations share, before anything was found of them."""
-    readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
-    stated = options.get("orientation_sd")
-    found = c.orientation_spread
-    if found is not None and found.source == "estimated":
-        stated = "auto"
-    spread = Options(orientation_sd=stated).spread
-    size = c.sign * float(np.linalg.norm(c.reference[0]))
-    stated_up = place(orient(readings, options.get("scheme"), estimable=True), size, **spread)
-    apart = stated_up.groups or stated_up.rolls is not None
-    if apart or options.get("level_sd", 0.0):
+    given, stated_up = _oriented(c, table, options)
+    apart = stated_up.groups or stated_up.rolls is not None or stated_up.repeats
+    if apart or given.level_sd:
         return None
     columns = {name: c.readings.environment[name] for name in c.model.environment}
     return uncertain_orientations.share_orientations(
@@ -277,8 +324,24 @@ def _share_uncertain(
         stated_up.reference,
         stated_up.orientation_sd,
         columns,
-        estimated=spread["estimate"],
+        estimated=stated_up.estimated,
     )
+
+
+_OPTIONS = frozenset(each.name for each in fields(Options))
+
+
+def _oriented(
+    c: Calibration, table: Table, options: Mapping[str, Any]
+) -> tuple[Options, StatedOrientations]:
+    """Return the options that `fit` takes, and what is stated of the orientations."""
+    readings = read_readings(table, outputs=c.outputs, environment=c.model.environment)
+    readings = orient(readings, options.get("scheme"), estimable=True)
+    size = c.sign * float(np.linalg.norm(c.reference[0]))
+    given = Options(**{name: options[name] for name in _OPTIONS & options.keys()})
+    stated_up = place(readings, size, **given.spread)
+    given, _ = with_default_errors(given, stated_up, readings, c.model)
+    return given, place(readings, size, **given.spread)
 
 
 _SHARED = {
@@ -362,13 +425,17 @@ def solve_task(task: Task) -> Solved:
     count = len(task.units)
     fixtures: tuple[FixtureSums, ...] = ()
     if task.pattern.fixture is not None:
-        fixtures = sum_fixtures(task.pattern.fixture, found, task.stations)
+        fixtures = sum_fixtures(task.pattern.fixture, task.values, found, task.stations)
     uncertain_orientation = isinstance(shared, uncertain_orientations.SharedOrientations)
     looked_at = ~(found.sound & in_time) | find_suspects(
         shared.model, task.values, found, uncertain_orientation=uncertain_orientation
     )
+    if task.pattern.sought is not None:
+        looked_at |= task.pattern.sought.find(task.values, task.stated, task.stated_dof, ~looked_at)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
+    if task.pattern.listed is not None:
+        looked_at |= _may_be_hidden(task.pattern.listed, task)
     named = _chi2_findings(shared, task, found)
     tested = UnitFindings({}, looked_at)
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
@@ -401,6 +468,23 @@ def solve_task(task: Task) -> Solved:
         [""] * count,
         fixtures,
     )
+
+
+_NO_CAUSES = frozenset(("missing-term", "lack-of-fit", "placement"))  # of time or table, or a row
+
+
+def _may_be_hidden(listed: Listed, task: Task) -> Mask:
+    """Return of which units (B,) orientations as listed may show what their errors hide."""
+    found = estimate_known(listed.shared, task.values, task.stated, task.stated_dof)
+    rejected = _chi2_findings(listed.shared, task, found).get(_REJECTED, False)
+    stated = {"u": task.stated, "dof": task.stated_dof}
+    given = listed.shared, task.values, found, task.temperature, stated, rejected
+    tested = unit_findings.find_in_units(listed.tests, *given)
+    hidden = tested.singly | ~(found.sound & (found.rms < CALM))
+    for code, units in tested.found.items():
+        if code not in _NO_CAUSES:
+            hidden |= units
+    return hidden
 
 
 def _spread(shared: SharedDesign, time: Array, found: Estimates) -> tuple[Estimates, Mask]:

@@ -1,6 +1,7 @@
 """Which units of a batch may not be fit for use: each is fitted alone, and looked at in full.
 
-- `find_suspects` returns them, of readings at known or estimated positions.
+- `find_suspects` returns them, of readings at known or estimated positions; `Sought` finds those
+  of which `fit` sets rows aside.
 
 Errors of `multipos.diagnostics` need something to begin with, and each bound here is
 passed by far less than any of them needs:
@@ -17,18 +18,73 @@ output that has one end of its range twice, or in common with another (saturated
 positions that stick out are left to the fit of one unit by the batch itself.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from multipos.diagnostics.scales import are_of_unit
 from multipos.estimation.batches import Estimates
+from multipos.estimation.outliers import find_outlying_rows
+from multipos.estimation.stated_uncertainty import shrink_variances
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps, median
+from multipos.positions.readings import Readings
+from multipos.results import frozen
 from multipos.sensor.model import Model
 
 _RMS = 0.005  # [g]
+CALM = 0.015  # [g], below which orientations as listed hide no error of the two percent above
 _LARGEST = 0.008  # [g]
 _LEANS = 0.97  # cosine
 _OTHER = 1.2  # times the sensitivity of the units beside it
 _WEIGHTS = (1.0, 0.7071067811865476, 0.5773502691896257)  # that make one number of a row
+
+
+@frozen
+class Sought:
+    """How rows that do not fit are looked for in each unit.
+
+    Attributes
+    ----------
+    model : Model
+    readings : Readings
+        Of one unit.
+    reference : (n, 3) array [g] or None
+        As listed; None where nothing is known of the orientations.
+    orientation_sd : (n,) array [rad] or None
+    """
+
+    model: Model
+    readings: Readings
+    reference: Array | None
+    orientation_sd: Array | None = None
+
+    def find(
+        self,
+        values: Sequence[Array],
+        stated: Sequence[Array],
+        stated_dof: Sequence[Array],
+        asked: Mask,
+    ) -> Mask:
+        """Return which of the units asked for (B,) have a row that `fit` sets aside.
+
+        Parameters
+        ----------
+        values, stated, stated_dof : sequences of M (B, n) arrays
+            Readings, what is stated of their uncertainty, and its degrees of freedom, if anything.
+        asked : (B,) array of bool
+        """
+        found = np.zeros_like(asked)
+        for unit in np.flatnonzero(asked).tolist():
+            y, u, dof = (
+                np.column_stack([each[unit] for each in columns]) if columns else None
+                for columns in (values, stated, stated_dof)
+            )
+            assert y is not None
+            readings = shrink_variances(replace(self.readings, values=y, u=u, dof=dof))
+            rows = find_outlying_rows(self.model, readings, self.reference, self.orientation_sd)
+            found[unit] = rows is not None
+        return found
 
 
 def find_suspects(

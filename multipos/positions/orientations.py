@@ -87,6 +87,11 @@ class StatedOrientations:
         return int(self.group.max()) + 1
 
     @property
+    def repeats(self) -> bool:
+        """Whether rows share a label."""
+        return self.label is not None and int(self.label.max()) + 1 < len(self.label)
+
+    @property
     def listed(self) -> Mask:
         """Positions whose direction is listed in the world's axes, (n,)."""
         return listed_rows(self.orientation_sd, self.group, self.rolls)

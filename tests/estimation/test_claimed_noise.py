@@ -96,7 +96,7 @@ def test_degrees_of_freedom_of_noise_half_of_which_is_stated_by_hand():
     found = combined_dof(np.array([[8.0]]), variance, stated_dof, np.array([[2.0]]))
     np.testing.assert_allclose(found, 128 / 19, rtol=1e-12)
     noise = StatedNoise(np.sqrt(variance), stated_dof, np.array([True]))
-    found = combined_jointly(np.array([8.0]), noise, np.array([2.0]))
+    found = combined_jointly(np.array([[8.0]]), noise, np.array([[2.0]]))
     np.testing.assert_allclose(found, 128 / 19, rtol=1e-12)
 
 
