@@ -147,7 +147,8 @@ def budget_section(c: Calibration, budget: Evaluation) -> Section:
             "added again."
         )
     ]
-    known = {row.quantity for row in budget.rows}.union(c.budget_tables)
+    held = c.estimator.contains | c.estimator.unaffected_by
+    known = {row.quantity for row in budget.rows}.union(c.budget_tables, held)
     absent = [kind.text for name, kind in KINDS.items() if name not in known]
     if absent:
         paragraphs.append(f"Not in the budget: {', '.join(absent)}.")
