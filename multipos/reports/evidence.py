@@ -40,7 +40,6 @@ def residuals_section(c: Calibration) -> Section:
     """Return the residuals of every position, and what is left of its error after compensation."""
     said = ["Residual = reading − model. The bars are ±2 standard deviations of each residual."]
     if not c.by_own_axes:
-        if not c.by_own_axes:
         said[0] += f" {c.estimator.residual_note}".rstrip()
     said += [_kind_of_error(c)] if math.isfinite(c.rms) else []
     figure = Figure(
