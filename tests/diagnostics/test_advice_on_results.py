@@ -540,23 +540,6 @@ def a_run_twice(rng):
     yield mp.compare(first, second)
 
 
-@follows("few-repeats", "Record at least")
-def two_records(rng):
-    def record():
-        return {"time": 0.01 * np.arange(1000), "ax": 1e-4 * rng.standard_normal(1000)}
-
-    finding = yield mp.stability([record(), record()])
-    count = int(option(finding, r"at least (\d+)"))
-    yield mp.stability([record() for _ in range(count)])
-
-
-@follows("few-repeats", "Calibrate at least")
-def two_calibrations(rng):
-    finding = yield mp.compare(plain(sense(rng)), plain(sense(rng)))
-    count = int(option(finding, r"at least (\d+)"))
-    yield mp.compare(*(plain(sense(rng)) for _ in range(count)))
-
-
 @follows("jump", "Remove this part")
 def a_record_that_was_knocked(rng):
     time = 0.01 * np.arange(60000)
