@@ -569,8 +569,8 @@ def _hidden_cause(exact: Calibration, *, sought: bool) -> list[Finding]:
         return []
     tested = score_tests.judge_model(exact)
     exact = changed(exact, diagnostics=changed(exact.diagnostics, model_tests=tested.tests))
-    placed = Finding("placement", "warning", "their errors")
-    beside = (model_error.missing_term(exact), outlier(exact, sought=sought), placed)
+    errors_of_orientation = Finding("placement", "warning", "their errors")
+    beside = (model_error.missing_term(exact), outlier(exact, sought=sought), errors_of_orientation)
     rivals = [each for each in beside if each is not None]
     residuals = cache(partial(residuals_of, exact))
     found = compete(exact, rivals, residuals)

@@ -273,6 +273,7 @@ class _Unit:
         problem = replace(self.first, precision=precision)
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
+            sd = np.where(np.isfinite(sd), np.minimum(sd, _WIDEST), sd)
             problem = replace(problem, orientation_sd=sd)
         optimum = descent.resume(problem, self.optimum)
         return _Unit(self.first, problem, optimum, self.stated), np.ones(1, dtype=np.bool_)

@@ -3,18 +3,21 @@ r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as t
 `split_names`, `split_numbers`, `spread` and `numbered` take lists, `near`, `require_columns`,
 `quoted` and `listed` name things in messages. `control_characters` finds characters that act
 instead of being read, `visible`, `visible_lines`, `one_line` and `escaped` show them; `as_cell` and
-`of_cell` keep a spreadsheet from running a cell that `is_risky`.
+`of_cell` keep a spreadsheet from running a cell that `is_risky`; `packaged_pairs` reads words that
+the package has in a table.
 
 Labels, names and file names come from elsewhere. A control character in one would move the cursor
 of a terminal, begin a line of its own in a parameter file or end a comment; here it becomes the
 escape that JSON has for it, ``\u001b``, so that in JSON it stays the same character.
 """
 
+import csv
 import os
 import re
 import unicodedata
 from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import TypeVar
 
 from multipos.errors import MultiposError, UsageError
@@ -165,3 +168,9 @@ def escaped(text: str) -> str:
 
 def _is_control(mark: str) -> bool:
     return unicodedata.category(mark) in ("Cc", "Cs", "Zl", "Zp") or mark in _TURNS
+
+
+def packaged_pairs(module: str, name: str) -> dict[str, str]:
+    """Return the two columns of a table that stands beside a module's file."""
+    with Path(module).with_name(name).open(encoding="utf-8", newline="") as stream:
+        return dict(csv.reader(stream))

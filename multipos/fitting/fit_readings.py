@@ -258,6 +258,10 @@ def fit(
     exact: Calibration | None = None
     if listed.exact and stated_up.estimated:
         exact = _solved(built, data, orientations.place(data, size, **exactly.spread), exactly)
+    if exact is not None and exact.effective_rows:  # which U holds
+        left_exact = (_as_exact(_CORRELATED),)
+        options, exact = replace(exactly, orientation_sd=0.0), None
+        stated_up = orientations.place(data, size, **options.spread)
     try:
         calibration = _solved(built, data, stated_up, options)
     except MultiposError as error:
@@ -297,6 +301,7 @@ def _with_errors(
     return options, orientations.place(readings, size, **options.spread), found
 
 
+_CORRELATED = "their errors are not estimated with correlated rows"
 _UNSOLVED = "their errors could not be solved for"
 
 

@@ -217,6 +217,7 @@ def _check_spread(sd: float | str | None) -> None:
 
 
 _EXACT_BESIDE = ("robust", "pool", "level_sd")  # options beside which nothing is estimated
+_MOST = 5000  # rows, of which a fit with orientation errors takes some seconds
 _LEFT = 2  # contrasts of every output, below which nothing is
 
 
@@ -237,6 +238,8 @@ def with_default_errors(
         why = f"their errors are not estimated with --{beside[0].replace('_', '-')}"
     elif len(readings.outputs) < len(COMPONENTS):
         why = f"{len(readings.outputs)} of three outputs do not show their errors"
+    elif len(readings) > _MOST:
+        why = f"of more than {_MOST} rows none is estimated"
     elif readings.forced.any():
         why = "known forces are taken as they stand"
     elif spare < _LEFT:
