@@ -98,7 +98,7 @@ def missed(up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def guided(rng: np.random.Generator, targets: dict[str, float]) -> Iterator[np.ndarray]:
     taken = np.empty((0, 3))
     while True:
-        asked = best_pose(MODEL, None, taken, targets, unknown_orientation=True)
+        asked = best_pose(MODEL, None, taken, targets)
         if asked is None:
             return
         up = missed(asked.direction, rng)
@@ -160,7 +160,7 @@ def session(rng: np.random.Generator, target: float) -> dict[str, tuple[np.ndarr
     ended: dict[str, tuple[np.ndarray, int]] = {}
     targets = {name: target for name in MODEL.names if name.startswith(("bias", "scale"))}
     while len(ended) < 2:
-        asked = best_pose(MODEL, None, up, targets, unknown_orientation=True)
+        asked = best_pose(MODEL, None, up, targets)
         new = random(rng, {}).__next__() if asked is None else missed(asked.direction, rng)
         up = np.concatenate([up, new[None]])
         reading = bias + matrix @ new + SCATTER * rng.standard_normal(3)
@@ -170,7 +170,7 @@ def session(rng: np.random.Generator, target: float) -> dict[str, tuple[np.ndarr
         readings = mp.Readings(values, outputs=MODEL.outputs, u=np.full_like(values, ZERO_NORM))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            cal = mp.fit(readings, unknown_orientation=True)
+            cal = mp.fit(readings)
         U = np.array([entry.U for entry in cal.entries])
         covered = np.abs(cal.parameters - truth) <= U
         stated_noise = bool((U[WANTED] <= target).all())

@@ -67,9 +67,9 @@ def as_it_advises(task: Task) -> Found:
     raise NoAdviceError
 
 
-def placed(task: Task) -> Found:
-    """Fit with what a hand places to."""
-    return _found(_fit(task, orientation_sd=0.2))
+def exact(task: Task) -> Found:
+    """Fit by least squares of exact orientations, all rows of them."""
+    return _found(_fit(task, orientation_sd=0, exclude="none"))
 
 
 def _fit(task: Task, **options: Any) -> mp.Calibration:
@@ -89,7 +89,7 @@ def _fit(task: Task, **options: Any) -> mp.Calibration:
 
 def _found(cal: mp.Calibration) -> Found:
     zeros = [cal[output, "1"] for output in cal.outputs]
-    codes = {d.code for d in cal.diagnostics.findings} - {"hidden-terms"}
+    codes = {d.code for d in cal.findings if d.level != "note"} - {"hidden-terms"}
     return Found(
         cal.compensate,
         np.array([p.value for p in zeros]),
@@ -157,7 +157,7 @@ def skdh(task: Task) -> Found:
 PROGRAMS = (
     Program("multipos", "multipos", ("rests", "faces", "worn"), plain),
     Program("multipos, then as it advises", "multipos", ("rests", "worn"), as_it_advises),
-    Program("multipos --orientation-sd .2", "multipos", ("faces",), placed),
+    Program("multipos --orientation-sd 0", "multipos", ("faces",), exact),
     Program("mag_cal", "circuitpython-mag-cal", ("rests",), mag_cal),
     Program("imucal", "imucal", ("faces",), imucal),
     Program("actipy", "actipy", ("worn",), actipy),

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RECORDING, PROGRAM, ERROR = 0, 1, 4  # columns of the table
-OURS = {  # by the colour, the marker and whether it is filled
-    "multipos": (style.COLOURS[0], "o", True),
-    "multipos, then as it advises": (style.COLOURS[0], "o", False),
-    "multipos --orientation-sd .2": (style.COLOURS[0], "o", False),
+OURS = {  # by the marker, whether it is filled, and the name
+    "multipos": ("o", True, "multipos"),
+    "multipos, then as it advises": ("o", False, "multipos, as advised"),
+    "multipos --orientation-sd 0": ("x", False, "multipos, exact orientations"),
 }
 THEIRS = {"mag_cal": "s", "imucal": "^", "actipy": "D", "skdh": "v"}
 
@@ -47,10 +47,8 @@ def drawn(found: dict[str, dict[str, float]]) -> "Figure":
     named = set()
     for row, programs in enumerate(found.values()):
         for program, error in programs.items():
-            colour, mark, filled = OURS.get(
-                program, (style.COLOURS[1], THEIRS.get(program, "x"), False)
-            )
-            label = "multipos, as advised" if program in OURS and not filled else program
+            mark, filled, label = OURS.get(program, (THEIRS.get(program, "x"), False, program))
+            colour = style.COLOURS[0 if program in OURS else 1]
             axes.plot(
                 error,
                 row,

@@ -108,7 +108,7 @@ class CalibrationWarning(UserWarning):
     ...         inputs="z",
     ...     )
     >>> caught[0].category is mp.CalibrationWarning, [found.code for found in cal.findings]
-    (True, ['no-redundancy', 'hidden-terms'])
+    (True, ['no-redundancy', 'hidden-terms', 'inseparable'])
     """
 
 

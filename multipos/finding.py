@@ -51,7 +51,7 @@ class Finding(Keyed):
     Examples
     --------
     >>> import multipos as mp
-    >>> (finding,) = mp.demo().calibration.findings
+    >>> finding, *_ = mp.demo().calibration.findings
     >>> finding.code, finding.level
     ('hidden-terms', 'note')
     """

@@ -14,6 +14,7 @@ Technology 28 (7), 2009, 11–13 (in Chinese): tables 1 and 2, eqs. (2)–(5).
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,25 +30,9 @@ from multipos.reports.summary import text_report
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
 
-# Table 2: outputs of the x, y and z accelerometers [g] at the positions of table 1.
-TABLE_2 = np.array(
-    [
-        [0.0070556, -1.002908508, -0.001607945],
-        [-0.0093576, -0.0058170158, -1.000803973],
-        [0.99647218, 0.0064362412, 0.001513362],
-        [-0.0075797, 1.003011, 0.003215892],
-        [-0.9964722, 0.007318172, 0.002705132],
-        [0.00673747, -0.00598589, 1.000799727],
-    ]
-)
-# The coefficients below eq. (4), in the order of the model: 1, x, y, z, own².
-PRINTED = np.array(
-    [
-        [-0.0007860575, 0.99647219, -0.00731765, 0.008047535, 0.0007860475],
-        [0.00048787685, -0.0004409654, 1.002908508, -0.0000844371, -0.00043664585],
-        [0.00145661025, -0.000595885, 0.0024119185, 1.00080185, -0.00145873325],
-    ]
-)
+_PUBLISHED = np.loadtxt(Path(__file__).with_name("song_qin.csv"), delimiter=",")
+TABLE_2 = _PUBLISHED[:6]  # outputs of the x, y and z accelerometers [g] at the positions of table 1
+PRINTED = _PUBLISHED[6:].T  # below eq. (4), in the order of the model: 1, x, y, z, own²
 _LAST_DIGIT = 1e-11  # the printed figures that follow from table 2 agree to their last digit
 
 
@@ -102,22 +87,17 @@ def demo(folder: StrPath | None = None) -> Demonstration:
 
 def demo_text(found: Demonstration) -> str:
     """Return the demonstration as text: the coefficients side by side, and what they hide."""
-    least_squares = found.calibration
     header = ["", "parameter", "printed", "closed form", "least squares", "u", "U (95 %)"]
-    rows = []
-    for i, printed in enumerate(PRINTED.ravel().tolist()):
-        p = least_squares[least_squares.model.keys[i][0], str(least_squares.model.keys[i][1])]
-        rows.append(
-            [
-                p.symbol or "",
-                p.name,
-                _as_printed(printed),
-                f"{found.closed_form.parameters[i]:.11f}",
-                f"{p.value:.11f}",
-                number(p.u, 2),
-                number(p.U, 2),
-            ]
-        )
+    rows = [
+        [
+            each["symbol"] or "",
+            each["name"],
+            _as_printed(each["printed"]),
+            *(f"{each[route]:.11f}" for route in ("closed_form", "least_squares")),
+            *(number(each[key], 2) for key in ("u", "U")),
+        ]
+        for each in _coefficients(found)
+    ]
     return (
         "Table 2 of Song and Qin (2009), six positions, model own-quadratic [g]\n\n"
         f"{table(header, rows, left=2)}\n\n{_remarks(found)}"
@@ -134,24 +114,29 @@ def demo_dict(found: Demonstration) -> dict[str, object]:
     """Return the demonstration as what JSON can carry."""
     c = found.calibration
     return {
-        "coefficients": [
-            {
-                "output": output,
-                "term": str(term),
-                "name": c.names[i],
-                "symbol": c[output, str(term)].symbol,
-                "printed": float(PRINTED.ravel()[i]),
-                "closed_form": float(found.closed_form.parameters[i]),
-                "least_squares": float(c.parameters[i]),
-                "u": float(c.u[i]),
-                "U": float(c.U[i]),
-                "agrees": bool(_agrees(found)[i]),
-            }
-            for i, (output, term) in enumerate(c.model.keys)
-        ],
+        "coefficients": _coefficients(found),
         "calibration": c.to_dict(),
         "findings": [each.to_dict() for each in c.findings],
     }
+
+
+def _coefficients(found: Demonstration) -> list[dict[str, Any]]:
+    """Return each coefficient as printed and by both routes."""
+    columns = (PRINTED.ravel(), found.closed_form.parameters, _agrees(found))
+    return [
+        {
+            **{key: getattr(p, key) for key in ("output", "term", "name", "symbol")},
+            "printed": printed,
+            "closed_form": closed,
+            "least_squares": p.value,
+            "u": p.u,
+            "U": p.U,
+            "agrees": agrees,
+        }
+        for p, printed, closed, agrees in zip(
+            found.calibration.entries, *(column.tolist() for column in columns), strict=True
+        )
+    ]
 
 
 def _agrees(found: Demonstration) -> Mask:

@@ -1,7 +1,8 @@
 """The few units of the field, exact trigonometry of degrees, and normal gravity.
 
 `normal_gravity` is that of a latitude and a height, `gravity_ratio` the size of the reference in g.
-`sin_deg` and `cos_deg` are exact at multiples of 30°, and `unit_per` is the unit of a coefficient.
+`unit_of_gravity` is the unit in which gravity has a size. `sin_deg` and `cos_deg` are exact at
+multiples of 30°, and `unit_per` is the unit of a coefficient.
 
 Inside the package angles are radians and specific force is in g, where one g is the local
 gravity unless a gravity was stated, and then the standard gravity ``g_n = 9.80665 m/s²``.
@@ -24,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.80665  # g_n [m/s²], exact by definition
 MICRO_G = {"g": 1e6, "mg": 1e3, "m/s^2": 1e6 / STANDARD_GRAVITY}  # [µg]
+_BIASED = 0.15  # relative: how far a bias moves the size of gravity
 
 # WGS 84: equatorial gravity [m/s²], Somigliana's k, e², semi-major axis [m], flattening, m.
 _GAMMA_E = 9.7803253359
@@ -32,6 +34,12 @@ _E2 = 6.69437999014e-3
 _A = 6378137.0
 _F = 1.0 / 298.257223563
 _M = 0.00344978650684
+
+
+def unit_of_gravity(size: float) -> str | None:
+    """Return the unit in which gravity is of about a size; None where it is that of none."""
+    near = (unit for unit, one in MICRO_G.items() if abs(size * one / 1e6 - 1.0) < _BIASED)
+    return next(near, None)
 
 
 def normal_gravity(latitude_deg: float, height: float = 0.0) -> float:

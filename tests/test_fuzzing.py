@@ -26,23 +26,26 @@ def complain(text="nothing is right.", status=1):
     return status
 
 
-def keeps_its_promise(argv):
-    return complain()
+def failing(act, text="nothing is right.", status=1):
+    """A command that does something and complains."""
+    return lambda argv: (act(), complain(text, status))[1]
 
 
-def keeps_it_with_a_result(argv):
-    Path("o.json").write_text("{}")
-    print('{"a": null}')
-    print("multipos: warning: few rows", file=sys.stderr)
-    return 0
+def giving(printed="{}", written="{}", act=lambda: None):
+    """A command that writes its output, prints, and does something."""
+
+    def main(argv):
+        if written is not None:
+            Path("o.json").write_text(written)
+        print(printed)
+        act()
+        return 0
+
+    return main
 
 
 def raises(argv):
     return {}["missing"]
-
-
-def dies(argv):
-    os.kill(os.getpid(), signal.SIGSEGV)
 
 
 def works_for_ever(argv):
@@ -61,89 +64,16 @@ def takes_memory(argv):
         return complain("the data do not fit into memory; give fewer rows.")
 
 
-def ends_in_another_status(argv):
-    return complain(status=4)
+def say(text):
+    print(text, file=sys.stderr)
 
 
-def says_nothing(argv):
-    return 2
+def nothing():
+    """Do nothing."""
 
 
-def hides_what_it_did_not_expect(argv):
-    return complain("an unexpected KeyError; set MULTIPOS_DEBUG=1.")
-
-
-def prints_before_it_fails(argv):
-    print("half a table")
-    return complain()
-
-
-def warns_as_python_does(argv):
+def warn():
     warnings.warn("divide by zero", RuntimeWarning, stacklevel=1)
-    return complain()
-
-
-def talks(argv):
-    print("now reading", file=sys.stderr)
-    return complain()
-
-
-def colours(argv):
-    return complain("\x1b[31mred.")
-
-
-def makes_a_file_and_fails(argv):
-    Path("o_test.c").write_text("")
-    return complain()
-
-
-def touches_the_output_and_fails(argv):
-    Path("o.json").touch()
-    return complain()
-
-
-def changes_its_input(argv):
-    Path("in.csv").write_text("")
-    return complain()
-
-
-def leaves_a_temporary_file(argv):
-    tempfile.mkstemp()
-    return keeps_it_with_a_result(argv)
-
-
-def leaves_a_neighbour(argv):
-    Path(".o.json.tmp").touch()
-    return keeps_it_with_a_result(argv)
-
-
-def prints_nan(argv):
-    Path("o.json").write_text("{}")
-    print('{"a": NaN}')
-    return 0
-
-
-def prints_a_list(argv):
-    Path("o.json").write_text("{}")
-    print("[]")
-    return 0
-
-
-def writes_half_a_file(argv):
-    Path("o.json").write_text('{"a": ')
-    print("{}")
-    return 0
-
-
-def prints_what_others_refuse(argv):
-    Path("o.json").write_text("{}")
-    print('{"schema": "multipos/calibration/1"}')
-    return 0
-
-
-def does_not_write(argv):
-    print("{}")
-    return 0
 
 
 FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # beside threads
@@ -153,29 +83,32 @@ FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # 
 @pytest.mark.parametrize(
     ("main", "signature"),
     [
-        (keeps_its_promise, None),
-        (keeps_it_with_a_result, None),
+        (failing(nothing), None),
+        (giving('{"a": null}', act=lambda: say("multipos: warning: few rows")), None),
         (raises, "traceback: KeyError"),
-        (dies, "killed: SIGSEGV"),
+        (lambda _: os.kill(os.getpid(), signal.SIGSEGV), "killed: SIGSEGV"),
         (works_for_ever, "slow: more than 1 s"),
         (takes_memory, "memory: more than 256 MB"),
-        (ends_in_another_status, "status: 4"),
-        (says_nothing, "stderr: does not end"),
-        (hides_what_it_did_not_expect, "unexpected: "),
-        (prints_before_it_fails, "stdout: not empty on 1"),
-        (warns_as_python_does, "warning: RuntimeWarning"),
-        (talks, "stderr: a strange line"),
-        (colours, "stderr: a control character"),
-        (makes_a_file_and_fails, "files: made on failure"),
-        (touches_the_output_and_fails, "files: touched on failure, the output"),
-        (changes_its_input, "files: an input is changed"),
-        (leaves_a_temporary_file, "files: beside the output, a temporary file"),
-        (leaves_a_neighbour, "files: beside the output, a hidden file"),
-        (prints_nan, "json: stdout of fit is no JSON: not finite"),
-        (prints_a_list, "json: stdout of fit is no object"),
-        (prints_what_others_refuse, "json: stdout of fit is refused: : the key"),
-        (writes_half_a_file, "json: the file of fit"),
-        (does_not_write, "files: the output was not written"),
+        (failing(nothing, status=4), "status: 4"),
+        (lambda _: 2, "stderr: does not end"),
+        (failing(nothing, "an unexpected KeyError; set MULTIPOS_DEBUG=1."), "unexpected: "),
+        (failing(lambda: print("half a table")), "stdout: not empty on 1"),
+        (failing(warn), "warning: RuntimeWarning"),
+        (failing(lambda: say("now reading")), "stderr: a strange line"),
+        (failing(nothing, "\x1b[31mred."), "stderr: a control character"),
+        (failing(Path("o_test.c").touch), "files: made on failure"),
+        (failing(Path("o.json").touch), "files: touched on failure, the output"),
+        (failing(lambda: Path("in.csv").write_text("")), "files: an input is changed"),
+        (giving(act=tempfile.mkstemp), "files: beside the output, a temporary file"),
+        (giving(act=Path(".o.json.tmp").touch), "files: beside the output, a hidden file"),
+        (giving('{"a": NaN}'), "json: stdout of fit is no JSON: not finite"),
+        (giving("[]"), "json: stdout of fit is no object"),
+        (
+            giving('{"schema": "multipos/calibration/1"}'),
+            "json: stdout of fit is refused: : the key",
+        ),
+        (giving(written='{"a": '), "json: the file of fit"),
+        (giving(written=None), "files: the output was not written"),
     ],
 )
 def test_each_breach_has_its_signature(main, signature, tmp_path):

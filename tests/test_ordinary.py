@@ -103,13 +103,17 @@ def test_a_model_that_is_named_is_not_changed():
 
 
 def test_the_advice_for_six_faces_by_hand_is_followed():
-    row, before, after = ROWS["faces-1deg"], [], []
+    """Whoever states exact orientations is told; whoever states nothing needs no advice."""
+    row, before, after, unsaid = ROWS["faces-1deg"], [], [], []
     for seed in range(5):
         made = row.make(np.random.default_rng(seed))
-        plain = mp.calibrate(made.log, scheme="faces-6")
+        plain = mp.calibrate(made.log, scheme="faces-6", orientation_sd=0)
         (said,) = (f for f in plain.findings if f.code == "denied-noise")
         advised = re.search(r"--orientation-sd ([\d.]+) if the sensor", str(said))
         cal = mp.calibrate(made.log, scheme="faces-6", orientation_sd=float(advised[1]))
-        for found, errors in ((plain, before), (cal, after)):
+        default = mp.calibrate(made.log, scheme="faces-6")
+        assert not [f for f in default.findings if f.level == "warning"]
+        for found, errors in ((plain, before), (cal, after), (default, unsaid)):
             errors.append(error_of(line_from(found), made, row))
     assert np.median(after) < 0.1 * np.median(before)
+    assert np.median(unsaid) < 0.1 * np.median(before)

@@ -44,7 +44,6 @@ from multipos.sensor.calibration_file import load
 
 _ALIKE = 0.01  # relative difference of sample rates that are one
 _FIRST = 0.01  # of a record: its zero just after switching on
-_LEAST = 4  # switch-ons that the six-position paper asks for
 
 
 def stability(
@@ -281,10 +280,6 @@ def _find(raw: Sequence[RawRecord], outputs: Mapping[str, OutputStability]) -> F
     shortest = min(each.samples / each.rate for each in raw)
     for name, found in outputs.items():
         said += _unsettled(name, found, shortest)
-    if 1 < len(raw) < _LEAST:
-        text = f"{len(raw)} records determine turn-on repeatability poorly"
-        action = f"Record at least {_LEAST} switch-ons."
-        said.append(Finding("few-repeats", "note", text, action))
     return in_order(said)
 
 

@@ -189,7 +189,11 @@ def _least_squares(
 ) -> Description:
     """Fit eq. (1), linear but for the time constant, which takes one step of Gauss and Newton."""
     designs = [_columns(record, names, constant) for record in records]
-    white, logs = _all_whitened(records, designs, laws.squares)
+    white, logs = [], 0.0
+    for record, design in zip(records, designs, strict=True):
+        rows, log = _whitened(record, np.column_stack([design, record.values]), laws.squares)
+        logs += log + math.log(float(rows[:, 0] @ rows[:, 0]))
+        white.append(rows)
     own = [np.asarray(np.linalg.lstsq(r[:, :-1], r[:, -1], rcond=None)[0]) for r in white]
     left: list[Array] = [rows[:, -1] - rows[:, :-1] @ b for rows, b in zip(white, own, strict=True)]
     square = sum(float(r @ r) for r in left)
@@ -209,18 +213,6 @@ def _least_squares(
         step=min(max(step, -_FARTHEST), _FARTHEST),
         laws=laws,
     )
-
-
-def _all_whitened(
-    records: Sequence[Blocks], designs: Sequence[Array], squares: Array
-) -> tuple[list[Array], float]:
-    """Return designs and values of all records with white noise, and the logarithms of eq. (2)."""
-    white, logs = [], 0.0
-    for record, design in zip(records, designs, strict=True):
-        rows, log = _whitened(record, np.column_stack([design, record.values]), squares)
-        logs += log + math.log(float(rows[:, 0] @ rows[:, 0]))
-        white.append(rows)
-    return white, logs
 
 
 def _step(

@@ -60,6 +60,8 @@ class RowSource:
     Attributes
     ----------
     name : str
+    opened : str
+        The kind, and the device, address or file: the same for the same source.
     path : path or None
         The log that has the rows already.
     rate : float [Hz]
@@ -71,6 +73,7 @@ class RowSource:
     """
 
     name: str
+    opened: str
     path: Path | None
     arrivals: Callable[[Names | None], Iterator[Arrival]] = field(repr=False)
     rate: float = ASSUMED_RATE
@@ -78,14 +81,19 @@ class RowSource:
 
 
 def bytes_source(
-    name: str, chunks: Callable[[], Chunks], path: Path | None = None, *, untimed: bool = False
+    name: str,
+    opened: str,
+    chunks: Callable[[], Chunks],
+    path: Path | None = None,
+    *,
+    untimed: bool = False,
 ) -> RowSource:
     """Return a source of lines, given what opens it."""
 
     def arrivals(columns: Names | None) -> Iterator[Arrival]:
         return _rows_of(source, chunks(), columns)
 
-    source = RowSource(name, path, arrivals, untimed=untimed)
+    source = RowSource(name, opened, path, arrivals, untimed=untimed)
     return source
 
 
@@ -182,4 +190,4 @@ def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
     whole, left = block[:end], block[end:]
     left = left[:_LONGEST_LINE]  # of a longer line the middle goes, and it is a bad row
     text = unix_lines(whole).decode("utf-8", "replace")
-    return text.removeprefix("\ufeff"), left
+    return text.lstrip("\ufeff"), left

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from multipos.capturing.next_pose import NextPose, best_pose, expected, gain_at
-from multipos.capturing.poses import Frame, Pose, find_frame
+from multipos.capturing.poses import Frame, Pose, find_frame, is_in_space
 from multipos.capturing.targets import spread_targets
 from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.finding import Finding, Findings, in_order
@@ -26,15 +26,14 @@ from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averages import Averages
 from multipos.logs.joining import Chosen, complete
 from multipos.logs.still import StillLog
-from multipos.numerics.arrays import COMPONENTS, Array
+from multipos.numerics.arrays import COMPONENTS
 from multipos.numerics.terms import formula_columns
 from multipos.positions.attitudes import Convention
-from multipos.positions.headers import named_axes
 from multipos.positions.order import Order, travel_order
 from multipos.positions.scheme import Scheme
 from multipos.results import Keyed, Result, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.sensor.model import Model, build_model
+from multipos.sensor.model import Model, build_model, default_axes
 
 FEWEST_DOF = 6
 
@@ -67,6 +66,11 @@ class SessionPlan:
         """Which sign the axis that points up has."""
         found: Convention = self.fitting.get("convention", "specific-force")
         return found
+
+    def axes_of(self, outputs: tuple[str, ...]) -> tuple[int, ...]:
+        """Return the axis, 0 to 2, that each output senses."""
+        axes = default_axes(outputs, self.fitting.get("axes"))
+        return tuple(COMPONENTS.index(axis) for axis in axes)
 
 
 @frozen(eq=True)
@@ -128,7 +132,7 @@ def evaluate(
         return NOTHING
     averages = average_poses(plan, log, poses)
     calibration, problem = _fit(plan, averages)
-    axes = tuple(named_axes(averages.outputs))
+    axes = plan.axes_of(averages.outputs)
     means = averages.readings.values
     asked = [pose.asked for pose in poses] if plan.scheme is None else []
     frame = find_frame(means, axes, plan.convention, calibration, asked)
@@ -241,9 +245,15 @@ def model_of(plan: SessionPlan, outputs: tuple[str, ...], unit: str) -> Model:
     Raises
     ------
     UsageError
-        There is no such model, or a target that it does not have.
+        There is no such model, or a target that it does not have; or outputs are not three, so
+        that a direction does not show, where no scheme states it.
     """
-    axes = tuple(plan.fitting.get("axes") or ["xyz"[i] for i in named_axes(outputs)])
+    if len(outputs) != len(COMPONENTS) and plan.scheme is None:
+        raise UsageError(
+            f"with {len(outputs)} outputs a direction does not show; name three with --outputs, or "
+            "the positions with --scheme."
+        )
+    axes = default_axes(outputs, plan.fitting.get("axes"))
     asked = plan.fitting.get("model", "linear")
     own = not isinstance(asked, str) or "=" in asked or asked.endswith(".toml")
     columns = () if own else formula_columns(asked)
@@ -264,7 +274,7 @@ def next_pose(
     found: PosesGain,
     frame: Frame | None,
     poses: list[Pose],
-    under_way: Array,
+    current: Pose | None,
 ) -> NextPose | None:
     """Return the pose to take next.
 
@@ -275,17 +285,20 @@ def next_pose(
         How readings show directions, by what is under way too.
     poses : list of Pose
         The accepted ones.
-    under_way : (0 or 1, 3) array
-        Up vector of a pose that is being taken, in case axes.
+    current : Pose or None
+        One that is being taken, and will be accepted.
     """
     if plan.scheme is not None:
         return _next_of_scheme(plan, plan.scheme, model, found, poses)
-    taken, targets = under_way, _targets_in(plan, model)
-    if frame is not None:
-        taken = frame.in_outputs(under_way)
-        if found.averages is not None:
-            taken = np.concatenate([frame.up(found.averages.readings.values), taken])
-    best = best_pose(model, found.calibration, taken, targets)
+    shown = [*poses, *([] if current is None else [current])]
+    asked = np.array([pose.asked for pose in shown if pose.asked is not None]).reshape(-1, 3)
+    if is_in_space(asked):  # how the board stands in its case is known, or that nobody follows
+        asked = asked[:0]
+    taken = np.empty((0, 3))
+    if frame is not None and shown:
+        asked = frame.in_outputs(asked)
+        taken = frame.up(np.array([pose.still.found.mean for pose in shown]))
+    best = best_pose(model, found.calibration, taken, _targets_in(plan, model), asked)
     if best is None or frame is None:
         return best
     return replace(best, direction=frame.in_case(best.direction) + 0.0)

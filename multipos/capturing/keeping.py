@@ -2,9 +2,9 @@
 
 `files_kept` names them and `keep` opens them: beside READINGS.csv stand READINGS_log.csv, the rows
 of a source that is no log, written as they come (`RawLog`), and READINGS_session.json, the
-threshold and rate that were fixed and what the user took back (`Kept`). With these and the log the
-same poses are found again. READINGS_session.lock has the number of the process that writes them,
-while it does.
+source, the threshold and rate that were fixed, and what the user took back (`Kept`). With these and
+the log the same poses are found again. READINGS_session.lock has the number of the process that
+writes them, while it does. Of a source that gives no row nothing is kept.
 
 Rows without numbers are kept as comments: read again, the log has the rows that the session had.
 """
@@ -12,7 +12,7 @@ Rows without numbers are kept as comments: read again, the log has the rows that
 import csv
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -23,7 +23,6 @@ from multipos.capturing.arrivals import RowSource
 from multipos.capturing.live_rows import RowOptions
 from multipos.capturing.session import Session
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json, to_json
 from multipos.files.whole import write_text, writing
 from multipos.logs.table import Log
@@ -42,21 +41,24 @@ class Kept:
     ----------
     log : path or None
         Where the rows go.
+    opened : str
+        The source that they come from.
     before : path or None
         The log that the session goes on from.
     session : path or None
         Where decisions go.
     earlier : mapping
         What the session file held.
-    said : list of str
-        What the user is to know.
+    say : callable
+        Is given what the user is to know.
     """
 
     log: Path | None = None
+    opened: str = ""
     before: Path | None = None
     session: Path | None = None
     earlier: Mapping[str, Any] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
+    say: Callable[[str], object] = lambda text: None
     seen: int = -1  # version of the session
     written: str = ""
 
@@ -85,7 +87,7 @@ class Kept:
         text = to_json(
             {
                 "schema": _SCHEMA,
-                "source": session.rows.log.source,
+                "opened": self.opened,
                 "threshold": session.threshold,
                 "rate": session.rate,
                 "rate_by_arrival": session.rate if counted else None,
@@ -104,13 +106,16 @@ def files_kept(source: RowSource, readings: Path) -> tuple[Path, ...]:
 
 
 @contextmanager
-def keep(source: RowSource, readings: Path | None, *, resume: bool) -> Iterator[Kept]:
+def keep(
+    source: RowSource, readings: Path | None, say: Callable[[str], object], *, resume: bool
+) -> Iterator[Kept]:
     """Yield what is kept, beside the readings; earlier rows are never written over.
 
     Raises
     ------
     UsageError, MultiposError
-        There is no session to go on with, or another process keeps one there.
+        There is no session to go on with, or one of another source; another process keeps one
+        there.
     """
     if readings is None and not source.untimed:
         if resume:
@@ -118,28 +123,45 @@ def keep(source: RowSource, readings: Path | None, *, resume: bool) -> Iterator[
         yield Kept()
         return
     session, lock, *logs = files_kept(source, readings or _DEFAULT)
-    with _locked(lock) as said:
-        yield _kept(session, logs[0] if logs else None, said, resume=resume)
+    log = logs[0] if logs else None
+    with _locked(lock, say):
+        kept = Kept(log=log, opened=source.opened, session=session, say=say)
+        if resume:
+            kept.earlier = _read(session)
+            _require_same(session, kept)
+            kept.before = log
+        yield kept
+
+
+def _require_same(session: Path, kept: Kept) -> None:
+    """Refuse to go on with rows of another source: its poses are of another sensor."""
+    before = kept.earlier.get("opened", kept.opened)  # not of version 0.2
+    if before != kept.opened:
+        raise UsageError(
+            f"{session} is of {before}, but SOURCE is {kept.opened}; give the same source, or "
+            "another -o."
+        )
+    if kept.log is not None and not kept.log.exists():
+        raise MultiposError(f"{kept.log}: no such file; the session cannot go on without its rows.")
 
 
 @contextmanager
-def _locked(lock: Path) -> Iterator[list[str]]:
-    """Hold a lock, by the number of this process; yield what to say of an older one.
+def _locked(lock: Path, say: Callable[[str], object]) -> Iterator[None]:
+    """Hold a lock, by the number of this process; say of an older one that it is taken over.
 
     Raises
     ------
     MultiposError
         A process that still runs holds it, or it cannot be made.
     """
-    said = []
     owner = _owner(lock)
     if owner is not None:
-        said.append(f"process {owner} has ended without its session; {lock} is taken over")
+        say(f"process {owner} has ended without its session; {lock} is taken over")
         lock.unlink(missing_ok=True)
     with writing(lock), lock.open("x", encoding="ascii") as stream:
         stream.write(f"{os.getpid()}\n")
     try:
-        yield said
+        yield
     finally:
         lock.unlink(missing_ok=True)
 
@@ -171,43 +193,27 @@ def _owner(lock: Path) -> int | None:
     )
 
 
-def _kept(session: Path, log: Path | None, said: list[str], *, resume: bool) -> Kept:
-    """Return what is kept where the lock is held."""
-    kept = Kept(log=log, session=session, said=said)
-    if resume:
-        kept.earlier = _read(session)
-        kept.before = log
-    if log is not None:
-        kept.said += _make_way(log, resume=resume)
-        kept.said.append(f"rows are written to {log} as they come")
-    return kept
-
-
-def _make_way(log: Path, *, resume: bool) -> list[str]:
-    """Move the rows of an earlier session aside, unless it goes on; return what to say of it."""
-    if resume:
-        if not log.exists():
-            raise MultiposError(f"{log}: no such file; the session cannot go on without its rows.")
-        return _end_with_a_row(log)
+def _make_way(log: Path, say: Callable[[str], object]) -> None:
+    """Move the rows of an earlier session aside, and say so."""
     if not log.exists() or not log.stat().st_size:
-        return []
+        return
     names = (log.with_name(f"{log.stem}.old{i}.csv") for i in count(1))
     old = next(path for path in names if not path.exists())
     log.rename(old)
-    return [f"the rows of an earlier session are now {old}"]
+    say(f"the rows of an earlier session are now {old}")
 
 
-def _end_with_a_row(log: Path) -> list[str]:
-    """Leave out what was not written to its end; return what to say of it."""
+def _end_with_a_row(log: Path, say: Callable[[str], object]) -> None:
+    """Leave out what was not written to its end, and say so."""
     with log.open("r+b") as stream:
         start = max(stream.seek(0, os.SEEK_END) - _LAST, 0)
         stream.seek(start)
         last = stream.read()
         cut = last[last.rfind(b"\n") + 1 :]
-        if not cut:
-            return []
-        stream.truncate(start + len(last) - len(cut))
-    return [f"the last row of {log}, {cut.decode(errors='replace')!r}, is cut off and left out"]
+        if cut:
+            stream.truncate(start + len(last) - len(cut))
+            said = cut.decode(errors="replace")
+            say(f"the last row of {log}, {said!r}, is cut off and left out")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -224,20 +230,32 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 class RawLog:
-    """A log that is written row by row."""
+    """A log that is written row by row, from the first row on."""
 
-    def __init__(self, path: StrPath, *, going_on: bool) -> None:
-        self._path = path
-        self._going_on = going_on
+    def __init__(self, kept: Kept) -> None:
+        self._path = kept.log
+        self._going_on = kept.before is not None
+        self._say = kept.say
         self._delimiter = ","
-        with writing(path):
-            self._stream: IO[str] = Path(path).open(  # noqa: SIM115
-                "a" if going_on else "w", encoding="utf-8", newline="", errors="backslashreplace"
-            )
+        self._stream: IO[str] | None = None
+        if self._going_on and self._path is not None:
+            _end_with_a_row(self._path, kept.say)
 
     def begin(self, log: Log) -> None:
-        """Write the header, where the columns have names."""
+        """Open it, and write the header where the columns have names."""
+        if self._path is None:
+            return
         self._delimiter = log.delimiter
+        if not self._going_on:
+            _make_way(self._path, self._say)
+        with writing(self._path):
+            self._stream = self._path.open(
+                "a" if self._going_on else "w",
+                encoding="utf-8",
+                newline="",
+                errors="backslashreplace",
+            )
+        self._say(f"rows are written to {self._path} as they come")
         if self._going_on or log.headless:
             return
         text = io.StringIO()
@@ -246,7 +264,7 @@ class RawLog:
 
     def write(self, lines: list[str], good: list[bool]) -> None:
         """Write rows, those that are not good as comments."""
-        if not lines:
+        if not lines or self._stream is None:
             return
         kept = [
             self._row(line) if fine else f"# {line.encode('unicode_escape').decode()}"
@@ -258,6 +276,7 @@ class RawLog:
         return line if self._delimiter else ",".join(line.split())
 
     def _write(self, text: str) -> None:
+        assert self._stream is not None
         try:
             self._stream.write(text)
             self._stream.flush()
@@ -268,4 +287,5 @@ class RawLog:
 
     def close(self) -> None:
         """Close the log."""
-        self._stream.close()
+        if self._stream is not None:
+            self._stream.close()

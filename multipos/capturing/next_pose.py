@@ -80,6 +80,7 @@ def best_pose(
     calibration: Calibration | None,
     taken: Array,
     targets: dict[str, float],
+    asked: Array | None = None,
 ) -> NextPose | None:
     """Return the pose to take next, None where no direction is left.
 
@@ -92,10 +93,13 @@ def best_pose(
     taken : (n, 3) array
         Up vectors of the poses taken, and of one that is being taken.
     targets : mapping of parameter to U
+    asked : (k, 3) array, optional
+        Up vectors that are not asked for again.
     """
     state = _state(model, calibration, taken, unknown_orientation=True)
     rivals = [_candidates("all-26"), _candidates(_FINE)]
-    open_ = [each[_apart(each, taken)] for each in rivals]
+    closed = taken if asked is None else np.concatenate([taken, asked])
+    open_ = [each[_apart(each, closed)] for each in rivals]
     led_by = targets if len(taken) >= len(state.present) else {}  # until a fit can be, by the whole
     scored = [(up, _score(state, up, led_by)) for up in open_ if len(up)]
     if not scored:

@@ -5,15 +5,17 @@ the poses so far; before there is one, by a sphere through their means,
 
     |y|² = 2 c·y + (r² − c·c),                                                              (1)
 
-linear in the centre c; and before that by the size of gravity in a known unit, or by what was asked
-for: where the first rest shows a face of the case, its size is gravity's. `find_frame` finds that
-`Frame`. `refuse_rest` refuses a rest that moved or is cut off, `refuse_unit` one that reads gravity
-in another unit, and `refuse_repeat` one within 5° (`apart_deg`) of a direction taken.
+linear in the centre c; and before that by the size of gravity in a known unit, or in a session by
+that of the first rest, where it shows a face. `find_frame` finds that `Frame`. `refuse_rest`
+refuses a rest that moved or is cut off, `refuse_unit` one that reads gravity in another unit, and
+`refuse_repeat` one within 5° (`apart_deg`) of a direction taken; `is_in_space` tells whether
+directions determine a turn.
 
 How the outputs stand in the case, mirrored and turned boards among them, is what was asked for
 against what was shown (`find_turn`): the signed permutation Q, of 48, whose Q a_i are nearest to
-the directions s_i, where these are within 30° of three in four; the board as it is named goes
-first.
+the directions s_i, where these are within 30° of three in four. Fewer than three pairs in space
+are met by some Q whatever was done, and of three or four all must be; the board as it is named goes
+first, and stands until then.
 """
 
 import math
@@ -30,15 +32,14 @@ from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.positions.attitudes import Convention
 from multipos.results import Result, frozen
 from multipos.sensor.calibration import Calibration
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import unit_of_gravity
 
 REPEAT_DEG = 5.0
 _HAND_DEG = 30.0  # a hand that is asked for a direction comes nearer than that,
-_FOLLOWED = 0.75  # at so many of the poses
+_FOLLOWED = 0.75  # at so many of the poses, and at four
+_IN_SPACE = 0.3  # smallest singular value of directions that are in no plane
 _SPREAD = 30.0  # condition of eq. (1) up to which the centre is identifiable
 _SIGNIFICANT = 5.0  # times its standard uncertainty, of a drift
-_ONE_G = (1.0, STANDARD_GRAVITY, 1000.0)
-_NEAR = 0.15  # relative: how far a bias moves the size of gravity
 
 
 @frozen
@@ -135,7 +136,14 @@ def find_frame(
     seen = frame or replace(blank, size=float(median(np.linalg.norm(means, axis=1))))
     wanted = np.array([asked[i] for i in pairs])
     turn = find_turn(wanted, seen.up(means[pairs]))
-    return frame if turn is None else replace(seen, turn=turn)
+    if turn is not None:
+        return replace(seen, turn=turn)
+    return seen if _shows_a_face(means[0]) else frame
+
+
+def _shows_a_face(mean: Array) -> bool:
+    """Tell whether a reading (3,) is one output's alone, so that its size is that of gravity."""
+    return bool(np.abs(mean).max() > math.cos(math.radians(_HAND_DEG)) * np.linalg.norm(mean))
 
 
 @cache
@@ -150,7 +158,7 @@ def _turns() -> Array:
 
 
 def find_turn(asked: Array, shown: Array) -> Array | None:
-    """Return how outputs stand in the case; None where nothing brings the directions together.
+    """Return how outputs stand in the case; None where nothing shows it.
 
     Parameters
     ----------
@@ -159,14 +167,23 @@ def find_turn(asked: Array, shown: Array) -> Array | None:
     shown : (n, 3) array
         In the axes of the outputs.
     """
+    if not is_in_space(asked):
+        return None
     near = np.einsum("tij,nj,ni->tn", _turns(), asked, shown)
-    followed = (near >= math.cos(math.radians(_HAND_DEG))).mean(axis=1)
-    if followed.max() < _FOLLOWED:
+    followed = (near >= math.cos(math.radians(_HAND_DEG))).sum(axis=1)
+    if followed.max() < max(_FOLLOWED * len(asked), min(len(asked), 4)):
         return None
     if followed[0] == followed.max():
         return np.eye(3)
     score = np.where(followed == followed.max(), near.mean(axis=1), -np.inf)
     return np.asarray(_turns()[int(np.argmax(np.round(score, 6)))])
+
+
+def is_in_space(directions: Array) -> bool:
+    """Tell whether directions (n, 3) are three at least, and in no plane."""
+    if len(directions) < len(COMPONENTS):
+        return False
+    return bool(np.linalg.svd(directions, compute_uv=False)[-1] > _IN_SPACE)
 
 
 def _find_frame(means: Array, blank: Frame, calibration: Calibration | None) -> Frame | None:
@@ -181,8 +198,7 @@ def _find_frame(means: Array, blank: Frame, calibration: Calibration | None) -> 
         size = float(median(np.linalg.norm(means - centre, axis=1)))
         return replace(blank, centre=centre, size=size)
     size = float(median(np.linalg.norm(means, axis=1)))
-    in_known_unit = any(abs(size / one - 1.0) < _NEAR for one in _ONE_G)
-    return replace(blank, size=size) if in_known_unit else None
+    return None if unit_of_gravity(size) is None else replace(blank, size=size)
 
 
 def _centre(means: Array) -> Array | None:

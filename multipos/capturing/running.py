@@ -8,7 +8,7 @@ result.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, nullcontext, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,6 +16,7 @@ from multipos.capturing.arrivals import RowSource
 from multipos.capturing.evaluation import SessionPlan, average_poses
 from multipos.capturing.keeping import Kept, RawLog
 from multipos.capturing.live_rows import RowOptions
+from multipos.capturing.rehearsal import rehearse
 from multipos.capturing.session import Session
 from multipos.capturing.sources import open_source
 from multipos.capturing.state import line_of, state_of
@@ -79,7 +80,7 @@ class Captured(Result):
         found = self.averages if self.calibration is None else self.calibration
         if found is None:
             return ()
-        if self.problem is None:
+        if self.problem is None or self.calibration is None:
             return found.findings
         return in_order((*found.findings, Finding("reduced-model", "warning", self.problem)))
 
@@ -126,7 +127,8 @@ def capture(
     log : path, optional
         Where the rows go as they come.
     told : callable, optional
-        Is given each pose as it is taken or refused, a line of ``--headless`` as a mapping.
+        Is given each pose as it is taken or refused, and ``connected`` where that changes: a line
+        of ``--headless`` as a mapping.
     **options
         How the rows are read: as for `multipos.average`. What is fitted, and how: as for
         `multipos.fit`.
@@ -138,7 +140,8 @@ def capture(
     Raises
     ------
     MultiposError
-        The source cannot be read, or nothing in it is like a rest.
+        The source cannot be read, or nothing in it is like a rest; or nominal readings cannot be
+        fitted by these options.
     UsageError
         An option is at fault.
 
@@ -159,10 +162,22 @@ def capture(
     rows = {name: given.pop(name, None) for name in ("outputs", *_OF_ROWS)}
     plan = make_plan(target, positions, scheme, given, order)
     reading = make_reading(**rows)
-    tell = None if told is None else lambda session: told(line_of(session))
-    session = Session(plan, reading, tell)
+    rehearse(plan, reading.outputs)
+    session = Session(plan, reading, None if told is None else teller(told))
     run_session(session, opened, columns, Kept(log=None if log is None else Path(log)))
     return captured(session)
+
+
+def teller(told: Notify) -> Callable[[Session], object]:
+    """Return what tells of a session: its newest pose, or a connection that is lost or back."""
+    connected = True
+
+    def tell(session: Session) -> None:
+        nonlocal connected
+        changed, connected = session.connected != connected, session.connected
+        told({"connected": connected} if changed else line_of(session))
+
+    return tell
 
 
 def make_plan(
@@ -210,12 +225,10 @@ def run_session(
         Where rows and decisions go, and what the session goes on from.
     """
     kept = kept or Kept()
-    if kept.before is not None:
-        earlier = open_source(f"replay:{kept.before}:0")
-        _feed(session, earlier, None, None, kept, going_on=True)
-    going_on = kept.before is not None
-    log = nullcontext(None) if kept.log is None else closing(RawLog(kept.log, going_on=going_on))
-    with log as raw:
+    with closing(RawLog(kept)) as raw:
+        if kept.before is not None:
+            earlier = open_source(f"replay:{kept.before}:0")
+            _feed(session, earlier, None, None, kept, going_on=True)
         try:
             with suppress(KeyboardInterrupt):
                 _feed(session, source, columns, raw, kept, going_on=False)

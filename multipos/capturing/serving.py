@@ -135,7 +135,6 @@ class _Server(QuietServer):
         self.page = page.encode()
         self.policy = _policy(page)
         self.connections = threading.BoundedSemaphore(_CONNECTIONS)
-        self.streams = threading.BoundedSemaphore(_STREAMS)
         self.streaming = 0
         self.ending = False
         self._made: dict[str, tuple[tuple[int, int], bytes]] = {}
@@ -285,11 +284,12 @@ class _Handler(QuietHandler):
     def _stream(self) -> None:
         """Send events until the browser leaves, or the session has said its last."""
         server, session = self.server, self.server.session
-        if not server.streams.acquire(blocking=False):
+        with session.changed:
+            allowed = server.streaming < _STREAMS
+            server.streaming += allowed
+        if not allowed:
             self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many pages are open")
             return
-        with session.changed:
-            server.streaming += 1
         try:
             self.close_connection = True
             self._head("text/event-stream")
@@ -297,7 +297,6 @@ class _Handler(QuietHandler):
             self.end_headers()
             self._send_events()
         finally:
-            server.streams.release()
             with session.changed:
                 server.streaming -= 1
                 session.changed.notify_all()

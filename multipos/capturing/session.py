@@ -8,7 +8,7 @@ Whoever looks at it from another thread holds `changed`, its lock. What is shown
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +17,10 @@ from multipos.capturing import evaluation, poses
 from multipos.capturing.live_rests import LiveRests
 from multipos.capturing.live_rows import LiveRows, RowOptions
 from multipos.capturing.next_pose import NextPose
-from multipos.errors import UsageError
 from multipos.logs.log_columns import magnetic_outputs
 from multipos.logs.still import Still, StillLog
 from multipos.logs.table import Log
 from multipos.numerics.arrays import Array
-from multipos.positions.headers import named_axes
 from multipos.sensor.gravity import GRAVITY, Field, field_sensed
 from multipos.sensor.model import Model
 
@@ -48,14 +46,16 @@ class Session:
         Once the columns are known.
     field : Field
         What the outputs sense, by names and unit.
+    decided : dict of str to str
+        What the user took back: the first row of each rest, and why.
     next : NextPose or None
     newest : (M,) array or None
         What the sensor reads.
     under_way : Pose or None
         What is still for long enough, but has not ended.
     notify : callable
-        Is given the session after each pose; again after one whose rest the threshold moves,
-        which is fixed by three.
+        Is given the session after each pose, again after one whose rest the threshold moves,
+        which is fixed by three, and where `connected` changes.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Session:
         self.newest: Array | None = None
         self.under_way: poses.Pose | None = None
         self._asked: list[tuple[int, Array]] = []  # first row, and the direction asked for from it
-        self._decided: dict[str, str] = {}  # what the user took back, by position, and why
+        self.decided: dict[str, str] = {}
 
     # What changes it
 
@@ -106,11 +106,6 @@ class Session:
             outputs = magnetic_outputs(log, None, kind, unit)
         self.rows = LiveRows(log, head, outputs, asked.timing)
         self.rests = LiveRests(self.rows, asked.min_duration, asked.threshold)
-        if len(self.rows.outputs) != 3 and self.plan.scheme is None:
-            raise UsageError(
-                f"{log.source}: with {len(self.rows.outputs)} outputs a direction does not show; "
-                "name three with --outputs, or the positions with --scheme."
-            )
         unit = unit or log.units.get(self.rows.outputs[0], "reading")
         self.field = field_sensed(self.rows.outputs, unit, kind)
         self.model = evaluation.model_of(self.plan, self.rows.outputs, unit)
@@ -124,6 +119,8 @@ class Session:
         if connected != self.connected:
             self.connected = connected
             self.version += 1
+            if self._notify is not None:
+                self._notify(self)
         if not columns.shape[1]:
             return []
         outputs, good = self.rows.take(columns)
@@ -153,7 +150,7 @@ class Session:
             pose = self.poses[i]
             if pose.undone:
                 self.poses[i] = pose.restored()
-                self._decided.pop(self.key(pose))
+                self.decided.pop(self.key(pose))
                 self._again = "" if self._again == position else self._again
                 self._evaluate()
                 return True
@@ -181,15 +178,6 @@ class Session:
         self.under_way = None
         self.next = None
         self.version += 1
-
-    def decide(self, decided: Mapping[str, str]) -> None:
-        """Take back what was taken back in a session that goes on."""
-        self._decided |= decided
-
-    @property
-    def decided(self) -> Mapping[str, str]:
-        """What the user took back: the first row of each rest, and why."""
-        return self._decided
 
     # What it is
 
@@ -231,7 +219,7 @@ class Session:
             return None
         if frame is None:  # no pose yet: the reading itself may be in a known unit
             assert self.rows is not None
-            axes = tuple(named_axes(self.rows.outputs))
+            axes = self.plan.axes_of(self.rows.outputs)
             frame = poses.find_frame(mean[np.newaxis], axes, self.plan.convention, None)
         if frame is None:
             return None
@@ -247,7 +235,7 @@ class Session:
         shown = [*self.accepted, current]
         return poses.find_frame(
             np.array([pose.still.found.mean for pose in shown]),
-            tuple(named_axes(self.rows.outputs)),
+            self.plan.axes_of(self.rows.outputs),
             self.plan.convention,
             self.evaluation.calibration,
             [pose.asked for pose in shown],
@@ -304,7 +292,7 @@ class Session:
             reason = self._repeats(still)
         if reason is not None:
             return replace(pose, accepted=False, reason=self.field.worded(reason))
-        taken_back = self._decided.get(self.key(pose))
+        taken_back = self.decided.get(self.key(pose))
         return pose if taken_back is None else pose.taken_back(taken_back)
 
     def _repeats(self, still: Still) -> str | None:
@@ -345,7 +333,7 @@ class Session:
     def _take_back(self, place: int, reason: str) -> None:
         pose = self.poses[place]
         self.poses[place] = pose.taken_back(reason)
-        self._decided[self.key(pose)] = reason
+        self.decided[self.key(pose)] = reason
         self._evaluate()
 
     @staticmethod
@@ -378,18 +366,16 @@ class Session:
     def _choose_next(self) -> None:
         assert self.model is not None
         again = next((pose for pose in self.poses if pose.position == self._again), None)
-        under_way = np.empty((0, 3))
         current = self.under_way
-        if current is not None and current.reason is None:
-            up = self.direction(current.still.found.mean)
-            under_way = under_way if up is None else up[np.newaxis]
+        if current is not None and current.reason is not None:
+            current = None
         if again is not None and self._again:
             up = self.direction(again.still.found.mean)
             if up is not None:
                 self.next = NextPose(up, None, self._again)
                 return
         self.next = evaluation.next_pose(
-            self.plan, self.model, self.evaluation, self._frame(), self.accepted, under_way
+            self.plan, self.model, self.evaluation, self._frame(), self.accepted, current
         )
         row = 0 if self.rows is None else self.rows.rows
         if self.next is not None:

@@ -42,7 +42,7 @@ def open_source(text: str) -> RowSource:
     """
     kind, _, rest = text.partition(":")
     if text == "-":
-        return bytes_source("stdin", _stdin)
+        return bytes_source("stdin", "-", _stdin)
     if kind == "serial":
         return _serial_source(rest)
     if kind == "udp":
@@ -52,7 +52,7 @@ def open_source(text: str) -> RowSource:
     if not text:
         raise UsageError("SOURCE is empty; see 'multipos capture --help'.")
     path = Path(text)
-    return bytes_source(text, lambda: _growing(path), path)
+    return bytes_source(text, str(path.resolve()), lambda: _growing(path), path)
 
 
 def _stdin() -> Chunks:
@@ -81,8 +81,9 @@ def _udp_source(rest: str) -> RowSource:
     address, _, port = rest.rpartition(":")
     if not port.isdigit() or not 0 < int(port) < 1 << 16:
         raise UsageError(f"'udp:{rest}' names no port; give udp:PORT, or udp:ADDRESS:PORT.")
-    chunks = partial(_udp, address or "127.0.0.1", int(port))
-    return bytes_source(f"udp:{rest}", chunks, untimed=True)
+    address = address or "127.0.0.1"
+    chunks = partial(_udp, address, int(port))
+    return bytes_source(f"udp:{rest}", f"udp:{address}:{int(port)}", chunks, untimed=True)
 
 
 def _udp(address: str, port: int) -> Chunks:
@@ -110,28 +111,27 @@ def _datagrams(receiver: socket.socket) -> Iterator[bytes]:
 
 
 def _serial_source(rest: str) -> RowSource:
-    return bytes_source(f"serial:{rest}", partial(read_port, *split_port(rest)), untimed=True)
+    device, baud = split_port(rest)
+    chunks = partial(read_port, device, baud)
+    return bytes_source(f"serial:{rest}", f"serial:{device}", chunks, untimed=True)
 
 
 def _replay_source(rest: str) -> RowSource:
     path, _, last = rest.rpartition(":")
-    speed = _number(last)
-    if not path or speed is None:
+    try:
+        speed = float(last)
+    except ValueError:
+        path = ""
+    if not path:
         path, speed = rest, 1.0
     if not path or not 0.0 <= speed < math.inf:
         raise UsageError(
             f"'replay:{rest}': give replay:LOG, or replay:LOG:SPEED with SPEED 0 (as fast as it "
             "goes) or more."
         )
-    source = RowSource(path, Path(path), lambda columns: _replay(source, columns, speed))
+    opened = f"replay:{Path(path).resolve()}"
+    source = RowSource(path, opened, Path(path), lambda columns: _replay(source, columns, speed))
     return source
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _replay(source: RowSource, columns: Names | None, speed: float) -> Iterator[Arrival]:

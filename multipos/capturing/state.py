@@ -154,6 +154,5 @@ def _next(session: Session) -> dict[str, Any] | None:
 
 def _unit(session: Session) -> str | None:
     calibration = session.evaluation.calibration
-    if calibration is not None:
-        return calibration.model.unit
-    return None if session.model is None else session.model.unit
+    model = session.model if calibration is None else calibration.model
+    return None if model is None else model.unit

@@ -2,7 +2,8 @@
 
 `settle` checks the files of a command line, `refuse_inputs` refuses outputs that are among the
 inputs, which `same_file` compares; `answer_of` makes the `Answer` of a result and `written_to` that
-of a file; `deliver` puts an answer where it belongs, and `print_out` prints it.
+of a file, `Exports` hold what stands beside a calibration; `deliver` puts an answer where it
+belongs, and `print_out` prints it.
 
 A command module says in ``INPUTS`` which of its arguments name files, and in ``OUTPUT`` what
 ``-o`` writes. `settle` holds them against each other before any work is done; ``run`` then
@@ -20,7 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO, TypeVar
 
 from multipos.commands.options import say, tell
 from multipos.errors import MultiposError, UsageError
@@ -51,10 +52,10 @@ FORMS: dict[str, tuple[tuple[str, ...], str]] = {
     "export": ((), "what the target reads"),
     "folder": ((), "a folder"),
 }
-# Endings that say what a file is: a command writes it, or refuses.
+# Endings that say what a file is: a command writes it, or refuses; the last three none does.
 KNOWN = frozenset(
     [".json", ".csv", ".svg", ".png", ".pdf", ".html", ".md", ".xml", ".xlsx", ".parquet"]
-)
+).union([".docx", ".doc", ".odt"])
 
 _IN_MEMORY = 1 << 24  # bytes of what is printed in pieces; more go to a temporary file
 _PIECE = 1 << 20
@@ -187,6 +188,24 @@ class Answer:
         found = "\n".join(map(str, in_order(self.findings())))
         parts = [self.sentence(), text, found, self.detail()]
         return "\n\n".join(part.strip("\n") for part in parts if part) + "\n"
+
+
+class Exports(NamedTuple):
+    """What stands beside a calibration.
+
+    Attributes
+    ----------
+    files : dict of path to text
+    listing : list of {target, files}
+    findings : list of Finding
+    refused : list of str
+        Why others are not made.
+    """
+
+    files: dict[StrPath, str]
+    listing: list[dict[str, Any]]
+    findings: list[Finding]
+    refused: list[str]
 
 
 def answer_of(
@@ -354,7 +373,7 @@ def deliver(
         data = path == STDOUT or answer.verbatim or arguments.json
         if not (data or answer.failure):
             made = _first(answer.sentence(), made, verbose)
-        pieces = _complete("" if answer.failure else made, stack)
+        pieces = _complete("" if answer.failure and path != STDOUT else made, stack)
         if not data:
             print_out(pieces)
         found = in_order(answer.findings())

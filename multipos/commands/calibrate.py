@@ -2,9 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from multipos.commands.answers import STDOUT, Answer, Output
+from multipos.commands.answers import STDOUT, Answer, Exports, Output
 from multipos.commands.options import asks_export, declare, file_progress, options_of
 from multipos.files.trees import to_json
 from multipos.finding import in_order
@@ -13,9 +13,6 @@ from multipos.logs.averages import Averages, averages_text
 from multipos.logs.readers import formats_read
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
 from multipos.sensor.calibration import Calibration
-
-if TYPE_CHECKING:
-    from multipos.exports.target import Exported
 
 
 def _beside(arguments: argparse.Namespace) -> tuple[Path, ...]:
@@ -59,32 +56,23 @@ def run(arguments: argparse.Namespace) -> Answer:
         )
     fitting = options_of(arguments, "fit", ["outputs", "scheme", "order", "model"])
     calibration = fit_rests(found, arguments.model, **fitting)
-    exports, refused = _exports(calibration, arguments)
-    listing = [
-        {"target": each.target, "files": [*map(str, each.files(path))]}
-        for path, each in exports.items()
-    ]
-    written = [name for each in listing for name in each["files"]]
+    exports = _exports(calibration, arguments)
+    made = exports.files
 
     def text() -> str:
-        last = f"\nWritten to {', '.join(written)}\n" if written else ""
+        last = f"\nWritten to {', '.join(map(str, made))}\n" if made else ""
         return f"{parameter_text(calibration)}{last}"
 
     def detail() -> str:
         rows = averages_text(found) if isinstance(found, Averages) else str(found)
         return f"{rows}\n{detail_text(calibration)}"
 
-    def with_exports(made: str) -> Any:
-        if arguments.output == STDOUT:
-            return made
-        files = [each.files(path) for path, each in exports.items()]
-        return {arguments.output: made} | {k: v for each in files for k, v in each.items()}
+    def with_exports(first: str) -> Any:
+        return first if arguments.output == STDOUT else {arguments.output: first, **made}
 
-    findings = in_order(
-        (*calibration.findings, *(note for each in exports.values() for note in each.findings))
-    )
+    findings = in_order((*calibration.findings, *exports.findings))
     listed = [each.to_dict() for each in findings]
-    summary = {"average": found.to_dict(), "exports": listing, "findings": listed}
+    summary = {"average": found.to_dict(), "exports": exports.listing, "findings": listed}
     answer = Answer(
         sentence=lambda: calibration_sentence(calibration),
         text=text,
@@ -95,17 +83,16 @@ def run(arguments: argparse.Namespace) -> Answer:
             "text": lambda: with_exports(answer.complete()),
         },
         findings=lambda: findings,
-        failure=" ".join(refused),
+        failure=" ".join(exports.refused),
     )
     return answer
 
 
-def _exports(
-    calibration: Calibration, arguments: argparse.Namespace
-) -> "tuple[dict[Path, Exported], list[str]]":
+def _exports(calibration: Calibration, arguments: argparse.Namespace) -> Exports:
     if not arguments.to:
-        return {}, []
+        return Exports({}, [], [], [])
     from multipos.commands.export import make_exports
 
-    exports, refused = make_exports(calibration, arguments, arguments.output)
-    return ({} if refused and not arguments.keep_going else exports), refused
+    made = make_exports(calibration, arguments, arguments.output)
+    dropped = made.refused and not arguments.keep_going
+    return Exports({}, [], [], made.refused) if dropped else made

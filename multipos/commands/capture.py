@@ -1,7 +1,6 @@
 """``multipos capture``."""
 
 import argparse
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -9,20 +8,21 @@ from typing import Any
 from multipos.capturing import keeping, running
 from multipos.capturing.evaluation import SessionPlan
 from multipos.capturing.live_rows import RowOptions
+from multipos.capturing.rehearsal import rehearse
 from multipos.capturing.running import captured
 from multipos.capturing.session import Session
 from multipos.capturing.sources import open_source
-from multipos.capturing.state import line_of
-from multipos.commands.answers import STDOUT, Answer, Output, print_out, refuse_inputs
+from multipos.commands.answers import STDOUT, Answer, Exports, Output, print_out, refuse_inputs
 from multipos.commands.export import check_targets, files_beside, make_exports
 from multipos.commands.options import declare, options_of, say
-from multipos.exports.target import Exported
+from multipos.errors import MultiposError, UsageError
 from multipos.files.tables import format_csv
 from multipos.files.trees import to_json, to_json_line
 from multipos.logs.averages import averages_sentence, averages_text
 from multipos.reports.certificate import build_content
 from multipos.reports.documents import html_report
 from multipos.reports.summary import calibration_sentence, detail_text, parameter_text
+from multipos.sensor.calibration import Calibration
 
 
 def _calibration_path(output: str) -> Path:
@@ -75,8 +75,9 @@ def run(arguments: argparse.Namespace) -> Answer:
         threshold=given.threshold,
         **options_of(given, "reading", ["columns", "drop_bad"]),
     )
+    rehearse(plan, reading.outputs, lambda calibration: _rehearse_exports(calibration, given))
     with ExitStack() as stack:
-        kept = stack.enter_context(keeping.keep(source, path, resume=arguments.resume))
+        kept = stack.enter_context(keeping.keep(source, path, say, resume=arguments.resume))
         session = _begin(plan, reading, kept, headless=arguments.headless)
         if not arguments.headless:
             from multipos.capturing.screen import text_screen
@@ -88,7 +89,7 @@ def run(arguments: argparse.Namespace) -> Answer:
         try:
             running.run_session(session, source, arguments.columns, kept)
         except BaseException as error:
-            if path is None or not session.accepted:
+            if arguments.output is None or not session.accepted:
                 raise
             return _answer(arguments, running.rescued(session), error)
     return _answer(arguments, captured(session))
@@ -97,60 +98,70 @@ def run(arguments: argparse.Namespace) -> Answer:
 def _begin(
     plan: SessionPlan, reading: RowOptions, kept: keeping.Kept, *, headless: bool
 ) -> Session:
-    for said in kept.said:
-        say(said)
-
-    def notify(session: Session) -> None:
+    def tell(line: dict[str, Any]) -> None:
+        if line.get("connected") is False:
+            say("the source is lost: plug it in again, and the session goes on")
         if headless:
-            print_out([to_json_line(line_of(session))], data=True)
+            print_out([to_json_line(line)], data=True)
 
-    session = Session(plan, kept.as_before(reading), notify)
-    session.decide(kept.decided)
+    session = Session(plan, kept.as_before(reading), running.teller(tell))
+    session.decided.update(kept.decided)
     return session
 
 
+def _rehearse_exports(calibration: Calibration, arguments: argparse.Namespace) -> None:
+    """Export nominal readings, so that a target is refused before a pose is taken."""
+    asked = argparse.Namespace(**{**vars(arguments), "force": True})  # whatever is found of them
+    refused = make_exports(calibration, asked, "nominal.json").refused
+    if refused:
+        raise MultiposError(refused[0])
+
+
 def _exports(
-    found: running.Captured, arguments: argparse.Namespace
-) -> tuple[dict[Path, Exported], list[str]]:
-    if not arguments.to:
-        return {}, []
-    if found.calibration is None:
-        return {}, [f"no calibration to export: {found.problem}"]
-    return make_exports(found.calibration, arguments, _calibration_path(arguments.output))
-
-
-def _files(
-    found: running.Captured, output: str, made: str, exports: Mapping[Path, Exported]
-) -> Any:
-    """Return what ``-o`` writes: the readings, and everything beside them."""
-    if output == STDOUT:
-        return made
-    files: dict[Any, Any] = {output: made}
-    if found.calibration is not None:
-        path = _calibration_path(output)
-        files[path] = to_json(found.calibration.to_dict())
-        files[path.with_suffix(".html")] = html_report(build_content(found.calibration))
-    for path, each in exports.items():
-        files |= each.files(path)
-    return files
+    calibration: Calibration, arguments: argparse.Namespace, path: Path
+) -> tuple[Exports, Exception | None]:
+    """Return calibration, exports and report, as far as they can be made, and what went wrong."""
+    made, error = Exports({}, [], [], []), None
+    try:
+        made = make_exports(calibration, arguments, path)
+    except Exception as fault:  # the readings are worth more than what is made of them
+        error = fault
+    made.files[path] = to_json(calibration.to_dict())
+    try:
+        made.files[path.with_suffix(".html")] = html_report(build_content(calibration))
+    except ModuleNotFoundError as fault:
+        say(f"no report is written: it needs {fault.name}; pip install {fault.name}")
+    except Exception as fault:
+        error = fault
+    return made, error
 
 
 def _answer(
     arguments: argparse.Namespace, found: running.Captured, ended_by: BaseException | None = None
 ) -> Answer:
     """Return what is written and printed; of a session that an error ended its readings."""
-    exports, refused = _exports(found, arguments) if ended_by is None else ({}, [])
+    made, calibration = Exports({}, [], [], []), found.calibration
+    failure = ended_by
+    if ended_by is None and calibration is None:
+        failure = MultiposError(f"no calibration: {found.problem}")
+    elif calibration is not None and arguments.output not in (None, STDOUT):
+        made, failure = _exports(calibration, arguments, _calibration_path(arguments.output))
+    if isinstance(failure, UsageError):  # after the poses it is their fault no more
+        failure = MultiposError(str(failure))
     table = "" if found.averages is None else format_csv(found.averages.columns())
 
+    def files(first: str) -> Any:
+        return first if arguments.output == STDOUT else {arguments.output: first, **made.files}
+
     def sentence() -> str:
-        if found.calibration is not None:
-            return calibration_sentence(found.calibration)
+        if calibration is not None:
+            return calibration_sentence(calibration)
         return "" if found.averages is None else averages_sentence(found.averages)
 
     def text() -> str:
-        if arguments.headless or found.calibration is None:
+        if calibration is None or arguments.headless:
             return ""
-        return parameter_text(found.calibration)
+        return parameter_text(calibration)
 
     def detail() -> str:
         parts = [averages_text(found.averages)] if found.averages is not None else []
@@ -163,13 +174,7 @@ def _answer(
         detail=detail,
         verbatim=arguments.headless,
         json=lambda: "" if arguments.headless else to_json(found.to_dict()),
-        forms={
-            "table": lambda: _files(found, arguments.output, table, exports),
-            "json": lambda: _files(found, arguments.output, to_json(found.to_dict()), exports),
-        },
-        findings=lambda: (
-            *found.findings,
-            *(note for each in exports.values() for note in each.findings),
-        ),
-        failure=ended_by or " ".join(refused),
+        forms={"table": lambda: files(table), "json": lambda: files(to_json(found.to_dict()))},
+        findings=lambda: (*found.findings, *made.findings),
+        failure=failure or " ".join(made.refused),
     )

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from multipos.bias_stability.stability_result import Stability, load_stability
-from multipos.commands.answers import STDOUT, Answer, Output, written_to
+from multipos.commands.answers import STDOUT, Answer, Exports, Output, written_to
 from multipos.commands.options import declare, options_of
 from multipos.errors import MultiposError, UsageError
 from multipos.exports.parts import load_parts
-from multipos.exports.target import Exported, Target, self_test
+from multipos.exports.target import Target, self_test
 from multipos.exports.targets import TARGETS, beside, export, named_target
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_schema, to_json
@@ -102,18 +102,12 @@ def check_targets(arguments: argparse.Namespace) -> None:
     if strange:
         raise UsageError(f"--to takes {names}, got '{strange[0]}'.")
     for option, value in options_of(arguments, "export options").items():
-        if value not in (None, False):
-            _require_owner(option, arguments.to)
+        owners = [target.name for target in TARGETS if option in target.takes]
+        if value not in (None, False) and owners and not set(owners) & set(arguments.to):
+            flag = option.replace("_", "-")
+            raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
     if arguments.to and arguments.output in (None, STDOUT):
         raise UsageError("--to writes files into the folder of CAL.json; name it with -o.")
-
-
-def _require_owner(option: str, asked: Sequence[str]) -> None:
-    """Refuse an option that only some targets have, where none of them is asked for."""
-    owners = [target.name for target in TARGETS if option in target.takes]
-    if owners and not set(owners) & set(asked):
-        flag = option.replace("_", "-")
-        raise UsageError(f"--{flag} is for --to {', '.join(owners)}.")
 
 
 def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
@@ -128,20 +122,20 @@ def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if name in own}
 
 
-def make_exports(
-    calibration: Calibration, arguments: argparse.Namespace, path: StrPath
-) -> tuple[dict[Path, Exported], list[str]]:
-    """Return the exports by the file beside `path` each goes to, and why others are refused."""
-    made, refused = {}, []
+def make_exports(calibration: Calibration, arguments: argparse.Namespace, path: StrPath) -> Exports:
+    """Return the exports that are asked for, beside `path`."""
+    made = Exports({}, [], [], [])
+    options = options_of(arguments, "export options")
     for name in dict.fromkeys(arguments.to):
         target = named_target(name)
         assert target is not None
         try:
-            made[beside(path, target)] = export(
-                calibration, name, **_own(target, options_of(arguments, "export options"))
-            )
-        except UsageError:
-            raise
+            each = export(calibration, name, **_own(target, options))
         except MultiposError as error:
-            refused.append(str(error))
-    return made, refused
+            made.refused.append(str(error))
+            continue
+        files = each.files(beside(path, target))
+        made.files.update(files)
+        made.listing.append({"target": each.target, "files": [*map(str, files)]})
+        made.findings.extend(each.findings)
+    return made

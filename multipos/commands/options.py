@@ -1,9 +1,10 @@
 """What several commands share: lists on the command line, the model's options, findings.
 
 `declare` adds the options of a group, `options_of` returns what they hold and `setting_of` those of
-a setting. `accept_negative_lists` lets an option take ``-2,2``, `take_full_scale` reads the nominal
-conversion and `asks_export` tells whether a target is asked for. `tell` prints findings and `say` a
-line to stderr; `progress_bar` and `file_progress` show how much is done.
+a setting, `listed` what is said of names. `accept_negative_lists` lets an option take ``-2,2``,
+`take_full_scale` reads the nominal conversion, `asks_export` tells whether a target is asked for.
+`tell` prints findings and `say` a line to stderr; `progress_bar` and `file_progress` show how much
+is done.
 """
 
 import argparse
@@ -93,6 +94,11 @@ def declare(parser: argparse.ArgumentParser, group: str, **words: str) -> None:
         else:
             either = None
             part.add_argument(option, **_keywords(row, words))
+
+
+def listed(group: str) -> dict[str, str]:
+    """Return what `options.csv` says of each name of a group, which may be none."""
+    return {row["option"]: row["help"] for row in _rows().get(group, [])}
 
 
 def _keywords(row: Mapping[str, str], words: Mapping[str, str]) -> dict[str, Any]:

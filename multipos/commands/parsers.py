@@ -11,30 +11,11 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from multipos.commands.answers import print_out
-from multipos.commands.options import accept_negative_lists, declare
+from multipos.commands.options import accept_negative_lists, declare, listed
 from multipos.errors import UsageError
 from multipos.files.spelling import near
 
-COMMANDS = {
-    "demo": "calibrate the six-position paper's own readings, end to end",
-    "calibrate": "calibrate from raw logs, and export, in one go",
-    "capture": "record and calibrate live, led from pose to pose until it is enough",
-    "fit": "calibrate from readings at static positions",
-    "report": "write the report of a calibration",
-    "apply": "compensate raw readings with a calibration",
-    "compare": "compare repeated calibrations of one unit",
-    "regress": "describe a column by others, in segments, with terms the data support",
-    "average": "average the rests of a raw log into readings",
-    "export": "write a calibration as a C function or for another program",
-    "simulate": "make readings or a raw log of a calibrated sensor",
-    "check": "errors of an independent run at known positions, before and after",
-    "tumble": "single-axis tumble: K0 to Koq, misalignments, harmonics",
-    "fleet": "calibrate many units, and find what only all of them show",
-    "stability": "noise, drift, warm-up and repeatability of a sensor at rest",
-    "schemes": "list schemes and which parameters of a model they determine",
-    "design": "find the best positions for a model, with proof",
-    "page": "write or serve a page that calibrates in the browser, with nothing to install",
-}
+COMMANDS = listed("commands")
 
 
 def command(name: str) -> ModuleType:

@@ -19,9 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from multipos.designs.information import (
-    Setting,
-)
+from multipos.designs.information import Setting
 from multipos.estimation.known import ZERO_NORM
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import Term, sees_only

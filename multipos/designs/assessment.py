@@ -242,13 +242,8 @@ def read_setting(
     unknown_orientation: bool,
     orientation_sd: float | None,
     reading_sd: float,
-    outputs: tuple[str, ...] = (),
-    unit: str = "reading",
 ) -> Setting:
-    """Return the setting of options as `schemes` takes them; a calibration's model has its own.
-
-    Outputs are named after their axes where they are not given.
-    """
+    """Return the setting of options as `schemes` takes them; outputs are named after their axes."""
     text: StrPath
     if isinstance(model, Model):
         text, axes, inputs = model.text, model.axes, model.inputs
@@ -258,16 +253,16 @@ def read_setting(
     seen = split_names(inputs, "--inputs")
     written = read_model(text)
     # a second output on an axis is ax2
-    outputs = outputs or tuple(
+    outputs = tuple(
         f"a{axis}" + (str(count) if (count := names[: i + 1].count(axis)) > 1 else "")
         for i, axis in enumerate(names)
     )
     if isinstance(written, ParsedModel):
         used = written.columns_among(())
         written.require_no_near_miss(used, ())
-        built: Model = build_parsed(written, outputs, names, seen, unit, used)
+        built: Model = build_parsed(written, outputs, names, seen, "reading", used)
     else:
-        built = build_model(written, outputs, names, seen, unit, known=())
+        built = build_model(written, outputs, names, seen, "reading", known=())
     return make_setting(
         built,
         unknown_orientation=unknown_orientation,
@@ -318,9 +313,7 @@ class Assessor:
         found = [
             (names, separability(Z, least_norm=ZERO_NORM, least=_LEAST)) for names, Z in designs
         ]
-        problems: list[str] = []
-        for names, one in found:
-            problems += name_combinations(one.null, names)
+        problems = [text for names, one in found for text in name_combinations(one.null, names)]
         return problems, max(one.condition for _, one in found)
 
     def describe(self, scheme: Scheme) -> Assessment:
@@ -449,21 +442,8 @@ def _in_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def scheme_rows(entries: Sequence[Assessment]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the table of schemes."""
-    header = [
-        "scheme",
-        "positions",
-        "identifiable",
-        "D",
-        "A",
-        "E",
-        "G",
-        "I",
-        "log det",
-        "condition (scaled columns)",
-        "drift",
-        "largest u",
-        "dof left",
-    ]
+    header = ["scheme", "positions", "identifiable", *"DAEGI", "log det"]
+    header += ["condition (scaled columns)", "drift", "largest u", "dof left"]
     rows = []
     for entry in entries:
         shares = [getattr(entry, f"{each}_efficiency") for each in "daegi"]

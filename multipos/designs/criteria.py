@@ -19,7 +19,12 @@ M is optimal exactly where s(u) ≤ 1 everywhere, and else short of the optimum 
 most. p s(u) is the variance of the prediction at u in case D. E, the least eigenvalue of M, is
 made smooth, so that it has a gradient too:
 
-    F = −ln(tr M^−q)/q,    G = M^(−q−1) / tr M^−q,    ln λ_min − (ln p)/q ≤ F ≤ ln λ_min.   (3)
+    F = −ln(tr M^−q)/q,    G = M^(−q−1) / tr M^−q,    ln λ_min − (ln p)/q ≤ F ≤ ln λ_min;   (3)
+
+so is G, the largest s of case D, here d, at directions j that are seen, the same as D at an optimum
+(Kiefer and Wolfowitz) but not of few positions:
+
+    F = −ln(mean d_j^q)/q,    G = M⁻¹ Σ_j ω_j I(u_j) M⁻¹/p,    ω_j = d_j^(q−1)/Σ d^q.        (4)
 
 Sources: J. Kiefer, J. Wolfowitz, Canad. J. Math. 12, 1960 (the equivalence of D and G);
 V. V. Fedorov, Theory of Optimal Experiments, 1972 (linear criteria).
@@ -31,7 +36,7 @@ from functools import partial
 
 import numpy as np
 
-from multipos.designs.information import Blocks, Setting, log_det, multiply
+from multipos.designs.information import Blocks, Setting, inform, log_det, multiply
 from multipos.designs.ranges import range_directions
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.arrays import COMPONENTS, Array
@@ -49,12 +54,13 @@ _POWER = 100.0  # q of eq. (3); λ_min is found to a thousandth, which more step
 class Criterion:
     """What makes one scheme better than another: D without `weight`, else B of eq. (1).
 
-    With a `power` it is q of eq. (3).
+    With a `power` it is q of eq. (3), or of eq. (4) where rows at directions are `seen`.
     """
 
     name: str
     weight: Blocks | None = None
-    power: float | None = None
+    power: float = 0.0
+    seen: Blocks = ()
 
 
 def make_criterion(name: str, setting: Setting, region: Array | None = None) -> Criterion:
@@ -112,11 +118,11 @@ def _by_draw(setting: Setting, weigh: Callable[[Setting], Array]) -> Blocks:
 
 def _mean_prediction(setting: Setting, *, region: Array | None) -> Array:
     """Return the mean of X'X over a region, or over the sphere."""
-    if region is not None:
-        return _average(setting, region)
-    if not setting.model.has_terms or abs(setting.size) != 1.0:
-        return _average(setting, read_scheme("fibonacci-1000").up)
-    return _moments(setting.model)
+    if region is None and setting.model.has_terms and abs(setting.size) == 1.0:
+        return _moments(setting.model)
+    up = read_scheme("fibonacci-1000").up if region is None else region
+    X = setting.design(setting.size * up)
+    return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(up))
 
 
 def _weight_of_one(name: str, setting: Setting) -> Blocks:
@@ -142,7 +148,11 @@ def _weight_of_one(name: str, setting: Setting) -> Blocks:
 def objective(information: Blocks, criterion: Criterion) -> float:
     """Return the criterion of eq. (1), −inf where the information is singular."""
     value = log_det(information)
-    if criterion.power is not None and value > -math.inf:
+    if criterion.seen and value > -math.inf:
+        d = sensitivity(criterion.seen, kernels(information, Criterion("D")))
+        size = np.mean((d / d.max()) ** criterion.power)
+        return -math.log(d.max()) - math.log(size) / criterion.power
+    if criterion.power and value > -math.inf:
         eigen = np.concatenate([np.linalg.eigvalsh(M) for M in information])
         return smooth_least(eigen, criterion.power).item()
     if criterion.weight is None or value == -math.inf:
@@ -162,7 +172,9 @@ def kernels(information: Blocks, criterion: Criterion) -> Blocks:
         The information is singular: the criterion asks nothing of some parameter.
     """
     try:
-        if criterion.power is not None:
+        if criterion.seen:
+            return _kernels_of_largest(information, criterion)
+        if criterion.power:
             return _kernels_of_least(information, criterion.power)
         inverses = [np.linalg.inv(M) for M in information]
     except np.linalg.LinAlgError:
@@ -197,6 +209,16 @@ def _kernels_of_least(information: Blocks, power: float) -> Blocks:
     return tuple((Q * share) @ Q.T for (_, Q), share in zip(found, shares, strict=True))
 
 
+def _kernels_of_largest(information: Blocks, criterion: Criterion) -> Blocks:
+    """Return G of eq. (4)."""
+    inverses = kernels(information, Criterion("D"))
+    d = sensitivity(criterion.seen, inverses)
+    share = (d / d.max()) ** (criterion.power - 1.0)
+    p = sum(len(M) for M in information)
+    B = inform(criterion.seen, p * share / (share @ d))
+    return tuple(C @ each @ C for C, each in zip(inverses, B, strict=True))
+
+
 def least_eigenvalue(information: Blocks) -> float:
     """Return λ_min of the information of all outputs together."""
     return min(float(np.linalg.eigvalsh(M)[0]) for M in information)
@@ -209,11 +231,6 @@ def sensitivity(rows: Blocks, kernel: Blocks) -> Array:
         flat = Z.reshape(-1, Z.shape[2])
         total += np.einsum("ij,ij->i", multiply(flat, G), flat).reshape(len(Z), -1).sum(axis=1)
     return total
-
-
-def _average(setting: Setting, region: Array) -> Array:
-    X = setting.design(setting.size * region)
-    return np.asarray(np.einsum("nmp,nmq->pq", X, X) / len(region))
 
 
 def _moments(model: Model) -> Array:

@@ -22,7 +22,7 @@ import numpy as np
 from multipos.designs import assessment
 from multipos.designs.assessment import orientation
 from multipos.designs.criteria import Criterion, kernels, make_criterion, sensitivity
-from multipos.designs.exchange import choose, polish, polish_largest
+from multipos.designs.exchange import choose, polish
 from multipos.designs.information import Setting, inform, log_det, nothing_to_weigh
 from multipos.designs.optimum import (
     ContinuousOptimum,
@@ -184,6 +184,8 @@ def _summary(found: Design) -> str:
         f"largest variance {certificate['max_variance']:.8g} of the best on {reach} "
         f"for {certificate['parameters']} parameters, less 1"
     )
+    if found.criterion == "E":
+        proof = f"part by which the least eigenvalue of the best on {reach} may be larger"
     lines = [
         ["efficiency", f"{found.efficiency:.6f}", "against the best on the whole sphere"],
         ["log det", f"{found.log_det:.6f}", f"at most {found.optimum_log_det:.6f}"],
@@ -206,6 +208,7 @@ def design_csv(found: Design) -> str:
 _STARTS = 24  # of the exchange
 _POLISHED = 4  # of the best starts
 _MOST = 200  # new positions: the search grows with their square, what it gains not at all
+_POWERS = (20.0, 100.0, 500.0)  # by which the largest variance is smoothed, one after the other
 _MANY = 1500  # candidates that the exchange takes; of more, those that matter
 
 
@@ -316,18 +319,13 @@ def design(
     _require_separated(described.identifiable, positions)  # what many candidates barely show
     u = () if begun is None else _u_of(begun, up[len(given) :])
     if u:
-        keys = [f"{entry['output']}:{entry['term']}" for entry in u]
-        after = [entry["after"] for entry in u]
-        described = replace(described, u=dict(zip(keys, after, strict=True)))
+        after = {f"{entry['output']}:{entry['term']}": entry["after"] for entry in u}
+        described = replace(described, u=after)
     efficiency, on_bench = _efficiency(criterion, value, sphere, best)
-    if criterion == "E":
-        if described.e_efficiency is None:
-            raise MultiposError(
-                f"the E-optimum of '{setting.model.text}' was not found, so that no efficiency can "
-                "be stated; take --criterion A, which also weights the least known."
-            )
+    if criterion == "E" and described.e_efficiency is not None:
         efficiency, on_bench = described.e_efficiency, None
     turned = travel_deg(up)
+    time_s = None if move_time is None else move_time[0] * len(up) + move_time[1] * turned
     return Design(
         model=setting.model.text,
         orientation=orientation(setting),
@@ -344,7 +342,7 @@ def design(
         },
         bench_efficiency=on_bench,
         travel_deg=turned,
-        time_s=_time_s(move_time, len(up), turned),
+        time_s=time_s,
         scheme=described,
         findings=nothing_to_weigh(setting),
         settings=_settings(up, len(given), candidates, include if begun is None else None),
@@ -438,12 +436,13 @@ def _settings(
     include: "Source | Scheme | None",
 ) -> tuple[dict[str, Any], ...]:
     """Return how included positions and those of the candidates are set; nothing without both."""
-    own: tuple[dict[str, Any], ...] = tuple({} for _ in up)
-    if include is not None:
-        own = (*bench_settings(include, up[:included]), *own[included:])
-    if candidates is not None:
-        own = (*own[:included], *bench_settings(candidates, up[included:]))
-    return own if any(own) else ()
+    settings = _of_bench(include, up[:included]) + _of_bench(candidates, up[included:])
+    return settings if any(settings) else ()
+
+
+def _of_bench(source: "Source | Scheme | None", up: Array) -> tuple[dict[str, Any], ...]:
+    settings = () if source is None else bench_settings(source, up)
+    return settings or tuple({} for _ in up)
 
 
 def _efficiency(
@@ -453,10 +452,6 @@ def _efficiency(
     if criterion == "G":  # the value is −ln of the largest s on the sphere, 1 at the optimum
         return min(1.0, math.exp(value)), None
     return min(1.0, math.exp(value - sphere.value)), min(1.0, math.exp(value - best.value))
-
-
-def _time_s(move_time: tuple[float, float] | None, count: int, turned_deg: float) -> float | None:
-    return None if move_time is None else move_time[0] * count + move_time[1] * turned_deg
 
 
 def _certificate(setting: Setting, best: ContinuousOptimum, over: str) -> dict[str, Any]:
@@ -494,9 +489,9 @@ def _check_candidates(assessor: assessment.Assessor, bench: Array | None, given:
     problems, _ = assessor.separate(everything)
     if not problems:
         return
-    who, way_out = "the candidates cannot", "drop terms, or add candidates that differ more"
-    if bench is None:
-        who, way_out = "no static positions can", "drop terms from the model"
+    who, way_out = "no static positions can", "drop terms from the model"
+    if bench is not None:
+        who, way_out = "the candidates cannot", "drop terms, or add candidates that differ more"
     total = len(assessor.setting.model.keys)
     raise RankError(
         f"{who} separate the parameters: {join_combinations(problems)}; {way_out}.",
@@ -552,9 +547,11 @@ def _search_largest(
 
     ranked = sorted((judged(up) for up in choices), key=lambda result: -result[0])
     if bench is None:
-        seen = read_bench("all-26+fibonacci-400")
-        moved = [polish_largest(setting, up, given, seen) for _, up in ranked[:2]]
-        ranked += [judged(up) for up in moved]
+        seen = setting.rows(read_bench("all-26+fibonacci-400"))
+        for _, up in ranked[:2]:
+            for power in _POWERS:
+                _, up = polish(setting, up, Criterion("G", power=power, seen=seen), given)
+            ranked.append(judged(up))
     return max(ranked, key=lambda result: result[0])
 
 

@@ -1,8 +1,7 @@
 """The best N positions: exchange of candidates, restarts, polish.
 
 `choose` returns choices of candidates, best first, and `exchange` one that no replacement of a
-position improves. `polish` moves positions freely on the sphere, `polish_largest` those of
-criterion G.
+position improves. `polish` moves positions freely on the sphere.
 
 N positions with rows Z_k have the information M = Z'Z/N. Replacing position i by candidate j
 changes the criteria of `multipos.designs.information` by a matrix of 2K rows only: with W = [Z_j;
@@ -23,7 +22,6 @@ Technometrics 22, 1980.
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -31,13 +29,13 @@ from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
 from multipos.designs.information import Blocks, Setting, inform, multiply, tangents, unit
 from multipos.numerics.arrays import Array, Places
 
-Choice = Places
-
+_TRIED = 40  # candidates whose eigenvalues are taken, of criterion E
 _BETTER = 1e-10  # gain below which an exchange is rounding
 _SWEEPS = 100
 _H = 1e-5  # [rad], of central differences
 _STEPS = 300  # of the polish
 _REACH = 0.3  # [rad], of a step at most
+_STILL = 1e-9  # [rad], of a step that is none
 _RIDGE = 1e-3  # part of the candidates' mean information that makes a random start regular
 
 
@@ -49,7 +47,7 @@ def choose(
     included: Blocks | None = None,
     starts: int = 20,
     rng: np.random.Generator,
-) -> list[tuple[float, Choice]]:
+) -> list[tuple[float, Places]]:
     """Return choices of `count` candidates, best first, with their criteria.
 
     A candidate may be taken more than once: the position is taken up again.
@@ -77,19 +75,17 @@ def choose(
     fixed = tuple(Z[:0] for Z in rows) if included is None else included
     found: dict[tuple[int, ...], float] = {}
     for _ in range(starts):
-        choice = rng.integers(n, size=count)
-        for ridge in (_RIDGE, 0.0):
-            choice = exchange(rows, choice, criterion, fixed, ridge)
-        choice.sort()
-        found[tuple(choice.tolist())] = objective(_information(rows, choice, fixed), criterion)
+        regular = exchange(rows, rng.integers(n, size=count), criterion, fixed, _RIDGE)
+        best = exchange(rows, regular.choice, criterion, fixed)
+        found[tuple(sorted(best.choice.tolist()))] = best.value - math.log(count + len(fixed[0]))
     ranked = sorted(found.items(), key=lambda item: -item[1])
     return [(value, np.array(choice, dtype=np.intp)) for choice, value in ranked]
 
 
 def exchange(
-    rows: Blocks, choice: Choice, criterion: Criterion, fixed: Blocks, ridge: float = 0.0
-) -> Choice:
-    """Return a choice that no replacement of one position improves, eq. (1).
+    rows: Blocks, choice: Places, criterion: Criterion, fixed: Blocks, ridge: float = 0.0
+) -> "_State":
+    """Return the state of a choice that no replacement of one position improves, eq. (1).
 
     `ridge` adds this part of the mean information of all candidates, for singular starts.
     """
@@ -100,14 +96,14 @@ def exchange(
     )
     state = _State(rows, criterion, staying, choice)
     if state.value == -math.inf:
-        return choice
+        return state
     for _ in range(_SWEEPS):
         before = state
         for place in range(len(choice)):
             state = _replace_at(state, place)
         if state is before:
             break
-    return state.choice
+    return state
 
 
 def _replace_at(state: "_State", place: int) -> "_State":
@@ -126,13 +122,16 @@ def _replace_at(state: "_State", place: int) -> "_State":
 class _State:
     """A choice, its criterion, and what the gains of eq. (1) need of it."""
 
-    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Choice) -> None:
-        self.rows, self.criterion = rows, criterion
-        self.staying, self.choice = staying, choice
+    def __init__(self, rows: Blocks, criterion: Criterion, staying: Blocks, choice: Places) -> None:
+        self.rows, self.criterion, self.staying, self.choice = rows, criterion, staying, choice
         taken = [Z[choice].reshape(-1, Z.shape[2]) for Z in rows]
         self.information = tuple(M + T.T @ T for M, T in zip(staying, taken, strict=True))
         self.value = objective(self.information, criterion)
         if self.value == -math.inf:
+            return
+        if criterion.power:
+            s = sensitivity(rows, kernels(self.information, criterion))
+            self.nearest = np.argsort(-s)[:_TRIED]
             return
         inverse = [np.asarray(np.linalg.inv(M), dtype=np.float64) for M in self.information]
         self.own, self.left = _forms(rows, inverse)
@@ -144,7 +143,7 @@ class _State:
 
     def gains(self, leaving: int) -> Array:
         """Return the gain of the criterion, up to a constant factor, for every candidate (n,)."""
-        if self.criterion.power is not None:
+        if self.criterion.power:
             return self._gains_of_least(leaving, self.criterion.power)
         determinants = np.ones(len(self.rows[0]))
         falls = np.zeros(len(self.rows[0]))
@@ -157,8 +156,7 @@ class _State:
                 T = _bordered(self.own_b[b], self.left_b[b], Z[leaving], leaving)
                 sound = np.abs(determinant) > 1e-12  # else that replacement loses a parameter
                 S[~sound] = np.eye(S.shape[1])
-                solved = np.einsum("nij,nji->n", np.linalg.inv(S), T)
-                falls += np.where(sound, solved, -np.inf)
+                falls += np.where(sound, _trace_solved(S, T), -np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.criterion.weight is None:
                 return np.asarray(np.log(np.abs(determinants)))
@@ -168,16 +166,18 @@ class _State:
             return np.asarray(math.log(now) - np.log(left))
 
     def _gains_of_least(self, leaving: int, power: float) -> Array:
-        """Return the gain of criterion E, from the eigenvalues with every candidate."""
+        """Return the gain of criterion E, from the eigenvalues with candidates of the largest s."""
         found = [
-            np.linalg.eigvalsh(M - Z[leaving].T @ Z[leaving] + Z.transpose(0, 2, 1) @ Z)
+            np.linalg.eigvalsh(M - Z[leaving].T @ Z[leaving] + near.transpose(0, 2, 1) @ near)
             for M, Z in zip(self.information, self.rows, strict=True)
+            for near in [Z[self.nearest]]
         ]
         eigen = np.concatenate(found, axis=1)
         # what rounding leaves of a parameter that is lost
         eigen = np.maximum(eigen, 1e-12 * eigen.max(axis=1, keepdims=True))
-        now = np.concatenate([np.linalg.eigvalsh(M) for M in self.information])
-        return smooth_least(eigen, power) - smooth_least(now, power)
+        gains = np.full(len(self.rows[0]), -np.inf)
+        gains[self.nearest] = smooth_least(eigen, power) - self.value
+        return gains
 
 
 def _forms(rows: Blocks, middle: list[Array]) -> tuple[list[Array], list[Array]]:
@@ -207,6 +207,14 @@ def _determinant(S: Array) -> Array:
     return np.asarray(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0])
 
 
+def _trace_solved(S: Array, T: Array) -> Array:
+    """Return tr(S⁻¹ T) of symmetric matrices (n, 2K, 2K)."""
+    if S.shape[1] > 2:
+        return np.asarray(np.einsum("nij,nji->n", np.linalg.inv(S), T))
+    straight = S[:, 0, 0] * T[:, 1, 1] + S[:, 1, 1] * T[:, 0, 0]
+    return np.asarray((straight - 2.0 * S[:, 0, 1] * T[:, 0, 1]) / _determinant(S))
+
+
 def polish(
     setting: Setting, up: Array, criterion: Criterion, included: Array
 ) -> tuple[float, Array]:
@@ -227,64 +235,31 @@ def polish(
 
     start = np.zeros(2 * len(up))
     before = -fall(start)[0]
-    x, value = _descend(fall, start, _STEPS)
+    x, value = _descend(fall, start)
     # an equal choice from the list has rounder numbers
     return (-value, _tidy(_moved(up, frame, x))) if -value > before + 1e-9 else (before, up)
 
 
-def polish_largest(setting: Setting, up: Array, included: Array, directions: Array) -> Array:
-    """Return positions (n, 3), moved to make the largest p s(u) small: criterion G.
-
-    The maximum is smoothed, (mean of s^q)^(1/q) over the directions, and sharpened by steps.
-    """
-    fixed, frame = setting.rows(included), tangents(up)
-    seen = setting.rows(directions)
-    criterion = Criterion("G")
-
-    def smooth(x: Array, power: float) -> float:
-        information = _joined(setting.rows(_moved(up, frame, x)), fixed)
-        if objective(information, criterion) == -math.inf:
-            return math.inf
-        s = sensitivity(seen, kernels(information, criterion))
-        return float(np.log(s.max()) + np.log(np.mean((s / s.max()) ** power)) / power)
-
-    def fall(x: Array, power: float) -> tuple[float, Array]:
-        steps = _H * np.eye(len(x))
-        slope = [smooth(x + step, power) - smooth(x - step, power) for step in steps]
-        return smooth(x, power), np.array(slope) / (2.0 * _H)
-
-    x = np.zeros(2 * len(up))
-    for power in (20.0, 100.0):
-        x, _ = _descend(partial(fall, power=power), x, _STEPS // 10)
-    return _tidy(_moved(up, frame, x))
-
-
-def _descend(
-    function: Callable[[Array], tuple[float, Array]], x: Array, steps: int
-) -> tuple[Array, float]:
+def _descend(function: Callable[[Array], tuple[float, Array]], x: Array) -> tuple[Array, float]:
     """Return where a function of value and gradient is least nearby, and its value: BFGS."""
     value, gradient = function(x)
     H = np.eye(len(x))
-    for _ in range(steps):
-        direction = -H @ gradient
-        if not gradient @ direction < 0.0:
-            H, direction = np.eye(len(x)), -gradient
-        length = min(1.0, _REACH / max(float(np.abs(direction).max()), 1e-300))
-        while True:
-            s = length * direction
-            lower, slope = function(x + s)
-            if lower <= value + 1e-4 * float(gradient @ s):
-                break
-            length *= 0.3
-            if length < 1e-8:
+    for _ in range(_STEPS):
+        step = -H @ gradient
+        step *= min(1.0, _REACH / max(float(np.abs(step).max()), 1e-300))
+        lower, slope = function(x + step)
+        while lower > value + 1e-4 * float(gradient @ step):
+            step *= 0.3
+            if np.abs(step).max() < _STILL:
                 return x, value
+            lower, slope = function(x + step)
         y, gained = slope - gradient, value - lower
-        x, value, gradient = x + s, lower, slope
+        x, value, gradient = x + step, lower, slope
         if gained <= 1e-13:
             break
-        if (curvature := float(y @ s)) > 1e-14:
-            V = np.eye(len(x)) - np.outer(s, y) / curvature
-            H = V @ H @ V.T + np.outer(s, s) / curvature
+        if (curvature := float(y @ step)) > 1e-14:
+            V = np.eye(len(x)) - np.outer(step, y) / curvature
+            H = V @ H @ V.T + np.outer(step, step) / curvature
     return x, value
 
 
@@ -294,10 +269,6 @@ def _moved(up: Array, frame: Array, x: Array) -> Array:
 
 def _joined(rows: Blocks, fixed: Blocks) -> Blocks:
     return inform(tuple(np.concatenate(pair) for pair in zip(rows, fixed, strict=True)))
-
-
-def _information(rows: Blocks, choice: Choice, fixed: Blocks) -> Blocks:
-    return _joined(tuple(Z[choice] for Z in rows), fixed)
 
 
 def _tidy(up: Array) -> Array:

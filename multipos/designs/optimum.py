@@ -3,7 +3,7 @@
 `optimise_sphere` returns the best weights over all directions, `optimise_candidates` those on
 candidates and `weigh` those on a few hundred, each with its gap. `largest_sensitivity` is max s of
 criterion D, `maxima` finds where a function of directions is largest, and `solve_definite` solves
-for a positive definite matrix.
+for a positive definite matrix. `gap_of_least` is the certificate of the least eigenvalue.
 
 Weights w on candidate positions, Σ w_k = 1, make a criterion F of `multipos.designs.criteria` as
 large as it can be. F is concave, so a solution is known when it is seen: with s its gradient,
@@ -11,7 +11,10 @@ large as it can be. F is concave, so a solution is known when it is seen: with s
     F* − F(w) ≤ max s − 1,                                                                 (1)
 
 Kiefer and Wolfowitz's equivalence theorem as a certificate; the right-hand side is the gap. For D
-the efficiency that can be missing is 1 − exp(−gap).
+the efficiency that can be missing is 1 − exp(−gap). E is made smooth, but its certificate is that
+of the least eigenvalue itself: no M' has a larger one than tr(G M')/tr G, so that
+
+    λ*_min/λ_min − 1 ≤ max s/(λ_min tr G) − 1.                                              (3)
 
 Weights on a few hundred candidates come from a primal–dual interior-point iteration,
 
@@ -32,10 +35,11 @@ Lett. 77, 2007 (which candidates can be left out).
 
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 
-from multipos.designs.criteria import Criterion, kernels, objective, sensitivity
+from multipos.designs.criteria import Criterion, kernels, least_eigenvalue, objective, sensitivity
 from multipos.designs.information import (
     Blocks,
     Setting,
@@ -52,12 +56,10 @@ from multipos.positions.scheme import read_scheme
 from multipos.results import frozen
 
 GAP = 1e-7  # certificate asked for: ten times sharper than the one promised
-_PIVOTED = 4  # times that as many candidates as parameters are picked
 _WORKING = 80  # candidates solved together at the start
 _MOST = 200  # candidates solved together at most
 _SMALL = 80  # equations up to which BLAS starts no threads
 _JOINED = 30  # candidates that join them in a round at most
-_EARLY = 0.03  # of the last gap, to which the weights of a round are found
 _NEGLIGIBLE = 1e-9  # weight that is none
 _ROUNDS = 20  # one is usual, eleven the most seen
 _STEPS = 60  # of the interior point; twenty are usual
@@ -67,6 +69,9 @@ _MAXIMA = 100  # local maxima of the grid that are climbed
 _CLIMBS = 8  # Newton steps
 _SAME = 1.0 - 1e-9  # cosine from which two directions are one
 _SPECIAL = "all-26+icosahedron-12+dodecahedron-20"
+
+
+Working = TypeVar("Working", Array, Places)  # directions, or candidates by number
 
 
 @frozen
@@ -83,7 +88,7 @@ class ContinuousOptimum:
     value, log_det : float
         The criterion, and ln det of the information per position.
     gap : float
-        max s − 1, over the candidates or refined over the sphere.
+        max s − 1, over the candidates or refined over the sphere; of E eq. (3).
     """
 
     up: Array
@@ -106,32 +111,14 @@ def optimise_candidates(rows: Blocks, criterion: Criterion) -> ContinuousOptimum
     start = np.unique(np.linspace(0, n - 1, min(n, _WORKING)).astype(np.intp))
     if log_det(inform(_taken(rows, start))) == -np.inf:
         start = _spread(rows)
-    working, found = start, 1.0
-    for _ in range(_ROUNDS):
-        chosen = _taken(rows, working)
-        aim = max(_EARLY * found, 0.01 * GAP)
-        weights = weigh(chosen, criterion, gap=aim)
-        weights[weights <= _NEGLIGIBLE] = 0.0
-        weights /= weights.sum()
-        information = inform(chosen, weights)
-        s = sensitivity(rows, kernels(information, criterion))
-        found = float(s.max()) - 1.0
-        if found <= GAP:
-            kept = weights > 0.0
-            reached = objective(information, criterion), log_det(information), found
-            return ContinuousOptimum(np.empty((0, 3)), working[kept], weights[kept], *reached)
-        # a candidate of lower s is in no optimum of D (R. Harman, L. Pronzato, 2007), hardly of L
-        alive = (s[working] > 1.0 - np.sqrt(found)) & (weights > aim / len(working))
-        if not alive.any():
-            break
-        heaviest = np.argsort(-weights[alive], kind="stable")[: _MOST - _JOINED]
-        staying = working[alive][heaviest]
-        if log_det(inform(_taken(rows, staying))) == -np.inf:  # L: weights of all but one are small
-            staying = working[np.argsort(-weights, kind="stable")[: _MOST - _JOINED]]
-        s[working] = -np.inf
+
+    def price(kernel: Blocks) -> tuple[Places, Array]:
+        s = sensitivity(rows, kernel)
         highest = np.argpartition(-s, min(_JOINED, n - 1))[:_JOINED]
-        working = np.concatenate([staying, highest[s[highest] > 1.0]])
-    raise ConvergenceError(_unfinished(found))
+        return highest, s[highest]
+
+    chosen, weights, reached = _optimise(start, partial(_taken, rows), price, criterion)
+    return ContinuousOptimum(np.empty((0, 3)), chosen, weights, *reached)
 
 
 def optimise_sphere(setting: Setting, criterion: Criterion) -> ContinuousOptimum:
@@ -144,32 +131,62 @@ def optimise_sphere(setting: Setting, criterion: Criterion) -> ContinuousOptimum
     MultiposError
         A formula has no value somewhere.
     """
-    up = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
-    for _ in range(_ROUNDS):
-        rows = setting.rows(up)
-        require_values(setting, rows)
-        weights = weigh(rows, criterion, gap=0.01 * GAP)
-        kept = weights > _NEGLIGIBLE
-        up, weights = up[kept], weights[kept] / weights[kept].sum()
-        information = inform(_taken(rows, np.flatnonzero(kept)), weights)
-        sensed = partial(_sensed, setting, kernels(information, criterion))
+
+    def price(kernel: Blocks) -> tuple[Array, Array]:
+        sensed = partial(_sensed, setting, kernel)
         peaks, heights = maxima(sensed)
         if heights.max() - 1.0 <= GAP:  # before it is said, look closer
-            peaks, heights = maxima(sensed, _FINE)
-        found = float(heights.max()) - 1.0
-        if found <= GAP:
-            reached = objective(information, criterion), log_det(information), found
-            return ContinuousOptimum(up, np.empty(0, dtype=np.intp), weights, *reached)
-        joining = peaks[heights > 1.0][: _MOST // 3]
+            return maxima(sensed, _FINE)
+        return peaks, heights
+
+    start = np.concatenate([read_scheme("all-26").up, read_scheme("fibonacci-80").up])
+    require_values(setting, setting.rows(start))
+    up, weights, reached = _optimise(start, setting.rows, price, criterion)
+    return ContinuousOptimum(up, np.empty(0, dtype=np.intp), weights, *reached)
+
+
+def _optimise(
+    working: Working,
+    rows_of: Callable[[Working], Blocks],
+    price: Callable[[Blocks], tuple[Working, Array]],
+    criterion: Criterion,
+) -> tuple[Working, Array, tuple[float, float, float]]:
+    """Return the candidates that carry weight, it, and value, log_det and gap.
+
+    `price` returns those of highest s of all that there are, and s.
+    """
+    for _ in range(_ROUNDS):
+        rows = rows_of(working)
+        weights = weigh(rows, criterion, gap=0.01 * GAP)
+        kept = np.flatnonzero(weights > _NEGLIGIBLE)
+        working, weights = working[kept], weights[kept] / weights[kept].sum()
+        information = inform(_taken(rows, kept), weights)
+        kernel = kernels(information, criterion)
+        highest, s = price(kernel)
+        gap = float(s.max()) - 1.0
+        if gap <= GAP:
+            if criterion.power:
+                gap = gap_of_least(information, kernel, gap)
+            return working, weights, (objective(information, criterion), log_det(information), gap)
+        joining = highest[s > 1.0][: _MOST // 3]
         heaviest = np.argsort(-weights, kind="stable")[: _MOST - len(joining)]
-        up = np.concatenate([up[np.sort(heaviest)], joining])
-    raise ConvergenceError(_unfinished(found))
+        working = np.concatenate([working[np.sort(heaviest)], joining])
+    raise ConvergenceError(
+        f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
+        "the model is nearly inseparable on these positions, drop a term."
+    )
+
+
+def gap_of_least(information: Blocks, kernel: Blocks, gap: float) -> float:
+    """Return by which part the least eigenvalue may fall short of the best one, eq. (3)."""
+    traces = sum(float(np.trace(G)) for G in kernel)
+    return (1.0 + gap) / (traces * least_eigenvalue(information)) - 1.0
 
 
 def largest_sensitivity(setting: Setting, information: Blocks) -> float:
     """Return the largest s(u) of criterion D over the sphere."""
-    kernel = kernels(information, Criterion("D"))
-    return float(maxima(partial(_sensed, setting, kernel))[1].max())
+    sensed = partial(_sensed, setting, kernels(information, Criterion("D")))
+    return float(maxima(sensed)[1].max())
 
 
 def _sensed(setting: Setting, kernel: Blocks, up: Array) -> Array:
@@ -214,9 +231,7 @@ def solve_definite(A: Array, B: Array) -> Array:
 def _length(x: Array, step: Array) -> float:
     """Return how far a step may go before an entry vanishes."""
     shrinking = step < 0.0
-    if not shrinking.any():
-        return 1.0
-    return min(1.0, 0.95 * float((-x[shrinking] / step[shrinking]).min()))
+    return min(1.0, 0.95 * float((-x[shrinking] / step[shrinking]).min(initial=np.inf)))
 
 
 def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, Array]:
@@ -230,7 +245,7 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
     for Z, M, G in zip(rows, information, kernel, strict=True):
         k = Z.shape[1]
         flat = Z.reshape(n * k, -1)
-        if criterion.power is not None:
+        if criterion.power:
             value = objective(information, criterion)
             curvature += _bend_of_least(Z, M, value, criterion.power)
             continue
@@ -240,7 +255,7 @@ def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, A
         else:
             products = 2.0 * plain * multiply(flat, G @ flat.T)
         curvature += products.reshape(n, k, n, k).sum(axis=(1, 3))
-    if criterion.weight is not None or criterion.power is not None:
+    if criterion.weight is not None or criterion.power:
         curvature -= (criterion.power or 1.0) * np.outer(s, s)
     return s, curvature
 
@@ -331,34 +346,16 @@ def _taken(rows: Blocks, chosen: Places) -> Blocks:
 
 def _spread(rows: Blocks) -> Places:
     """Return candidates that determine every parameter: pivots of each block, as QR picks them."""
-    chosen: list[int] = []
-    for Z in rows:
-        n, k, p = Z.shape
-        flat = Z.reshape(n * k, p)
-        left = np.ones(n * k, dtype=np.bool_)
-        for _ in range(_PIVOTED):
-            found = [row for row in _pivots(flat * left[:, None]) if left[row]]
-            left[found] = False
-            chosen += [row // k for row in found]
+    chosen = [pivot // Z.shape[1] for Z in rows for pivot in _pivots(Z.reshape(-1, Z.shape[2]))]
     return np.unique(np.array(chosen, dtype=np.intp))
 
 
 def _pivots(rows: Array) -> list[int]:
-    """Return rows (n, p) of which each, one by one, is the longest across those before it."""
-    rest, found = rows.copy(), []
+    """Return p rows of (n, p), of which each is the longest across those before it."""
+    rest, pivots = rows.copy(), []
     for _ in range(rows.shape[1]):
-        size = np.einsum("np,np->n", rest, rest)
-        longest = int(np.argmax(np.round(size, 12)))
-        if not size[longest] > 0.0:
-            break
-        direction = rest[longest] / np.sqrt(size[longest])
+        length = np.linalg.norm(rest, axis=1)
+        pivots.append(int(np.argmax(np.round(length, 12))))
+        direction = rest[pivots[-1]] / max(float(length[pivots[-1]]), 1e-300)
         rest -= np.outer(rest @ direction, direction)
-        found.append(longest)
-    return found
-
-
-def _unfinished(gap: float) -> str:
-    return (
-        f"the best weights are known to a gap of {gap:.1e} only, {GAP:g} was asked; "
-        "the model is nearly inseparable on these positions, drop a term."
-    )
+    return pivots

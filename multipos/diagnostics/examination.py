@@ -533,7 +533,13 @@ def _examined(
         outlying = () if beyond is None else beyond.rows
         across = partial(orientation_error, residuals=residuals, outlying=outlying)
         equal = partial(unequal_noise, at_solution=at_solution)
-        given = {orientation_error: across, unequal_noise: equal}
+        listed = calibration if exact is None else exact
+        given: dict[Any, Question] = {
+            orientation_error: across,
+            unequal_noise: equal,
+            drift_absorbed: lambda _: drift_absorbed(listed),
+            hidden_table: lambda _: hidden_table(listed),
+        }
         questions = [given.get(ask, ask) for ask in OF_RESIDUALS]
         of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):
@@ -563,8 +569,8 @@ def _hidden_cause(exact: Calibration, *, sought: bool) -> list[Finding]:
         return []
     tested = score_tests.judge_model(exact)
     exact = changed(exact, diagnostics=changed(exact.diagnostics, model_tests=tested.tests))
-    placed = Finding("placement", "warning", "their errors")
-    beside = (model_error.missing_term(exact), outlier(exact, sought=sought), placed)
+    errors_of_orientation = Finding("placement", "warning", "their errors")
+    beside = (model_error.missing_term(exact), outlier(exact, sought=sought), errors_of_orientation)
     rivals = [each for each in beside if each is not None]
     residuals = cache(partial(residuals_of, exact))
     found = compete(exact, rivals, residuals)

@@ -24,7 +24,7 @@ score of ln v_i and its information are
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -370,6 +370,7 @@ def unequal_noise(c: Calibration, at_solution: AtSolution | None = None) -> Find
 
 _STATE = "State a larger --reading-sd."
 _STATE_EACH = "State the noise of each output with --reading-sd."
+_UNEQUAL = 2.0  # times the least excess of an output, that another has
 _EXCESS = "likely variation between rests"
 
 
@@ -379,6 +380,10 @@ def _cause(c: Calibration) -> tuple[str, str]:
         return _cause_at_known(c)
     if c.robust_weight is None and judge_equality(c)[0] < _LEVEL:
         return "the outputs differ in noise", _STATE_EACH
+    found = c.variance_components and c.variance_components.rest_to_rest
+    sizes = [part.value for part in (found or {}).values()]
+    if found and max(sizes) > _UNEQUAL * min(sizes):
+        return f"{_EXCESS}, unequal ({_listed(found, sizes)})", _STATE_EACH
     return _EXCESS, _STATE
 
 
@@ -404,10 +409,13 @@ def _cause_at_known(c: Calibration) -> tuple[str, str]:
         text = "orientation errors and variation between rests cannot be separated"
         return text, f"Add {_sd(math.degrees(off))} if the sensor was positioned by hand."
     if prefers_unequal(equal, unequal)[0]:
-        pairs = zip(c.outputs, np.sqrt(unequal.variances[0]).tolist(), strict=True)
-        sizes = ", ".join(f"{output} {size:.2g}" for output, size in pairs)
+        sizes = _listed(c.outputs, np.sqrt(unequal.variances[0]).tolist())
         return f"{_EXCESS}, unequal ({sizes})", _STATE_EACH
     return _EXCESS, _STATE
+
+
+def _listed(outputs: Iterable[str], sizes: Sequence[float]) -> str:
+    return ", ".join(f"{output} {size:.2g}" for output, size in zip(outputs, sizes, strict=True))
 
 
 def _sd(degrees: float) -> str:

@@ -220,8 +220,8 @@ def _by_own_axes(first: Problem, optimum: Optimum) -> Found:
     following, _ = unit.searched(np.full((1, m), noise), np.array([factor]))
     U, dof = variances.by_own_axes(following.linear(), _are_crossed(first))
     text = (
-        "noise and orientation errors cannot be told apart here: biases and own scale factors are "
-        "of own-axis readings, and U holds where orientations are exact"
+        "noise and orientation errors are inseparable here: biases and own scale factors are of "
+        "own-axis readings, and U holds where orientations are exact"
     )
     action = "State --reading-sd, or --orientation-sd in degrees (0: exact), or read each twice."
     finding = Finding("inseparable", "note", text, action)
@@ -273,6 +273,7 @@ class _Unit:
         problem = replace(self.first, precision=precision)
         if factor is not None:
             sd = self.first.orientation_sd * np.sqrt(factor[0])
+            sd = np.where(np.isfinite(sd), np.minimum(sd, _WIDEST), sd)
             problem = replace(problem, orientation_sd=sd)
         optimum = descent.resume(problem, self.optimum)
         return _Unit(self.first, problem, optimum, self.stated), np.ones(1, dtype=np.bool_)

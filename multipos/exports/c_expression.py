@@ -30,6 +30,7 @@ from multipos.exports.c_body import (
     steps_in_words,
 )
 from multipos.exports.c_text import Real
+from multipos.files.spelling import packaged_pairs
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.expressions import ExpressionModel
@@ -40,37 +41,7 @@ _MOST = 30
 # CasADi's operations as C: those of formulas, and those that slopes and Newton's steps are made of,
 # with those that CasADi 3.6 takes for them (lt, not, if_else_zero, constpow). The suffix f of the
 # functions of the C library is that of single precision.
-_OPERATIONS = {
-    "neg": "-{0}",
-    "sq": "{0} * {0}",
-    "twice": "{0} + {0}",
-    "inv": "{one} / {0}",
-    "not": "{0} == {zero} ? {one} : {zero}",
-    "sign": "{0} > {zero} ? {one} : ({0} < {zero} ? -{one} : {zero})",
-    "add": "{0} + {1}",
-    "sub": "{0} - {1}",
-    "mul": "{0} * {1}",
-    "div": "{0} / {1}",
-    "lt": "{0} < {1} ? {one} : {zero}",
-    "le": "{0} <= {1} ? {one} : {zero}",
-    "if_else_zero": "{0} > {zero} || {0} < {zero} ? {1} : {zero}",
-    "fmin": "{0} < {1} ? {0} : {1}",
-    "fmax": "{0} > {1} ? {0} : {1}",
-    "pow": "pow{f}({0}, {1})",
-    "constpow": "pow{f}({0}, {1})",
-    "atan2": "atan2{f}({0}, {1})",
-    "exp": "exp{f}({0})",
-    "log": "log{f}({0})",
-    "sqrt": "sqrt{f}({0})",
-    "sin": "sin{f}({0})",
-    "cos": "cos{f}({0})",
-    "tan": "tan{f}({0})",
-    "asin": "asin{f}({0})",
-    "acos": "acos{f}({0})",
-    "atan": "atan{f}({0})",
-    "tanh": "tanh{f}({0})",
-    "fabs": "fabs{f}({0})",
-}
+_OPERATIONS = packaged_pairs(__file__, "operations.csv")
 
 
 def expression_body(calibration: Calibration, *, single: bool) -> Body:

@@ -129,31 +129,13 @@ def _ardupilot_thermal(drift: Drift, instance: int, _: int | None) -> _Values:
     ]
 
 
-def _px4_without_id(device: str) -> Finding:
-    text = f"{device} is missing; PX4 will ignore the file"
-    return Finding("no-device-id", "warning", text, "Add --device-id.")
-
-
-def _ardupilot_without_id(device: str) -> Finding:
-    text = f"{device} is missing; ArduPilot will ask for a calibration"
-    return Finding("no-device-id", "warning", text, "Add --device-id.")
-
-
-def _acceleration_beyond(text: str) -> Finding:
-    return Finding("beyond-target", "warning", text, "Check the unit and the convention.")
-
-
-def _field_beyond(text: str) -> Finding:
-    return Finding("beyond-target", "warning", text, "Check the unit and the axes.")
-
-
 class _Stack(NamedTuple):
     """How a flight stack writes the parameters of all its sensors."""
 
     name: str
     suffix: str
     instances: range
-    without_id: Callable[[str], Finding]  # of the parameter with the ID
+    without_id: str  # what it does then
     columns: tuple[str, ...]  # of its file
     line: str  # of a value
     thermal: Callable[[Drift, int, int | None], _Values]
@@ -169,14 +151,14 @@ class _Sensed(NamedTuple):
     sign: float = 1.0  # of the offset
     offset: float = np.inf  # the largest that ground stations accept [m/s², milligauss]
     scale: tuple[float, float] = (-np.inf, np.inf)  # between which they accept it
-    beyond: Callable[[str], Finding] = _acceleration_beyond
+    turned_by: str = "convention"  # what else may be wrong where it is beyond
 
 
 _PX4 = _Stack(
     name="PX4",
     suffix=".params",
     instances=range(4),
-    without_id=_px4_without_id,
+    without_id="PX4 will ignore the file",
     columns=("#", "# Vehicle-Id Component-Id Name Value Type"),
     line="1\t1\t{name}\t{value!r}\t{kind}",
     thermal=_px4_thermal,
@@ -186,7 +168,7 @@ _ARDUPILOT = _Stack(
     name="ArduPilot",
     suffix=".parm",
     instances=range(1, 4),
-    without_id=_ardupilot_without_id,
+    without_id="ArduPilot will ask for a calibration",
     columns=(),
     line="{name},{value!r}",
     thermal=_ardupilot_thermal,
@@ -214,7 +196,7 @@ _ARDUPILOT_MAGNETOMETER = _Sensed(
     sign=-1.0,
     offset=1800.0,
     scale=(0.2, 5.0),
-    beyond=_field_beyond,
+    turned_by="axes",
 )
 
 
@@ -245,7 +227,9 @@ def _beyond(found: _Values, sensed: _Sensed) -> list[Finding]:
     bad = [name for name, value in found[:3] if abs(value) > offset]
     bad += [name for name, value in found[3:6] if not low <= value <= high]
     bad += [name for name, value in found[6:] if abs(value) >= _BESIDE]
-    return [sensed.beyond(f"{', '.join(bad)} exceed what ArduPilot accepts")] if bad else []
+    text = f"{', '.join(bad)} exceed what ArduPilot accepts"
+    action = f"Check the unit and the {sensed.turned_by}."
+    return [Finding("beyond-target", "warning", text, action)] if bad else []
 
 
 def _of_stack(stack: _Stack, sensed: _Sensed) -> parameters.Write:
@@ -257,7 +241,8 @@ def _of_stack(stack: _Stack, sensed: _Sensed) -> parameters.Write:
         findings = _beyond(found, sensed)
         device = sensed.device.format(i=instance, n=_numbered(instance))
         if wish.device_id is None:
-            findings.append(stack.without_id(device))
+            text = f"{device} is missing; {stack.without_id}"
+            findings.append(Finding("no-device-id", "warning", text, "Add --device-id."))
         else:
             found.insert(0, (device, wish.device_id))
         thermal = ""

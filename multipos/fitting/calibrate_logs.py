@@ -3,7 +3,7 @@
 `calibrate` does all; `rests_or_rows` finds and averages the rests (`multipos.logs.averaging`), or
 takes the rows of a magnetometer that was waved, and `fit_rests` fits them (`multipos.fitting`),
 each output along the axis that it names. `readings_of` returns them in the unit that is given or
-that they show, of a field by `in_likely_field`.
+that they show, by `in_likely_unit`, of a field by `in_likely_field`.
 
 Where no scheme says how the sensor stood, nothing is known of the orientations but that gravity has
 the same size in all of them.
@@ -36,14 +36,11 @@ from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.gravity import FieldKind, field_sensed
 from multipos.uncertainty.budgets import read_budget
-from multipos.units import STANDARD_GRAVITY
+from multipos.units import unit_of_gravity
 
 if TYPE_CHECKING:
     from multipos.logs.waved import Waved
 
-# What one g reads in the units that logs are in, and how far a sensor with a bias may be from it.
-_ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
-_NEAR = 0.15
 # Earth's magnetic field, and a little beyond; other units may as well be counts.
 _EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
@@ -294,11 +291,15 @@ def readings_of(
         return replace(readings, unit=unit or found.unit or "")
     if field_sensed(readings.outputs, readings.unit, field).unit != "g":
         return in_likely_field(readings)
+    return in_likely_unit(readings)
+
+
+def in_likely_unit(readings: Readings) -> Readings:
+    """Return readings of a triad in the unit in which they show one g, where there is one."""
     size = float(median(np.linalg.norm(readings.values, axis=1)))
-    if readings.values.shape[1] == 3:
-        for likely, one in _ONE_G.items():
-            if abs(size / one - 1.0) < _NEAR:
-                text = f"the unit is taken to be {likely}, since gravity reads {size:.3g}"
-                findings = (*readings.findings, Finding("likely-unit", "note", text))
-                return replace(readings, unit=likely, findings=findings)
-    return readings
+    likely = unit_of_gravity(size)
+    if likely is None or readings.values.shape[1] != len(COMPONENTS):
+        return readings
+    text = f"the unit is taken to be {likely}, since gravity reads {size:.3g}"
+    findings = (*readings.findings, Finding("likely-unit", "note", text))
+    return replace(readings, unit=likely, findings=findings)

@@ -236,7 +236,7 @@ def fit(
         data = orientations.without_orientation(data, scheme)
     else:
         data = orientations.orient(data, scheme, order, estimable=True)
-    _, _, stated_up = _with_errors(built, data, size, options)
+    _, stated_up, _ = _with_errors(built, data, size, options)
     _require_one_unit(data, sensed)
     # Six positions that are inverted are all needed, and a loss looks for rows itself.
     all_of_them = closed_form or (robust is not None and exclude == "auto")
@@ -253,11 +253,15 @@ def fit(
         apart = np.zeros_like(apart)  # so that all of it is seen
     if apart.any():
         data = _without_saturated(select_rows(data, ~apart), whole)
-    data, options, stated_up = _with_errors(built, data, size, options)
+    options, stated_up, left_exact = _with_errors(built, data, size, options)
     refuse_drowned(data)
     exact: Calibration | None = None
     if listed.exact and stated_up.estimated:
         exact = _solved(built, data, orientations.place(data, size, **exactly.spread), exactly)
+    if exact is not None and exact.effective_rows:  # which U holds
+        left_exact = (_as_exact(_CORRELATED),)
+        options, exact = replace(exactly, orientation_sd=0.0), None
+        stated_up = orientations.place(data, size, **options.spread)
     try:
         calibration = _solved(built, data, stated_up, options)
     except MultiposError as error:
@@ -271,6 +275,7 @@ def fit(
         calibration = with_excluded(calibration, whole, everywhere, apart)
         settled = (replace(each, level="warning") for each in repaired)
         calibration = add_findings(calibration, *settled)
+    calibration = add_findings(calibration, *left_exact)
     if before is not None:
         calibration = replace(calibration, nominal=before)
     calibration = face(calibration, facing)
@@ -288,15 +293,15 @@ def fit(
 
 def _with_errors(
     model: Model, readings: Readings, size: float, options: Options
-) -> tuple[Readings, Options, orientations.StatedOrientations]:
-    """Return readings, options and orientations with what is estimated of their errors."""
+) -> tuple[Options, orientations.StatedOrientations, Findings]:
+    """Return options and orientations with what is estimated of their errors, or why nothing."""
     stated_up = orientations.place(readings, size, **options.spread)
     options, exactly = with_default_errors(options, stated_up, readings, model)
-    if exactly is not None:
-        readings = replace(readings, findings=(*readings.findings, _as_exact(exactly)))
-    return readings, options, orientations.place(readings, size, **options.spread)
+    found = () if exactly is None else (_as_exact(exactly),)
+    return options, orientations.place(readings, size, **options.spread), found
 
 
+_CORRELATED = "their errors are not estimated with correlated rows"
 _UNSOLVED = "their errors could not be solved for"
 
 

@@ -31,7 +31,7 @@ from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.results import frozen
-from multipos.sensor.bench import BenchOptions
+from multipos.sensor.bench import BenchOptions, require_numbers
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
 from multipos.sensor.temperature import runs_of, soaks_of
@@ -163,6 +163,7 @@ class Options:
             raise UsageError(f"unknown gauge '{self.gauge}'; give lower or symmetric.")
         if self.robust is not None and self.robust not in LOSSES:
             raise UsageError(f"unknown loss '{self.robust}'; --robust takes {', '.join(LOSSES)}.")
+        require_numbers(self, "confidence", "level_sd")
         check_confidence(self.confidence)
         if not 0.0 <= self.level_sd < 90.0:
             raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {self.level_sd}.")
@@ -217,6 +218,7 @@ def _check_spread(sd: float | str | None) -> None:
 
 
 _EXACT_BESIDE = ("robust", "pool", "level_sd")  # options beside which nothing is estimated
+_MOST = 5000  # rows, of which a fit with orientation errors takes some seconds
 _LEFT = 2  # contrasts of every output, below which nothing is
 
 
@@ -234,9 +236,11 @@ def with_default_errors(
     beside = [name for name in _EXACT_BESIDE if getattr(options, name)]
     spare = len(readings) - max(len(terms) for terms in model.terms)
     if beside:
-        why = f"beside --{beside[0].replace('_', '-')} no orientation error is estimated"
+        why = f"their errors are not estimated with --{beside[0].replace('_', '-')}"
     elif len(readings.outputs) < len(COMPONENTS):
-        why = f"{len(readings.outputs)} of three outputs cannot tell an orientation error"
+        why = f"{len(readings.outputs)} of three outputs do not show their errors"
+    elif len(readings) > _MOST:
+        why = f"of more than {_MOST} rows none is estimated"
     elif readings.forced.any():
         why = "known forces are taken as they stand"
     elif spare < _LEFT:
@@ -246,11 +250,11 @@ def with_default_errors(
     elif _between_positions(readings):
         why = "readings are correlated between positions"
     elif runs_of(readings, model) is not None:
-        why = "beside zeros of runs no orientation error is estimated"
+        why = "their errors are not estimated with a zero for each run"
     elif TEMPERATURE in model.environment and soaks_of(readings) is not None:
-        why = "beside zeros of soaks no orientation error is estimated"
+        why = "their errors are not estimated with a zero for each soak"
     elif correlated_rows.are_asked(model, readings, stated_up.reference, Estimator.LINEAR):
-        why = "rows of one record, many a position, say nothing of orientation errors"
+        why = "rows of one record, many for each position, do not show their errors"
     else:
         return replace(options, orientation_sd="auto"), None
     return options, why

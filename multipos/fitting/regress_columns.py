@@ -40,7 +40,6 @@ from multipos.regression.remarks import (
     find_in_choice,
     find_in_segments,
     find_jumps,
-    find_order,
     find_switch_on,
 )
 
@@ -183,7 +182,7 @@ def regress(
         source=visible(source) if sha256 else None,
         sha256=sha256,
         findings=in_order(
-            (*found, *read.findings, *find_order(read, result), *result.findings),
+            (*found, *read.findings, *result.findings),
         ),
     )
 

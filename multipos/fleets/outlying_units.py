@@ -43,6 +43,7 @@ _KEPT = 0.975  # share of a normal law that S is taken from
 _STEPS = 10
 _FEW = 3  # times as many units as parameters give their covariance
 _PART = 4  # of few units one in so many may be off
+_LEAST = -3.0  # sds of a residual: estimated orientation errors may take up noise, and no fault
 _SHOWN = 3  # parameters that are named of a unit
 _ROWS = 50_000  # units that are worked on at once
 
@@ -74,6 +75,7 @@ def find_outliers(units: Units, counted: Mask) -> list[dict[str, Any]]:
     if not (scale > 0.0).all():
         return []  # as many units are exactly alike, nothing tells how units differ
     theta /= scale
+    theta[:, -1] = np.maximum(theta[:, -1], _LEAST)
     judged = _each_alone if n < _FEW * (p + 1) else _together
     found, distance, p_values, sd = judged(theta, lambda rows: _excess(units, mine, rows, scale))
     return [

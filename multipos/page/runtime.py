@@ -27,16 +27,9 @@ FILES = {
     NUMPY: "ebb61241d962b98b21597d7ce43b67668a6d5bab3acec4fbe958657320d7cd08",
 }
 # Of the lock file, what the runtime itself reads; NumPy is loaded by its address.
-LOCK = {
-    "info": {
-        "abi_version": "2024_0",
-        "arch": "wasm32",
-        "platform": "emscripten_3_1_58",
-        "python": "3.12.7",
-        "version": VERSION,
-    },
-    "packages": {},
-}
+_BUILT = ("2024_0", "wasm32", "emscripten_3_1_58", "3.12.7", VERSION)
+_INFO = dict(zip(("abi_version", "arch", "platform", "python", "version"), _BUILT, strict=True))
+LOCK = {"info": _INFO, "packages": {}}
 
 
 def is_address(source: str) -> bool:

@@ -25,8 +25,8 @@ from multipos.errors import MultiposError, UsageError
 from multipos.exports.targets import TargetName, export
 from multipos.files.tables import write_table
 from multipos.files.whole import first_bytes
-from multipos.finding import Finding, serious
-from multipos.fitting.calibrate_logs import calibrate, in_likely_field
+from multipos.finding import serious
+from multipos.fitting.calibrate_logs import calibrate, in_likely_field, in_likely_unit
 from multipos.fitting.fit_readings import fit
 from multipos.logs.opening import open_log, read_log
 from multipos.numerics.arrays import Array
@@ -39,14 +39,11 @@ from multipos.reports.summary import calibration_sentence
 from multipos.results import plain
 from multipos.sensor.calibration import Calibration, force_residuals
 from multipos.sensor.calibration_file import load
-from multipos.units import STANDARD_GRAVITY
 
 TARGETS: tuple[TargetName, ...] = ("px4", "ardupilot")
 _SUFFIX = {"c": ".c", "px4": "_px4.params", "ardupilot": "_ardupilot.parm", "md": ".md"}
 _MOST_READINGS = 200  # rows: more are a log
 _NEXT = 3  # best positions shown
-_ONE_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1000.0}
-_NEAR = 0.15  # how far one g may read from one
 _ALONG = 0.8  # of a reading, the share along its axis: up to 37 degrees from a face
 _MOST_BYTES = 300_000_000  # of a file unpacked: what fits into a browser with its copies
 _OUT = Path("multipos-downloads")
@@ -104,14 +101,7 @@ class Visit:
             "sentence": calibration_sentence(calibration),
             "findings": [finding.to_dict() for finding in calibration.findings],
             "parameters": [
-                {
-                    "name": p.name,
-                    "value": p.value,
-                    "u": p.u,
-                    "U": p.U,
-                    "unit": p.unit,
-                    "label": p.label,
-                }
+                {key: getattr(p, key) for key in ("name", "value", "u", "U", "unit", "label")}
                 for p in calibration.entries
             ],
             "positions": _positions(calibration),
@@ -262,14 +252,9 @@ def _with_unit(readings: Readings) -> Readings:
         return readings
     if _is_magnetic(readings):
         return in_likely_field(readings)
-    size = float(np.median(np.linalg.norm(readings.values, axis=1)))
+    likely = in_likely_unit(readings)
     whole = bool((readings.values == np.round(readings.values)).all())
-    for unit, one in _ONE_G.items():
-        if abs(size / one - 1.0) < _NEAR and not (whole and one != 1.0):
-            text = f"the unit is taken as {unit}, as gravity reads {size:.3g}"
-            findings = (*readings.findings, Finding("likely-unit", "note", text))
-            return replace(readings, unit=unit, findings=findings)
-    return replace(readings, unit="count") if whole else readings
+    return replace(readings, unit="count") if whole and likely.unit != "g" else likely
 
 
 def _is_magnetic(readings: Readings) -> bool:

@@ -94,6 +94,8 @@ def error_picture(calibration: Calibration) -> str:
         largest = float(np.nanmax(size, initial=0.0))
         scale = _LONGEST / largest if largest > 0.0 else 0.0
         picture.write(0.5 * _WIDTH, i * _ROW + 12, f"{when}: largest {c.field.shown(largest)}")
+        length = np.array([_LONGEST * _RADIUS * across.any(), 0.0])  # how long that is drawn
+        _draw_arrow(picture, 0.5 * _WIDTH + 84.0, i * _ROW + 8.0, length, colour)
         shown = _largest(size)[np.isfinite(size[_largest(size)])]
         for side in (1.0, -1.0):
             centre = np.array([0.5 * _WIDTH - 82.0 * side, i * _ROW + 104.0])

@@ -74,11 +74,9 @@ def corrected_rows(
     """Return a column before and after its correction, against a variable or that of segments."""
     target = column or regression.response
     columns = read_predictors(regression, table, read_runs(regression, table))
-    name, x = (
-        range_column(regression, table, columns)
-        if variable is None
-        else (variable, table.number(variable))
-    )
+    name, x = range_column(regression, table, columns)
+    if variable is not None:
+        name, x = variable, table.number(variable)
     after = np.asarray(correct(regression, table, column=target)["corrected"])
     return _Corrected(target, table.number(target), after, name, x)
 

@@ -24,7 +24,6 @@ from multipos.plots.style import (
 from multipos.verification.comparison import Comparison
 from multipos.verification.recalibration import DAY, YEAR, dates_of, expanded_apart
 from multipos.verification.regression_repeats import RegressionComparison
-from multipos.verification.repeat_drift import since_1970
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +95,7 @@ def runs_figure(comparison: Comparison) -> "Figure":
 def draw_chart(comparison: Comparison, index: int, axes: "Axes") -> None:
     """Draw one parameter over the dates of its calibrations, with trend and limits."""
     found, change = comparison.calibrations, comparison.changes[index]
-    at = dates_of(found, since_1970(found))
+    at = dates_of(found)
     values = comparison.values[:, index]
     dated = np.ptp(at) >= DAY
     x = 1970.0 + at / YEAR if dated else np.arange(1.0, len(found) + 1.0)

@@ -66,17 +66,13 @@ class Data:
 
 @frozen(eq=True)
 class Observations:
-    """What was read: the data, the time column, rates formed with their windows, rows dropped.
-
-    `order` says by what the rows were put in order, which matters where they are correlated.
-    """
+    """What was read: the data, the time column, rates formed with their windows, rows dropped."""
 
     data: Data
     time: str | None
     rates: dict[str, float]
     dropped: int
     findings: Findings
-    order: Findings
 
 
 RUN = "run"  # the column that tells joined files apart
@@ -175,19 +171,22 @@ def read_observations(
     MultiposError
         A column is missing, a cell is empty, no number or too large or small a one.
     """
-    said: Findings = ()
-    if time is None:
-        time, said = _usual_time(table, (response, *wanted))
+    time = time or _usual_time(table, (response, *wanted))
     formed = _rates_to_form(table, wanted)
     plain = [name for name in wanted if name not in formed]
-    needed = list(dict.fromkeys([response, *plain, *formed.values(), *_named(time)]))
-    _require_columns(table, [*needed, *_named(run)])
+    needed = list(dict.fromkeys(filter(None, [response, *plain, *formed.values(), time])))
+    _require_columns(table, [*needed, *filter(None, [run])])
     if formed and time is None:
         raise MultiposError(
             f"{table.source}: no column '{next(iter(formed))}', and no time column of numbers "
             "to form it from; name one with --time."
         )
-    columns, kept, found = _read_complete(table, needed, largest, drop_missing)
+    columns = {
+        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in needed
+    }
+    kept, found = _complete(table, columns, drop_missing)
+    if len(kept) < table.rows:
+        columns = {name: column[kept] for name, column in columns.items()}
     runs = None if run is None else _labelled(table, run, kept)
     rates: dict[str, float] = {}
     if time is not None:
@@ -196,30 +195,22 @@ def read_observations(
     clock = np.arange(float(len(kept))) if time is None else columns[time]
     order = time_order(clock, runs)
     data = Data(columns, columns[response], order, runs)
-    return Observations(data, time, rates, table.rows - len(kept), found, said)
+    return Observations(data, time, rates, table.rows - len(kept), found)
 
 
-def _usual_time(table: Table, used: Sequence[str]) -> tuple[str | None, Findings]:
-    """Return the time column by its name, and what there is to say of it.
+def _usual_time(table: Table, used: Sequence[str]) -> str | None:
+    """Return the time column by its name; None where rows are consecutive.
 
     `time` is one where it holds numbers; another name must be no variable, and never fall.
     """
     for name in sorted(table.columns, key=lambda name: name != "time"):
         if name in used or not _TIME.fullmatch(name.casefold()) or table.is_text(name):
             continue
-        if name == "time":
-            return name, ()
         values = table.number(name, empty=True)
         values = values[np.isfinite(values)]
-        if not (values[1:] < values[:-1]).any():
-            return name, (Finding("time-column", "note", f"column '{name}' is the time"),)
-    text = "no time column: rows are taken as consecutive in the order of the table"
-    return None, (Finding("no-time-column", "note", text),)
-
-
-def _named(column: str | None) -> tuple[str, ...]:
-    """Return the column that an option names, if it names one."""
-    return () if column is None else (column,)
+        if name == "time" or not (values[1:] < values[:-1]).any():
+            return name
+    return None
 
 
 def _rates_to_form(table: Table, wanted: Sequence[str]) -> dict[str, str]:
@@ -235,19 +226,6 @@ def _require_columns(table: Table, names: Sequence[str]) -> None:
         raise MultiposError(
             f"{table.source}: no column '{missing[0]}'; the columns are {', '.join(table.columns)}."
         )
-
-
-def _read_complete(
-    table: Table, names: Sequence[str], largest: Mapping[str, float], drop: bool
-) -> tuple[dict[str, Array], Rows, Findings]:
-    """Return columns as numbers in the rows without an empty cell, these rows, and findings."""
-    columns = {
-        name: table.number(name, empty=True, largest=largest.get(name, LARGEST)) for name in names
-    }
-    kept, found = _complete(table, columns, drop)
-    if len(kept) < table.rows:
-        columns = {name: column[kept] for name, column in columns.items()}
-    return columns, kept, found
 
 
 def _refuse_lost(source: str, columns: Mapping[str, Array], largest: Mapping[str, float]) -> None:

@@ -55,7 +55,6 @@ TERM = As(
     lambda factors: Term(tuple(map(factor_from_list, factors))),
     lambda term: list(map(factor_to_list, term.factors)),
 )
-_ROWS = 4096  # that are taken at a time: their columns stay in the cache
 
 
 @frozen
@@ -86,20 +85,6 @@ class Region(Result):
 
     def leverage(self, columns: Mapping[str, Array], n: int) -> Array:
         """Return h (n,) of eq. (1) at the rows of columns."""
-        h = np.zeros(n)
-        for start in range(0, n, _ROWS):
-            rows = slice(start, min(start + _ROWS, n))
-            some = {name: column[rows] for name, column in columns.items()}
-            h[rows] = self._leverage(some, rows.stop - start)
-        return h
-
-    def rounding(self, columns: Mapping[str, Array], n: int, unit: float) -> Array:
-        """Return by how much h (n,) is uncertain where every term is by a share `unit`."""
-        values = np.stack([np.broadcast_to(t.evaluate(columns), n) for t in self.terms])
-        sums, sizes = np.abs(self.factor @ values), np.abs(self.factor) @ np.abs(values)
-        return np.asarray(2.0 * unit * (sums * sizes).sum(axis=0))
-
-    def _leverage(self, columns: Mapping[str, Array], n: int) -> Array:
         values = [np.broadcast_to(term.evaluate(columns), n) for term in self.terms]
         h = np.zeros(n)
         for row in self.factor.tolist():
@@ -109,6 +94,12 @@ class Region(Result):
                 part = part + g * value
             h = h + part * part
         return h
+
+    def rounding(self, columns: Mapping[str, Array], n: int, unit: float) -> Array:
+        """Return by how much h (n,) is uncertain where every term is by a share `unit`."""
+        values = np.stack([np.broadcast_to(t.evaluate(columns), n) for t in self.terms])
+        sums, sizes = np.abs(self.factor @ values), np.abs(self.factor) @ np.abs(values)
+        return np.asarray(2.0 * unit * (sums * sizes).sum(axis=0))
 
 
 def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None = None) -> Array:

@@ -1,10 +1,9 @@
 """What a reader should know before relying on a regression, as findings.
 
-`find_order` says by what rows are neighbours, `find_in_choice` what the choice of terms and each
-segment leave open, `find_in_segments` where nothing tests a segment and where its rows are
-correlated, `find_collinear` variables that nearly follow from others, `find_jumps` where the model
-jumps, `find_imbalance` where nothing was measured in thermal balance, `find_switch_on` that one
-switch-on says nothing of the next.
+`find_in_choice` says what the choice of terms and each segment leave open, `find_in_segments`
+where nothing tests a segment and where its rows are correlated, `find_collinear` which variables
+nearly follow from others, `find_jumps` where the model jumps, `find_imbalance` where nothing was
+measured in thermal balance, `find_switch_on` that one switch-on says nothing of the next.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ from multipos.files.numbers import p_in_words
 from multipos.finding import Finding, Findings
 from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.regression.junctions import Junction
-from multipos.regression.observations import Data, Observations
+from multipos.regression.observations import Data
 from multipos.regression.piecewise import Plan
 from multipos.regression.regression import Balance, Regression
 from multipos.regression.runs import within_runs
@@ -25,11 +24,6 @@ from multipos.regression.variation import variance_inflation
 _MOST_NAMED = 3  # variables
 _INFLATED = 10.0  # variance of a coefficient, over what its column alone would give
 _ENDS = 0.1  # share of the points in balance that may be outside, at the ends of the range
-
-
-def find_order(read: Observations, result: Regression) -> Findings:
-    """Say by what rows are neighbours, where that was of any consequence."""
-    return read.order if any(s.robust is not None for s in result.segments) else ()
 
 
 def find_in_choice(plan: Plan, segments: Sequence[Segment]) -> list[Finding]:

@@ -11,7 +11,7 @@ from dataclasses import field
 from typing import Any
 
 from multipos.files.spelling import StrPath
-from multipos.finding import Findings, errors_of, in_order, serious
+from multipos.finding import errors_of, in_order, serious
 from multipos.reports import check_text, evidence, summary
 from multipos.reports.fit_tests import checks_section
 from multipos.reports.laboratory import equipment_section, lab_fields, read_lab, signature_section
@@ -92,6 +92,7 @@ def build_content(
     budget = evaluate_budget(c)
     equipment = equipment_section(said)
     findings = in_order((*c.findings, *(() if check is None else check.findings)))
+    notes = tuple(found.text for found in findings if found.level == "note")  # which are in U
     forces = math.isfinite(c.rms)  # else an output does not respond, as a finding says
     return Content(
         title="Calibration report",
@@ -102,24 +103,27 @@ def build_content(
         fields=lab_fields(said),
         result=worded_section(result_section(c, budget, forces=forces), c.field),
         sections=with_annex(
-            worded_section(each, c.field)
-            for each in (
-                parameters_section(c),
-                budget_section(c, budget),
-                *((sphere_section(c),) if forces else ()),
-                *(() if check is None else (evidence.check_section(c, check),)),
-                evidence.residuals_section(c),
-                *evidence.temperature_sections(c),
-                evidence.positions_section(c),
-                *((evidence.rolls_section(c),) if has_rolls(c) else ()),
-                evidence.correlation_section(c),
-                checks_section(c, simulated),
-                method_section(summary.method_rows(c)),
-                *((equipment,) if equipment is not None else ()),
-                *_validity(findings),
-                _statements(c, check),
-                *((signature_section(said),) if said else ()),
-            )
+            (
+                worded_section(each, c.field)
+                for each in (
+                    parameters_section(c),
+                    budget_section(c, budget),
+                    *((sphere_section(c),) if forces else ()),
+                    *(() if check is None else (evidence.check_section(c, check),)),
+                    evidence.residuals_section(c),
+                    *evidence.temperature_sections(c),
+                    evidence.positions_section(c),
+                    *((evidence.rolls_section(c),) if has_rolls(c) else ()),
+                    evidence.correlation_section(c),
+                    checks_section(c, simulated),
+                    method_section(summary.method_rows(c)),
+                    *((equipment,) if equipment is not None else ()),
+                    *((Section("Validity", notes),) if notes else ()),
+                    _statements(c, check),
+                    *((signature_section(said),) if said else ()),
+                )
+            ),
+            (evidence.covariance_table(c),),
         ),
         lab=said,
     )
@@ -129,12 +133,6 @@ def _answer(c: Calibration, check: Check | None) -> str:
     """Return the answer: of an independent run first, which has a verdict against its limit."""
     said = summary.calibration_sentence(c)
     return said if check is None else f"{c.field.worded(check_text.check_sentence(check))} {said}"
-
-
-def _validity(findings: Findings) -> tuple[Section, ...]:
-    """Return the notes: what holds of the method, the positions and the data, and is in U."""
-    notes = tuple(found.text for found in findings if found.level == "note")
-    return (Section("Validity", notes),) if notes else ()
 
 
 def _statements(c: Calibration, check: Check | None) -> Section:

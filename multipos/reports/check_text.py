@@ -14,7 +14,7 @@ import numpy as np
 from multipos.files import numbers
 from multipos.numerics.arrays import Array
 from multipos.reports.sections import LONG_TABLE, PageTable, shortened
-from multipos.verification.agreement import agreement_in_words
+from multipos.verification.consistency import worded_test
 from multipos.verification.verdicts import VERDICTS, Check, worst
 
 
@@ -170,9 +170,8 @@ def run_conclusions(found: Check) -> list[str]:
     if whole is not None and np.isfinite(whole.statistic):
         agrees = "consistent" if whole.p >= 1.0 - found.confidence else "NOT consistent"
         largest = found.summary()["after"]["largest_En"]
-        said.append(
-            f"{agrees} with the calibration: {agreement_in_words(whole)}; largest En {largest:.2f}"
-        )
+        test = worded_test(whole.test, whole.statistic, whole.dof, whole.p)
+        said.append(f"{agrees} with the calibration: {test}; largest En {largest:.2f}")
     return said
 
 

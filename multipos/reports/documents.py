@@ -88,7 +88,9 @@ def _assembled(
     write: Callable[[Section], list[str]],
 ) -> str:
     """Return a report: its head, findings, first section, administrative data, and the others."""
-    findings, administrative = ([listed(*each)] if each[1] else [] for each in _front(content))
+    fields = [f"{label}: {text}" for label, text in content.fields]
+    front = (("Findings", [*map(readable, content.findings)]), ("Administrative data", fields))
+    findings, administrative = ([listed(*each)] if each[1] else [] for each in front)
     first = [] if content.result is None else write(content.result)
     rest = [part for section in content.sections for part in write(section)]
     return "\n\n".join([*head, *findings, *first, *administrative, *rest]) + "\n"
@@ -215,13 +217,6 @@ def _plain_section(section: Section) -> list[str]:
         shown = numbers.table(list(map(readable, grid.header)), rows, left=grid.left)
         parts.append(f"{visible(readable(grid.caption))}\n{shown}")
     return parts
-
-
-def _front(content: Content) -> list[tuple[str, list[str]]]:
-    """Return findings and administrative data as lines."""
-    fields = [f"{label}: {text}" for label, text in content.fields]
-    found = list(map(readable, content.findings))
-    return [("Findings", found), ("Administrative data", fields)]
 
 
 def _bullets(entries: Sequence[str], show: Callable[[str], str], line_end: str) -> str:

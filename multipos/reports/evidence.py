@@ -1,10 +1,10 @@
 """The sections of a report on what was seen: readings, residuals, rolls, temperature, another run.
 
 `residuals_section` has residuals and errors of every position (`residual_tables`),
-`positions_section` where the
-positions were and the readings there (`readings_table`), `correlation_section` how parameters
-hang together. `rolls_section` is of a sensor that was turned about level axes,
-`temperature_sections` of parameters that change with it, and `check_section` of an independent run.
+`positions_section` where the positions were and the readings there (`readings_table`),
+`correlation_section` and `covariance_table` how parameters hang together. `rolls_section` is of a
+sensor that was turned about level axes, `temperature_sections` of parameters that change with it,
+and `check_section` of an independent run.
 """
 
 import math
@@ -38,7 +38,10 @@ _WIDE = 16  # parameters beyond which the correlation matrix is only a figure
 
 def residuals_section(c: Calibration) -> Section:
     """Return the residuals of every position, and what is left of its error after compensation."""
-    said = [_kind_of_residual(c), *([_kind_of_error(c)] if math.isfinite(c.rms) else [])]
+    said = ["Residual = reading − model. The bars are ±2 standard deviations of each residual."]
+    if not c.by_own_axes:
+        said[0] += f" {c.estimator.residual_note}".rstrip()
+    said += [_kind_of_error(c)] if math.isfinite(c.rms) else []
     figure = Figure(
         "Residuals at every position",
         "The numbers are in the table below.",
@@ -79,12 +82,6 @@ def residual_tables(c: Calibration) -> tuple[PageTable, ...]:
         foot=2,
     )
     return (table, *_linearity(c))
-
-
-def _kind_of_residual(c: Calibration) -> str:
-    """Return what a residual is."""
-    said = "Residual = reading − model. The bars are ±2 standard deviations of each residual."
-    return said if c.by_own_axes else f"{said} {c.estimator.residual_note}".rstrip()
 
 
 def _kind_of_error(c: Calibration) -> str:
@@ -188,12 +185,29 @@ def correlation_section(c: Calibration) -> Section:
         "Correlation",
         (
             (
-                "Correlation of the parameters; the whole covariance is in the calibration file. "
-                "What is computed from several parameters needs it."
+                "Correlation of the parameters; the covariance is in the annex. What is computed "
+                "from several parameters needs it."
             ),
         ),
         tables=(PageTable(caption, header, tuple(rows), left),),
     )
+
+
+def covariance_table(c: Calibration) -> PageTable:
+    """Return the covariance of the parameters: all of it, or of many by pairs."""
+    named = [f"{p.name} [{numbers.pretty_unit(p.unit)}]" for p in c.entries]
+    scales = np.outer(c.u, c.u).tolist()
+    cells = [
+        [numbers.number(numbers.beyond_rounding(*each), 3) for each in zip(row, of, strict=True)]
+        for row, of in zip(c.covariance.tolist(), scales, strict=True)
+    ]
+    header: tuple[str, ...] = ("", *c.names)
+    rows, left = [(name, *row) for name, row in zip(named, cells, strict=True)], 1
+    if len(named) > _WIDE:
+        header, left = ("Parameter", "Parameter", "covariance"), 2
+        pairs = np.transpose(np.triu_indices(len(named))).tolist()
+        rows = [(named[i], named[j], cells[i][j]) for i, j in pairs]
+    return PageTable("Covariance, in products of units", header, tuple(rows), left)
 
 
 def rolls_section(c: Calibration) -> Section:

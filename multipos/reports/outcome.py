@@ -55,24 +55,21 @@ def result_section(c: Calibration, budget: Evaluation, *, forces: bool) -> Secti
         Whether readings give forces, so that there are errors to speak of.
     """
     rows = quantity_rows(derived_quantities(c, budget) or _of_few_axes(c))
-    caption = f"Sensitivity, offset and axes, U with {100.0 * c.confidence:g} %"
-    return Section(
-        "Result",
-        (_validity(c),),
-        (_picture(c),) if forces else (),
-        (PageTable(caption, QUANTITY_HEADER, tuple(rows)),) if rows else (),
-    )
-
-
-def _picture(c: Calibration) -> Figure:
-    return Figure(
+    picture = Figure(
         f"Errors at all positions{', before and' if has_nominal(c) else ''} after compensation",
         (
             "The two halves of the sphere of up vectors. Arrows are errors perpendicular to, rings "
             "errors along the up vector, filled where they point out; each picture has a scale of "
-            "its own."
+            "its own, as the arrow at its largest error shows."
         ),
         partial(error_picture, c),
+    )
+    caption = f"Sensitivity, offset and axes, U with {100.0 * c.confidence:g} %"
+    return Section(
+        "Result",
+        (_validity(c),),
+        (picture,) if forces else (),
+        (PageTable(caption, QUANTITY_HEADER, tuple(rows)),) if rows else (),
     )
 
 
@@ -150,7 +147,9 @@ def budget_section(c: Calibration, budget: Evaluation) -> Section:
             "added again."
         )
     ]
-    absent = _absent_quantities(c, budget)
+    held = c.estimator.contains | c.estimator.unaffected_by
+    known = {row.quantity for row in budget.rows}.union(c.budget_tables, held)
+    absent = [kind.text for name, kind in KINDS.items() if name not in known]
     if absent:
         paragraphs.append(f"Not in the budget: {', '.join(absent)}.")
     return Section(
@@ -158,14 +157,6 @@ def budget_section(c: Calibration, budget: Evaluation) -> Section:
         tuple(paragraphs),
         tables=(_quantity_table(c, budget), _contribution_table(c, budget)),
     )
-
-
-def _absent_quantities(c: Calibration, budget: Evaluation) -> list[str]:
-    """Return what a budget could state and this one does not, in plain words."""
-    estimator = c.estimator
-    held = estimator.contains | estimator.unaffected_by
-    known = {row.quantity for row in budget.rows}.union(c.budget_tables, held)
-    return [kind.text for name, kind in KINDS.items() if name not in known]
 
 
 def _quantity_table(c: Calibration, budget: Evaluation) -> PageTable:
@@ -259,7 +250,9 @@ def sphere_section(c: Calibration) -> Section:
             "in U between them."
         )
         paragraphs[1:] = [paragraphs[1], without] if allowed else [without]
-        paragraphs += _seen_terms(c)
+        listed = [f"{name} ({c.field.shown(size)})" for name, size in shown_sizes(c).items()]
+        terms = f"Of higher order these positions do show {', '.join(listed)}, with what noise "
+        paragraphs += [f"{terms}leaves open."] if listed else []
     if c.model.inputs == COMPONENTS and not c.readings.forced.any():
         paragraphs.append(
             "No static positions can separate the sum of the squares of x, y and z from a "
@@ -274,15 +267,6 @@ def sphere_section(c: Calibration) -> Section:
         tuple(paragraphs),
         tables=(PageTable("Worst case and rms over the sphere", header, tuple(rows), left=2),),
     )
-
-
-def _seen_terms(c: Calibration) -> list[str]:
-    """Return the sizes of terms that the positions show, beside which hidden ones are judged."""
-    listed = [f"{name} ({c.field.shown(size)})" for name, size in shown_sizes(c).items()]
-    if not listed:
-        return []
-    terms = ", ".join(listed)
-    return [f"Of higher order these positions do show {terms}, with what noise leaves open."]
 
 
 def _sphere_rows(c: Calibration, sizes: Sequence[float], seen: float) -> list[tuple[str, ...]]:

@@ -56,6 +56,7 @@ def outline(r: Regression) -> _Named:
     said = [
         ("response", f"{r.response}, {counted}"),
         ("terms", f"{len(r.candidates)} candidates, {method}"),
+        ("time", r.time or "none: rows are taken as consecutive"),
         *(("rate", f"{name}: window {w:.6g}{past}") for name, w in r.rates.items()),
     ]
     if r.edges:

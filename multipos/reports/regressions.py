@@ -47,7 +47,6 @@ from multipos.reports.sections import (
 _DRAWN = 1000  # rows of a figure, about: a page of 4000 would have 1.8 MB
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 Rows = Places
-Titled = Callable[[str], str]  # the title of a section, of a response
 
 
 def regression_content(
@@ -80,9 +79,9 @@ def regression_content(
     sections: list[Section] = []
     results = []
     for r in several:
-        of = partial(_titled, r.response if len(several) > 1 else None)
+        of = f" of {r.response}" if len(several) > 1 else ""
         result, rest = _first(r, [_figures(r, table, of), _tests(r, of), _terms(r, of)])
-        results.append(replace(result, title=of("Result")))
+        results.append(replace(result, title=f"Result{of}"))
         sections += [*results[1:][-1:], _knowledge(r, of), *rest, *_paths(r, of)]
     return Content(
         title="Regression report",
@@ -111,13 +110,6 @@ def _first(r: Regression, sections: list[Section]) -> tuple[Section, list[Sectio
     return first, [each for each in rest if each.paragraphs or each.figures or each.tables]
 
 
-def _titled(response: str | None, title: str) -> str:
-    """Return the title of a section, of one response where there are several."""
-    if response is None:
-        return title
-    return f"{title} of {response}"
-
-
 def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) -> Table | None:
     """Return the table of the fit, known by its checksum; None where it is not to be found."""
     if data is None:
@@ -133,13 +125,12 @@ def _rows_of_fit(r: Regression, data: StrPath | None, beside: StrPath | None) ->
     return found
 
 
-def _knowledge(r: Regression, of: Titled) -> Section:
+def _knowledge(r: Regression, of: str) -> Section:
     """Say what a user must know before relying on it."""
-    first = (
-        f"The response {r.response} was described over {r.n} rows in {len(r.segments)} segments; "
-        "valid only within the ranges in the tables."
-    )
-    sentences = [first]
+    sentences = [
+        f"The response {r.response} was described over {r.n} rows in {len(r.segments)} segments.",
+        "It is valid only within the ranges in the tables.",
+    ]
     between = next((s.between for s in r.segments if s.between is not None), None)
     if between is not None:
         sentences.append(
@@ -148,30 +139,28 @@ def _knowledge(r: Regression, of: Titled) -> Section:
         )
     worth = [f"{s.robust.n_effective:.3g} of {s.n}" for s in r.segments if s.robust is not None]
     if worth:
-        rows = ", ".join(worth)
-        sentences.append(
-            f"Noise of rows is correlated in time; independent rows: {rows}, by segment."
-        )
+        said = "Noise of rows is correlated in time; independent rows"
+        sentences.append(f"{said}: {', '.join(worth)}, by segment.")
     if r.rates and not r.causal:
         sentences.append("Rates need rows that come later: for a device fit it with --causal.")
-    return Section(of("Notes"), paragraphs=tuple(sentences))
+    return Section(f"Notes{of}", paragraphs=tuple(sentences))
 
 
-def _tests(r: Regression, of: Titled) -> Section:
+def _tests(r: Regression, of: str) -> Section:
     said = tuple(f"{name.capitalize()} {text}." for name, text in jumps_and_balance(r))
-    return Section(of("Tests"), paragraphs=said, tables=(tests_table(r),))
+    return Section(f"Tests{of}", paragraphs=said, tables=(tests_table(r),))
 
 
-def _terms(r: Regression, of: Titled) -> Section:
+def _terms(r: Regression, of: str) -> Section:
     tables = []
     for i, s in enumerate(r.segments):
         tables.append(terms_table(s, span_of(r, i)))
         limits = tuple((v, number(low, 6), number(high, 6)) for v, (low, high) in s.limits.items())
         tables.append(PageTable("fitted over", ("variable", "from", "to"), limits))
-    return Section(of("Terms"), tables=tuple(tables))
+    return Section(f"Terms{of}", tables=tuple(tables))
 
 
-def _paths(r: Regression, of: Titled) -> list[Section]:
+def _paths(r: Regression, of: str) -> list[Section]:
     """Return how the terms were chosen, drawn and in numbers."""
     figures, tables = [], []
     for i, s in enumerate(r.segments):
@@ -182,14 +171,14 @@ def _paths(r: Regression, of: Titled) -> list[Section]:
         said = "F of every step; a diamond is the runner-up."
         figures.append(Figure(f"Path of terms, {span}", said, draw))
         tables.append(path_table(s, f"Steps, {span}"))
-    return [Section(of("Path"), figures=tuple(figures), tables=tuple(tables))] if tables else []
+    return [Section(f"Path{of}", figures=tuple(figures), tables=tuple(tables))] if tables else []
 
 
-def _figures(r: Regression, table: Table | None, of: Titled) -> Section:
+def _figures(r: Regression, table: Table | None, of: str) -> Section:
     """Return before and after against the variable of the segments and against time."""
     if table is None:
         sentences = f"The rows of the fit ({r.source}) are not here; --data draws before and after."
-        return Section(of("Before and after"), paragraphs=(sentences,))
+        return Section(f"Before and after{of}", paragraphs=(sentences,))
     complete = complete_rows(r, table)
     _, before, after, variable, x = corrected_rows(r, complete)
     against: list[tuple[str, Array, Sequence[float]]] = [(variable, x, r.edges)]
@@ -218,7 +207,7 @@ def _figures(r: Regression, table: Table | None, of: Titled) -> Section:
         f"Largest |{r.response}| {most:.4g} before and {left:.4g} after, rms {rms:.4g} and "
         f"{rms_left:.4g}, on the rows of the fit; an independent run is what proves it (check)."
     )
-    return Section(of("Before and after"), paragraphs=(sentences,), figures=figures)
+    return Section(f"Before and after{of}", paragraphs=(sentences,), figures=figures)
 
 
 def _rows_to_draw(after: Array) -> Rows:

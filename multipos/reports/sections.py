@@ -122,10 +122,16 @@ def shortened(grid: PageTable, where: str) -> PageTable:
     return replace(grid, caption=caption, rows=tuple(grid.rows[row] for row in kept))
 
 
-def with_annex(sections: Iterable[Section]) -> tuple[Section, ...]:
-    """Return the sections with the largest rows of long tables, which an annex has in full."""
+def with_annex(
+    sections: Iterable[Section], more: tuple[PageTable, ...] = ()
+) -> tuple[Section, ...]:
+    """Return the sections with the largest rows of long tables, which an annex has in full.
+
+    Before these it has tables of its own.
+    """
     given = tuple(sections)
     short = {id(t): shortened(t, "all in the annex") for part in given for t in part.tables}
-    whole = tuple(t for part in given for t in part.tables if short[id(t)] is not t)
+    long = tuple(t for part in given for t in part.tables if short[id(t)] is not t)
+    whole = (*more, *long)
     body = tuple(replace(part, tables=tuple(short[id(t)] for t in part.tables)) for part in given)
     return (*body, Section("Annex", tables=whole)) if whole else body

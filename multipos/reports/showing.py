@@ -46,7 +46,7 @@ from multipos.reports.regression_text import regression_sentence, regression_tex
 from multipos.reports.summary import calibration_sentence
 from multipos.reports.tumble_text import tumble_sentence, tumble_text
 from multipos.reports.turntable_text import table_errors_text
-from multipos.results import Columns, Result, plain
+from multipos.results import Columns, Result
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.temperature import Curve
 from multipos.uncertainty.propagation import Evaluation
@@ -80,9 +80,7 @@ _SENTENCES: dict[type | UnionType, Callable[[Any], str]] = {
     Averages: averages_sentence,
     Calibration: calibration_sentence,
     Check: check_sentence,
-    Comparison | RegressionComparison: lambda found: comparison_text.comparison_sentence(
-        plain(found.to_dict())
-    ),
+    Comparison | RegressionComparison: comparison_text.comparison_sentence,
     Design: design_sentence,
     Fleet: lambda found: fleet_sentence(found.summary),
     Regression | Regressions: regression_sentence,

@@ -86,24 +86,22 @@ class Estimator(StrEnum):
     @property
     def residual_note(self) -> str:
         """What a residual shows, where orientations were estimated with the parameters."""
-        return _RESIDUAL_NOTES.get(self, "")
+        if self.exact:
+            return ""
+        if self is Estimator.UNCERTAIN:
+            return (
+                "The orientations were estimated with the parameters, so a residual shows only "
+                "what no turn of its position explains."
+            )
+        return (
+            "No orientation is known, so a position has one number: by how much the size of its "
+            "compensated force is off. It is what the figure shows."
+        )
 
     @property
     def output_tests(self) -> tuple[str, ...]:
         """Which tests of outputs fitted alone apply to it."""
         return ("terms", "influence", "harmonics") if self.exact else ()
-
-
-_RESIDUAL_NOTES = {
-    Estimator.UNCERTAIN: (
-        "The orientations were estimated with the parameters, so a residual shows only what no "
-        "turn of its position explains."
-    ),
-    Estimator.UNKNOWN: (
-        "No orientation is known, so a position has one number: by how much the size of its "
-        "compensated force is off. It is what the figure shows."
-    ),
-}
 
 
 def _norms(vectors: Array) -> Array:

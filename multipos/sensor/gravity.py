@@ -30,12 +30,14 @@ JCGM 100:2008, clause 5.1 and G.4.1.
 import math
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from multipos.errors import UsageError
 from multipos.files.numbers import in_unit
+from multipos.files.spelling import packaged_pairs
 from multipos.numerics.arrays import LARGEST, Array
 from multipos.positions.headers import field_of_outputs
 from multipos.results import frozen
@@ -231,7 +233,7 @@ class MagneticField(Field):
         """
         text = text.replace("−1 g to +1 g", "the field's range")
         text = _SIZE.sub(lambda m: f"{_PERCENT[m[2]] * float(m[1]):.3g} % of the field", text)
-        for pattern, new in _TABLE:
+        for pattern, new in _words():
             text = pattern.sub(new, text)
         return text
 
@@ -287,39 +289,13 @@ _PER_G = {"mg": 1e3, "µg": 1e6}
 
 # What is said of force in the sentences of all sensors, and what that is of a magnetic field; the
 # option --force, names in braces and what stands in quotes stay.
-_WORDS = (
-    (r"output of ([\w.{}]+) at zero specific force", r"hard iron of \1"),
-    (r"of bias", "of hard iron"),
-    (r"specific force", "field"),
-    (r"at rest in one gravity", "in one field"),
-    (r"in addition to gravity", "of another size"),
-    (r"(?:local )?gravity reads", "the field reads"),
-    (r"respond to gravity", "respond to the field"),
-    (r"in gravity", "in the magnetic field"),
-    (r"Gravity", "Field"),
-    (r"the reference in g", "the reference"),
-    (r"readings in g", "readings in its unit"),
-    (r"local gravity|(?<!--)(?<!\{)gravity", "the field"),
-    (r"forces", "fields"),
-    (r"Forces", "Fields"),
-    (r"force and(?: of)? tilt", "field"),
-    (r"(?<!--)(?<!\{)force", "field"),
-    (r"Force", "Field"),
-    (r"Accelerometer", "Magnetometer"),
-    (r"accelerometer", "magnetometer"),
-    (r"accelerations?", "field"),
-    (r"one g", "the field"),
-    (r"Offset of", "Hard iron of"),
-    (r"Which way was up", "Where the field pointed"),
-    (r"which way was up", "where the field pointed"),
-    (r"up vectors?", "field direction"),
-    (r"Up vector", "Field direction"),
-    (r"up in case axes", "field in case axes"),
-    (r"hand-held position", "reading in all directions"),
-    (r"upside down", "reversed"),
-)
+@cache
+def _words() -> tuple[tuple[re.Pattern[str], str], ...]:
+    words = packaged_pairs(__file__, "magnetic_words.csv")
+    return tuple((re.compile(rf"(?<![\w-]){old}(?!\w|\.\w)"), new) for old, new in words.items())
+
+
 _PERCENT = {"g": 100.0, "mg": 0.1, "µg": 1e-4}  # of a relative field
-_TABLE = tuple((re.compile(rf"(?<![\w-]){old}(?!\w|\.\w)"), new) for old, new in _WORDS)
 _SIZE = re.compile(r"(?<![\w.])([-+]?[\d.]+(?:e[-+]?\d+)?) (mg|µg|g)(?![\w/^])")
 
 

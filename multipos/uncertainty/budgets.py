@@ -84,21 +84,6 @@ def resolve(where: str, table: Any, beside: str) -> dict[str, Any]:
         if len(table) > 1:
             raise MultiposError(f"{where}: 'file' states everything; leave out the others.")
         return _from_file(where, table["file"], beside)
-    _check_numbers(where, table)
-    return {"dof": math.inf, **table}
-
-
-def _check_numbers(where: str, table: Mapping[str, Any]) -> None:
-    _check_keys(where, table)
-    for name, value in table.items():
-        least, most = (1.0, math.inf) if name == "dof" else (0.0, LARGEST)
-        if not is_number(value) or not least <= value <= most:
-            raise MultiposError(
-                f"{where}: '{name}' must be a number of at least {least:g}, got {value!r}."
-            )
-
-
-def _check_keys(where: str, table: Mapping[str, Any]) -> None:
     sizes = [key for key in table if key.startswith(_SIZE) and key != _SIZE]
     unknown = [key for key in table if key not in sizes and key != "dof"]
     if unknown or not sizes:
@@ -107,6 +92,13 @@ def _check_keys(where: str, table: Mapping[str, Any]) -> None:
             f"{where}: give 'file', or standard deviations by output, 'u_ax' and so on, with "
             f"'dof'; {found}."
         )
+    for name, value in table.items():
+        least, most = (1.0, math.inf) if name == "dof" else (0.0, LARGEST)
+        if not is_number(value) or not least <= value <= most:
+            raise MultiposError(
+                f"{where}: '{name}' must be a number of at least {least:g}, got {value!r}."
+            )
+    return {"dof": math.inf, **table}
 
 
 def _from_file(where: str, name: Any, beside: str) -> dict[str, Any]:
@@ -310,7 +302,8 @@ def _split(
     where: str, table: Mapping[str, Any], kind: QuantityKind, suffix: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the keys of a quantity's size, without suffix, and its settings."""
-    size = _size_keys(suffix)
+    bare = ("k", "distribution", "dof")
+    size = {key if key in bare else key + suffix: key for key in _SPREAD}
     unknown = [key for key in table if key not in size and key not in kind.settings]
     if unknown:
         raise MultiposError(
@@ -319,12 +312,6 @@ def _split(
     spread = {size[key]: value for key, value in table.items() if key in size}
     settings = {key: value for key, value in table.items() if key in kind.settings}
     return spread, settings
-
-
-def _size_keys(suffix: str) -> dict[str, str]:
-    """Return the keys that say how large a quantity is, as they are written, without suffix."""
-    bare = ("k", "distribution", "dof")
-    return {key if key in bare else key + suffix: key for key in _SPREAD}
 
 
 def _from_step(
@@ -414,14 +401,11 @@ def _settle_gravity(where: str, settings: dict[str, Any]) -> None:
 
 def _settle_index(where: str, settings: dict[str, Any]) -> None:
     harmonics = settings.setdefault("harmonics", [1, 2])
-    if not (isinstance(harmonics, list) and harmonics and all(map(_is_order, harmonics))):
+    whole = isinstance(harmonics, list) and all(type(order) is int for order in harmonics)
+    if not (whole and harmonics and min(harmonics) >= 0):
         raise MultiposError(f"{where}: 'harmonics' must be whole numbers, such as [1, 2].")
     if settings.get("axis", "x") not in ("x", "y", "z"):
         raise MultiposError(f"{where}: 'axis' must be x, y or z, got '{settings['axis']}'.")
-
-
-def _is_order(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def _number(

@@ -1,8 +1,7 @@
 """Does a run agree with the calibration? One test of all its errors, and what has moved.
 
 - `judge_run` returns the `Agreement` of a run and what has moved, as findings.
-- `no_agreement` is what is said of a run that nothing can be tested of, `agreement_in_words` the
-  test as a sentence.
+- `no_agreement` is what is said of a run that nothing can be tested of.
 - `stated_orientation_sd` is how well the positions of a run are known, `root_of` a square root of a
   covariance.
 
@@ -360,12 +359,3 @@ def _in_words(found: Agreement, moved: list[_Moved], *, whole: bool) -> str:
 def _step_in_words(moved: _Moved) -> str:
     step = f"{moved.name} by {moved.by:+.3g} {moved.unit}".removesuffix(" 1")
     return f"{step} ({plain_number(moved.over, 2)} U)" if moved.over > 0.0 else step
-
-
-def agreement_in_words(found: Agreement) -> str:
-    """Return the test with its numbers."""
-    if not np.isfinite(found.statistic):
-        return found.test
-    dof = found.dof if isinstance(found.dof, list) else [found.dof]
-    on = ", ".join(f"{value:.4g}" for value in dof)
-    return f"{found.test}: {found.statistic:.4g} on {on} degrees of freedom, {p_in_words(found.p)}"

@@ -72,7 +72,7 @@ from multipos.sensor.tilt import (
 from multipos.uncertainty.unseen_terms import unseen_covariance
 from multipos.verification.agreement import judge_run, stated_orientation_sd
 from multipos.verification.regression_checks import check_regression
-from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
+from multipos.verification.verdicts import Check, family_confidence, require_limit
 
 # Reference, error before and after compensation, u and U, (n, K) each.
 Errors = tuple[Array, ...]
@@ -454,7 +454,6 @@ def _check_run(
         U=U,
         U_family=U_family,
         limit=limit,
-        verdicts=judge_errors(after, U, limit, counted),
         counted=counted,
         linearity_percent={
             "before": line_departure(reference, before, counted, reach),

@@ -280,7 +280,7 @@ def _leaning(entry: TumbleCoefficient) -> TumbleCoefficient:
 def ratios_to_k1(
     model: Model, parameters: Array, covariance: Array, k: Array, dof: Array, axis: str
 ) -> dict[str, TumbleCoefficient]:
-    """Return the coefficients of eq. (1) from those of a model, with eq. (2).
+    """Return the coefficients of eq. (1) from those of a model, their u by eq. (2).
 
     Raises
     ------
@@ -306,25 +306,18 @@ def ratios_to_k1(
             j = model.index(output, _term(name, axis))
         except KeyError:
             continue
-        factor, nu = float(k[j]), float(dof[j])
-        if name == "K1":
-            u1 = math.sqrt(variance1)
-            ppm = abs(_MILLION * u1 / K1)
-            custom: dict[str, Any] = {"u": ppm, "U": factor * ppm, "unit": customary}
-            result[name] = TumbleCoefficient(
-                K1, u1, factor * u1, model.units[j], factor, nu, custom
-            )
-            continue
-        value = float(parameters[j]) / K1
-        shared = float(covariance[j, scale])
-        variance = float(covariance[j, j]) - 2.0 * value * shared + value**2 * variance1  # eq. (2)
-        u = math.nan if math.isnan(variance) else math.sqrt(max(variance, 0.0)) / abs(K1)
-        value *= sign
-        scaled = (("value", value), ("u", u), ("U", factor * u))
-        custom = {name: _MILLION * v for name, v in scaled}
-        result[name] = TumbleCoefficient(
-            value, u, factor * u, unit, factor, nu, {**custom, "unit": customary}
-        )
+        value, u, size, own = K1, math.sqrt(variance1), abs(_MILLION / K1), model.units[j]
+        custom: dict[str, Any] = {}
+        if name != "K1":
+            ratio = float(parameters[j]) / K1
+            shared = float(covariance[j, scale])
+            variance = float(covariance[j, j]) - 2.0 * ratio * shared + ratio**2 * variance1
+            u = math.nan if math.isnan(variance) else math.sqrt(max(variance, 0.0)) / abs(K1)
+            value, size, own = sign * ratio, _MILLION, unit
+            custom["value"] = size * value
+        U = float(k[j]) * u
+        custom |= {"u": size * u, "U": size * U, "unit": customary}
+        result[name] = TumbleCoefficient(value, u, U, own, float(k[j]), float(dof[j]), custom)
     return result
 
 

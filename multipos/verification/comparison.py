@@ -4,9 +4,9 @@
   `multipos.verification.regression_repeats` says of them.
 
 Beside the test of `multipos.verification.consistency` stand the spread of each parameter, the
-stability of the biases and the drift (`multipos.verification.repeat_drift`). Several methods on the
-same readings share their noise, so no test of spread applies: they agree where no parameter differs
-by more than its expanded uncertainty.
+stability of the biases, and drift and changes (`multipos.verification.recalibration`). Several
+methods on the same readings share their noise, so no test of spread applies: they agree where no
+parameter differs by more than its expanded uncertainty.
 
 References
 ----------
@@ -23,28 +23,36 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files import spelling, trees
 from multipos.files.spelling import StrPath
-from multipos.finding import Finding, Findings, in_order
+from multipos.finding import Findings, in_order
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import check_confidence
 from multipos.numerics.terms import CONSTANT
 from multipos.regression.regression import Regression, Regressions, all_of, load_regression
-from multipos.results import Drawn, Result, data_frame, frozen, plain
+from multipos.results import Drawn, Result, Tabular, frozen, plain
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
 from multipos.uncertainty.propagation import GRAVITY, evaluate_budget
-from multipos.verification.consistency import Judgement, judge_repeats
-from multipos.verification.recalibration import Change, LimitsSource, days_of, find_changes
+from multipos.verification.consistency import Judgement, judge_methods, judge_repeats
+from multipos.verification.recalibration import (
+    DAY,
+    Change,
+    LimitsSource,
+    dates_of,
+    find_changes,
+    find_drift,
+)
 from multipos.verification.regression_repeats import RegressionComparison, compare_regressions
-from multipos.verification.repeat_drift import find_drift, since_1970
 from multipos.verification.repeat_findings import find_repeats
 
+_OF_PARAMETERS = (
+    *("mean", "sd", "range", "chi2", "dof", "p", "scatter_dof"),
+    *("drift", "drift_u", "drift_p"),
+)
 Run = Calibration | Regression | Regressions | StrPath
-
-_LEAST = 4  # repeats that the six-position paper asks for
 
 
 @frozen
-class Comparison(Judgement, Result, Drawn):
+class Comparison(Judgement, Result, Drawn, Tabular):
     """Repeated calibrations, or several methods on the same readings, and their judgement.
 
     Attributes
@@ -98,32 +106,21 @@ class Comparison(Judgement, Result, Drawn):
         judged = [each for each in self.changes if math.isfinite(each.En)]
         return max(judged, key=lambda each: each.En, default=None)
 
-    def _largest(self) -> dict[str, Any] | None:
-        """The largest E_n, and the chance that any parameter has one as large (Šidák)."""
-        most = self.largest
-        if most is None:
-            return None
-        of_any = -math.expm1(len(self.changes) * math.log1p(-most.p)) if most.p < 1.0 else 1.0
-        return {"name": most.name, "En": most.En, "p": of_any}
+    @property
+    def largest_p(self) -> float:
+        """The chance that any parameter has so large an E_n (Šidák); NaN where there is none."""
+        p = math.nan if self.largest is None else self.largest.p
+        return 1.0 if p >= 1.0 else -math.expm1(len(self.changes) * math.log1p(-p))
 
-    def to_pandas(self) -> Any:
-        """Return the parameters as a data frame: their values by run, mean, sd, drift and p.
-
-        Raises
-        ------
-        MultiposError
-            pandas is not installed.
-        """
+    def columns(self) -> dict[str, Any]:
+        """Return the parameters: their values by run, mean, sd, range, tests and drift."""
         runs = {f"run {i + 1}": row for i, row in enumerate(self.values)}
-        columns = ("mean", "sd", "range", "drift", "drift_p", "chi2", "p")
-        found = {name: getattr(self, name) for name in columns}
-        return data_frame({"name": self.calibrations[0].names, **runs, **found})
+        rest = {name: getattr(self, name) for name in _OF_PARAMETERS}
+        return {"name": self.calibrations[0].names, **runs, **rest}
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as what JSON can carry."""
-        first = self.calibrations[0].model
-        judged = ("chi2", "dof", "p", "scatter_dof")
-        names = ("mean", "sd", "range", *judged, "drift", "drift_u", "drift_p")
+        first, most = self.calibrations[0].model, self.largest
         parameters = [
             {
                 "output": output,
@@ -132,7 +129,7 @@ class Comparison(Judgement, Result, Drawn):
                 "unit": first.units[i],
                 "U": tuple(float(c.U[i]) for c in self.calibrations),
                 "values": self.values[:, i],
-                **{key: getattr(self, key)[i] for key in names},
+                **{key: getattr(self, key)[i] for key in _OF_PARAMETERS},
                 "drift_unit": f"{first.units[i]}/{'s' if self.per == 'time' else 'run'}",
                 "moved": name in self.moved,
             }
@@ -154,7 +151,7 @@ class Comparison(Judgement, Result, Drawn):
                 plain(each) | {"per_year": each.per_year and plain(each.per_year._asdict())}
                 for each in self.changes
             ],
-            "largest": self._largest(),
+            "largest": most and {"name": most.name, "En": most.En, "p": self.largest_p},
             "common": self.common,
             "drift_per": self.per,
             "drift_times": self.times,
@@ -225,17 +222,13 @@ def _compare(
     values = np.array([c.parameters for c in found])
     sd = values.std(axis=0, ddof=1)
     drift = find_drift(found, values)
-    same, at = _same_readings(found), since_1970(found)
-    day = days_of(found, at)
-    if same:
-        judged = Judgement.of_methods(found, values)
-    else:
-        judged = judge_repeats(found, values, day, 1.0 - confidence)
-    findings = () if same else find_repeats(found)
-    if len(found) < _LEAST and not same:
-        text = f"{len(found)} repeats determine stability poorly"
-        action = f"Calibrate at least {_LEAST} times."
-        findings += (Finding("few-repeats", "note", text, action),)
+    same = _same_readings(found)
+    day = dates_of(found) // DAY
+    judged = (
+        judge_methods(found, values)
+        if same
+        else judge_repeats(found, values, day, 1.0 - confidence)
+    )
     return Comparison(
         calibrations=found,
         files=files,
@@ -244,10 +237,10 @@ def _compare(
         sd=sd,
         range=np.ptp(values, axis=0),
         bias_stability=_of_biases(found[0], sd),
-        changes=() if same else find_changes(found, at, limits),
+        changes=() if same else find_changes(found, limits),
         common="" if same else _common(found, day),
         **drift._asdict(),
-        findings=in_order(findings),
+        findings=() if same else in_order(find_repeats(found)),
         **vars(judged),
     )
 

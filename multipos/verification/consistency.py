@@ -1,7 +1,9 @@
 """Agreement of repeated calibrations within their uncertainties: exact tests for few degrees.
 
-- `judge_repeats` returns the `Judgement` of repeats.
-- `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3).
+- `judge_repeats` returns the `Judgement` of repeats, `judge_methods` that of several methods on the
+  same readings.
+- `judge_together` combines the tests of outputs, in `Words` of the caller, by eq. (3), and
+  `worded_test` says it with its numbers.
 - `is_apart` says whether outputs have no noise in common.
 
 R calibrations of one unit give parameters p_r, each with the covariance C_r of what is
@@ -44,6 +46,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from multipos.files.numbers import number, p_in_words
 from multipos.numerics.arrays import Array, Places
 from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.results import frozen
@@ -94,28 +97,19 @@ class Judgement:
     consistent: bool
     moved: tuple[str, ...]
 
-    @classmethod
-    def of_methods(cls, found: Sequence[Calibration], values: Array) -> "Judgement":
-        """Methods on the same readings share their noise: no repeat, and no χ²."""
-        nothing = np.full(values.shape[1], math.nan)
-        spread = np.ptp(values, axis=0)
-        expanded = np.min([c.U for c in found], axis=0)
-        rounding = 1e-12 * np.abs(values).max()
-        beyond = spread > np.maximum(np.where(np.isnan(expanded), 0.0, expanded), rounding)
-        names = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
-        return cls(
-            chi2=nothing,
-            dof=nothing,
-            scatter_dof=nothing,
-            p=nothing,
-            statistic=math.nan,
-            dof_total=math.nan,
-            p_total=math.nan,
-            consistent=not names,
-            moved=names,
-            test="the readings are the same, so their noise cannot separate the methods: "
-            "consistent where no parameter differs by more than its U",
-        )
+
+def judge_methods(found: Sequence[Calibration], values: Array) -> Judgement:
+    """Judge methods on the same readings: they share their noise, so there is no χ²."""
+    expanded = np.nan_to_num(np.min([c.U for c in found], axis=0))
+    beyond = np.ptp(values, axis=0) > np.maximum(expanded, 1e-12 * np.abs(values).max())
+    moved = tuple(name for name, over in zip(found[0].names, beyond, strict=True) if over)
+    test = (
+        "the readings are the same, so their noise cannot separate the methods: consistent where "
+        "no parameter differs by more than its U"
+    )
+    none = np.full(values.shape[1], math.nan)
+    of_all = math.nan
+    return Judgement(none, none, none, none, of_all, of_all, of_all, test, not moved, moved)
 
 
 @frozen
@@ -223,6 +217,14 @@ def judge_together(
     statistic = 0.0 - 2.0 * sum(math.log(max(p, np.finfo(float).tiny)) for p in tails)
     dof = 2.0 * len(tails)
     return statistic, dof, chi2_tail(statistic, dof), words.several
+
+
+def worded_test(test: str, statistic: float, dof: float | Sequence[float], p: float) -> str:
+    """Return the name of a test with its numbers; of none why there is none."""
+    if not math.isfinite(statistic):
+        return test
+    on = ", ".join(map(number, dof if isinstance(dof, Sequence) else [dof]))
+    return f"{test}: {number(statistic)} on {on} degrees of freedom, {p_in_words(p)}"
 
 
 def _by_days(values: Array, covariances: Array, of_days: Array, day: Array) -> float:

@@ -1,7 +1,8 @@
 """Is it still the same instrument? Changes of a recalibration, their rate, and the next due date.
 
 - `find_changes` returns the `Change` of each parameter, with its `Rate`.
-- `dates_of` returns when calibrations were made, `days_of` on which day, in UTC.
+- `find_drift` returns the slope of each parameter, a `Drift`, with its u and p.
+- `dates_of` returns when calibrations were made.
 - `expanded_apart` returns the U of what they do not share.
 
 Of a parameter p with values p₁ of the first calibration and p_R of the last, each with the expanded
@@ -28,6 +29,13 @@ predicts, or the end of its U, reaches the limit,
 Δ from the last calibration: the drift method, the simplest of ILAC-G24 / OIML D 10 that uses the
 measured rate of this instrument. Beyond ten years no date is given.
 
+**Drift** is the slope of the straight line through all repeats alike, judged by Student's t on
+R − 2 degrees of freedom. The times of readings indicate when a calibration was made only if they
+share a clock. They do where they are absolute, seconds since an epoch, or where they are ordered:
+no calibration begins before another has ended; the slope is then per second. Four logs that each
+start at 0 s have a clock of their own each, and only the order is left in which the calibrations
+were given: per run.
+
 References
 ----------
 ILAC-G24:2022 / OIML D 10:2022 (recalibration intervals); ISO/IEC 17043 (E_n).
@@ -37,6 +45,7 @@ import math
 import re
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +70,8 @@ _LONGEST = 10.0  # years to a due date
 _SHORTEST = 1.0 / 365.25  # years between calibrations, below which there is no rate
 _STATED = re.compile(r"^(?P<value>[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>.*)$")
 _OF_G = {"g": 1.0, "mg": 1e-3, "ug": 1e-6, "µg": 1e-6, "μg": 1e-6}
+ABSOLUTE, ORDERED, GIVEN = "absolute", "ordered", "as given"  # of the times of calibrations
+_EPOCH = 1e8  # s: three years, longer than any log; seconds since 1970 are beyond it
 _RELATIVE = {"%": 1e-2, "ppm": 1e-6, "mrad": 1e-3}
 
 
@@ -105,26 +116,23 @@ class Change(Keyed):
     due: str | None
 
 
-def dates_of(found: Sequence[Calibration], seconds: Array | None) -> Array:
+def dates_of(found: Sequence[Calibration]) -> Array:
     """Return when calibrations were made [s since 1970]: by their readings, else by their files."""
-    return np.array([_seconds(c.created) for c in found]) if seconds is None else seconds
+    at, times = _clock(found)
+    return at if times == ABSOLUTE else np.array([_seconds(c.created) for c in found])
 
 
-def find_changes(
-    found: Sequence[Calibration], seconds: Array | None, limits: LimitsSource | None
-) -> tuple[Change, ...]:
+def find_changes(found: Sequence[Calibration], limits: LimitsSource | None) -> tuple[Change, ...]:
     """Return the changes of every parameter, eqs. (1) to (3).
 
     Parameters
     ----------
     found : R calibrations, in the order of time
-    seconds : (R,) array or None
-        When each was made, since 1970; None takes the dates of the files.
     limits : path, mapping, or text such as 'bias=1mg,scale=500ppm', optional
         A file or mapping limits the value, a text |change| by name or kind.
     """
     last = found[-1]
-    at = dates_of(found, seconds)
+    at = dates_of(found)
     years, day = (at - at[0]) / YEAR, at // DAY
     values = np.array([c.parameters for c in found])
     ends = [_apart(c, same_day=bool(day[0] == day[-1])) for c in (found[0], last)]
@@ -156,11 +164,6 @@ def find_changes(
             )
         )
     return tuple(changes)
-
-
-def days_of(found: Sequence[Calibration], seconds: Array | None) -> Array:
-    """Return the day of each calibration, in UTC since 1970."""
-    return dates_of(found, seconds) // DAY
 
 
 def expanded_apart(found: Sequence[Calibration], day: Array) -> Array:
@@ -314,3 +317,60 @@ def _printed_units(own: str) -> dict[str, float]:
     """Return the units that a quantity may be printed in, each with its factor."""
     shown = (readable_unit(10.0**exponent, own) for exponent in range(-15, 10))
     return {unit: factor for factor, unit in shown}
+
+
+class Drift(NamedTuple):
+    """Slope of each parameter per second or per run, its u and p; NaN where nothing is left.
+
+    Attributes
+    ----------
+    drift, drift_u, drift_p : (p,) arrays
+    per : str
+        'time', in seconds, or 'run'.
+    times : str
+        'absolute', 'ordered' or, per run, 'as given'.
+    """
+
+    drift: Array
+    drift_u: Array
+    drift_p: Array
+    per: str
+    times: str
+
+
+def find_drift(calibrations: Sequence[Calibration], values: Array) -> Drift:
+    """Return the slopes of the parameters (R, p) of R calibrations."""
+    at, times = _clock(calibrations)
+    per = "run" if times == GIVEN else "time"
+    centred = at - at.mean()
+    square = float(centred @ centred)
+    slope = centred @ values / square
+    dof = len(values) - 2
+    if dof <= 0:
+        unknown = np.full(values.shape[1], math.nan)
+        return Drift(slope, unknown, unknown.copy(), per, times)
+    left = values - values.mean(axis=0) - centred[:, None] * slope
+    u = np.sqrt(np.sum(left**2, axis=0) / dof / square)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = slope / u
+    p = np.array([t_tail(value, dof) if math.isfinite(value) else math.nan for value in t.tolist()])
+    return Drift(slope, u, p, per, times)
+
+
+def _clock(calibrations: Sequence[Calibration]) -> tuple[Array, str]:
+    """Return when each calibration was made, and by what clock."""
+    nothing = np.array([math.nan])
+    known = [c.readings.environment.get("time", nothing) for c in calibrations]
+    at = np.array([time.mean() for time in known])
+    if np.isfinite(at).all() and np.ptp(at) > 0.0:
+        if min(float(time.min()) for time in known) >= _EPOCH:
+            return at, ABSOLUTE
+        if _are_apart(known):
+            return at, ORDERED
+    return np.arange(1.0, len(known) + 1.0), GIVEN
+
+
+def _are_apart(times: Sequence[Array]) -> bool:
+    """Tell whether none begins before another has ended."""
+    spans = sorted((float(time.min()), float(time.max())) for time in times)
+    return all(end < begin for (_, end), (begin, _) in pairwise(spans))

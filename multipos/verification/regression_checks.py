@@ -49,7 +49,7 @@ from multipos.regression.whitening import Law, Whitening, find_noise
 from multipos.results import Frozen
 from multipos.verification.agreement import RATE, Agreement, no_agreement, root_of
 from multipos.verification.consistency import Words, judge_together
-from multipos.verification.verdicts import Check, family_confidence, judge_errors, require_limit
+from multipos.verification.verdicts import Check, family_confidence, require_limit
 
 _LAWS = 12  # of the plausible ones: the likeliest ten are next to each other
 _RANK = 1e-9
@@ -117,7 +117,6 @@ def check_regression(
         U=U,
         U_family=None if limit_g is None else U * family,
         limit=limit_g,
-        verdicts=judge_errors(after, U, limit_g, counted),
         counted=counted,
         linearity_percent={"before": nothing, "after": nothing},
         bias=None,

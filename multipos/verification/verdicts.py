@@ -31,6 +31,7 @@ JCGM 106:2012, 8.3 (guarded acceptance); ISO 13528:2015, 9.7; R. L. Berger, Tech
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -86,8 +87,6 @@ class Check(Saved, Drawn):
         What is known, the errors, and the uncertainty of `after`; `after` is NaN where no tilt
         explains the reading. Of a regression the reference is the variable `against`.
     limit : float or None
-    verdicts : (n, K) array of str
-        By eq. (1); empty without a limit and where `counted` is false.
     counted : (n, K) array of bool
         Positions within `within` of level, or rows inside what a regression was fitted to, which
         the summary and the verdict are about.
@@ -152,7 +151,6 @@ class Check(Saved, Drawn):
     counted: Annotated[Mask, Flag(), _BY_AXIS]
     consistency: Agreement | None
     findings: Findings
-    verdicts: Annotated[NDArray[np.str_], Stored(nowhere=True)]
     linearity_percent: Annotated[Mapping[str, Array], Stored(nowhere=True)]
     segments: Annotated[Mapping[str, Mask], Stored(nowhere=True)] = field(default_factory=dict)
 
@@ -163,7 +161,7 @@ class Check(Saved, Drawn):
 
     @classmethod
     def _from_file(cls, _by_axis: Sequence[Mapping[str, Any]], **values: Any) -> "Check":
-        """Return the check that a file holds; verdicts follow from its errors.
+        """Return the check that a file holds.
 
         Raises
         ------
@@ -176,8 +174,12 @@ class Check(Saved, Drawn):
             when: np.array([each[when]["linearity_percent"] for each in _by_axis], dtype=np.float64)
             for when in ("before", "after")
         }
-        errors = (values[name] for name in ("after", "U", "limit", "counted"))
-        return cls(**values, verdicts=judge_errors(*errors), linearity_percent=linearity)
+        return cls(**values, linearity_percent=linearity)
+
+    @cached_property
+    def verdicts(self) -> NDArray[np.str_]:
+        """By eq. (1) of each error (n, K); empty without a limit and where it is not counted."""
+        return judge_errors(self.after, self.U, self.limit, self.counted)
 
     @property
     def En(self) -> Array:  # noqa: N802 (the name that ISO 13528 gives it)

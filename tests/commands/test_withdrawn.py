@@ -4,9 +4,10 @@ import pytest
 from cli_bench import run
 
 from multipos.commands import withdrawn
+from multipos.commands.options import listed
 from multipos.commands.parsers import COMMANDS, command_parser
 
-GONE = [(name, option) for name, options in withdrawn.OPTIONS.items() for option in options]
+GONE = [(name, option) for name in COMMANDS for option in listed(f"withdrawn {name}")]
 
 
 @pytest.mark.parametrize("name", withdrawn.COMMANDS)
@@ -19,12 +20,13 @@ def test_a_withdrawn_command_names_what_to_use_instead(name, capsys):
 @pytest.mark.parametrize(("name", "option"), GONE)
 @pytest.mark.parametrize("value", ["", "=2"])
 def test_a_withdrawn_option_names_what_to_use_instead(name, option, value, capsys):
-    instead = withdrawn.OPTIONS[name][option]
+    instead = listed(f"withdrawn {name}")[option]
     line = f"multipos: error: '{name} {option}' was withdrawn: {instead}.\n"
     assert run(capsys, name, f"{option}{value}") == (2, "", line)
 
 
 def test_what_is_withdrawn_is_gone():
+    assert len(GONE) > 8
     assert not withdrawn.COMMANDS.keys() & COMMANDS.keys()
     assert not [each for each in GONE if each[1] in command_parser(each[0])._option_string_actions]
 

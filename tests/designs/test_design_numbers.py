@@ -21,7 +21,7 @@ from multipos.designs.assessment import (
     scheme_rows,
     schemes_sentence,
 )
-from multipos.designs.criteria import Criterion, make_criterion
+from multipos.designs.criteria import Criterion, kernels, make_criterion
 from multipos.designs.designing import (
     Design,
     _check_count,
@@ -31,13 +31,12 @@ from multipos.designs.designing import (
     _search,
     _search_largest,
     _summary,
-    _time_s,
     design_sentence,
     smaller_designs,
 )
 from multipos.designs.exchange import _tidy, polish
 from multipos.designs.information import Setting, tangents
-from multipos.designs.optimum import _apart, _length, _spread
+from multipos.designs.optimum import _apart, _length, _spread, gap_of_least
 from multipos.designs.prospects import begin, information_of, measured, rank_positions
 from multipos.errors import MultiposError
 from multipos.positions.scheme import read_scheme
@@ -140,6 +139,14 @@ def test_candidates_that_determine_every_parameter_are_picked_of_rows_of_two():
     assert _spread((rows,)).tolist() == [17, 23]
 
 
+def test_what_a_least_eigenvalue_may_fall_short_by_by_hand():
+    """Of ½ and 1 % more x = 1.01^−100 = .36971 counts, tr G = (2 + 2x/1.01)/(1 + x) = 1.994655."""
+    # eq. (3) of designs.optimum
+    M = (np.diag([0.5, 0.505]),)
+    found = gap_of_least(M, kernels(M, make_criterion("E", Setting(LINEAR))), 0.2)
+    assert found == pytest.approx(1.2 / (0.5 * 1.994655) - 1.0, abs=1e-5)
+
+
 def test_a_step_ends_before_an_entry_vanishes():
     x = np.array([0.4, 0.3, 0.2])
     assert _length(x, np.array([0.5, -0.6, -0.1])) == pytest.approx(0.95 * 0.5)
@@ -162,8 +169,8 @@ def test_efficiency_time_and_degrees_of_freedom_by_hand():
     assert _efficiency("A", -2.4, sphere, best) == (1.0, 1.0)
     assert _efficiency("G", -0.3, sphere, best) == (pytest.approx(math.exp(-0.3)), None)
     assert _efficiency("G", 0.3, sphere, best) == (1.0, None)
-    assert _time_s((20.0, 0.3), 7, 910.0) == pytest.approx(20.0 * 7 + 0.3 * 910.0)
-    assert _time_s(None, 7, 910.0) is None
+    timed = mp.design(positions=4, candidates="faces-6", move_time=(20.0, 0.3))
+    assert timed.time_s == pytest.approx(20.0 * 4 + 0.3 * timed.travel_deg)
     model = SimpleNamespace(outputs=("ax", "ay"), terms=("12", "123"), keys="12345")
     assert _dof(SimpleNamespace(model=model, orientation_sd=0.3), 11) == {"ax": 9, "ay": 8}
     assert _dof(SimpleNamespace(model=model, orientation_sd=math.inf), 11) == {"all": 6}

@@ -160,7 +160,7 @@ def state_model(data, finding):
 def blunder(rng):
     values = sense(rng)
     values[9] += [0.02, -0.01, 0.015]
-    return Data(values)
+    return Data(values, options={"exclude": "none"})
 
 
 def exclude(data, finding):
@@ -171,7 +171,8 @@ def exclude(data, finding):
 
 def by_hand(rng):
     up = UP + np.radians(0.3) * rng.standard_normal(UP.shape)
-    return Data(sense(rng, up / np.linalg.norm(up, axis=1, keepdims=True)))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return Data(sense(rng, up), options={"orientation_sd": 0})
 
 
 def estimate_orientations(data, finding):

@@ -743,7 +743,6 @@ def test_a_stated_noise_beside_a_robust_loss_is_judged_by_hand():
 @pytest.mark.parametrize("loss", ["huber", "soft-l1", "cauchy"])
 def test_a_robust_fit_at_known_orientations_is_that_of_scipy(loss):
     """Output by output, beside a stated noise that residuals do not deny; nothing is set aside."""
-    # eq. (1) of estimation.robust_known
     up = mp.read_scheme("fibonacci-20").up
     values = 1.02 * up + 0.01 + 0.01 * np.random.default_rng(4).normal(size=up.shape)
     values[3] += 0.03

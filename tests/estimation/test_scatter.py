@@ -42,7 +42,6 @@ def test_correlated_readings_are_turned_to_where_they_are_not():
 
 
 def test_without_a_floor_it_is_student_s_t():
-    # eq. (3) of estimation.excess_variance
     rng = np.random.default_rng(1)
     for n in (6, 12, 24):
         values = sphere(n) + SD * rng.standard_normal((n, 3))
@@ -79,7 +78,7 @@ def test_price_and_coverage_whatever_the_claim(n, pool, price, mean, worst):
     So the coverage is that of the normal law at U, averaged over residuals: 200 of them know it
     to .6 percent. One output alone has two degrees of freedom at six positions.
     """
-    # eq. (1) of estimation.posteriors
+    # the mixture of the posterior
     rng = np.random.default_rng(n)
     up = sphere(n)
     outputs = 3 if pool else 1

@@ -14,7 +14,7 @@ from test_exporters import SANITIZERS, WARNINGS, made
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
 from multipos.exports import target_correction
-from multipos.exports.c_correction import _segment_rounding, _Writer, declarations, rounding
+from multipos.exports.c_correction import _Writer, declarations, rounding
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
     Drive,
@@ -486,19 +486,3 @@ def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):
     codes = re.search(r"codes\[COUNT\] = \{(.*)\};", target_correction._self_test(c, "c", False))
     left_out = [i for i, code in enumerate(codes[1].split(", ")) if code == "-1"]
     assert left_out == [*range(3, 60, 7)]
-
-
-@pytest.mark.parametrize(("single", "unit"), [(False, 2.0**-53), (True, 2.0**-24)])
-def test_roundings_of_a_segment_are_counted_term_by_term(single, unit):
-    """3 + .5 t − 2 t² v, t to 40 and v to 3 of either sign, t a rate: 3 terms, degree, 4 more."""
-    terms = parse_terms("1 + t + t^2*v")
-    s = SimpleNamespace(
-        used=("t", "v"), limits={"t": (-40.0, 20.0), "v": (1.0, 3.0)}, range=(-30.0, 25.0),
-        terms=terms, values=np.array([3.0, 0.5, -2.0]),
-    )  # fmt: skip
-    for of, largest in ((None, 40.0), ("t", 30.0)):
-        r = SimpleNamespace(rates=("t",), segment_variable=of)
-        formed = 2.0 * 5.0 + 4.0
-        total = 3.0 * 7.0 + 0.5 * largest * (8.0 + formed)
-        total += 2.0 * largest**2 * 3.0 * (10.0 + 2.0 * formed)
-        assert _segment_rounding(r, s, single, 5.0) == pytest.approx(unit * total, rel=1e-12)

@@ -44,45 +44,24 @@ def _repeat_piece(rng: random.Random, data: bytes) -> bytes:
     return data[:start] + piece * rng.choice((2, 10)) + data[start:]
 
 
-def _utf16(_: random.Random, data: bytes) -> bytes:
-    return data.decode("utf-8", "replace").encode("utf-16", "replace")
-
-
-def _latin1(_: random.Random, data: bytes) -> bytes:
-    return data.decode("utf-8", "replace").replace("a", "é").encode("latin-1", "replace")
-
-
-def _crlf(_: random.Random, data: bytes) -> bytes:
-    return data.replace(b"\n", b"\r\n")
-
-
-def _cr(_: random.Random, data: bytes) -> bytes:
-    return data.replace(b"\n", b"\r")
-
-
-def _bom(_: random.Random, data: bytes) -> bytes:
-    return b"\xef\xbb\xbf" + data
-
-
-def _no_last_line_feed(_: random.Random, data: bytes) -> bytes:
-    return data.rstrip(b"\n")
-
-
 def _nothing(rng: random.Random, _: bytes) -> bytes:
     return rng.choice((b"", b"\n", b" ", b"\xef\xbb\xbf", b"\0", b"#\n", b"x", b"0", b"{}", b"[]"))
 
 
-def _zipped(_: random.Random, data: bytes) -> bytes:
-    return gzip.compress(data, mtime=0)
-
-
-def _twice(_: random.Random, data: bytes) -> bytes:
-    return data + data
-
+_AS_TEXT: tuple[Damage, ...] = (
+    lambda _, data: data + data,
+    lambda _, data: data.decode("utf-8", "replace").encode("utf-16", "replace"),
+    lambda _, data: data.decode("utf-8", "replace").replace("a", "é").encode("latin-1", "replace"),
+    lambda _, data: data.replace(b"\n", b"\r\n"),
+    lambda _, data: data.replace(b"\n", b"\r"),
+    lambda _, data: b"\xef\xbb\xbf" + data,
+    lambda _, data: data.rstrip(b"\n"),
+    lambda _, data: gzip.compress(data, mtime=0),
+)
 
 DAMAGES: tuple[Damage, ...] = (
-    *(_flip_bytes, _flip_head, _cut, _cut_out, _insert, _repeat_piece, _twice, _nothing),
-    *(_utf16, _latin1, _crlf, _cr, _bom, _no_last_line_feed, _zipped),
+    *(_flip_bytes, _flip_head, _cut, _cut_out, _insert, _repeat_piece, _nothing),
+    *_AS_TEXT,
 )
 
 BINARY_DAMAGES: tuple[Damage, ...] = (

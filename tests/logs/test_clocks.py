@@ -284,4 +284,6 @@ def test_the_usual_step_of_bursts_is_their_mean_and_of_corrupt_times_no_number(t
 def test_what_no_clock_counts_to_is_left_out_of_its_steps():
     """Cells of ±1e308, whose differences have no size: the times between them rise, or do not."""
     assert rises([1.0, -1e308, 2.0, 1e308, 3.0])
+    assert rises(np.array([0.0, 1.0, np.nan, 1.0, 2.0]))
+    assert not any(rises(np.array(time)) for time in ([1.0, 1.0], [0.0, 2.0, 1.0, 3.0], [1.0], []))
     assert not rises([-1e308, 1e308, 5.0, -1e308])

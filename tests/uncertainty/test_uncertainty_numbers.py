@@ -22,7 +22,7 @@ from multipos.uncertainty import (
     validity,
 )
 from multipos.uncertainty import draws as drawing
-from multipos.uncertainty.budgets import _check_numbers, _quantity, _size
+from multipos.uncertainty.budgets import _quantity, _size, resolve
 from multipos.uncertainty.draws import Draws, _noise_root
 from multipos.uncertainty.monte_carlo import _shortest, _symmetric
 from multipos.uncertainty.propagation import _blocks, row_dof
@@ -264,9 +264,9 @@ def test_a_size_that_is_none_or_two(table):
 
 
 def test_numbers_of_a_budget_have_their_least():
-    _check_numbers("b", {"u_ax": 0.0, "dof": 1.0})
+    resolve("b", {"u_ax": 0.0, "dof": 1.0}, "")
     with pytest.raises(mp.MultiposError, match="at least 1"):
-        _check_numbers("b", {"u_ax": 0.1, "dof": 0.99})
+        resolve("b", {"u_ax": 0.1, "dof": 0.99}, "")
     assert _quantity("b", "level", {"u_deg": 0.2, "dof": 3.5}).dof == 3.5
     with pytest.raises(mp.MultiposError):
         _quantity("b", "level", {"u_deg": 0.2, "dof": 0.0})

@@ -359,14 +359,6 @@ def test_json_has_the_promised_keys(tmp_path, capsys):
     assert "bias stability" in text
 
 
-def test_few_repeats_are_said(capsys, tmp_path):
-    for i, c in enumerate(repeats(np.random.default_rng(6), 2)):
-        c.save(tmp_path / f"{i}.json")
-    files = [str(tmp_path / "0.json"), str(tmp_path / "1.json")]
-    assert main(["compare", *files, "-v"]) == 0
-    assert "Calibrate at least 4 times" in capsys.readouterr().err
-
-
 def test_what_cannot_be_compared():
     rng = np.random.default_rng(1)
     (one,) = repeats(rng, 1)

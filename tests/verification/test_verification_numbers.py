@@ -21,9 +21,9 @@ from multipos.verification import (
     checks,
     consistency,
     error_columns,
+    recalibration,
     regression_checks,
     regression_repeats,
-    repeat_drift,
     verdicts,
 )
 from multipos.verification.agreement import _orientation_error, _taken, no_agreement
@@ -31,10 +31,9 @@ from multipos.verification.checks import RunNoise, force_errors, run_noise, tilt
 from multipos.verification.coefficients import ratios_to_k1
 from multipos.verification.comparison_text import change_rows
 from multipos.verification.consistency import _by_days, _quadratic, _scatter, is_apart
-from multipos.verification.recalibration import _in_unit
+from multipos.verification.recalibration import Change, Rate, _clock, _in_unit
 from multipos.verification.regression_checks import _family_factor
 from multipos.verification.regression_repeats import compare_regressions
-from multipos.verification.repeat_drift import _clock
 from multipos.verification.verdicts import Check
 
 RNG = np.random.default_rng(12)
@@ -267,18 +266,17 @@ def test_a_limit_of_a_field_in_another_of_its_units():
 
 
 def test_changes_of_one_unit_keep_the_unit_that_the_largest_has():
-    def change(name, value, U, **more):
-        rest = {"En": abs(value) / U, "per_year": None, "limit": None, "within": None, "due": None}
-        return {"name": name, "change": value, "U": U, **rest, **more}
+    def change(name, value, U, rate, limit, within, due):
+        return Change("", "", name, value, U, abs(value) / U, 0.0, rate, limit, within, due)
 
-    rate = {"value": 2e-4, "U": 1e-4}
-    found = {
-        "parameters": [{"name": n, "unit": u} for n, u in (("b", "g"), ("c", "g"), ("s", ""))],
-        "changes": [
-            change("b", -3.1e-3, 5e-4, per_year=rate, limit=2e-3, within=False, due="2031-01-01"),
-            change("c", 4.2e-5, 5.1e-4, limit=[-1e-3, None], within=True),
+    model = SimpleNamespace(names=("b", "c", "s"), units=("g", "g", ""))
+    found = SimpleNamespace(
+        calibrations=[SimpleNamespace(model=model)],
+        changes=[
+            change("b", -3.1e-3, 5e-4, Rate(2e-4, 1e-4), 2e-3, False, "2031-01-01"),
+            change("c", 4.2e-5, 5.1e-4, None, (-1e-3, None), True, None),
         ],
-    }
+    )
     header, rows = change_rows(found)
     assert len(header) == 10
     first, second = (dict(zip(header[:5], row[:5], strict=True)) for row in rows)
@@ -434,16 +432,15 @@ def test_errors_beside_the_columns_of_a_run():
 def test_several_regressions_are_checked_side_by_side(monkeypatch):
     """All rows of both together have a U of their own, by the degrees of freedom of each."""
 
-    def part(dof, table):
+    def part(r, table):
+        dof = r.segments[0].dof[1]
         column, inside = np.array([1.0, 2.0, 3.0]) * dof, np.array([True, True, dof < 9])
         segments = Frozen({"1": np.array([dof > 0] * 3)})
         return regression_checks._Part(
             column, column, column, column, column, inside, "t", segments, no_agreement("no test")
         )
 
-    monkeypatch.setattr(
-        regression_checks, "_check_one", lambda r, table: part(r.segments[0].dof[1], table)
-    )
+    monkeypatch.setattr(regression_checks, "_check_one", part)
     both = [
         SimpleNamespace(
             response=name,
@@ -534,16 +531,16 @@ def test_repeats_are_judged_each_by_holm_and_together(third, level, count, monke
 def test_drift_of_repeats_is_the_slope_of_a_line(monkeypatch):
     at = np.array([2.0, 3.5, 9.0, 11.0])
     values = np.random.default_rng(4).normal(size=(4, 2)) + np.outer(at, [0.4, -3.0])
-    monkeypatch.setattr(repeat_drift, "_clock", lambda found: (at, repeat_drift.GIVEN))
-    found = repeat_drift.find_drift([], values)
+    monkeypatch.setattr(recalibration, "_clock", lambda found: (at, recalibration.GIVEN))
+    found = recalibration.find_drift([], values)
     lines = [linregress(at, column) for column in values.T]
     assert_allclose(found.drift, [line.slope for line in lines])
     assert_allclose(found.drift_u, [line.stderr for line in lines])
     assert_allclose(found.drift_p, [line.pvalue for line in lines], rtol=1e-6)
     assert found.per == "run"
     at = at[:2]
-    found = repeat_drift.find_drift([], values[:2])
+    found = recalibration.find_drift([], values[:2])
     assert_allclose(found.drift, (values[1] - values[0]) / 1.5)
     assert np.isnan([found.drift_u, found.drift_p]).all()
     at = np.array([2.0, 3.5, 9.0])
-    assert np.isfinite(repeat_drift.find_drift([], values[:3]).drift_p).all()
+    assert np.isfinite(recalibration.find_drift([], values[:3]).drift_p).all()
