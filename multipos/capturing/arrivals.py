@@ -190,4 +190,4 @@ def _whole_lines(left: bytes, chunk: bytes | None) -> tuple[str, bytes]:
     whole, left = block[:end], block[end:]
     left = left[:_LONGEST_LINE]  # of a longer line the middle goes, and it is a bad row
     text = unix_lines(whole).decode("utf-8", "replace")
-    return text.removeprefix("\ufeff"), left
+    return text.lstrip("\ufeff"), left

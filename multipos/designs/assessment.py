@@ -313,9 +313,7 @@ class Assessor:
         found = [
             (names, separability(Z, least_norm=ZERO_NORM, least=_LEAST)) for names, Z in designs
         ]
-        problems: list[str] = []
-        for names, one in found:
-            problems += name_combinations(one.null, names)
+        problems = [text for names, one in found for text in name_combinations(one.null, names)]
         return problems, max(one.condition for _, one in found)
 
     def describe(self, scheme: Scheme) -> Assessment:

@@ -156,8 +156,7 @@ class _State:
                 T = _bordered(self.own_b[b], self.left_b[b], Z[leaving], leaving)
                 sound = np.abs(determinant) > 1e-12  # else that replacement loses a parameter
                 S[~sound] = np.eye(S.shape[1])
-                solved = np.einsum("nij,nji->n", np.linalg.inv(S), T)
-                falls += np.where(sound, solved, -np.inf)
+                falls += np.where(sound, _trace_solved(S, T), -np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.criterion.weight is None:
                 return np.asarray(np.log(np.abs(determinants)))
@@ -206,6 +205,14 @@ def _determinant(S: Array) -> Array:
         return np.asarray(np.linalg.det(S))
     # of outputs by themselves, thousands a search: in numbers at once it takes a tenth
     return np.asarray(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0])
+
+
+def _trace_solved(S: Array, T: Array) -> Array:
+    """Return tr(S⁻¹ T) of symmetric matrices (n, 2K, 2K)."""
+    if S.shape[1] > 2:
+        return np.asarray(np.einsum("nij,nji->n", np.linalg.inv(S), T))
+    straight = S[:, 0, 0] * T[:, 1, 1] + S[:, 1, 1] * T[:, 0, 0]
+    return np.asarray((straight - 2.0 * S[:, 0, 1] * T[:, 0, 1]) / _determinant(S))
 
 
 def polish(

@@ -42,6 +42,8 @@ Blocks = tuple[Array, ...]
 
 # Standard uncertainties of a reading in that of an orientation from which no digit is left of it.
 _AS_UNKNOWN = 2e7
+# Condition of the information, its parameters at one size, from which few digits of it are left.
+_SINGULAR = 1e13
 # Multiplications of a product from which BLAS may start threads: on a busy machine their waiting
 # for each other costs a hundred times what they gain on products of this size.
 _PIECE = 200_000
@@ -314,15 +316,12 @@ def log_det(information: Blocks) -> float:
     total = 0.0
     for M in information:
         sign, value = log_determinant(M)
-        if sign <= 0.0 or not np.isfinite(value) or np.linalg.cond(_scaled(M)) > 1e13:
+        scale = np.sqrt(np.diag(M))
+        regular = sign > 0.0 and np.isfinite(value)
+        if not regular or np.linalg.cond(M / np.outer(scale, scale)) > _SINGULAR:
             return -math.inf
         total += float(value)
     return total
-
-
-def _scaled(M: Array) -> Array:
-    scale = np.sqrt(np.diag(M))
-    return np.asarray(M / np.outer(scale, scale))
 
 
 def tangents(up: Array) -> Array:

@@ -185,8 +185,8 @@ def gap_of_least(information: Blocks, kernel: Blocks, gap: float) -> float:
 
 def largest_sensitivity(setting: Setting, information: Blocks) -> float:
     """Return the largest s(u) of criterion D over the sphere."""
-    kernel = kernels(information, Criterion("D"))
-    return float(maxima(partial(_sensed, setting, kernel))[1].max())
+    sensed = partial(_sensed, setting, kernels(information, Criterion("D")))
+    return float(maxima(sensed)[1].max())
 
 
 def _sensed(setting: Setting, kernel: Blocks, up: Array) -> Array:
@@ -231,9 +231,7 @@ def solve_definite(A: Array, B: Array) -> Array:
 def _length(x: Array, step: Array) -> float:
     """Return how far a step may go before an entry vanishes."""
     shrinking = step < 0.0
-    if not shrinking.any():
-        return 1.0
-    return min(1.0, 0.95 * float((-x[shrinking] / step[shrinking]).min()))
+    return min(1.0, 0.95 * float((-x[shrinking] / step[shrinking]).min(initial=np.inf)))
 
 
 def _derivatives(rows: Blocks, w: Array, criterion: Criterion) -> tuple[Array, Array]:

@@ -286,7 +286,9 @@ def read_plain(raw: Raw) -> Plain | None:
     Blank lines, and those that begin with ``#``, are no rows.
     """
     found = _Pieces(raw)
-    start = len(_BOM) if raw[0 : len(_BOM)] == _BOM else 0
+    start = 0
+    while raw[start : start + len(_BOM)] == _BOM:  # joined files have several
+        start += len(_BOM)
     while start < len(raw):
         end = _line_end(raw, start + _PIECE)
         if not found.take(start, end):

@@ -154,7 +154,7 @@ def _cell(value: Any) -> str:
 XZ = b"\xfd7zXZ\0"
 ZSTD = b"\x28\xb5\x2f\xfd"
 ARROW = (b"PAR1", b"ARROW1")  # Parquet, Feather
-_JSON = re.compile(rb'(?:\xef\xbb\xbf)?\s*(?:\{\s*"|\[\s*\{|\[\s*\[\s*[-+.\deE]+\s*,)')
+_JSON = re.compile(rb'(?:\xef\xbb\xbf)*\s*(?:\{\s*"|\[\s*\{|\[\s*\[\s*[-+.\deE]+\s*,)')
 _DEEPEST = 32  # objects in objects
 _VECTOR = 32  # numbers in a list of a record, at most
 
@@ -335,6 +335,8 @@ def unpack(path: StrPath) -> Unpacked:
     try:
         with library.open(os.fspath(path)) as stream:
             return Unpacked(str(path), stream, Path(Path(str(path)).stem).suffix)
+    except MultiposError:
+        raise
     except Exception as error:  # each library has exceptions of its own for a damaged file
         raise _damaged(path, error) from None
 
@@ -449,7 +451,7 @@ def _lines(path: StrPath, what: str) -> list[Any] | None:
     """Return the values of JSON that has one on every line; None where a line is none."""
     raw = read_bytes(path, what)
     try:
-        lines = raw.decode("utf-8-sig").splitlines()
+        lines = raw.decode().lstrip("\ufeff").splitlines()
         found = [json.loads(line) for line in lines if line.strip()]
     except (ValueError, RecursionError):
         return None

@@ -39,7 +39,7 @@ _SMALLEST = {
 def uncertain(value: float, u: float) -> str:
     """Return a value with its standard uncertainty, as in ``-0.00079(52)``."""
     if not (math.isfinite(value) and math.isfinite(u) and u >= sys.float_info.min):
-        return f"{value:.10g}"  # of fewer than 53 bits two digits are none
+        return _plain(value)  # of fewer than 53 bits two digits are none
     exponent = 0
     largest = max(abs(value), u)
     if math.log10(largest) < _SHORTEST or math.log10(u) >= 6:
@@ -57,6 +57,10 @@ def uncertain(value: float, u: float) -> str:
     return text if not exponent else f"{text}e{exponent:+03d}"
 
 
+def _plain(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.10g}"
+
+
 def beside(value: float, u: float, U: float) -> tuple[str, str]:
     """Return a value and its U to the digits that u supports, both without exponent.
 
@@ -64,7 +68,7 @@ def beside(value: float, u: float, U: float) -> tuple[str, str]:
     """
     decimals = decimals_of(u)
     if decimals is None or not math.isfinite(value):
-        return f"{value:.10g}", "-"
+        return _plain(value), "-"
     shown = f"{U:.{decimals}f}" if math.isfinite(U) else "-"
     return f"{value:z.{decimals}f}", shown
 

@@ -19,13 +19,13 @@ import errno
 import io
 import os
 import re
-import shutil
 import stat
 import sys
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import StrPath
@@ -75,8 +75,8 @@ def unpack_text(path: os.PathLike[str]) -> "Unpacked":
 
 
 STDIN = "-"
-_PIECE = 1 << 16  # bytes
-_DEVICE, _MOST = 1 << 20, 1 << 32  # bytes of a device such as /dev/zero, and of a pipe
+_PIECE = 1 << 18  # bytes
+_DEVICE, _MOST = 1 << 20, 1 << 32  # bytes of a device such as /dev/zero, and of all else
 GZIP = b"\x1f\x8b"
 
 
@@ -93,23 +93,13 @@ class Pipe(os.PathLike[str]):
     def __fspath__(self) -> str:
         if self._kept is None:
             with _opened(self._source) as stream:
-                self._kept = Unpacked(str(self), self._limited(stream), "")
+                device = False
+                with contextlib.suppress(OSError):  # of a stream without a number
+                    status = os.fstat(stream.fileno())
+                    device = stat.S_ISCHR(status.st_mode) and not stream.isatty()
+                most = _DEVICE if device else _MOST
+                self._kept = Unpacked(str(self), stream, "", most)
         return os.fspath(self._kept)
-
-    def _limited(self, stream: BinaryIO) -> Iterator[bytes]:
-        """Yield what comes, but for what has no end: a device, or more than can be."""
-        device = False
-        with contextlib.suppress(OSError):  # of a stream without a number
-            device = stat.S_ISCHR(os.fstat(stream.fileno()).st_mode) and not stream.isatty()
-        left = _DEVICE if device else _MOST
-        while piece := stream.read(_PIECE):
-            left -= len(piece)
-            if left < 0:
-                raise MultiposError(
-                    f"{self}: more than {(_DEVICE if device else _MOST) >> 20} MiB came, and no "
-                    "end; put what is wanted into a file."
-                )
-            yield piece
 
     def close(self) -> None:
         """Let go of what was kept."""
@@ -166,10 +156,23 @@ def _remove(path: str) -> None:
     Path(path).unlink(missing_ok=True)
 
 
-class Unpacked(os.PathLike[str]):
-    """What was in a packed file, as a path."""
+def _pieces(source: str, stream: Any, most: int) -> Iterator[bytes]:
+    """Yield what comes, but for what has no end: a device, or more than can be."""
+    left = most
+    for piece in iter(partial(stream.read, _PIECE), b"") if hasattr(stream, "read") else stream:
+        left -= len(piece)
+        if left < 0:
+            raise MultiposError(
+                f"{source}: more than {most >> 20} MiB came, and no end; put what is wanted into a "
+                "file."
+            )
+        yield piece
 
-    def __init__(self, source: str, stream: Iterable[bytes], suffix: str) -> None:
+
+class Unpacked(os.PathLike[str]):
+    """What was in a packed file, or came through a pipe, as a path."""
+
+    def __init__(self, source: str, stream: Any, suffix: str, most: int = _MOST) -> None:
         import tempfile  # slow to import, and seldom needed
 
         self._source = source
@@ -178,10 +181,7 @@ class Unpacked(os.PathLike[str]):
         self._path = path
         try:
             with os.fdopen(handle, "wb") as kept:
-                if isinstance(stream, io.IOBase):
-                    shutil.copyfileobj(stream, kept)
-                else:
-                    kept.writelines(stream)
+                kept.writelines(_pieces(source, stream, most))
         except BaseException:
             self.close()
             raise

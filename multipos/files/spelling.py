@@ -1,7 +1,7 @@
 r"""Names and numbers as people list them: 'ax, ay, az', or a sequence; and as they are printed.
 
-`split_names`, `split_numbers`, `spread` and `numbered` take lists, `near`, `require_columns`,
-`quoted` and `listed` name things in messages. `control_characters` finds characters that act
+`split_names`, `split_numbers`, `tuple_of`, `spread` and `numbered` take lists, `near`, `quoted`,
+`require_columns` and `listed` name things in messages. `control_characters` finds those that act
 instead of being read, `visible`, `visible_lines`, `one_line` and `escaped` show them; `as_cell` and
 `of_cell` keep a spreadsheet from running a cell that `is_risky`; `packaged_pairs` reads words that
 the package has in a table.
@@ -16,6 +16,7 @@ import os
 import re
 import unicodedata
 from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Set as AbstractSet
 from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
@@ -25,6 +26,19 @@ from multipos.errors import MultiposError, UsageError
 Names = str | Sequence[str]
 StrPath = str | os.PathLike[str]
 T = TypeVar("T")
+
+
+def tuple_of(given: Iterable[T], what: str) -> tuple[T, ...]:
+    """Return what is handed over in order, and refuse a set, which has none.
+
+    Raises
+    ------
+    UsageError
+        It has no order, or is no sequence at all.
+    """
+    if isinstance(given, AbstractSet) or not isinstance(given, Iterable):
+        raise UsageError(f"{what} takes a list, which has an order, got {type(given).__name__}.")
+    return tuple(given)
 
 
 def split_names(given: Names, option: str = "") -> tuple[str, ...]:
@@ -37,7 +51,7 @@ def split_names(given: Names, option: str = "") -> tuple[str, ...]:
     TypeError
         Something is no name.
     """
-    parts = given.split(",") if isinstance(given, str) else tuple(given)
+    parts = given.split(",") if isinstance(given, str) else tuple_of(given, option or "names")
     where = f"{option}: " if option else ""
     for part in parts:
         if not isinstance(part, str):

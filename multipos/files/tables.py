@@ -344,7 +344,7 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
 
 def _decode(path: StrPath, raw: bytes, what: str) -> str:
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.decode().lstrip("\ufeff")
     except UnicodeDecodeError as error:
         found = decoded(raw)
         if found is None:

@@ -118,7 +118,7 @@ def read_json_value(path: StrPath, what: str) -> Any:
         Missing, truncated, or not JSON.
     """
     try:
-        return json.loads(read_bytes(path, what).decode("utf-8-sig"), parse_int=_whole)
+        return json.loads(read_bytes(path, what).decode().lstrip("\ufeff"), parse_int=_whole)
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; give the {what} as JSON.") from None
     except RecursionError:
@@ -147,7 +147,7 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
 
     raw = read_bytes(path, what)
     try:
-        found = tomllib.loads(raw.decode("utf-8-sig"))
+        found = tomllib.loads(raw.decode().lstrip("\ufeff"))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
     except RecursionError:

@@ -171,6 +171,8 @@ def _fill(draft: _Draft, content: Pieces) -> None:
                 stream.write(raw)
         with writing(draft.path):
             stream.flush()
+            if draft.regular:
+                os.fsync(stream.fileno())  # or a power cut may leave an empty file in its place
             if draft.regular and draft.target.exists():
                 draft.temporary.chmod(stat.S_IMODE(draft.target.stat().st_mode))
 
@@ -185,6 +187,18 @@ def _put_in_place(drafts: Sequence[_Draft]) -> None:
                     undo.callback(_restore, draft)
                 draft.temporary.replace(draft.target)
         undo.pop_all()
+    for folder in {draft.target.parent for draft in drafts}:
+        _keep_names(folder)
+
+
+def _keep_names(folder: Path) -> None:
+    """Have the names of a folder on disk, where its system can."""
+    with suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def _copy(source: Path, device: Path) -> None:

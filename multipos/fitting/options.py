@@ -31,7 +31,7 @@ from multipos.positions.orientations import StatedOrientations
 from multipos.positions.readings import Readings
 from multipos.positions.scheme import Scheme
 from multipos.results import frozen
-from multipos.sensor.bench import BenchOptions
+from multipos.sensor.bench import BenchOptions, require_numbers
 from multipos.sensor.found import Estimator
 from multipos.sensor.model import GAUGES, Gauge, Model
 from multipos.sensor.temperature import runs_of, soaks_of
@@ -163,6 +163,7 @@ class Options:
             raise UsageError(f"unknown gauge '{self.gauge}'; give lower or symmetric.")
         if self.robust is not None and self.robust not in LOSSES:
             raise UsageError(f"unknown loss '{self.robust}'; --robust takes {', '.join(LOSSES)}.")
+        require_numbers(self, "confidence", "level_sd")
         check_confidence(self.confidence)
         if not 0.0 <= self.level_sd < 90.0:
             raise UsageError(f"--level-sd must lie between 0 and 90 degrees, got {self.level_sd}.")

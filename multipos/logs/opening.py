@@ -140,7 +140,7 @@ def _open_rows(
 def _lines_of(path: os.PathLike[str]) -> Iterator[str]:
     with Path(path).open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
         for line in stream:
-            yield line.rstrip("\n")
+            yield line.rstrip("\n").lstrip("\ufeff")
 
 
 def _cleaned(line: str, layout: Layout, marks: Marks) -> bytes:

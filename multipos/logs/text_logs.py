@@ -382,7 +382,7 @@ def _lenient(cells: Sequence[str], mark: str) -> Array:
 
 def _decode(path: os.PathLike[str], block: bytes) -> str:
     try:
-        text = block.decode("utf-8").removeprefix("\ufeff")
+        text = block.decode("utf-8").lstrip("\ufeff")
     except UnicodeDecodeError as error:
         if len(block) >= HEAD and error.start > len(block) - 4:  # the head may end inside a letter
             return _decode(path, block[: error.start])

@@ -1,5 +1,6 @@
 """The arrays that signatures speak of, how large their numbers may be, and rows of equal kind.
 
+`as_numbers` lets arrays in, and refuses what only looks like numbers.
 `places_of_kinds` yields where the rows of each kind stand, `row_keys` makes rows comparable and
 `count_different` counts those that differ. `median` is NumPy's, which imports all of its masked
 arrays at the first call. `coarse_steps` and `resolution` find the grid that numbers lie on,
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]  # of rows or units among others
@@ -27,6 +28,31 @@ _LEVELS = 100  # readings of which the resolution is found
 FEWEST = 0.1  # degrees of freedom: with fewer k is beyond 1e12, and nothing is said
 LARGEST_SAMPLE = 1e15  # no sensor counts so far, and sums of squares are far from overflow
 LARGEST = 1e40  # of what is measured, in any unit: of less, squares of cubes are numbers still
+
+
+def as_numbers(given: ArrayLike, what: str, fault: type[ValueError] = MultiposError) -> Array:
+    """Return an array of the caller's as one of our own, which runs by columns in memory.
+
+    NumPy would take a masked number through its mask, a date as nanoseconds, and of a complex
+    number the real part.
+
+    Raises
+    ------
+    MultiposError
+        Or another `fault`: a number is masked, complex, a date, beyond double precision, or none.
+    """
+    parts = given if isinstance(given, list | tuple) else [given]
+    if any(np.any(mask) for each in parts if not callable(mask := getattr(each, "mask", False))):
+        raise fault(f"{what} hides numbers behind a mask; leave their rows out, or fill them.")
+    try:
+        with np.errstate(all="ignore"):  # a NaN that signals is one
+            found = np.asarray(given)
+            if found.dtype.kind not in "cmM":
+                # by columns, along which NumPy finds extremes five times as fast
+                return np.array(found, dtype=np.float64, order="F")
+    except (TypeError, ValueError, OverflowError):
+        raise fault(f"{what} must hold numbers, in double precision.") from None
+    raise fault(f"{what} must hold real numbers, got {found.dtype.name}; convert them first.")
 
 
 def places_of_kinds(kinds: NDArray[np.integer[Any]], count: int) -> Iterator[tuple[int, Places]]:

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import quoted
 from multipos.files.tables import Table
-from multipos.numerics.arrays import COMPONENTS, Array, Mask
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, as_numbers
 from multipos.units import cos_deg, sin_deg
 
 Convention = Literal["specific-force", "gravity"]  # which sign the axis that points up has
@@ -151,7 +151,7 @@ def from_up(up: ArrayLike, where: str = "`up`") -> Attitudes:
 
 def unit_vectors(up: ArrayLike, where: str = "`up`") -> Array:
     """Return up vectors (n, 3) of any length but zero as unit vectors."""
-    vectors = np.array(up, dtype=np.float64, ndmin=2)
+    vectors = np.atleast_2d(as_numbers(up, where))
     if vectors.ndim != 2 or vectors.shape[1] != 3:
         raise MultiposError(
             f"{where} must have shape (n, 3), got {vectors.shape}; give one row per position."
@@ -174,7 +174,7 @@ def unit_vectors(up: ArrayLike, where: str = "`up`") -> Array:
 
 def from_rotation(rotation: ArrayLike) -> Attitudes:
     """Return attitudes from level-to-case matrices (n, 3, 3)."""
-    matrix = np.array(rotation, dtype=np.float64)
+    matrix = as_numbers(rotation, "`rotation`")
     return Attitudes(matrix[:, :, 2].copy(), matrix)
 
 

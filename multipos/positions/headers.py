@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
+from multipos.files.spelling import packaged_pairs
 from multipos.files.tables import Column, Table
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS
@@ -35,37 +36,7 @@ from multipos.positions.forces import FORCE, REFERENCE_U
 from multipos.units import cos_deg, sin_deg
 
 # As a header may write a unit, without blanks and in small letters, and as it is called here.
-_WRITTEN = {
-    "m/s^2": "m/s^2 m/(s^2) m/s2 m/s² m/s/s m/s**2 ms-2 ms^-2 m*s^-2 m·s⁻² ms⁻² m/sec^2 m_s2 mps2",
-    "g": "g gs gn g0 gee",
-    "mg": "mg",
-    "ug": "ug µg μg",
-    "count": "count counts lsb adc digit digits raw",
-    "V": "v volt volts",
-    "mV": "mv",
-    "s": "s sec secs second seconds",
-    "ms": "ms msec msecs millis millisecond milliseconds",
-    "us": "us µs μs usec micros microsecond microseconds",
-    "ns": "ns nsec nanos nanosecond nanoseconds",
-    "deg/s": "deg/s °/s dps deg/sec",
-    "rad/s": "rad/s rad/sec",
-    "deg": "deg ° degree degrees",
-    "rad": "rad",
-    "°C": "°c c degc deg_c celsius ℃",
-    "K": "k",
-    "T": "tesla",
-    "mT": "millitesla",
-    "uT": "ut µt μt microtesla",
-    "nT": "nanotesla",
-    "G": "gauss",
-    "mG": "mgauss milligauss",
-    "hPa": "hpa mbar",
-    "Pa": "pa",
-    "Hz": "hz",
-    "m": "m",
-    "m/s": "m/s",
-    "%": "%",
-}
+_WRITTEN = packaged_pairs(__file__, "units.csv")
 UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
 MAGNETIC_UNITS = ("T", "mT", "uT", "nT", "G", "mG")
 ACCELERATION_UNITS = ("m/s^2", "g", "mg", "ug")

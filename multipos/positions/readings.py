@@ -20,9 +20,15 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.records import LONGEST
-from multipos.files.spelling import control_characters, numbered, require_columns, visible
+from multipos.files.spelling import (
+    control_characters,
+    numbered,
+    require_columns,
+    tuple_of,
+    visible,
+)
 from multipos.finding import Findings
-from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask
+from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask, as_numbers
 from multipos.positions import attitudes
 from multipos.positions.forces import along_forces, known_rows
 from multipos.results import Frozen, Result, Tabular, frozen
@@ -228,9 +234,9 @@ class Readings(Result, Tabular):
         return self.covariance if dependent else variances.copy()
 
     def _named(self, m: int) -> tuple[str, ...]:
-        if not self.outputs:
+        if len(self.outputs) == 0:
             return ("ax", "ay", "az")[:m] if m <= 3 else tuple(f"a{i + 1}" for i in range(m))
-        names = tuple(self.outputs)
+        names = tuple(map(str, tuple_of(self.outputs, "`outputs`")))
         if len(names) != m:
             raise MultiposError(f"`outputs` must name {m} columns, got {len(names)}: {names}.")
         if len(set(names)) < m:
@@ -374,9 +380,10 @@ def require_range(readings: Readings, limits: Sequence[float]) -> None:
     MultiposError
         A reading is outside; the first is named, and how many there are.
     """
-    if len(limits) != 2 or not limits[0] < limits[1]:
+    ends = as_numbers(limits, "--range", UsageError).ravel().tolist()
+    if len(ends) != 2 or not ends[0] < ends[1]:
         raise UsageError("--range takes LOW,HIGH in reading units, LOW below HIGH.")
-    low, high = limits
+    low, high = ends
     outside = (readings.values < low) | (readings.values > high)
     if outside.any():
         row, column = np.argwhere(outside)[0].tolist()
@@ -397,12 +404,7 @@ def _refuse(name: str, array: Array, bad: Mask, needed: str) -> None:
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
-    try:
-        with np.errstate(all="ignore"):  # a NaN that signals is one
-            # by columns, along which NumPy finds extremes five times as fast
-            array = np.array(value, dtype=np.float64, order="F")
-    except (TypeError, ValueError):
-        raise MultiposError(f"`{name}` must hold numbers.") from None
+    array = as_numbers(value, f"`{name}`")
     if shape is not None and array.shape != shape:
         raise MultiposError(
             f"`{name}` must have shape {shape}, got {array.shape}; give one row per position."
@@ -450,7 +452,7 @@ def spread_reading_sd(reading_sd: ArrayLike, shape: tuple[int, ...]) -> Array:
     UsageError
         Another number of values, or one that is not above 0 or cannot be squared.
     """
-    sd = np.asarray(reading_sd, dtype=np.float64).ravel()
+    sd = as_numbers(reading_sd, "--reading-sd", UsageError).ravel()
     if len(sd) not in (1, shape[1]):
         raise UsageError(f"--reading-sd takes 1 or {shape[1]} values, got {len(sd)}.")
     if not ((sd >= SMALLEST) & (sd <= LARGEST)).all():

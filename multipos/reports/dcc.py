@@ -24,7 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.spelling import one_line
+from multipos.files.spelling import one_line, packaged_pairs
 from multipos.files.trees import to_json
 from multipos.reports.certificate import Content
 from multipos.sensor.calibration import Calibration
@@ -48,24 +48,7 @@ NEEDED = (
     "measurement.performed",
 )
 _PLACES = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
-_FORCE = r"\metre\second\tothe{-2}"
-_UNITS = {
-    "V": r"\volt",
-    "mV": r"\milli\volt",
-    "uV": r"\micro\volt",
-    "µV": r"\micro\volt",
-    "A": r"\ampere",
-    "mA": r"\milli\ampere",
-    "uA": r"\micro\ampere",
-    "µA": r"\micro\ampere",
-    "Hz": r"\hertz",
-    "kHz": r"\kilo\hertz",
-    "rad": r"\radian",
-    "deg": r"\degree",
-    "m/s^2": _FORCE,
-    "degC": r"\kelvin",  # of a difference
-    "1": "",
-}
+_UNITS = packaged_pairs(__file__, "si_units.csv")
 
 Lab = Mapping[str, str]
 

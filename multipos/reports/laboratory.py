@@ -9,50 +9,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from multipos.errors import MultiposError
-from multipos.files.spelling import StrPath
+from multipos.files.spelling import StrPath, packaged_pairs
 from multipos.files.trees import read_toml
 from multipos.reports.sections import PageTable, Section
 
-LAB_FIELDS = {
-    "report": {
-        "number": "Report number",
-        "issued": "Date of issue",
-        "authorised_by": "Authorised by",
-    },
-    "laboratory": {
-        "name": "Laboratory",
-        "address": "Address",
-        "country": "Country (ISO 3166-1)",
-        "location": "Place of calibration",
-        "accreditation": "Accreditation",
-    },
-    "customer": {"name": "Customer", "address": "Address of the customer"},
-    "item": {
-        "description": "Item",
-        "manufacturer": "Manufacturer",
-        "type": "Type",
-        "serial": "Serial number",
-        "condition": "Condition",
-        "received": "Date of receipt",
-    },
-    "measurement": {
-        "performed": "Date of calibration",
-        "method": "Method",
-        "conditions": "Environmental conditions",
-        "traceability": "Metrological traceability",
-        "deviations": "Deviations from the method",
-        "decision_rule": "Decision rule",
-        "remarks": "Remarks",
-    },
-}
-EQUIPMENT = {
-    "name": "Equipment",
-    "type": "Type",
-    "serial": "Serial number",
-    "calibrated": "Calibrated",
-    "due": "Due",
-    "certificate": "Certificate",
-}
+_LABELS = packaged_pairs(__file__, "laboratory.csv")
+
+
+def _labels(section: str) -> dict[str, str]:
+    whole = {key.partition(".")[::2]: label for key, label in _LABELS.items()}
+    return {key: label for (of, key), label in whole.items() if of == section}
+
+
+LAB_FIELDS = {s: _labels(s) for s in ("report", "laboratory", "customer", "item", "measurement")}
+EQUIPMENT = _labels("equipment")
 _LINE = "________________"  # to be written on by hand
 
 

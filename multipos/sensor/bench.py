@@ -8,6 +8,7 @@ its unit is read, such as 48.6uT, stands here alone.
 import math
 import re
 from collections.abc import Sequence
+from numbers import Real
 from typing import TypedDict
 
 from multipos.errors import UsageError
@@ -59,6 +60,10 @@ class StatedBench:
     range: Sequence[float] | None = None
     confidence: float = 0.95
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that are none."""
+        require_numbers(self, "gravity", "gravity_u", "latitude", "height", "confidence")
+
     def local_gravity(self) -> Field | None:
         """Return the local gravity [m/s²] that is stated, or None.
 
@@ -108,6 +113,19 @@ class StatedBench:
         check_field_kind(self.field)
         known = None if gravity is None else "gravity"
         return _STATED[field_of_outputs(outputs, unit, known, self.field)](self, unit, gravity)
+
+
+def require_numbers(options: object, *names: str) -> None:
+    """Refuse options that are given and are no numbers.
+
+    Raises
+    ------
+    UsageError
+    """
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and not isinstance(value, Real):
+            raise UsageError(f"--{name.replace('_', '-')} takes a number, got {value!r:.40}.")
 
 
 def _gravity(bench: StatedBench, unit: str, gravity: Field | None) -> Field:

@@ -38,7 +38,7 @@ from multipos.files.records import (
 )
 from multipos.files.schema import NOWHERE, OPTIONAL, As, Saved, Stored, schema_of
 from multipos.finding import Findings
-from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Environment, as_numbers
 from multipos.numerics.quantiles import chi2_quantile, coverage_factor
 from multipos.numerics.rotations import align, directions, rotation_vector
 from multipos.numerics.terms import linear_term
@@ -405,8 +405,9 @@ class Calibration(Saved, Drawn):
 
     def predict(self, reference: ArrayLike, environment: Environment | None = None) -> Array:
         """Return the readings (n, M) that the model expects at a reference (n, 3) [g]."""
-        force = np.array(reference, dtype=np.float64, ndmin=2)
-        return self.model.predict(self.parameters, force, environment or {})
+        force = np.atleast_2d(as_numbers(reference, "`reference`"))
+        columns = _columns(environment)
+        return self.model.predict(self.parameters, force, columns)
 
     def compensate(self, raw: ArrayLike, environment: Environment | None = None) -> Array:
         """Return the force that explains raw readings.
@@ -427,7 +428,7 @@ class Calibration(Saved, Drawn):
         """
         if set(self.outputs) <= set(getattr(raw, "columns", ())):
             raw = raw[list(self.outputs)]  # type: ignore[index, call-overload]
-        values = np.array(raw, dtype=np.float64)
+        values = as_numbers(raw, "`raw`")
         if values.ndim < 2:  # one reading of all outputs, or many of the only one
             values = values.reshape(-1, 1) if len(self.outputs) == 1 else values[None]
         if values.ndim != 2 or values.shape[1] != len(self.outputs):
@@ -436,8 +437,8 @@ class Calibration(Saved, Drawn):
                 "give one row per reading."
             )
         columns = {
-            name: np.broadcast_to(np.asarray(column, dtype=np.float64), len(values))
-            for name, column in (environment or {}).items()
+            name: np.broadcast_to(column, len(values))
+            for name, column in _columns(environment).items()
             if name in self.model.environment
         }
         self.model.variables(np.zeros((0, 3)), columns)
@@ -513,6 +514,11 @@ class Calibration(Saved, Drawn):
             label=self.model.label(index),
             symbol=paper_symbol(self.model, index),
         )
+
+
+def _columns(environment: Environment | None) -> dict[str, Array]:
+    given = environment or {}
+    return {name: as_numbers(given[name], f"`environment['{name}']`") for name in given}
 
 
 def parameter_rows(calibration: Calibration) -> tuple[list[str], list[list[str]]]:

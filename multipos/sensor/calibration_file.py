@@ -21,6 +21,7 @@ from multipos.numerics.rotations import directions
 from multipos.positions.forces import known_rows
 from multipos.positions.readings import Readings
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.found import Estimator
 from multipos.sensor.gravity import field_of_file
 from multipos.sensor.model import Model, build_model
 from multipos.sensor.own_models import load_parsed
@@ -97,7 +98,13 @@ def _calibration(
         model=made,
         parameters=np.array([entry["value"] for entry in entries]),
         parameter_dof=np.where(np.isnan(k), 0.0, dof),
-        readings=_readings(readings, values["reference"], values["convention"], made),
+        readings=_readings(
+            readings,
+            values["reference"],
+            values["convention"],
+            made,
+            oriented=values["estimator"] is not Estimator.UNKNOWN,
+        ),
         **values,
     )
     for key, value, shape in _lists(c):
@@ -123,7 +130,9 @@ def _chosen(model: Model, selection: Mapping[str, Any] | None) -> Model:
     return model.keeping([(o, term) for o in model.outputs for term in selection[o].terms])
 
 
-def _readings(said: Mapping[str, Any], reference: Array, convention: str, model: Model) -> Readings:
+def _readings(
+    said: Mapping[str, Any], reference: Array, convention: str, model: Model, *, oriented: bool
+) -> Readings:
     """Return the readings of a file, up along its reference where it does not say otherwise."""
     count, force = len(said["values"]), said.get("force")
     for key, vectors in (("reference", reference), ("force", force)):
@@ -134,7 +143,8 @@ def _readings(said: Mapping[str, Any], reference: Array, convention: str, model:
     if not (np.isfinite(size) & ((size > 0.0) | ~at_rest)).all():
         raise ValueError("its reference is zero or not finite")
     sign = -1.0 if convention == "gravity" else 1.0
-    known = {"up": directions(reference) * sign + 0.0, **said}
+    stated = {"up": directions(reference) * sign + 0.0} if oriented else {}
+    known = {**stated, **said}
     labels = known.pop("labels")
     return Readings(outputs=model.outputs, positions=labels, unit=model.unit, **known)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array
+from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, as_numbers
 from multipos.sensor.model import Model
 
 
@@ -27,12 +27,13 @@ class Nominal(NamedTuple):
 
 def read_nominal(given: Sequence[float]) -> Nominal:
     """Return a nominal conversion, refusing one that converts nothing."""
-    if len(given) != 2 or not (np.abs(given) <= LARGEST).all() or not abs(given[1]) >= SMALLEST:
+    stated = as_numbers(given, "--nominal", UsageError).ravel()
+    if len(stated) != 2 or not (np.abs(stated) <= LARGEST).all() or not abs(stated[1]) >= SMALLEST:
         raise UsageError(
             f"--nominal takes BIAS,SCALE in reading units, up to {LARGEST:g}, the scale from "
             f"{SMALLEST:g} on."
         )
-    return Nominal(float(given[0]), float(given[1]))
+    return Nominal(*stated.tolist())
 
 
 def nominal_force(model: Model, values: Array, nominal: Nominal) -> Array:

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
 from multipos.files.tables import Source
-from multipos.numerics.arrays import LARGEST, Array, require_rate
+from multipos.numerics.arrays import LARGEST, Array, as_numbers, require_rate
 from multipos.numerics.recursions import recur
 from multipos.positions.forces import OF_FIELD
 from multipos.positions.order import Order
@@ -266,7 +266,7 @@ def _noise(rows: int, outputs: int, memory: float, rng: np.random.Generator) -> 
 
 
 def _sd(calibration: Calibration, given: ArrayLike, option: str) -> Array:
-    sd = np.asarray(given, dtype=np.float64).ravel()
+    sd = as_numbers(given, option, UsageError).ravel()
     outputs = len(calibration.outputs)
     if len(sd) not in (1, outputs):
         raise UsageError(f"{option} takes 1 or {outputs} values, got {len(sd)}.")

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multipos.errors import UsageError
-from multipos.numerics.arrays import COMPONENTS, Array, Places, quadratic
+from multipos.numerics.arrays import COMPONENTS, Array, Places, as_numbers, quadratic
 from multipos.numerics.quantiles import coverage_factor, f_quantile
 from multipos.numerics.terms import CONSTANT, linear_term
 from multipos.positions.headers import RUN, SOAKS, TEMPERATURE
@@ -147,7 +147,7 @@ def over_temperature(
     seen = calibration.readings.environment
     if temperature is None:
         temperature = np.linspace(seen[column].min(), seen[column].max(), _POINTS)
-    T = np.array(temperature, dtype=np.float64, ndmin=1)
+    T = np.atleast_1d(as_numbers(temperature, "`temperature`"))
     fixed = calibration.mean_environment | dict(others or {})
     weights = np.array([model.linear_map({**fixed, column: float(t)}) for t in T])  # (n, M, 4, p)
     curves = []

@@ -13,7 +13,7 @@ From the root of the repository::
 Case n of a kind and seed depends on nothing else, so a finding is run again from these three.
 Read `kinds` first: which inputs there are. `bases` makes the valid files that the damage starts
 from, `recipes` are the valid command lines, `hostile` the values nobody expects, `tables`,
-`json_files`, `toml_files`, `arrays`, `recordings`, `formulas`, `options` and `raw` do the damage,
+`json_files`, `toml_files`, `arrays`, `recordings`, `options` and `raw` do the damage,
 `visits` asks what the page asks, `crossing` combines what is valid, `running` runs a case in a
 process of its own, `judging` holds the promise, `findings` collects what broke it.
 """

@@ -55,8 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     known = f"all, or some of {', '.join(KINDS)}"
     add("kinds", nargs="+", choices=["all", *KINDS], metavar="KIND", help=known)
     add("--seed", type=int, default=1, help="of the cases (default 1)")
-    add("--cases", type=int, metavar="N", help="cases of each kind (default 100)")
-    add("--seconds", type=float, metavar="S", help="for how long, instead of --cases")
+    add("--cases", type=int, default=100, metavar="N", help="of each kind (default 100)")
     add("--first", type=int, default=0, metavar="N", help="number of the first case (default 0)")
     add("--only", type=int, metavar="N", help="run case N of KIND alone and show it")
     add("--keep", type=Path, metavar="DIR", help="folder for the files of what was found")
@@ -66,14 +65,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _identities(kinds: list[str], arguments: argparse.Namespace) -> Iterator[Identity]:
     """The cases in the order that they are run: each number in every kind, then the next."""
-    end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
-    cases = 100 if arguments.cases is None and end is None else arguments.cases
-    for number in itertools.count(arguments.first):
-        if cases is not None and number >= arguments.first + cases:
-            return
+    for number in range(arguments.first, arguments.first + arguments.cases):
         for kind in kinds:
-            if end is not None and time.monotonic() > end:
-                return
             yield Identity(kind, arguments.seed, number)
 
 

@@ -13,7 +13,6 @@ from . import (
     arrays,
     bases,
     crossing,
-    formulas,
     hostile,
     json_files,
     options,
@@ -137,42 +136,16 @@ def _captures(rng: random.Random, valid: Files) -> Case:
     return _case(words, valid, {name: data})
 
 
-ARRAY_COMMANDS = {
+READ_COMMANDS = {
     "average {} --outputs ax,ay,az": 4,
     "average {} --rate 100 --json": 6,
-    "average {} --columns time,ax,ay,az -o o.csv": 4,
-    "average {} --rate 100 --columns ax,ay,az": 4,
-    "apply lin.json {}": 6,
-    "apply lin.json {} --columns ax,ay,az -o o.csv": 4,
-    "apply lin.json {} --columns time,ax,ay,az --json": 4,
-    "apply plain-reg.json {}": 1,
-    "fit {}": 1,
-}  # and how often each is drawn
-
-
-def _arrays(rng: random.Random, valid: Files) -> Case:
-    name = f"log{rng.choice(tuple(arrays.WRITERS))}"
-    return _read_by(ARRAY_COMMANDS, rng, valid, name, lambda: arrays.draw(rng, name[3:]))
-
-
-def _read_by(
-    commands: dict[str, float],
-    rng: random.Random,
-    valid: Files,
-    name: str,
-    draw: Callable[[], bytes],
-) -> Case:
-    """A file that is drawn after the command that reads it."""
-    words = rng.choices(list(commands), commands.values())[0].format(name).split()
-    return _case(_with_options(rng, words), valid, {name: draw()})
-
-
-RECORDING_COMMANDS = {
-    "average {} --json": 6,
     "average {} --scheme faces-6 -o o.csv": 4,
+    "average {} --rate 100 --columns ax,ay,az": 4,
     "calibrate {} -o o.json": 4,
     "calibrate {} --scheme faces-6 -o o.json": 4,
-    "apply lin.json {}": 1,
+    "apply lin.json {}": 6,
+    "apply lin.json {} --columns time,ax,ay,az --json": 4,
+    "apply plain-reg.json {}": 1,
     "fit {}": 2,
     "regress {} --response ax --variables time": 1,
     "capture replay:{}:0 --headless": 0.5,
@@ -180,9 +153,19 @@ RECORDING_COMMANDS = {
 }  # and how often each is drawn
 
 
+def _read_by(rng: random.Random, valid: Files, name: str, data: bytes) -> Case:
+    words = rng.choices(list(READ_COMMANDS), READ_COMMANDS.values())[0].format(name).split()
+    return _case(_with_options(rng, words), valid, {name: data})
+
+
+def _arrays(rng: random.Random, valid: Files) -> Case:
+    name = f"log{rng.choice(tuple(arrays.WRITERS))}"
+    return _read_by(rng, valid, name, arrays.draw(rng, name[3:]))
+
+
 def _recordings(rng: random.Random, valid: Files) -> Case:
     name = rng.choice(recordings.NAMES)
-    return _read_by(RECORDING_COMMANDS, rng, valid, name, lambda: recordings.draw(rng, name))
+    return _read_by(rng, valid, name, recordings.draw(rng, name))
 
 
 def _visits(rng: random.Random, valid: Files) -> Case:
@@ -225,29 +208,6 @@ def _scheme_names(rng: random.Random, valid: Files) -> Case:
     if words[at].startswith("-"):
         words[at] = f"x{words[at]}"
     return _case(_with_options(rng, words), valid)
-
-
-FORMULA_COMMANDS = {
-    "fit warm.csv --model": 8,
-    "fit r26.csv --json --model": 4,
-    "fit six.csv --model": 4,
-    "fit warm.csv --stepwise --model": 4,
-    "fit r26.csv --unknown-orientation --model": 1,
-    "fit r26.csv --orientation-sd 0.5 --reading-sd 0.001 --model": 2,
-    "fit r26.csv --budget bench.toml --model": 1,
-    "schemes faces-6 --model": 2,
-    "tumble tumble.csv --outputs ax --model": 4,
-    "design --positions 7 --model": 0.1,
-    "regress data.csv --response y --variables T,H,T_rate --terms": 10,
-    "regress data.csv --response y --variables T --segment T:15,25 --json --terms": 3,
-}  # and how often each is drawn
-
-
-def _formulas(rng: random.Random, valid: Files) -> Case:
-    words = rng.choices(list(FORMULA_COMMANDS), FORMULA_COMMANDS.values())[0].split()
-    factors = formulas.OF_DATA if words[0] == "regress" else formulas.OF_SENSORS
-    words[-1] = f"{words[-1]}={formulas.draw(rng, factors)}"
-    return _case(_with_options(rng, words, odds=0.15), valid)
 
 
 def _streams(rng: random.Random, valid: Files) -> Case:
@@ -346,7 +306,6 @@ KINDS: dict[str, Callable[[random.Random, Files], Case]] = {
     "visits": _visits,
     "options": _options,
     "crossing": _crossed,
-    "formulas": _formulas,
     "streams": _streams,
     "paths": _paths,
 }

@@ -84,9 +84,16 @@ def _empty_some_cells(rng: random.Random, rows: Rows) -> Rows:
     )
 
 
-def _scale_column(rng: random.Random, rows: Rows) -> Rows:
-    factor = rng.choice(FACTORS)
-    return _change_column(rows, _column(rng, rows), _arithmetic(lambda value: value * factor))
+def _compute_column(rng: random.Random, rows: Rows) -> Rows:
+    factor, offset, digits = rng.choice(FACTORS), rng.choice(OFFSETS), rng.choice((0, 1, 2))
+    size = rng.choice((1e-12, 1e-3, 1.0, 1e6))
+    changes = (
+        lambda value: value * factor,
+        lambda value: value + offset,
+        lambda value: round(value, digits),
+        lambda value: value + rng.gauss(0, size),
+    )
+    return _change_column(rows, _column(rng, rows), _arithmetic(rng.choice(changes)))
 
 
 def _scale_all(rng: random.Random, rows: Rows) -> Rows:
@@ -94,23 +101,6 @@ def _scale_all(rng: random.Random, rows: Rows) -> Rows:
     change = _arithmetic(lambda value: value * factor)
     skipped = rng.choice((0, 1, 4))  # the first columns say where the sensor stood
     return rows[:1] + [row[:skipped] + [change(cell) for cell in row[skipped:]] for row in rows[1:]]
-
-
-def _shift_column(rng: random.Random, rows: Rows) -> Rows:
-    offset = rng.choice(OFFSETS)
-    return _change_column(rows, _column(rng, rows), _arithmetic(lambda value: value + offset))
-
-
-def _round_column(rng: random.Random, rows: Rows) -> Rows:
-    digits = rng.choice((0, 1, 2))
-    return _change_column(rows, _column(rng, rows), _arithmetic(lambda value: round(value, digits)))
-
-
-def _noise_in_column(rng: random.Random, rows: Rows) -> Rows:
-    size = rng.choice((1e-12, 1e-3, 1.0, 1e6))
-    return _change_column(
-        rows, _column(rng, rows), _arithmetic(lambda value: value + rng.gauss(0, size))
-    )
 
 
 def _copy_column(rng: random.Random, rows: Rows) -> Rows:
@@ -212,37 +202,14 @@ def _comment(rng: random.Random, rows: Rows) -> Rows:
     return rows
 
 
-# How often each is drawn.
-MUTATORS: dict[Mutator, int] = {
-    _replace_cell: 3,
-    _replace_direction: 1,
-    _fill_column: 1,
-    _fill_column_at_random: 1,
-    _empty_some_cells: 1,
-    _scale_column: 1,
-    _scale_all: 1,
-    _shift_column: 1,
-    _round_column: 1,
-    _noise_in_column: 1,
-    _copy_column: 1,
-    _drop_column: 1,
-    _repeat_column: 1,
-    _name_column: 2,
-    _add_column: 2,
-    _shuffle_columns: 1,
-    _drop_rows: 1,
-    _keep_first_rows: 1,
-    _repeat_rows: 1,
-    _repeat_one_row: 1,
-    _shuffle_rows: 1,
-    _reverse_rows: 1,
-    _all_rows_alike: 1,
-    _drop_header: 1,
-    _ragged: 1,
-    _wide: 1,
-    _long_cell: 1,
-    _comment: 1,
-}
+MUTATORS: tuple[Mutator, ...] = (  # each as often as it stands here
+    *[_replace_cell, _name_column, _add_column] * 2,
+    *[_compute_column] * 4,
+    *(_replace_cell, _replace_direction, _fill_column, _fill_column_at_random, _empty_some_cells),
+    *(_scale_all, _copy_column, _drop_column, _repeat_column, _shuffle_columns, _drop_rows),
+    *(_keep_first_rows, _repeat_rows, _repeat_one_row, _shuffle_rows, _reverse_rows),
+    *(_all_rows_alike, _drop_header, _ragged, _wide, _long_cell, _comment),
+)
 
 
 def _written_with_semicolons(_: random.Random, rows: Rows) -> str:
@@ -287,7 +254,7 @@ def mutate(rng: random.Random, data: bytes) -> bytes:
     rows = [line.split(mark) for line in data.decode("utf-8").splitlines()]
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         if rows:
-            rows = rng.choices(list(MUTATORS), MUTATORS.values())[0](rng, rows)
+            rows = rng.choice(MUTATORS)(rng, rows)
     if rows and rng.random() < 0.15:
         written = rng.choice(WRITERS)(rng, rows)
     else:

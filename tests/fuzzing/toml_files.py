@@ -93,16 +93,11 @@ def _only_one_section(rng: random.Random, lines: Lines) -> Lines:
 
 
 # How often each is drawn.
-MUTATORS: dict[Mutator, int] = {
-    _replace_value: 8,
-    _add_value: 2,
-    _rename_key: 1,
-    _drop_line: 1,
-    _repeat_line: 1,
-    _add_section: 1,
-    _rename_section: 1,
-    _only_one_section: 1,
-}
+MUTATORS: tuple[Mutator, ...] = (  # each as often as it stands here
+    *(_replace_value, _replace_value, _replace_value, _replace_value, _replace_value),
+    *(_replace_value, _replace_value, _replace_value, _add_value, _add_value, _rename_key),
+    *(_drop_line, _repeat_line, _add_section, _rename_section, _only_one_section),
+)
 
 
 def mutate(rng: random.Random, data: bytes) -> bytes:
@@ -110,6 +105,6 @@ def mutate(rng: random.Random, data: bytes) -> bytes:
     lines = data.decode().splitlines()
     for _ in range(rng.choice((1, 1, 2, 3))):
         if lines:
-            lines = rng.choices(list(MUTATORS), MUTATORS.values())[0](rng, lines)
+            lines = rng.choice(MUTATORS)(rng, lines)
     changed = ("\n".join(lines) + "\n").encode("utf-8", "surrogatepass")
     return raw.damage(rng, changed) if rng.random() < 0.1 else changed
