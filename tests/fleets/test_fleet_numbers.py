@@ -470,7 +470,8 @@ def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
     [
         ({}, {}, "SharedDesign"),
         ({}, {"range": (1, 2)}, None),
-        ({}, {"exclude": "auto"}, None),
+        ({}, {"exclude": "auto"}, "SharedDesign"),
+        ({}, {"exclude": "1"}, None),
         ({"gravity": 9.81, "gravity_u": 0.01}, {}, "SharedDesign"),
         ({"robust": "huber"}, {}, None),
         ({"unknown_orientation": True}, {}, "SharedSphere"),
