@@ -161,11 +161,7 @@ def _with_components(first: Problem, optimum: Optimum, nu: float, given: StatedC
         )
         action = "State a larger --orientation-sd, or leave it out."
         findings.append(Finding("placement", "note", text, action))
-    words = (
-        f"orientation errors of {spread.value:.2g} degrees (68 %: {spread.low:.2g} to "
-        f"{spread.high:.2g})"
-    )
-    text = f"estimated {_noise_in_words(noise)} and {words}"
+    text = f"estimated {_noise_in_words(noise)} and orientation errors of {spread.in_words}"
     findings.append(Finding("estimated-noise", "note", text))
     sd = problem.orientation_sd
     return problem, unit.optimum, replace(noise, orientation_sd=sd, findings=tuple(findings))

@@ -443,8 +443,13 @@ def _estimate(shared: SharedSphere, values: Array, noise: StatedNoise | None) ->
     valid &= ended & _is_identifiable(shared, place, surface.information, factor)
     chi2 = None
     if noise is None:
-        u, dof = with_unequal_outputs(start.linear(place, variance).without_noise())
-        found = _Found(place, u, dof, valid & _inverse(surface.information).valid, start, surface)
+        valid &= _inverse(surface.information).valid
+        u, dof = np.full((2, *place.theta.shape), np.nan)
+        some = np.flatnonzero(valid)
+        if len(some):
+            linear = start.linear(place, variance).without_noise().of(some)
+            u[some], dof[some] = with_unequal_outputs(linear)
+        found = _Found(place, u, dof, valid, start, surface)
     else:
         chi2 = place.objective.copy()
         found = _with_excess(start, place, noise, valid)

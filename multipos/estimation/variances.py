@@ -572,13 +572,19 @@ def integrate(
         weights = _weights(model.evaluate(nodes).log + prior)
     else:
         grids, weights = list(near.grids), near.weights
-    for _ in range(_FINER):
-        grids = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
+    best, coarse = np.zeros(model.count, dtype=np.intp), np.ones(model.count, dtype=np.bool_)
+    for _ in range(_FINER):  # each unit by itself
+        finer = [_second(grid, _marginal(weights, grids, i)) for i, grid in enumerate(grids)]
+        both = zip(finer, grids, strict=True)
+        grids = [np.where(coarse[:, None], new, old) for new, old in both]
         nodes, prior = _nodes(axes, grids)
         weights = _weights(model.evaluate(nodes).log + prior)
-        best = weights.argmax(axis=1)
+        best = np.where(coarse, weights.argmax(axis=1), best)
+        before = model.outputs
         model.balance(nodes, best)
-        if _are_fine(weights, grids):
+        model.outputs = np.where(coarse[:, None], model.outputs, before)
+        coarse &= ~_are_fine(weights, grids)
+        if not coarse.any():
             break
     terms = model.evaluate(nodes)
     weights = _weights(terms.log + prior)
@@ -614,13 +620,13 @@ def _marginal(weights: Array, grids: Sequence[Array], axis: int) -> Array:
     return np.asarray(whole.sum(axis=others))
 
 
-def _are_fine(weights: Array, grids: Sequence[Array]) -> bool:
-    """Tell whether no node but that of none has most of the probability."""
+def _are_fine(weights: Array, grids: Sequence[Array]) -> Mask:
+    """Tell of which units (B,) no node but that of none has most of the probability."""
+    fine = np.ones(len(weights), dtype=np.bool_)
     for i, grid in enumerate(grids):
         first = int(np.isneginf(grid[:, 0]).all())
-        if (_marginal(weights, grids, i)[:, first:] > _SHARP).any():
-            return False
-    return True
+        fine &= ~(_marginal(weights, grids, i)[:, first:] > _SHARP).any(axis=1)
+    return fine
 
 
 def _second(grid: Array, probability: Array) -> Array:

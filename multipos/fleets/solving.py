@@ -194,7 +194,12 @@ def find_pattern(
     fixtures : bool
         Whether what a fixture adds is asked.
     """
-    c = calibration
+    c, exclude = calibration, options.get("exclude", "auto")
+    if c.excluded and exclude == "auto":
+        whole_of_it = fit_one(table, {**options, "exclude": "none"})
+        if not isinstance(whole_of_it, Calibration):
+            return None
+        c = whole_of_it
     plain = (
         c.readings.covariance is None
         and c.robust_weight is None
@@ -207,8 +212,7 @@ def find_pattern(
     asked = correlated_rows.are_asked(c.model, c.readings, c.reference, c.estimator)
     asked = asked and not timed
     alike = c.estimator is Estimator.LINEAR and c.readings.noise is None
-    exclude = options.get("exclude", "auto")
-    whole = options.get("range") is None and exclude in ("auto", "none") and not c.excluded
+    whole = options.get("range") is None and exclude in ("auto", "none")
     # Rests of a log are weighed by their numbers of samples where few of these are independent.
     whole &= c.readings.samples is None or c.readings.dof is None
     if not (plain and whole) or ((asked or timed) and not alike):
@@ -283,7 +287,8 @@ def _share_known(c: Calibration, table: Table, options: Mapping[str, Any]) -> Sh
     """Return what units share at known orientations."""
     if _POOR in _codes(c):  # of bad positions all are doubted, of a bad unit this one
         return None
-    if _oriented(c, table, options)[0].orientation_sd == "auto":
+    asked = options.get("orientation_sd") in (None, "auto")
+    if asked and _oriented(c, table, options)[0].orientation_sd == "auto":
         return None  # of this unit alone orientations are taken as they are listed
     # Residuals are asked for temperature, where the model has no term of it, too.
     columns = c.readings.environment
@@ -423,9 +428,12 @@ def solve_task(task: Task) -> Solved:
         found, in_time = _spread(shared, task.time, found)
     u, dof = _with_gravity(task.pattern, found)
     count = len(task.units)
+    listed, as_listed = task.pattern.listed, found
+    if listed is not None:
+        as_listed = estimate_known(listed.shared, task.values, task.stated, task.stated_dof)
     fixtures: tuple[FixtureSums, ...] = ()
     if task.pattern.fixture is not None:
-        fixtures = sum_fixtures(task.pattern.fixture, task.values, found, task.stations)
+        fixtures = sum_fixtures(task.pattern.fixture, task.values, as_listed, task.stations)
     uncertain_orientation = isinstance(shared, uncertain_orientations.SharedOrientations)
     looked_at = ~(found.sound & in_time) | find_suspects(
         shared.model, task.values, found, uncertain_orientation=uncertain_orientation
@@ -434,8 +442,8 @@ def solve_task(task: Task) -> Solved:
         looked_at |= task.pattern.sought.find(task.values, task.stated, task.stated_dof, ~looked_at)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
-    if task.pattern.listed is not None:
-        looked_at |= _may_be_hidden(task.pattern.listed, task)
+    if listed is not None:
+        looked_at |= _may_be_hidden(listed, task, as_listed)
     named = _chi2_findings(shared, task, found)
     tested = UnitFindings({}, looked_at)
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
@@ -473,9 +481,8 @@ def solve_task(task: Task) -> Solved:
 _NO_CAUSES = frozenset(("missing-term", "lack-of-fit", "placement"))  # of time or table, or a row
 
 
-def _may_be_hidden(listed: Listed, task: Task) -> Mask:
+def _may_be_hidden(listed: Listed, task: Task, found: Estimates) -> Mask:
     """Return of which units (B,) orientations as listed may show what their errors hide."""
-    found = estimate_known(listed.shared, task.values, task.stated, task.stated_dof)
     rejected = _chi2_findings(listed.shared, task, found).get(_REJECTED, False)
     stated = {"u": task.stated, "dof": task.stated_dof}
     given = listed.shared, task.values, found, task.temperature, stated, rejected

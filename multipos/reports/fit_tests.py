@@ -24,10 +24,8 @@ def checks_table(c: Calibration) -> PageTable:
         ("rank and parameters", f"{c.diagnostics.rank} / {c.diagnostics.parameters}"),
         ("condition of the design", numbers.number(c.diagnostics.condition, 3)),
     ]
-    spread = c.orientation_spread
-    if spread is not None and spread.source != "exact":
-        ends = f"68 %: {spread.low:.2g}° to {spread.high:.2g}°"
-        rows.append(("orientation errors (1 sigma)", f"{spread.value:.2g}° ({ends})"))
+    if c.orientation_spread is not None:
+        rows.append(("orientation errors (1 sigma)", c.orientation_spread.in_words))
     if c.cross_check is not None:
         rows.append(("closed form against least squares", f"{c.cross_check:.1e}"))
     for output, test in c.diagnostics.lack_of_fit.items():

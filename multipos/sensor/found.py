@@ -168,6 +168,11 @@ class OrientationSpread(Keyed):
     high: NotNegative
     source: Literal["stated", "estimated", "exact"]
 
+    @property
+    def in_words(self) -> str:
+        """Its value and the ends."""
+        return f"{self.value:.2g} degrees (68 %: {self.low:.2g} to {self.high:.2g})"
+
     @staticmethod
     def _upgraded(content: Mapping[str, Any]) -> Any:
         """Return what a file says; versions before 0.3 gave no ends, 0.1 what was determined."""

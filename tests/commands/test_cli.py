@@ -387,7 +387,7 @@ def test_schemes_lists_all_and_shows_one(here, capsys):
 
 
 def test_quiet_prints_no_warnings(here, capsys):
-    options = ("fit", "six.csv", "--reading-sd", "1e-9")
+    options = ("fit", "six.csv", "--convention", "gravity")
     assert "multipos: warning:" in run(capsys, *options)[2]
     status, out, err = run(capsys, *options, "-q")
     assert (status, err) == (0, "")

@@ -583,7 +583,7 @@ def known_forces_of_9_8(rng):
     yield mp.fit(values | dict(zip(names, forces, strict=True)), unit="g")
 
 
-@follows("beyond-target", "Check the unit and the convention")
+@follows("beyond-target", "Check the unit and the")
 def counts_called_g(rng):
     values = [0.9, -0.02, 0.007] + UP @ K.T + 2e-4 * rng.standard_normal(UP.shape)
     yield mp.export(plain(values), "ardupilot", allow_lossy=True, device_id=1)

@@ -147,7 +147,7 @@ def test_a_denied_claim_names_its_cause(scheme, made, cause):
     ("made", "cause"),
     [
         ({"sd": 1e-3}, "variation between rests"),
-        ({"sd": [1e-4, 1e-4, 1e-3]}, "unequal (ax "),
+        ({"sd": [1e-4, 1e-4, 1e-3]}, "State the noise of each output"),
     ],
     ids=["scatter", "unequal"],
 )

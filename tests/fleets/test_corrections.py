@@ -92,7 +92,7 @@ def test_rows_that_repeat_a_position_share_its_place():
     once = line(40, scheme="faces-corners-14", turned=turned[None], noise=2e-4, lot=0.0)
     again = line(40, scheme="faces-corners-14", turned=turned[None], noise=2e-4, lot=0.0, seed=1)
     table = {name: np.concatenate([column, again[name]]) for name, column in once.items()}
-    correction = correction_of(table)
+    correction = correction_of(table, orientation_sd=0)
     assert list(correction["scheme"]["position"]) == [str(k + 1) for k in range(14)]
     error = left_over(corrected_up(correction), true)
     u_deg = correction["budget"]["orientation"]["u_deg"]
@@ -122,8 +122,9 @@ def test_stations_have_their_own_files_for_fit_and_for_the_bench(tmp_path, capsy
     unit = {name: table[name][mine] for name in ("position", "ax", "ay", "az")}
     name = {"a/../b": "a____b", "塔 1": "塔_1"}[table["station"][0]]
     place = str(out / "stations" / name)
-    fitted = mp.fit(unit, scheme=f"{place}.csv", budget=f"{place}.toml", unit="g")
-    assert fitted.rms < 0.2 * mp.fit(unit, scheme="fibonacci-24").rms
+    known = {"unit": "g", "orientation_sd": 0, "exclude": "none"}
+    fitted = mp.fit(unit, scheme=f"{place}.csv", budget=f"{place}.toml", **known)
+    assert fitted.rms < 0.2 * mp.fit(unit, scheme="fibonacci-24", **known).rms
     others = len(set(table["unit"][table["station"] == table["station"][0]])) - 1
     assert fitted.budget.tables["orientation"]["dof"] == others
     # what the next run would write over is not read by it

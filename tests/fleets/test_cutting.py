@@ -30,7 +30,8 @@ from multipos.fleets.grouping import group_rows
 from multipos.fleets.sources import read_rows
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
-APART = {"unit_column": "unit", "station_column": "station"}
+KNOWN = {"orientation_sd": 0, "exclude": "none"}  # least squares of the listed orientations
+APART = {"unit_column": "unit", "station_column": "station"} | KNOWN
 UNITS, N = 40, 14
 
 

@@ -223,7 +223,7 @@ def test_what_a_unit_was_measured_worse_than_others():
 
 
 def fitted(up, values):
-    c = mp.fit(mp.Readings(values, up=up, outputs=("a", "b", "c"), unit="g"))
+    c = mp.fit(mp.Readings(values, up=up, outputs=("a", "b", "c"), unit="g"), orientation_sd=0)
     return c, share_design(c.model, c.reference, c.readings.environment)
 
 
@@ -470,7 +470,8 @@ def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
     [
         ({}, {}, "SharedDesign"),
         ({}, {"range": (1, 2)}, None),
-        ({}, {"exclude": "auto"}, None),
+        ({}, {"exclude": "auto"}, "SharedDesign"),
+        ({}, {"exclude": "1"}, None),
         ({"gravity": 9.81, "gravity_u": 0.01}, {}, "SharedDesign"),
         ({"robust": "huber"}, {}, None),
         ({"unknown_orientation": True}, {}, "SharedSphere"),
@@ -485,7 +486,9 @@ def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, share
     """At known orientations the design (1, f), its residuals' tests and a fixture."""
     up = mp.read_scheme("fibonacci-20").up
     values = up + 1e-4 * np.random.default_rng(1).normal(size=up.shape)
-    given, options = {}, dict(fitted_with)
+    given, options = {}, {"exclude": "none"} | fitted_with
+    if "unknown_orientation" not in options:
+        options = {"orientation_sd": 0} | options
     for name in ("u", "dof"):
         if name in options:
             given[name] = np.full(up.shape, options.pop(name))

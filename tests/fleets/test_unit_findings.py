@@ -11,8 +11,6 @@ from scipy import stats
 import multipos as mp
 from multipos.diagnostics import row_order
 from multipos.diagnostics.examination import _score
-from multipos.diagnostics.model_error import columns_of
-from multipos.diagnostics.projections import lacking
 from multipos.diagnostics.residuals import residuals_of
 from multipos.diagnostics.score_tests import LEVEL, score_of_term
 from multipos.estimation import user_models
@@ -20,13 +18,13 @@ from multipos.estimation.batches import Solution
 from multipos.finding import Finding, serious
 from multipos.fleets import solution_findings, solving, unit_findings
 from multipos.fleets.fixtures import Fixture
-from multipos.numerics.quantiles import f_log_tails
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
 UNITS = 10
 FEW = 4  # of them, where each is fitted alone as well
 LOUD = {"noise": np.array([1e-4, 1e-4, 1e-3]), "off_deg": 0.02}  # one of the outputs
 IGNORED = "missing-term;orientation-ignored"  # which a column lists
+KNOWN = {"orientation_sd": 0, "exclude": "none"}  # least squares of the listed orientations
 OWN = "each = b + p*x + q*y + r*z + k*(p*x + q*y + r*z)^2"
 
 
@@ -94,9 +92,10 @@ WHOLE = "1+x+y+z+own^2+own*|own|+own^3+x*y+x*z+y*z"  # lacks no kind of term
         ("fibonacci-24", {"warm": 3e-4, "u": 1e-4}, {}, "missing-term"),
         ("fibonacci-24", {"warm": 3e-4}, {"robust": "huber"}, "missing-term"),
         ("fibonacci-24", {"warm": 5e-3, "off_deg": 0.1}, {"orientation_sd": 0.1}, "missing-term"),
-        ("fibonacci-24", LOUD, {"orientation_sd": 0.02}, "unequal-noise"),
+        # outputs that are told apart have each its noise
+        ("fibonacci-24", LOUD, {"orientation_sd": 0.02}, ""),
         ("fibonacci-24", LOUD | {"repeats": 9}, {"orientation_sd": 0.02}, ""),  # too many to tell
-        ("fibonacci-24", LOUD, {"orientation_sd": "auto"}, "unequal-noise"),
+        ("fibonacci-24", LOUD, {"orientation_sd": "auto"}, ""),
         ("fibonacci-24", LOUD | {"u": 1e-4}, {"orientation_sd": 0.02}, ""),
         ("fibonacci-24", {"warm": 2e-3}, {"unknown_orientation": True}, IGNORED),
         ("fibonacci-24", LOUD | {"seed": 8}, {"unknown_orientation": True}, "orientation-ignored"),
@@ -108,6 +107,9 @@ WHOLE = "1+x+y+z+own^2+own*|own|+own^3+x*y+x*z+y*z"  # lacks no kind of term
     ],
 )
 def test_units_have_the_findings_of_fit(scheme, flaw, options, code):
+    if "orientation_sd" not in options and "unknown_orientation" not in options:
+        options = KNOWN | options
+    options = {"exclude": "none"} | options
     table = fleet(scheme, **flaw)
     n = len(table["unit"]) // UNITS
     table = {name: column[: FEW * n] for name, column in table.items()}
@@ -148,7 +150,7 @@ def test_outliers_that_hide_one_another_are_found_as_by_fit(options):
     values = stood + 3e-5 * rng.standard_normal(stood.shape)
     values[np.arange(40), rng.integers(0, 24, 40), rng.integers(0, 3, 40)] += 5e-3
     u = rng.uniform(2e-5, 4e-5, values.shape) if options.pop("stated", False) else None
-    singly, together = codes_of_both(values, u, **options)
+    singly, together = codes_of_both(values, u, **KNOWN, **options)
     assert together == singly
     assert sum("outlier" in each for each in singly) > 30
 
@@ -157,10 +159,12 @@ def test_causes_of_time_are_of_the_noise_of_each_unit():
     """A slip has S of `fit` in a unit whose outputs are unequally noisy, beside one of equal."""
     rng = np.random.default_rng(8)
     up = mp.read_scheme("fibonacci-24").up
-    like = mp.fit(mp.Readings(up + 1e-4 * rng.standard_normal((24, 3)), up=up))
+    like = mp.fit(mp.Readings(up + 1e-4 * rng.standard_normal((24, 3)), up=up), orientation_sd=0)
     noise = 1e-4 * np.array([1.0, 8.0, 0.5])
     slipped = up + np.where(np.arange(24)[:, None] < 9, 0.0, np.cross([2e-4, -3e-4, 1e-3], up))
-    unit = mp.fit(mp.Readings(slipped + noise * rng.standard_normal((24, 3)), up=up))
+    unit = mp.fit(
+        mp.Readings(slipped + noise * rng.standard_normal((24, 3)), up=up), orientation_sd=0
+    )
     plan, (_, e, slopes) = row_order.plan_of(like), row_order.residuals_in_order(unit)
     known = next(each for each in row_order.search(unit) if each.code == "slipped")
     given = e.T[:, None].repeat(2, axis=1), slopes[None].repeat(2, axis=0)
@@ -209,12 +213,11 @@ def test_findings_do_not_send_units_to_the_single_fit(monkeypatch):
     fit = solving.fit
     monkeypatch.setattr(solving, "fit", lambda *a, **o: count.append(1) or fit(*a, **o))
     for flaw in ({"cubic": 2e-3}, {"out": 5e-3}, {"off_deg": 0.1}):
-        mp.fit_many(fleet("fibonacci-24", **flaw), unit_column="unit")
-    mp.fit_many(fleet("fibonacci-24", out=5e-3), unit_column="unit", robust="huber")
-    mp.fit_many(fleet("fibonacci-24", cubic=1e-3, u=1e-4), unit_column="unit")
+        mp.fit_many(fleet("fibonacci-24", **flaw), unit_column="unit", **KNOWN)
+    mp.fit_many(fleet("fibonacci-24", cubic=1e-3, u=1e-4), unit_column="unit", **KNOWN)
     assert len(count) < 10  # the first of each, and a few that a cause of time may explain
     count.clear()
-    mp.fit_many(fleet("fibonacci-24"), unit_column="unit", model=OWN)
+    mp.fit_many(fleet("fibonacci-24"), unit_column="unit", **KNOWN, model=OWN)
     assert len(count) <= 2  # the first, and one of a hundred by chance
 
 
@@ -223,7 +226,7 @@ def test_units_whose_model_bends_within_u_are_fitted_singly():
     up = mp.read_scheme("all-26").up
     rng = np.random.default_rng(3)
     values = up / (1.0 + 0.03 * up**2) + 0.1 * rng.standard_normal((4, 26, 3))
-    one = mp.fit(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)")
+    one = mp.fit(mp.Readings(values[0], up=up), model="each = b + s*own/(1 + k*own^2)", **KNOWN)
     shared = user_models.share_expression(one)
     assert (shared.bias * one.model.per_parameter(one.residual_sd)).max() > 0.1  # and so reported
     assert "model-bias" in {each.code for each in one.findings}
@@ -244,7 +247,7 @@ def test_interchanged_rows_are_seen_behind_an_outlier():
     for axis in "xyz":
         column = table[f"a{axis}"]
         column[[0, near]] = column[[near, 0]]
-    found = mp.fit_many(table, unit_column="unit")
+    found = mp.fit_many(table, unit_column="unit", **KNOWN)
     assert "interchanged-rows" in found["findings"][0]
     assert "interchanged-rows" not in "".join(found["findings"][1:])
 
@@ -256,10 +259,12 @@ def test_rivals_of_a_drift_have_the_scores_of_fit(monkeypatch):
     compete = unit_findings._compete
     monkeypatch.setattr(unit_findings, "_compete", lambda *a: seen.append(a[2]) or compete(*a))
     table = fleet("fibonacci-24", repeats=2, drift=1e-3, cubic=1e-3)
-    mp.fit_many(table, unit_column="unit")
+    mp.fit_many(table, unit_column="unit", **KNOWN)
     for unit in range(2):
         rows = slice(48 * unit, 48 * (unit + 1))
-        c = mp.fit({name: column[rows] for name, column in table.items() if name != "unit"})
+        c = mp.fit(
+            {name: column[rows] for name, column in table.items() if name != "unit"}, **KNOWN
+        )
         worst = c.readings.labels[int(np.argmax((c.residuals**2).sum(axis=1)))]
         residuals = partial(residuals_of, c)
         singly = [
@@ -281,50 +286,3 @@ def test_outputs_together_are_judged_by_fisher():
     level = 1.0 - np.sqrt(1.0 - LEVEL)
     limits = [np.log(level), -0.5 * stats.chi2.isf(level, 6), -np.inf]
     np.testing.assert_allclose(unit_findings._limits(np.array([[1, 3, 0]]))[0], limits)
-
-
-def test_what_robust_units_may_lack_is_found_by_weighted_least_squares():
-    """F of every kind and output on n − p − q, with the weights of the unit; ln p together."""
-    rng = np.random.default_rng(12)
-    up, units = mp.read_scheme("fibonacci-24").up, 24
-    cal = mp.fit(mp.Readings(up + 1e-3 * rng.normal(size=up.shape), up=up))
-    kinds = lacking(cal)
-    X = np.column_stack([np.ones(24), up])
-    sizes = np.linspace(0.0, 1e-2, units)[:, None, None]
-    e = 1e-3 * rng.normal(size=(units, 24, 3)) + sizes * up**3
-    e -= X @ np.linalg.pinv(X) @ e
-    weight = rng.uniform(0.3, 1.0, (units, 3, 24))
-    shared = SimpleNamespace(
-        designs=[X] * 3,
-        by_output=[SimpleNamespace(Q=np.linalg.qr(X)[0])] * 3,
-        reference=up,
-        environment={},
-    )
-    found = SimpleNamespace(weight=weight, residuals=e.transpose(2, 0, 1))
-    expected = []
-    for unit in range(units):
-        logs, used = np.zeros((1, len(kinds))), np.zeros((1, len(kinds)), dtype=int)
-        for i in range(3):
-            root = np.sqrt(weight[unit, i])
-            y = e[unit, :, i]
-            plain = y - X @ np.linalg.lstsq(root[:, None] * X, root * y, rcond=None)[0]
-            for place, kind in enumerate(kinds):
-                Z = columns_of([kind], i, up, {})
-                q = Z.shape[1]
-                if not q:
-                    continue
-                both = np.column_stack([X, Z])
-                b = np.linalg.lstsq(root[:, None] * both, root * y, rcond=None)[0]
-                rss0, rss1 = (np.sum((root * r) ** 2) for r in (plain, y - both @ b))
-                nu = weight[unit, i].sum() - 4.0
-                F = (rss0 - rss1) * max(nu - q, 1.0) / (q * rss1)
-                logs[0, place] += f_log_tails(np.array([F]), float(q), float(20 - q))[0]
-                used[0, place] += 1
-        beyond = logs < unit_findings._limits(used) + unit_findings._NEAR
-        expected.append(bool(beyond.any()))
-    assert 5 < sum(expected) < 19
-    assert unit_findings.may_lack_terms(kinds, shared, found).tolist() == expected
-    cubes = (up**3 - X @ np.linalg.pinv(X) @ up**3).T[:, None]  # beside them rounding is left
-    exact = cubes * (1e18 * rng.uniform(1.0, 2.0, units))[:, None]
-    found = SimpleNamespace(weight=np.ones((units, 3, 24)), residuals=exact)
-    assert unit_findings.may_lack_terms(kinds, shared, found).all()
