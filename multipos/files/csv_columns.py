@@ -287,9 +287,8 @@ def read_plain(raw: Raw) -> Plain | None:
     Blank lines and comments are no rows.
     """
     found = _Pieces(raw)
-    start = 0
-    while raw[start : start + len(BOM_UTF8)] == BOM_UTF8:
-        start += len(BOM_UTF8)
+    head = raw[0:_LINE]
+    start = len(head) - len(head.lstrip(BOM_UTF8))
     while start < len(raw):
         end = _line_end(raw, start + _PIECE)
         if not found.take(start, end):

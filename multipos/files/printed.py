@@ -120,9 +120,8 @@ class Printed:
     @property
     def said(self) -> str:
         """How lines were read, in words."""
-        count = len(self.forms)
-        records = "each line is a record" if count == 1 else f"a record is {count} lines"
-        return f"{records}, as a program printed it: {self.forms[0][:60]}"
+        count = f"a record is {len(self.forms)} lines"
+        return f"{count if len(self.forms) > 1 else 'each line is a record'}, as a program printed it: {self.forms[0][:60]}"
 
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells that are kept of all of a record."""

@@ -13,7 +13,6 @@ import csv
 import io
 import itertools
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -322,14 +321,15 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     lines = io.StringIO(_decode(path, raw, what), newline=None).read().split("\n")
     if not any(map(is_row, lines)):
         raise MultiposError(f"{path}: the file is empty; give a header and rows of {what}.")
-    layout = find_layout(str(path), _closed(lines[:_HEAD]), needs="give one row per position")
+    layout = find_layout(str(path), lines[:_HEAD], needs="give one row per position")
     printed = layout.printed
     if printed is not None:
         lines = [*Records(printed).text(lines)]
     begin = 1 if layout.header is None else layout.below
     numbered = [(n, line) for n, line in enumerate(lines, 1) if n >= begin and is_row(line)]
     records = _records(path, numbered, layout.delimiter)
-    header = [_with_unit(*each) for each in zip(layout.names, layout.units, strict=True)]
+    pairs = zip(layout.names, layout.units, strict=True)
+    header = [f"{n} [{unit}]" if unit and not split_unit(n)[1] else n for n, unit in pairs]
     if layout.header is None and numbered and numbered[0][0] < layout.first:
         header = [cell.strip() for cell in next(records).cells]  # which the rows do not fit
     _check_header(path, header)
@@ -354,29 +354,6 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
         "," if printed else layout.delimiter or " ",
         read_as="; ".join(filter(None, said)),
     )
-
-
-def _with_unit(name: str, unit: str) -> str:
-    """Return a name with the unit that stands below it."""
-    return name if split_unit(name)[1] or not unit else f"{name} [{unit}]"
-
-
-_OPEN = re.compile(r'(?:^|[,;\t])\s*"(?:[^"]|"")*$')  # a cell whose quote goes on in the next line
-
-
-def _closed(lines: Sequence[str]) -> list[str]:
-    """Return lines in which what a quoted cell goes on over is one, and those after it empty."""
-    closed: list[str] = []
-    open_ = -1
-    for place, line in enumerate(lines):
-        if open_ < 0:
-            closed.append(line)
-            open_ = place if _OPEN.search(line) else -1
-            continue
-        closed.append("")
-        closed[open_] += f"\n{line}"
-        open_ = open_ if _OPEN.search(closed[open_]) else -1
-    return closed
 
 
 def _decode(path: StrPath, raw: bytes, what: str) -> str:

@@ -15,7 +15,6 @@ from multipos.units import STANDARD_GRAVITY
 _WRITTEN = packaged_pairs(__file__, "units.csv")
 UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
 MAGNETIC_UNITS = ("T", "mT", "uT", "nT", "G", "mG")
-ACCELERATION_UNITS = ("m/s^2", "g", "mg", "ug")
 PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 

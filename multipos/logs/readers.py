@@ -40,15 +40,13 @@ from multipos.logs.array_logs import loaded
 from multipos.logs.extras import NOTES, noted, reader_with_extra
 
 _AXES = "XYZ"
+_OF_KINDS = {"Acc": " (m/s^2)", "Gyr": " (rad/s)"}
 _NAMES = ("INS_ACCOFFS_", "INS_ACCSCAL_")
 _FMT = 4  # fields of FMT before the names: type, length, name, format
 _DATAFLASH_TEXT = re.compile(rb"\s*FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w+,")
 # The fields that are taken, with what stands behind their names in a header.
-_UNITS = (
-    {"TimeUS": " (us)", "T": ""}
-    | {f"Acc{axis}": " (m/s^2)" for axis in _AXES}
-    | {f"Gyr{axis}": " (rad/s)" for axis in _AXES}
-)
+_UNITS = {"TimeUS": " (us)", "T": ""}
+_UNITS |= {f"{kind}{axis}": unit for kind, unit in _OF_KINDS.items() for axis in _AXES}
 
 
 def load_dataflash(path: os.PathLike[str]) -> Mapping[str, Any]:

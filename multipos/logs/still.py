@@ -279,7 +279,7 @@ def _limits(
         return survey.limits()
     except MultiposError as error:
         if source and survey.rows < survey.grid.shortest:
-            free = " --unknown-orientation, or --scheme NAME in its place where they are known"
+            free = " --unknown-orientation, or --scheme NAME where they are known"
             how = "" if COLUMNS & set(columns) else free
             raise MultiposError(
                 f"{source}: {survey.rows} rows are too few for a log of samples, which has fewer "

@@ -28,13 +28,7 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import packaged_pairs
 from multipos.files.tables import Column, Table
-from multipos.files.written_units import (
-    ACCELERATION_UNITS,
-    MAGNETIC_UNITS,
-    PER_G,
-    split_unit,
-    unit_of,
-)
+from multipos.files.written_units import MAGNETIC_UNITS, PER_G, split_unit, unit_of
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS
 from multipos.positions import attitudes
@@ -127,14 +121,14 @@ def field_of_outputs(
             )
         return "gravity"
     if asked == "magnetic":
-        if unit in ACCELERATION_UNITS:
+        if unit in PER_G:
             raise UsageError(
                 f"the unit {unit} is of accelerations; give --unit {', '.join(MAGNETIC_UNITS)} or "
                 "count, or leave --field magnetic away."
             )
         return asked
     named = bool(kinds) and all(kind.magnetic for kind in kinds) and stated is None
-    return "magnetic" if magnetic or (named and unit not in ACCELERATION_UNITS) else "gravity"
+    return "magnetic" if magnetic or (named and unit not in PER_G) else "gravity"
 
 
 def is_beside(name: str) -> bool:
@@ -229,10 +223,8 @@ def _in_one_unit(table: Table, units: dict[str, str]) -> tuple[Table, dict[str, 
         if wanted is None or units[name] == wanted:
             continue
         if not {units[name], wanted} <= {*PER_G}:
-            raise MultiposError(
-                f"{table.source}: column '{name}' is in {units[name]} by its header, and what it "
-                f"is of in {wanted}; give both in one unit."
-            )
+            said = f"'{name}' is in {units[name]} by its header, and '{own}' in {wanted}"
+            raise MultiposError(f"{table.source}: {said}; give both in one unit.")
         columns[name] = table.number(name, empty=True) * (PER_G[wanted] / PER_G[units[name]])
         del units[name]
     return replace(table, columns=columns), units
@@ -393,7 +385,7 @@ def unused_columns(texts: Iterable[str]) -> list[Finding]:
 def unit_as_known(unit: str) -> str:
     """Return a unit as it is called here: m/s2, mps2 and m/s**2 are m/s^2, µT is uT."""
     known = unit_of(unit)
-    return known if known in (*ACCELERATION_UNITS, *MAGNETIC_UNITS) else unit
+    return known if known in (*PER_G, *MAGNETIC_UNITS) else unit
 
 
 def unit_of_outputs(

@@ -16,7 +16,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.spelling import Names, listed, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
-from multipos.files.written_units import ACCELERATION_UNITS, MAGNETIC_UNITS
+from multipos.files.written_units import MAGNETIC_UNITS, PER_G
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes, forces, headers
@@ -157,7 +157,7 @@ def _of_magnetic_field(
         alone = len(named) == len(COMPONENTS) and not others
         if names is not None:
             alone = all(headers.component(name).magnetic for name in names)
-        if not (shown or alone) or headers.unit_as_known(unit or "") in ACCELERATION_UNITS:
+        if not (shown or alone) or headers.unit_as_known(unit or "") in PER_G:
             return table, names
     whole = headers.triads_of(named, {name: headers.component(name) for name in named})
     if field == "magnetic" and names is None and len(whole) == 1:
