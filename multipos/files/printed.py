@@ -120,8 +120,8 @@ class Printed:
     @property
     def said(self) -> str:
         """How lines were read, in words."""
-        count = f"a record is {len(self.forms)} lines"
-        return f"{count if len(self.forms) > 1 else 'each line is a record'}, as a program printed it: {self.forms[0][:60]}"
+        records = f"a record is {len(self.forms)} lines" if self.forms[1:] else "each line is a record"
+        return f"{records}, as a program printed it: {self.forms[0][:60]}"
 
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells that are kept of all of a record."""
