@@ -120,8 +120,8 @@ class Printed:
     @property
     def said(self) -> str:
         """How lines were read, in words."""
-        records = f"a record is {len(self.forms)} lines" if self.forms[1:] else "each line is a record"
-        return f"{records}, as a program printed it: {self.forms[0][:60]}"
+        lines = f"a record is {len(self.forms)} lines" if self.forms[1:] else "a line is a record"
+        return f"{lines}, as a program printed it: {self.forms[0][:60]}"
 
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells that are kept of all of a record."""
