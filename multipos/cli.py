@@ -167,7 +167,6 @@ _PARTS = {
     "argcomplete": "completion",
     "scipy": "this",
     "casadi": "a user-defined model",
-    "matplotlib": "a figure",
     "jinja2": "an HTML report",
     "markupsafe": "an HTML report",
 }

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,16 @@ class MultiposError(ValueError):
     ...     print(error)
     readings: row 2, column 'az': '-' is not a number; a number is needed there.
     """
+
+
+@contextmanager
+def refused_with(seen: Callable[[], str]) -> Iterator[None]:
+    """Add to a refusal in the block what was seen of the data before it."""
+    try:
+        yield
+    except MultiposError as error:
+        error.args = (f"{error} {seen()}", *error.args[1:])
+        raise
 
 
 class RankError(MultiposError):

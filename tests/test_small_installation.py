@@ -134,3 +134,11 @@ def test_what_is_missing_is_said_in_one_line(command, answers):
     assert err.count("\n") == 1
     assert err.startswith("multipos: error: ")
     assert MISSING[command] in err
+
+
+def test_without_matplotlib_a_view_says_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    found = mp.demo().calibration
+    assert "pip install matplotlib" in found._repr_html_()
+    with pytest.raises(mp.MultiposError, match="pip install matplotlib"):
+        found.plot()

@@ -3,7 +3,7 @@
 A `RowSource` is an iterator of arrivals; `bytes_source` makes one of bytes. The first arrival says
 what the columns are; then rows come as they are there, and an empty arrival some twenty times a
 second, so that whoever waits is never stuck. The first lines show what the columns are, as in a log
-(`multipos.logs.layout`), and at which rate they come where nothing else tells it. A line that is
+(`multipos.files.layout`), and at which rate they come where nothing else tells it. A line that is
 cut off by an unplugged cable is no row.
 """
 

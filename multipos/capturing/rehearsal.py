@@ -19,11 +19,12 @@ import numpy as np
 
 from multipos.capturing.evaluation import SessionPlan, model_of
 from multipos.errors import CalibrationWarning, ConvergenceError, MultiposError, RankError
+from multipos.files.written_units import MAGNETIC_UNITS
 from multipos.fitting.calibrate_logs import fit_rests
 from multipos.logs.averaging import average
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import formula_columns
-from multipos.positions.headers import MAGNETIC_UNITS, TEMPERATURE
+from multipos.positions.headers import TEMPERATURE
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.model import default_axes

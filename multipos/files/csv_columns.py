@@ -1,8 +1,8 @@
 """Columns of a long text table: bytes, which become cells or numbers when they are asked for.
 
 `read_plain` returns the columns of a text, `joined_cells`, `arrange_cells` and `spread_cells` those
-of several texts, of some rows in an order of their own, and of rows by kind; `unix_lines` gives
-lines one end.
+of several texts, of some rows in an order of their own, and of rows by kind; `rows_of_text` leaves
+comments out, `unix_lines` gives lines one end.
 
 A cell that is a Python string takes ten times the memory of its characters, and most cells of a
 long table are numbers of a column that is asked for once, or of one that nobody uses. So the bytes
@@ -12,6 +12,7 @@ for the `csv` module.
 """
 
 import io
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import repeat
 from operator import itemgetter, methodcaller
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
+from multipos.files.printed import COMMENTS, is_row
 from multipos.files.spelling import StrPath
 from multipos.files.whole import reading
 from multipos.numerics.arrays import Array, Places, places_of_kinds
@@ -33,7 +35,6 @@ _LINE = 1 << 16  # bytes in which the end of a line is looked for at a time
 _TOGETHER = 1 << 16  # rows that are arranged in a piece
 _WIDE = 100  # columns, from which on
 _SHORT = 1 << 26  # fewer bytes are taken apart once: each column by itself would split all the text
-_BOM = b"\xef\xbb\xbf"
 
 
 class FileBytes:
@@ -283,12 +284,11 @@ def _joined_lines(lines: NDArray[np.object_]) -> bytes:
 def read_plain(raw: Raw) -> Plain | None:
     """Return the columns of a table in UTF-8; None where it is not as plain as that.
 
-    Blank lines, and those that begin with ``#``, are no rows.
+    Blank lines and comments are no rows.
     """
     found = _Pieces(raw)
-    start = 0
-    while raw[start : start + len(_BOM)] == _BOM:  # joined files have several
-        start += len(_BOM)
+    head = raw[0:_LINE]
+    start = len(head) - len(head.lstrip(BOM_UTF8))
     while start < len(raw):
         end = _line_end(raw, start + _PIECE)
         if not found.take(start, end):
@@ -332,7 +332,7 @@ class _Pieces:
             text = _text(raw)
         except UnicodeDecodeError:
             return False
-        kept, places = _kept(text)
+        kept, places = rows_of_text(text)
         if kept and not self._header:
             self._take_header(kept[0])
             lines = raw.splitlines(keepends=True)
@@ -370,17 +370,13 @@ def _text(raw: bytes) -> str:
 
 
 def _rows_of(raw: Raw, piece: _Piece) -> list[str]:
-    return _kept(_text(raw[piece.start : piece.end]))[0]
+    return rows_of_text(_text(raw[piece.start : piece.end]))[0]
 
 
-def _kept(text: str) -> tuple[list[str], Sequence[int]]:
+def rows_of_text(text: str) -> tuple[list[str], Sequence[int]]:
     """Return the rows of a text, and which of its lines they are, counted from 0."""
-    lines = text.removesuffix("\n").split("\n")
-    if "#" not in text and all(map(str.strip, lines)):
+    lines = text.removesuffix("\n").split("\n") if text else []
+    if not any(mark in text for mark in COMMENTS) and all(map(str.strip, lines)):
         return lines, range(len(lines))
-    places = [
-        place
-        for place, line in enumerate(lines)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    places = [place for place, line in enumerate(lines) if is_row(line)]
     return [lines[place] for place in places], places

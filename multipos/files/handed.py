@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.csv_columns import FileBytes
-from multipos.files.pipes import GZIP, Unpacked
+from multipos.files.pipes import GZIP, Unpacked, text_of
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json_value
 from multipos.files.whole import first_bytes, read_bytes, reading
@@ -451,7 +451,7 @@ def _lines(path: StrPath, what: str) -> list[Any] | None:
     """Return the values of JSON that has one on every line; None where a line is none."""
     raw = read_bytes(path, what)
     try:
-        lines = raw.decode().lstrip("\ufeff").splitlines()
+        lines = text_of(raw).splitlines()
         found = [json.loads(line) for line in lines if line.strip()]
     except (ValueError, RecursionError):
         return None
@@ -463,9 +463,10 @@ def _column(cells: Iterable[Any]) -> Any:
     cells = list(cells)
     if all(isinstance(cell, str | None) for cell in cells):
         texts = np.array([cell or "" for cell in cells], dtype=np.str_)
+        filled = np.where(texts == "", "nan", texts) if (texts != "").any() else texts
         for kind in (np.int64, np.float64):  # times in nanoseconds have more digits than a float
             try:
-                return texts.astype(kind)
+                return filled.astype(kind)
             except (ValueError, OverflowError):
                 continue
         return texts

@@ -110,22 +110,26 @@ class Marks:
         registers = [name for name, bits in zip(names, self.bits, strict=True) if bits]
         if registers:
             size = {bits for bits, signed in zip(self.bits, self.signed, strict=True) if signed}
-            kind = f"two's complement of {max(size)} bits" if size else "numbers without a sign"
+            unsigned = "numbers without a sign (--signed BITS gives them one)"
+            kind = f"two's complement of {max(size)} bits" if size else unsigned
             parts.append(f"registers in {listed(registers, 6)} are {kind}")
         return "; ".join(parts)
 
 
-def is_grouped(cell: str) -> bool:
-    """Tell whether a cell is a register, or a number with marks that only thousands can have."""
+def is_grouped(cell: str, *, commas_between: bool = False) -> bool:
+    """Tell whether a cell is a register, or a number with marks that only thousands can have.
+
+    Where commas stand between cells, one in a cell is such a mark.
+    """
     plain = cell.translate(_SIGNS)
     both = "." in plain and "," in plain and _NUMBER.fullmatch(plain) is not None
-    twice = any(_TWICE[mark].match(plain) and _GROUPS[mark].fullmatch(plain) for mark in ".,")
-    return both or twice or _REGISTER.fullmatch(plain) is not None
+    grouped = [mark for mark in ".," if _GROUPS[mark].fullmatch(plain)]
+    sure = any(_TWICE[mark].match(plain) or (mark == "," and commas_between) for mark in grouped)
+    return both or sure or _REGISTER.fullmatch(plain) is not None
 
 
-def may_have_marks(rows: Iterable[Sequence[str]]) -> bool:
-    """Tell by the first rows whether numbers may have marks between thousands, or are registers."""
-    columns = [*zip(*rows, strict=False)]
+def may_have_marks(columns: Iterable[Sequence[str]]) -> bool:
+    """Tell by the first cells of columns whether they may be of thousands, or registers."""
     return any(map(_is_suspect, columns))
 
 
@@ -285,20 +289,16 @@ def _bits(column: _Column) -> int:
 
 
 def cleaned_columns(
-    source: str, columns: dict[str, list[str]], *, commas_between: bool
+    source: str, columns: dict[str, list[str]], *, commas_between: bool, decimal_commas: bool
 ) -> tuple[dict[str, list[str]], str]:
     """Return columns whose numbers have no marks but the decimal point, and what is said of it."""
-    names = [*columns]
-    sample = zip(*(cells[:_SAMPLE] for cells in columns.values()), strict=True)
-    if not may_have_marks(sample):
+    names, rows = [*columns], [*zip(*columns.values(), strict=True)]
+    if not (decimal_commas or may_have_marks(cells[:_SAMPLE] for cells in columns.values())):
         return columns, ""
-    marks = read_marks(
-        source, names, zip(*columns.values(), strict=True), commas_between=commas_between
-    )
-    if not marks:
+    marks = read_marks(source, names, rows, commas_between=commas_between)
+    if not (marks or decimal_commas):
         return columns, ""
-    rows = map(marks.clean, zip(*columns.values(), strict=True))
-    cells = np.array([*rows], dtype=object).T.tolist()
+    cells = np.array([*map(marks.clean, rows)], dtype=object).T.tolist()
     return dict(zip(names, cells, strict=True)), marks.said(names)
 
 

@@ -25,15 +25,8 @@ _RATIO = 0.01  # ratios below are read in ppm
 _SHORT, _RARE = 1e-4, 1e-6  # of probabilities: below, a text says only that
 _ROUNDING = 1e-13  # an uncertainty below, in a unit that people read, is that of the arithmetic
 _PREFIXES = {"k": 3, "": 0, "m": -3, "µ": -6, "n": -9}
-_SMALLEST = {
-    "T": -9,
-    "G": -3,
-    "g": -6,
-    "V": -9,
-    "A": -9,
-    "rad": -6,
-    "m": -6,
-}  # exponents that people still read
+# exponents that people still read
+_SMALLEST = {"T": -9, "G": -3, "g": -6, "V": -9, "A": -9, "rad": -6, "m": -6}
 
 
 def uncertain(value: float, u: float) -> str:

@@ -1,7 +1,8 @@
 """Paths that can be read as often as a file: pipes, what was packed, text in other encodings.
 
 `rereadable` returns one of any path, of which `is_pipe`, `is_folder`, `is_file` and `is_there` tell
-what it is; `unpack_text` returns one of text that is no UTF-8, as `decoded` finds it.
+what it is; `unpack_text` returns one of text that is no UTF-8, as `decoded` finds it; `text_of` and
+`lines_of` read UTF-8.
 
 A pipe gives its bytes once, but a log is read in two passes, a calibration after a look at its
 kind, and the data of a regression again for its figure. A `Pipe` and an `Unpacked` file are paths:
@@ -30,9 +31,22 @@ from typing import Any, BinaryIO
 from multipos.errors import MultiposError
 from multipos.files.spelling import StrPath
 
+BOM = "\ufeff"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _CHINESE = re.compile(r"[\u4e00-\u9fff]+")
 _WESTERN = frozenset("äöüÄÖÜßéèêëàâçôûîïÉÈÀÇ°²³µ±·–")
+
+
+def text_of(raw: bytes) -> str:
+    """Return UTF-8 as text, without the marks of the byte order that it begins with."""
+    return raw.decode().lstrip(BOM)
+
+
+def lines_of(path: StrPath) -> Iterator[str]:
+    """Yield the lines of a file without their ends, what is no UTF-8 in it replaced."""
+    with Path(path).open(encoding="utf-8", errors="replace", newline=None) as stream:
+        for number, line in enumerate(stream):
+            yield line.rstrip("\n") if number else line.rstrip("\n").lstrip(BOM)
 
 
 def decoded(raw: bytes) -> tuple[str, str] | None:

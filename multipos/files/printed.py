@@ -10,7 +10,7 @@ its unit. A number that nothing names and that rises is the time.
 `find_printed` looks at the first lines and returns how they are printed, or None of a table, whose
 cells are numbers or words and never both. `Records.text` returns the rows of lines as they come,
 `unpack_printed` a file of them: each line of it is a row or empty, so that a row keeps the number
-of its line.
+of its line. `is_row`, `is_comment` and `holds_number` tell kinds of lines.
 
 What has a form of its own: Teleplot [1]_, ``>ax:1627551892437:0.12``, whose first number is ms; the
 log of ESP-IDF [2]_, ``I (12345) imu: ax=0.1``, whose first number is ms too; stamps of ROS in
@@ -27,10 +27,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
-from multipos.files.pipes import Unpacked
+from multipos.files.pipes import Unpacked, lines_of
 from multipos.results import frozen
 
 DATE = re.compile(
@@ -118,6 +117,12 @@ class Printed:
     stamp: tuple[int, ...]
     decimal: str
 
+    @property
+    def said(self) -> str:
+        """How lines were read, in words."""
+        lines = f"a record is {len(self.forms)} lines" if self.forms[1:] else "a line is a record"
+        return f"{lines}, as a program printed it: {self.forms[0][:60]}"
+
     def row(self, cells: Sequence[str]) -> list[str]:
         """Return the cells that are kept of all of a record."""
         cells = [*cells]
@@ -142,8 +147,7 @@ class Records:
     def text(self, lines: Iterable[str]) -> Iterator[str]:
         """Yield each line as the cells of the record that it ends, empty where it ends none."""
         for line in lines:
-            comment = line.lstrip().startswith(COMMENTS)
-            yield line.rstrip() if comment else "\t".join(self._taken(line))
+            yield line.rstrip() if is_comment(line) else "\t".join(self._taken(line))
 
     def _taken(self, line: str) -> list[str]:
         """Take up a line; return the cells of the record that it ends."""
@@ -175,9 +179,19 @@ def _pattern(form: str, decimal: str) -> re.Pattern[str]:
     return re.compile("".join(parts).replace(r"\s*\s*", r"\s*"))
 
 
+def is_comment(line: str) -> bool:
+    """Tell whether a line is a comment."""
+    return line.lstrip().startswith(COMMENTS)
+
+
+def is_row(line: str) -> bool:
+    """Tell whether a line is neither empty nor a comment."""
+    return bool(line.strip()) and not is_comment(line)
+
+
 def find_printed(lines: Sequence[str]) -> Printed | None:
     """Return how lines are printed; None where they are a table, or nothing that is seen."""
-    sample = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    sample = list(filter(is_row, lines))
     if all(map(_NUMBERS.fullmatch, sample[-_FEW:])):
         return None
     if _is_table(sample):
@@ -426,8 +440,7 @@ def unpack_printed(path: os.PathLike[str], printed: Printed) -> Unpacked:
     """Return printed lines as a file of cells with tabulators, a line for each of theirs."""
 
     def lines() -> Iterator[bytes]:
-        with Path(path).open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
-            for text in Records(printed).text(stream):
-                yield f"{text}\n".encode()
+        for text in Records(printed).text(lines_of(path)):
+            yield f"{text}\n".encode()
 
     return Unpacked(str(path), lines(), ".tsv")

@@ -4,9 +4,9 @@
 write, `safe_rows` passes rows on. Cells stay text until a column is asked for, so that a column
 nobody uses can hold anything and a bad cell is reported by file, row and column.
 
-A table is one row a line, comma separated, or semicolon separated with decimal commas, or tab
-separated; ``#`` starts a comment line; UTF-8 with or without byte-order mark. Wherever a file
-is taken, what `multipos.files.handed` lists is taken too.
+A table is one row a line, UTF-8 with or without byte-order mark; `multipos.files.layout` finds its
+header and what stands between its cells, of tables and logs alike. Wherever a file is taken, what
+`multipos.files.handed` lists is taken too.
 """
 
 import csv
@@ -26,14 +26,17 @@ from multipos.errors import MultiposError
 from multipos.files import handed, spelling, whole
 from multipos.files.csv_columns import Cells, FileBytes, Lines, Plain, Raw, read_plain
 from multipos.files.csv_columns import Column as Column
+from multipos.files.layout import find_layout, units_in
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
-from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable
-from multipos.files.printed import Records, find_printed, holds_number
+from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable, text_of
+from multipos.files.printed import Records, holds_number, is_row
 from multipos.files.spelling import StrPath
+from multipos.files.written_units import split_unit
 from multipos.results import frozen
 
 _FINITE = float(np.finfo(np.float64).max)
-_HEAD = 4096  # bytes, in which no text has a NUL
+_BINARY = 4096  # bytes, in which no text has a NUL
+_HEAD = 1000  # lines that tell how a table is laid out
 _FEW = 1000  # rows, up to which cells are written one by one
 SHORT = 1 << 14  # bytes: a shorter file is read once, as opening it takes longer than reading
 _LONG = 1 << 20  # bytes: a longer text stays bytes until its cells are asked for
@@ -284,23 +287,27 @@ def _read_csv(path: StrPath, what: str) -> Table:
         raw = handed.workbook_text(path).encode()
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
         raw = found[0].encode()
-    plain = _plain(raw) if len(raw) > _LONG else None
+    plain = _plain(raw)
     if plain is None:
         return _read_cells(path, raw, sha256, what)
-    return _plain_table(path, plain, sha256)
+    table = _plain_table(path, plain, sha256)
+    if len(raw) > _LONG:
+        return table
+    columns = {name: [*cells] for name, cells in table.columns.items()}
+    return replace(table, columns=columns)
 
 
 def _plain(raw: Raw) -> Plain | None:
     """Return columns that stay in their text; None where cells have to be looked at."""
     plain = read_plain(raw)
-    if plain is None or any(map(holds_number, plain.header)):
+    if plain is None or len(plain.header) < 2 or not plain.header[-1]:
         return None
-    first = zip(*(islice(column, _FEW) for column in plain.columns), strict=True)
-    return None if may_have_marks(first) else plain
-
-
-def _are_numbers(cells: Iterable[str]) -> bool:
-    return all(math.isfinite(_float(cell)) for cell in cells)
+    if any(map(holds_number, plain.header)):
+        return None
+    first = [[*islice(column, _FEW)] for column in plain.columns]
+    commas = plain.delimiter == "\t" and any("," in cell for cells in first for cell in cells)
+    has_units = units_in([cells[0] for cells in first]) is not None
+    return None if commas or has_units or may_have_marks(first) else plain
 
 
 def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
@@ -311,44 +318,51 @@ def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
 
 def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
     """Read a table cell by cell, quotes included, or lines that a program printed."""
-    lines = _numbered(_decode(path, raw, what))
-    printed = find_printed([line for _, line in lines])
-    if not lines:
+    lines = io.StringIO(_decode(path, raw, what), newline=None).read().split("\n")
+    if not any(map(is_row, lines)):
         raise MultiposError(f"{path}: the file is empty; give a header and rows of {what}.")
-    said, delimiter = "", next((mark for mark in ";\t" if mark in lines[0][1]), ",")
+    layout = find_layout(str(path), lines[:_HEAD], needs="give one row per position")
+    printed = layout.printed
     if printed is not None:
-        delimiter = "\t"
-        said = f"lines were read as printed: {printed.forms[0][:60]}"
-        rows = Records(printed).text([line for _, line in lines])
-        lines = [(number, row) for (number, _), row in zip(lines, rows, strict=True) if row]
-    records = _records(path, lines, delimiter)
-    first = next(records)
-    header = [cell.strip() for cell in first.cells]
-    if printed is not None or _are_numbers(header):  # names do not stand in a line of their own
-        names = printed.names if printed is not None and printed.names else [""] * len(header)
-        header = [name or str(i) for i, name in enumerate(names, 1)]
-        records = itertools.chain([first], records)
+        lines = [*Records(printed).text(lines)]
+    begin = 1 if layout.header is None else layout.below
+    numbered = [(n, line) for n, line in enumerate(lines, 1) if n >= begin and is_row(line)]
+    records = _records(path, numbered, layout.delimiter)
+    pairs = zip(layout.names, layout.units, strict=True)
+    header = [f"{n} [{unit}]" if unit and not split_unit(n)[1] else n for n, unit in pairs]
+    if layout.header is None and numbered and numbered[0][0] < layout.first:
+        header = [cell.strip() for cell in next(records).cells]  # which the rows do not fit
     _check_header(path, header)
-    found = _filled(path, records, header)
+    found = _filled(path, records, header, trailing=layout.trailing)
     if not found:
         raise MultiposError(f"{path}: only a header, no rows; give one row per position.")
     cells = zip(*(record.cells for record in found), strict=True)
-    columns = {
-        name: list(map(str.strip, column)) for name, column in zip(header, cells, strict=True)
-    }
-    columns, marks = cleaned_columns(str(path), columns, commas_between=delimiter == ",")
-    read_as = "; ".join(filter(None, (said, marks)))
-    ends, mark = [record.end for record in found], "," if printed else delimiter
-    return Table(str(path), columns, len(found), ends, sha256, mark, read_as=read_as)
+    named = {name: list(map(str.strip, column)) for name, column in zip(header, cells, strict=True)}
+    columns, marks = cleaned_columns(
+        str(path),
+        named,
+        commas_between=layout.delimiter == ",",
+        decimal_commas=layout.decimal_comma and layout.delimiter != ";",
+    )
+    said = (layout.begins, "" if printed is None else printed.said, marks)
+    return Table(
+        str(path),
+        columns,
+        len(found),
+        [record.end for record in found],
+        sha256,
+        "," if printed else layout.delimiter or " ",
+        read_as="; ".join(filter(None, said)),
+    )
 
 
 def _decode(path: StrPath, raw: bytes, what: str) -> str:
     try:
-        text = raw.decode().lstrip("\ufeff")
+        text = text_of(raw)
     except UnicodeDecodeError as error:
         found = decoded(raw)
         if found is None:
-            log = " A binary log is for multipos calibrate." if b"\0" in raw[:_HEAD] else ""
+            log = " A binary log is for multipos calibrate." if b"\0" in raw[:_BINARY] else ""
             raise MultiposError(
                 f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text.{log}"
             ) from None
@@ -362,30 +376,24 @@ def _decode(path: StrPath, raw: bytes, what: str) -> str:
     return text
 
 
-def _numbered(text: str) -> list[tuple[int, str]]:
-    """Return the lines that are not empty and no comments, counted from 1."""
-    return [
-        (number, line)
-        for number, line in enumerate(io.StringIO(text, newline=None), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-
-
-def _filled(path: StrPath, records: "Iterator[_Record]", header: Sequence[str]) -> "list[_Record]":
+def _filled(
+    path: StrPath, records: "Iterator[_Record]", header: Sequence[str], *, trailing: bool
+) -> "list[_Record]":
     """Return the rows below a header, each of which must have a cell for every column."""
     found: list[_Record] = []
     for record in records:
+        if trailing and record.cells[-1:] == [""]:
+            record.cells.pop()
         if len(record.cells) != len(header):
+            way = f"; give one cell per column, last column '{header[-1]}'"
             if _with_decimal_commas(record.cells, len(header)):
-                raise MultiposError(
-                    f"{path}: row {len(found) + 1} ({record.where}) has {len(record.cells)} cells "
-                    f"where the header names {len(header)}: numbers with decimal commas between "
-                    "commas; save it with semicolons between cells, or with decimal points."
+                way = (
+                    ": numbers with decimal commas between commas; save it with semicolons between "
+                    "cells, or with decimal points"
                 )
             raise MultiposError(
                 f"{path}: row {len(found) + 1} ({record.where}) has {len(record.cells)} cells "
-                f"where the header names {len(header)}; give one cell per column, "
-                f"last column '{header[-1]}'."
+                f"where the header names {len(header)}{way}."
             )
         found.append(record)
     return found
@@ -415,6 +423,9 @@ def _records(
     path: StrPath, numbered: Sequence[tuple[int, str]], delimiter: str
 ) -> Iterator[_Record]:
     """Yield the rows of numbered lines; a quoted cell may go on over several of them."""
+    if not delimiter:
+        yield from (_Record(line.split(), number, number) for number, line in numbered)
+        return
     reader = csv.reader((line for _, line in numbered), delimiter=delimiter, strict=True)
     begin = 0
     try:

@@ -14,7 +14,8 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.csv_columns import Column
-from multipos.files.spelling import StrPath
+from multipos.files.pipes import text_of
+from multipos.files.spelling import StrPath, packaged_pairs
 from multipos.files.whole import read_bytes
 from multipos.results import plain
 
@@ -81,15 +82,6 @@ def read_schema(path: StrPath) -> str | None:
     return found if isinstance(found, str) else None
 
 
-_READERS = {
-    "multipos/calibration/1": "; a calibration is read by multipos.load",
-    "multipos/regression/1": "; a regression is read by multipos.load_regression and used by "
-    "multipos apply and check",
-    "multipos/check/1": "; a check is read by multipos.load_check and used by multipos report "
-    "--check",
-}  # what to do with a file of another schema than the one needed
-
-
 def read_json(path: StrPath, schema: str) -> dict[str, Any]:
     """Read a JSON object and check that its ``schema`` is the one expected.
 
@@ -101,7 +93,8 @@ def read_json(path: StrPath, schema: str) -> dict[str, Any]:
     value = read_json_value(path, "calibration" if "calibration" in schema else "result")
     found = value.get("schema") if isinstance(value, dict) else None
     if found != schema:
-        other = _READERS.get(str(found), "")
+        # what to do with a file of another schema than the one needed
+        other = packaged_pairs(__file__, "schemas.csv").get(str(found), "")
         raise MultiposError(
             f"{path}: the schema is {found!r}, but '{schema}' is needed here{other}."
         )
@@ -118,7 +111,7 @@ def read_json_value(path: StrPath, what: str) -> Any:
         Missing, truncated, or not JSON.
     """
     try:
-        return json.loads(read_bytes(path, what).decode().lstrip("\ufeff"), parse_int=_whole)
+        return json.loads(text_of(read_bytes(path, what)), parse_int=_whole)
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; give the {what} as JSON.") from None
     except RecursionError:
@@ -147,7 +140,7 @@ def read_toml(path: StrPath, what: str) -> dict[str, Any]:
 
     raw = read_bytes(path, what)
     try:
-        found = tomllib.loads(raw.decode().lstrip("\ufeff"))
+        found = tomllib.loads(text_of(raw))
     except UnicodeDecodeError:
         raise MultiposError(f"{path}: not UTF-8 text; save the {what} as UTF-8.") from None
     except RecursionError:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from multipos.errors import MultiposError, RankError
+from multipos.errors import MultiposError, RankError, refused_with
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import Finding, in_order
@@ -236,7 +236,8 @@ def fit_rests(
     options["model"] = "linear" if model is None else model
     readings = readings_of(found, options.pop("unit", None), options.get("field"))
     try:
-        return fit(readings, **options)
+        with refused_with(lambda: found.seen):
+            return fit(readings, **options)
     except RankError as error:
         faults = [f"{each.text}. {each.action}" for each in found.findings if each.level == "error"]
         if faults:

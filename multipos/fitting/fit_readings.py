@@ -27,6 +27,7 @@ from multipos.estimation.outliers import find_outlying_rows
 from multipos.estimation.problem import Solution
 from multipos.files.spelling import Names, quoted, split_names
 from multipos.files.tables import Source
+from multipos.files.written_units import MAGNETIC_UNITS
 from multipos.finding import Finding, Findings, warn
 from multipos.fitting.completion import add_findings, complete
 from multipos.fitting.facing import face, note_names
@@ -40,7 +41,7 @@ from multipos.logs.faults import saturated_few
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, coarse_steps
 from multipos.numerics.losses import Loss
 from multipos.numerics.terms import ModelText, formula_columns, largest_value
-from multipos.positions import headers, orientations
+from multipos.positions import orientations
 from multipos.positions.attitudes import CONVENTIONS, Convention
 from multipos.positions.order import Order
 from multipos.positions.reading_tables import read_readings
@@ -378,7 +379,7 @@ def _magnetic(
         )
     findings = list(readings.findings)
     if stated is None:
-        by = "unit" if readings.unit in headers.MAGNETIC_UNITS else "names"
+        by = "unit" if readings.unit in MAGNETIC_UNITS else "names"
         text = f"outputs {', '.join(readings.outputs)} sense a magnetic field, by their {by}"
         findings.append(Finding("magnetic", "note", text, "State another with --field."))
     free = options.unknown_orientation

@@ -30,12 +30,13 @@ from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import StrPath
 from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
+from multipos.files.written_units import split_unit
 from multipos.finding import Findings, repeated_files
 from multipos.fitting.calibrate_logs import rests_or_rows
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
 from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
-from multipos.positions.headers import is_environment, split_unit
+from multipos.positions.headers import is_environment
 from multipos.results import frozen
 
 _ENDINGS = (".csv", ".parquet")

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
 from multipos.files.handed import read_json_columns
+from multipos.files.layout import goes_up
 from multipos.files.pipes import Unpacked
 from multipos.files.tables import Column, Table
+from multipos.files.written_units import split_unit
 from multipos.logs.extras import first_line, read_apart
 from multipos.logs.log_columns import name_header
 from multipos.logs.table import Log, Piece, Wanted
-from multipos.positions.headers import split_unit
 
 _ROWS = 1 << 16  # at a time
 _WIDEST = 12  # rows of an array whose rows are its columns
@@ -67,10 +68,7 @@ def log_of_columns(source: str, found: Mapping[str, Any], names: Sequence[str] |
 
 def _rises(column: NDArray[Any]) -> bool:
     """Tell whether a column goes up in its first rows, and not by ones."""
-    if column.dtype.kind not in "fiu":
-        return False
-    steps = np.diff(column[:_FIRST].astype(np.float64))
-    return bool((steps >= 0.0).all() and steps.any() and (steps != 1.0).any())
+    return column.dtype.kind in "fiu" and goes_up(column[:_FIRST].astype(np.float64))
 
 
 def _of_kind(arrays: Mapping[str, NDArray[Any]], kinds: str) -> tuple[str, ...]:

@@ -1,6 +1,9 @@
-"""The rests of a log as readings: what `multipos.logs.averaging` finds, and how it is written."""
+"""The rests of a log as readings: what `multipos.logs.averaging` finds, and how it is written.
 
-from collections.abc import Mapping
+`averages_text` and `averages_sentence` put them in words, `taken_in_words` what they were taken of.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from typing import Any
@@ -8,15 +11,16 @@ from typing import Any
 import numpy as np
 
 from multipos.files.numbers import in_unit, number, table, uncertain
-from multipos.files.spelling import StrPath
+from multipos.files.spelling import StrPath, listed
 from multipos.files.tables import Column, write_table
-from multipos.finding import Findings
+from multipos.finding import Finding, Findings
 from multipos.logs.rest_means import RestMean
 from multipos.logs.rests import Rest
 from multipos.numerics.arrays import Array
-from multipos.positions.attitudes import UP
 from multipos.positions.readings import Readings
 from multipos.results import Result, Tabular, frozen, plain_dict
+
+_LISTED = 6  # rests of a message
 
 
 @frozen
@@ -92,6 +96,12 @@ class Averages(Result, Tabular):
     short: tuple[tuple[str, Rest], ...] = field(default=(), compare=False)
     unit: str | None = None
 
+    @property
+    def seen(self) -> str:
+        """What was taken of the log, in a sentence."""
+        rests, short = [rest.rows for rest in self.rests], [rest for _, rest in self.short]
+        return taken_in_words(self.outputs, rests, short)
+
     def _stack(self, name: str) -> Array:
         return np.array([getattr(rest.found, name) for rest in self.rests])
 
@@ -124,18 +134,7 @@ class Averages(Result, Tabular):
 
     def columns(self) -> dict[str, Column]:
         """Return the columns of a readings file."""
-        readings = self.readings
-        columns: dict[str, Column] = {"position": [rest.position for rest in self.rests]}
-        if self.scheme_up is not None:
-            columns |= dict(zip(UP, self.scheme_up.T, strict=True))
-        columns["n"] = [rest.found.n for rest in self.rests]
-        columns |= dict(zip(self.outputs, readings.values.T, strict=True))
-        for prefix in ("sd", "u", "dof"):
-            values = getattr(readings, prefix)
-            if values is not None:
-                names = [f"{prefix}_{output}" for output in self.outputs]
-                columns |= dict(zip(names, values.T, strict=True))
-        return columns | dict(readings.environment)
+        return self.readings.columns()
 
     def save(self, path: StrPath) -> None:
         """Write the readings as CSV, whole or not at all."""
@@ -178,6 +177,21 @@ class Averages(Result, Tabular):
                 "unit": self.unit,
             }
         )
+
+
+def taken_in_words(
+    outputs: Sequence[str],
+    rests: Sequence[Rest] = (),
+    short: Sequence[Rest] = (),
+    notes: Sequence[Finding] = (),
+) -> str:
+    """Return which outputs and rests a log has, and what is too short for one, in a sentence."""
+    said = (each.text for each in notes if each.code not in ("outputs-by-name", "unused-column"))
+    parts = [f"Outputs are {listed(outputs, _LISTED)}"]
+    for stretches, kind in ((rests, "rest"), (short, "stretch too short")):
+        rows = listed([f"{each.start} to {each.end}" for each in stretches], _LISTED)
+        parts += [f"{kind}: rows {rows} ({len(stretches)})"] if stretches else []
+    return f"{'; '.join([*parts, *said])}."
 
 
 def averages_text(found: Averages) -> str:

@@ -11,11 +11,11 @@ from typing import TypedDict
 
 import numpy as np
 
-from multipos.errors import MultiposError, UsageError
+from multipos.errors import MultiposError, UsageError, refused_with
 from multipos.files.spelling import Names, split_names, spread
 from multipos.files.tables import Source
 from multipos.finding import in_order
-from multipos.logs.averages import Averages
+from multipos.logs.averages import Averages, taken_in_words
 from multipos.logs.clock import TimeUnit
 from multipos.logs.faults import SaturatedRestsError, fault_and_way, saturated_few
 from multipos.logs.joining import choose, complete, faults_of_means, require_alike, require_several
@@ -164,14 +164,17 @@ def average(
         log = log if sensor is None else rows_of_sensor(log, *sensor)
         found.append(find_still(log, wish, share_of(progress, i, len(sources))))
     require_alike(found)
-    if len(found) == 1 and wish.sections is None and label_column is None:
-        require_several(found[0])
-    chosen = choose(found, which)
-    wrong = faults_of_means(chosen)
-    if wrong and not accept_faults:
-        few = saturated_few(wrong, len(chosen)) and all(each.rows for each in wrong)
-        raise (SaturatedRestsError if few else MultiposError)(fault_and_way(wrong[0]))
-    averages = complete(found, chosen, wanted, convention, wrong)
+    rests = [each.rows for log in found for each in log.rests]
+    short = [each for log in found for each in log.short]
+    with refused_with(lambda: taken_in_words(found[0].outputs, rests, short)):
+        if len(found) == 1 and wish.sections is None and label_column is None:
+            require_several(found[0])
+        chosen = choose(found, which)
+        wrong = faults_of_means(chosen)
+        if wrong and not accept_faults:
+            few = saturated_few(wrong, len(chosen)) and all(each.rows for each in wrong)
+            raise (SaturatedRestsError if few else MultiposError)(fault_and_way(wrong[0]))
+        averages = complete(found, chosen, wanted, convention, wrong)
     return replace(averages, findings=in_order((*copies, *averages.findings)))
 
 
@@ -191,9 +194,7 @@ def _names(given: Names | None, option: str) -> tuple[str, ...] | None:
     return None if given is None else split_names(given, option)
 
 
-def _sensor(
-    only: tuple[str, ...] | None,
-) -> tuple[tuple[str, ...] | None, tuple[str, str] | None]:
+def _sensor(only: tuple[str, ...] | None) -> tuple[tuple[str, ...] | None, tuple[str, str] | None]:
     """Return labels, and the column and value of one sensor, that --only names."""
     filters = [each.partition("=")[::2] for each in only or () if "=" in each]
     if len(filters) > 1:

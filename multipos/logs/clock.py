@@ -9,6 +9,7 @@ A time is in the unit that its header or its name tells, ``Time (s)``, ``timesta
 125,000 microseconds, since hardly a sensor is sampled less than eight times a second. A number that
 in one of the units is a day of this century, with steps below two seconds, or a minute
 from 2015 to 2060, is since 1970; a counter since power was switched on is not, but for weeks of µs.
+Days since 1900, as spreadsheets have them, are those of this century in steps below two seconds.
 ``--time-unit`` decides otherwise.
 A column that goes up by ones is in seconds, unless the readings turn in steps so small that many
 rows were taken in a second: then it counts rows and tells no time.
@@ -26,32 +27,22 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.printed import DATE
+from multipos.files.spelling import packaged_pairs
 from multipos.files.tables import Table
+from multipos.files.written_units import unit_of
 from multipos.logs.table import Log
 from multipos.numerics.arrays import FASTEST, SLOWEST, Array, median
-from multipos.positions.headers import unit_of
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 TIME_UNITS: tuple[TimeUnit, ...] = get_args(TimeUnit)
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100 us": 1e-4}
 
 # The first that a column answers to tells the time, in this order.
-_NAMES = (
-    "time",
-    "t",
-    r"(time|timestamp|t)[ _](s|sec|ms|us|ns)|time(s|ms|us|ns)|timestamp(ms|us|ns)",
-    "(ms|us|ns)time",
-    "seconds[ _]elapsed|elapsed([ _]time)?|time[ _]elapsed",
-    "timestamp|time[ _]stamp|__time",
-    "uptime([ _](s|sec|ms|us|ns))?",
-    "sampletimefine",
-    "seconds|secs?|millis|millisec(ond)?s|micros|microsec(ond)?s|msec|usec|nanos",
-    "(utc[ _]?)?date([ _]?time)?|utc",
-    "time[ _].*|.*[ _]time|.*timestamp.*",
-)
+_NAMES = (*packaged_pairs(__file__, "time_names.csv"),)
 # Seconds from 1970 to 2000 and 2100, and to 2015 and 2060, and the largest steps of such times.
 _SINCE_1970 = ((946_684_800.0, 4_102_444_800.0, 2.0), (1_420_070_400.0, 2_840_140_800.0, 60.0))
 _DAY = 86400.0  # [s]
+_EXCEL = (36526.0, 73051.0)  # days since 1900, from 2000 to 2100
 # Where counters wrap around; the last two are of a 32-bit counter of µs that is shown in ms and s.
 _WRAPS = (2.0**16, 2.0**24, 2.0**31, 2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6)
 _AHEAD = 100.0  # usual steps that a counter may have gone on by when it wraps
@@ -113,6 +104,8 @@ def read_clock(log: Log, column: str, time: Array, given: TimeUnit | None) -> Cl
         since, usual = first * seconds, step * seconds
         if any(begin <= since < end and usual < most for begin, end, most in _SINCE_1970):
             return Clock(column, unit, seconds, "its size, since 1970")
+    if _EXCEL[0] <= first < _EXCEL[1] and step * _DAY < _SINCE_1970[0][2]:
+        return Clock(column, "d", _DAY, "its size, days since 1900")
     # a step that is no number, of a corrupt time, is refused where the sample rate is formed
     unit = next((unit for unit, largest in _STEPS.items() if step < largest), "s")
     return Clock(column, unit, _SECONDS[unit], "its steps")

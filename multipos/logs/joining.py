@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.spelling import listed
+from multipos.files.spelling import listed, packaged_pairs
 from multipos.finding import Finding, Findings, about, in_order
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.common_noise import settle_together
@@ -27,7 +27,7 @@ from multipos.logs.faults import (
 )
 from multipos.logs.matching import Match, match_rests
 from multipos.logs.rest_means import with_rounding
-from multipos.logs.still import Still, StillLog, found_so_far, would_take
+from multipos.logs.still import Still, StillLog, would_take
 from multipos.positions.attitudes import Convention
 from multipos.positions.headers import named_axes
 from multipos.positions.scheme import Scheme
@@ -74,8 +74,7 @@ def require_several(found: StillLog) -> None:
             f"{found.log.source}: one rest only, rows {rows.start} to {rows.end} of "
             f"{found.survey.rows}, at threshold {found.threshold:.3g}; a calibration needs several "
             "positions: record them in one log, give a log for each, lower --threshold, or give "
-            f"--sections{would_take(found.short, found.shortest, found.rate)}"
-            f"{found_so_far([each for each in found.findings if each.level == 'note'])}."
+            f"--sections{would_take(found.short, found.shortest, found.rate)}."
         )
 
 
@@ -212,7 +211,8 @@ def _of_kind(every: Sequence[tuple[RestAverage, Finding]], count: int) -> Findin
     labels = tuple(dict.fromkeys(rest.position for rest, _ in every))
     outputs = tuple(dict.fromkeys(output for _, found in every for output in found.outputs))
     text = f"position '{rest.position}' (rows {rest.rows.start} to {rest.rows.end}): {first.text}"
-    fact, action = _OF_RESTS.get(first.code, ("", ""))
+    # What several rests have in common, and what to do about it.
+    fact, _, action = packaged_pairs(__file__, "of_rests.csv").get(first.code, "").partition("|")
     first = replace(first, action=first.action or action)
     if len(labels) > 1 and fact:
         named = ", ".join(labels[:_SHOWN])
@@ -223,32 +223,6 @@ def _of_kind(every: Sequence[tuple[RestAverage, Finding]], count: int) -> Findin
 
 
 _SHOWN = 6  # labels of positions
-# What several rests have in common, and what to do about it.
-_OF_RESTS = {
-    "slow-drift": (
-        "drifted slowly (typical when held by hand); their u includes it",
-        "Rest the sensor on something for a smaller U.",
-    ),
-    "correlated-samples": (
-        "have correlated noise, thus few independent samples; their dof include it",
-        "Record longer rests.",
-    ),
-    "unsteady": ("are noisier than usual; their u includes it", ""),
-    "in-motion": (
-        "are partly in motion",
-        "Correct their rows in --sections, or record them again.",
-    ),
-    "motion-at-edge": (
-        "contain motion at the beginning or end",
-        "Give fewer rows of them with --sections.",
-    ),
-    "quantized": (
-        "are one code in an output; their u is resolution/sqrt(12)",
-        "Record more digits.",
-    ),
-    "stuck": ("repeat one value", "Check the sensor and its resolution."),
-    "time-gap": ("have gaps in their time", "Check the logger."),
-}
 
 
 def _matched(

@@ -13,12 +13,14 @@ least there while its direction changes.
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import listed
+from multipos.files.written_units import MAGNETIC_UNITS, split_unit
 from multipos.finding import Finding, Findings
 from multipos.logs.clock import time_columns
 from multipos.logs.table import Log
@@ -34,7 +36,7 @@ _CLEAR = 3.0  # times the variation of the next: a magnetometer turns too
 
 def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the three columns in a row that show gravity; None where that is not clear."""
-    table = next(iter(log.read((), names, lenient=True))).table
+    table = next(log.read((), names, lenient=True)).table
     data = np.array([table.columns[name] for name in names], dtype=np.float64)
     data = data[:, (np.abs(data) <= LARGEST_SAMPLE).all(axis=0)]  # and no NaN
     count = data.shape[1] // _BLOCK
@@ -91,7 +93,7 @@ def name_header(
             f"--columns names {len(given)} columns, but {source} has {width}; name each."
         )
     cells = [""] * width if header is None else [*header]
-    bare = [headers.split_unit(name)[0] for name in cells]
+    bare = [split_unit(name)[0] for name in cells]
     unlike = len(set(bare)) == len(bare)  # else the units tell the columns apart
     names = given or (bare if unlike else cells)
     columns = tuple(name or str(i) for i, name in enumerate(names, 1))
@@ -148,9 +150,10 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     if not chosen:
         raise MultiposError(f"{log.source}: no numeric column can be an output; see --columns.")
     if len(chosen) > 3:
+        line = f" (multipos calibrate {Path(log.source).name} --outputs {','.join(chosen[:3])})"
         raise UsageError(
             f"{log.source}: {len(chosen)} columns could be outputs: {listed(chosen, 12)}; name "
-            "them with --outputs."
+            f"them with --outputs{line if log.headless else ''}."
         )
     return Outputs(chosen, _find_choice(chosen, names, by))
 
@@ -213,7 +216,7 @@ def magnetic_outputs(
 
     A unit of tesla asks for them as `kind` does; G may be meant for g.
     """
-    stated = headers.unit_as_known(unit or "") in headers.MAGNETIC_UNITS
+    stated = headers.unit_as_known(unit or "") in MAGNETIC_UNITS
     if outputs is None and (kind == "magnetic" or (stated and str(unit).endswith("T"))):
         named = [name for name in log.numeric if headers.component(name).magnetic]
         triads = headers.triads_of(named, {name: headers.component(name) for name in named})
@@ -222,7 +225,7 @@ def magnetic_outputs(
         kinds = [headers.component(name) for name in log.columns]
         if any(each.acceleration for each in kinds):
             return None
-        in_field = any(unit in headers.MAGNETIC_UNITS for unit in log.units.values())
+        in_field = any(unit in MAGNETIC_UNITS for unit in log.units.values())
         if not (stated or in_field or any(each.magnetic for each in kinds)):
             return None
     chosen = choose_outputs(log, outputs, time_columns(log)).names

@@ -11,7 +11,7 @@ turned into numbers, in pieces of some megabytes, so that its length does not ma
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -21,16 +21,16 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.handed import content_of, find_copies, take_in
+from multipos.files.layout import Layout, cells_of, find_layout
 from multipos.files.marks import Marks, may_have_marks, read_marks
-from multipos.files.pipes import Unpacked, is_folder, rereadable, unpack_text
-from multipos.files.printed import find_printed, unpack_printed
+from multipos.files.pipes import Unpacked, is_folder, lines_of, rereadable, unpack_text
+from multipos.files.printed import is_comment, unpack_printed
 from multipos.files.spelling import Names, StrPath, split_names
 from multipos.files.tables import Column, Source, read_table
 from multipos.files.whole import reading
 from multipos.finding import Finding, Findings, repeated_files
 from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
 from multipos.logs.extras import Noted
-from multipos.logs.layout import Layout, cells_of, find_layout, is_comment
 from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, head_lines, open_text
@@ -96,51 +96,41 @@ def open_log(
 
 
 def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
-    """Return a log of text, of lines that a program printed the records that they hold."""
-    printed = find_printed(head_lines(path, head))
-    if printed is None:
-        return _open_rows(path, head, None, names)
-    path = unpack_printed(path, printed)
-    log = _open_rows(path, _read_head(path), printed.names, names)
-    count = len(printed.forms)
-    said = "each line is a record" if count == 1 else f"a record is {count} lines"
-    return _noted(log, "log-source", f"{said}, as a program printed it: {printed.forms[0][:60]}")
-
-
-def _open_rows(
-    path: os.PathLike[str],
-    head: bytes,
-    header: Sequence[str] | None,
-    names: Sequence[str] | None,
-) -> Log:
-    """Return a log of rows, whose numbers may have marks between thousands or be registers."""
+    """Return a log of text: rows, or the records that a program printed, without marks."""
     lines = head_lines(path, head)
-    layout = find_layout(str(path), lines, header)
-    rows = (cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :])
-    if not may_have_marks(row for row in rows if len(row) == layout.width):
-        return open_text(path, head, layout, names)
-    columns = names or layout.header or [str(i + 1) for i in range(layout.width)]
-    marks = read_marks(
-        str(path),
-        columns,
-        (cells_of(line, layout.delimiter) for line in _lines_of(path)),
-        commas_between=layout.delimiter == ",",
+    layout = find_layout(str(path), lines)
+    said = []
+    if layout.printed is not None:
+        said.append(layout.printed.said)
+        path = unpack_printed(path, layout.printed)
+        head = _read_head(path)
+        lines = head_lines(path, head)
+    marks = _marks_of(path, lines, layout, names)
+    if marks:
+        said.append(marks.said(names or layout.names))
+        cleaned = (_cleaned(line, layout, marks) for line in lines_of(path))
+        path = Unpacked(str(path), cleaned, ".tsv")
+        head = _read_head(path)
+        layout = replace(layout, delimiter="\t", trailing=False, decimal_comma=False)
+    log = open_text(path, head, layout, names)
+    bits = zip(log.columns, marks.bits if marks else (), strict=False)
+    return replace(
+        log,
+        notes=(*log.notes, *(Finding("log-source", "note", text) for text in said)),
+        registers={name: each for name, each in bits if each > 0},
     )
-    if not marks:
-        return open_text(path, head, layout, names)
-    cleaned = (_cleaned(line, layout, marks) for line in _lines_of(path))
-    path = Unpacked(str(path), cleaned, ".tsv")
-    head = _read_head(path)
-    layout = find_layout(str(path), head_lines(path, head), header)
-    log = _noted(open_text(path, head, layout, names), "log-source", marks.said(columns))
-    bits = zip(log.columns, marks.bits, strict=True)
-    return replace(log, registers={name: each for name, each in bits if each > 0})
 
 
-def _lines_of(path: os.PathLike[str]) -> Iterator[str]:
-    with Path(path).open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
-        for line in stream:
-            yield line.rstrip("\n").lstrip("\ufeff")
+def _marks_of(
+    path: os.PathLike[str], lines: Sequence[str], layout: Layout, names: Sequence[str] | None
+) -> Marks | None:
+    """Return the marks of numbers in rows, None where the first rows show none."""
+    rows = (cells_of(line, layout.delimiter) for line in lines[layout.first - 1 :])
+    if not may_have_marks(zip(*(row for row in rows if len(row) == layout.width), strict=True)):
+        return None
+    every = (cells_of(line, layout.delimiter) for line in lines_of(path))
+    columns = names or layout.names
+    return read_marks(str(path), columns, every, commas_between=layout.delimiter == ",") or None
 
 
 def _cleaned(line: str, layout: Layout, marks: Marks) -> bytes:
@@ -149,10 +139,6 @@ def _cleaned(line: str, layout: Layout, marks: Marks) -> bytes:
         return f"{line}\n".encode()
     cells = marks.clean(cells_of(line, layout.delimiter)[: layout.width])
     return ("\t".join(cells) + "\n").encode()
-
-
-def _noted(log: Log, code: str, text: str) -> Log:
-    return replace(log, notes=(*log.notes, Finding(code, "note", text)))
 
 
 def _with_notes(path: StrPath, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:

@@ -34,21 +34,19 @@ import numpy as np
 
 from multipos.files import handed
 from multipos.files.handed import unpack
-from multipos.files.pipes import GZIP, UTF_16, unpack_text
+from multipos.files.pipes import GZIP, UTF_16, lines_of, unpack_text
 from multipos.logs import array_logs
 from multipos.logs.array_logs import loaded
 from multipos.logs.extras import NOTES, noted, reader_with_extra
 
 _AXES = "XYZ"
+_OF_KINDS = {"Acc": " (m/s^2)", "Gyr": " (rad/s)"}
 _NAMES = ("INS_ACCOFFS_", "INS_ACCSCAL_")
 _FMT = 4  # fields of FMT before the names: type, length, name, format
 _DATAFLASH_TEXT = re.compile(rb"\s*FMT, ?\d+, ?\d+, ?\w+, ?\w+, ?\w+,")
 # The fields that are taken, with what stands behind their names in a header.
-_UNITS = (
-    {"TimeUS": " (us)", "T": ""}
-    | {f"Acc{axis}": " (m/s^2)" for axis in _AXES}
-    | {f"Gyr{axis}": " (rad/s)" for axis in _AXES}
-)
+_UNITS = {"TimeUS": " (us)", "T": ""}
+_UNITS |= {f"{kind}{axis}": unit for kind, unit in _OF_KINDS.items() for axis in _AXES}
 
 
 def load_dataflash(path: os.PathLike[str]) -> Mapping[str, Any]:
@@ -68,13 +66,12 @@ def read_dataflash_text(path: os.PathLike[str]) -> Mapping[str, Any]:
 def _messages(path: os.PathLike[str]) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the kind and the fields of the messages that are taken, whose names stand in FMT."""
     names: dict[str, list[str]] = {}
-    with Path(path).open(encoding="utf-8-sig", errors="replace") as stream:
-        for line in stream:
-            kind, *cells = map(str.strip, line.split(","))
-            if kind == "FMT" and len(cells) > _FMT:
-                names[cells[2]] = cells[_FMT:]
-            elif kind in ("IMU", "PARM") and len(cells) == len(names.get(kind, ())):
-                yield kind, dict(zip(names[kind], cells, strict=True))
+    for line in lines_of(path):
+        kind, *cells = map(str.strip, line.split(","))
+        if kind == "FMT" and len(cells) > _FMT:
+            names[cells[2]] = cells[_FMT:]
+        elif kind in ("IMU", "PARM") and len(cells) == len(names.get(kind, ())):
+            yield kind, dict(zip(names[kind], cells, strict=True))
 
 
 def _first_imu(messages: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:

@@ -96,6 +96,7 @@ _CLEAR = 8.0  # standard deviations: no noise
 _ASTRAY = 1.0  # per output, and time that noise remembers
 _ONSETS = 64  # places that are tried
 _AHEAD = 3  # blocks beyond the last still window that may still be rest
+_ROUNDING = 8.0 * np.finfo(np.float64).eps  # of a mean: a window that varies less is constant
 _QUIETEST = 0.1  # of the threshold: no output is taken to be quieter
 
 
@@ -311,6 +312,8 @@ class Windows:
         offset = mean - mean[:, :1]
         between = _slide(offset**2) - BLOCKS * (middle - mean[:, :1]) ** 2
         variance = (_slide(square) + block * between) / (BLOCKS * block - 1)
+        same = variance <= (_ROUNDING * middle) ** 2
+        variance[same], between[same] = 0.0, 0.0
         largest = np.array([variance.max(axis=0), between.max(axis=0) / (BLOCKS - 1)])
         return middle, np.sqrt(np.maximum(largest, 0.0))
 
@@ -404,7 +407,8 @@ class Survey:
         noise = size = 0.0
         if self._counts[0].any():
             noise, size = _valley(self._counts[0], 0, quietest)
-        frozen = noise > _NOISE * step
+        still = self._counts[0][: int((np.log10(max(size, quietest)) - _LOWEST) * _BINS_PER_DECADE)]
+        frozen = noise > _NOISE * step and self._constant < still.sum()
         if not frozen:
             noise, size = _valley(self._counts[0], self._constant, quietest)
         half_range = float((self._mean_range[1] - self._mean_range[0]).max()) / 2.0

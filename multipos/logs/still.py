@@ -1,7 +1,7 @@
 """One log: its rests, found or given, and what their samples say.
 
-`find_still` returns it, `average_rests` what its samples say; `would_take` and `found_so_far` are
-for messages.
+`find_still` returns it, `average_rests` what its samples say; `would_take` is for
+messages.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multipos.errors import MultiposError
+from multipos.errors import MultiposError, refused_with
 from multipos.files.spelling import listed
 from multipos.finding import Finding, Findings
+from multipos.logs.averages import taken_in_words
 from multipos.logs.clock import Clock, time_columns
 from multipos.logs.ellipsoids import covers, usual_turn
 from multipos.logs.faults import fault_and_way, find_saturated, find_second_unit, find_wrapped
@@ -134,28 +135,30 @@ def find_still(log: Log, wish: Wish, progress: Progress | None = None) -> StillL
     timing = wish.timing.in_log(log)
     taken = [*time_columns(log), *filter(None, (timing.column, label_column))]
     outputs = choose_outputs(log, wish.outputs, taken)
-    with Samples(
+    samples = Samples(
         log,
         outputs.names,
         timing,
         label_column=label_column,
         signed=wish.signed,
         drop_bad=wish.drop_bad,
-    ) as samples:
+    )
+    notes = [*log.notes, *outputs.findings]
+    with samples, refused_with(lambda: taken_in_words(outputs.names, notes=notes)):
         survey = samples.survey(wish.min_duration, progress)
         grid = survey.grid
         wrong = [*find_wrapped(samples, survey), *find_second_unit(survey)]
         if wrong and not wish.accept_faults:
             raise MultiposError(f"{log.source}: {fault_and_way(wrong[0])}")
         known = _known(samples, wish)
-        notes = [*log.notes, *_find_clock(samples), *outputs.findings]
+        notes[len(log.notes) : len(log.notes)] = _find_clock(samples)
         source = log.source if known is None else None
-        limits = _limits(survey, wish.threshold, source, notes, log.columns)
+        limits = _limits(survey, wish.threshold, source, log.columns)
         found = None
         if known is None:
             assert limits is not None
             _refuse_poses(samples)
-            found = _detect(samples, grid, limits, notes)
+            found = _detect(samples, grid, limits)
             known = [("", rest) for rest in found.rests]
             notes += found.notes
         rests = average_rests(samples, known, grid, survey, None if found else limits)
@@ -267,11 +270,7 @@ def _unused(samples: Samples) -> list[Finding]:
 
 
 def _limits(
-    survey: Survey,
-    given: float | None,
-    source: str | None,
-    notes: Sequence[Finding],
-    columns: Sequence[str],
+    survey: Survey, given: float | None, source: str | None, columns: Sequence[str]
 ) -> Limits | None:
     """Return what tells rest from motion; None where a log without `source` has no such."""
     if given is not None:
@@ -280,14 +279,15 @@ def _limits(
         return survey.limits()
     except MultiposError as error:
         if source and survey.rows < survey.grid.shortest:
-            how = "" if COLUMNS & set(columns) else " --scheme NAME, or --unknown-orientation"
+            free = " --unknown-orientation, or --scheme NAME where they are known"
+            how = "" if COLUMNS & set(columns) else free
             raise MultiposError(
                 f"{source}: {survey.rows} rows are too few for a log of samples, which has fewer "
                 "than one rest; a table of means, one row a position, is for "
                 f"multipos fit {Path(source).name}{how}."
             ) from None
         if source:
-            raise type(error)(f"{source}: {error}{found_so_far(notes)}") from None
+            raise type(error)(f"{source}: {error}") from None
         return None  # rests that are known need none; motion in them is then not looked for
 
 
@@ -301,7 +301,7 @@ class _Found(NamedTuple):
     notes: list[Finding]
 
 
-def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Finding]) -> _Found:
+def _detect(samples: Samples, grid: Grid, limits: Limits) -> _Found:
     """Return the rests, and the stretches that are too short for one."""
     windows, finder = Windows(grid.block), Finder(grid, limits)
     for _, piece in samples.pieces():
@@ -320,7 +320,7 @@ def _detect(samples: Samples, grid: Grid, limits: Limits, notes: Sequence[Findin
         raise NoRestError(
             f"{samples.log.source}: no rest of {shortest} samples in {samples.rows} rows at "
             f"threshold {limits.size:.3g}{would_take(short, shortest, samples.rate)}; hold the "
-            f"sensor still, or give --sections{found_so_far([*notes, *said])}."
+            f"sensor still, or give --sections."
         )
     return _Found(rests, short, shortest, finder.frozen(), said)
 
@@ -381,17 +381,8 @@ def would_take(short: Sequence[Rest], shortest: int, rate: float | None) -> str:
     return f"; {len(short)} more {many} stood still for less than {long}"
 
 
-def found_so_far(notes: Sequence[Finding]) -> str:
-    """Return what was found and chosen on reading, for a message of failure."""
-    return f" ({'; '.join(each.text for each in notes)})" if notes else ""
-
-
 def average_rests(
-    samples: Kept,
-    rests: list[tuple[str, Rest]],
-    grid: Grid,
-    survey: Survey,
-    limits: Limits | None,
+    samples: Kept, rests: list[tuple[str, Rest]], grid: Grid, survey: Survey, limits: Limits | None
 ) -> list[Still]:
     """Average every rest, with the label that it has, in one pass; look for motion by limits."""
     threshold = None if limits is None else limits.size

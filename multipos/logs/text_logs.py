@@ -22,21 +22,21 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError
-from multipos.files.csv_columns import unix_lines
-from multipos.files.printed import COMMENTS, Records, find_printed
-from multipos.files.spelling import of_cell
-from multipos.files.tables import Column, Table
-from multipos.finding import Finding, Findings
-from multipos.logs.clock import read_dates, require_dates
-from multipos.logs.layout import (
+from multipos.files.csv_columns import rows_of_text, unix_lines
+from multipos.files.layout import (
     Layout,
     cells_of,
     find_layout,
     has_open_quote,
-    is_comment,
     is_number,
     number_of,
 )
+from multipos.files.pipes import text_of
+from multipos.files.printed import Records, is_row
+from multipos.files.spelling import of_cell
+from multipos.files.tables import Column, Table
+from multipos.finding import Finding, Findings
+from multipos.logs.clock import read_dates, require_dates
 from multipos.logs.log_columns import Named, name_header
 from multipos.logs.readers import formats_read
 from multipos.logs.table import Log, Piece, ReadPieces, Wanted
@@ -65,19 +65,10 @@ def _lines_of(content: str) -> list[str]:
 
 def _rows_only(layout: Layout, content: str, first: int) -> Rows:
     """Return the rows among lines, the number of whose first is given, without a last separator."""
-    lines = _lines_of(content)
-    numbers: Sequence[int] = range(first, first + len(lines))
-    if any(mark in content for mark in COMMENTS) or not all(map(str.strip, lines)):
-        numbers = [number for number, line in zip(numbers, lines, strict=True) if _is_row(line)]
-        lines = [lines[number - first] for number in numbers]
+    lines, places = rows_of_text(content)
     if layout.trailing:
         lines = [line.rstrip().removesuffix(layout.delimiter) for line in lines]
-    return Rows(lines, numbers)
-
-
-def _is_row(line: str) -> bool:
-    """Tell whether a line is neither empty nor a comment."""
-    return bool(line.strip()) and not is_comment(line)
+    return Rows(lines, [first + place for place in places])
 
 
 HEAD = 1 << 16  # bytes that must hold what stands above the table, and its first row
@@ -132,9 +123,9 @@ def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -
     MultiposError, UsageError
         As of a file: no row among the lines, or names that do not fit.
     """
-    printed = find_printed(lines)
+    layout = find_layout(source, lines)
+    printed = layout.printed
     rows = lines if printed is None else [*Records(printed).text(lines)]
-    layout = find_layout(source, rows, None if printed is None else printed.names)
     named = name_header(source, layout.header, layout.width, given)
     text = _Text(Path(source), named.columns, layout, 0, 0)
     log = _log(text, named, partial(_read_head, text, "\n".join(rows[layout.first - 1 :])), ())
@@ -194,7 +185,7 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log
         rising=named.headless and layout.rising,
         dates=text.dates,
         rate=layout.rate,
-        notes=layout.notes,
+        notes=(Finding("table-begin", "note", layout.begins),) if layout.begins else (),
         left_out=left_out,
     )
 
@@ -202,7 +193,7 @@ def _log(text: _Text, named: Named, read: ReadPieces, left_out: Findings) -> Log
 def _begin(head: bytes, line: int) -> int:
     """Return the byte at which a line begins, behind a mark of the byte order."""
     ends = islice(_LINE_END.finditer(head), line - 1)
-    begin = len(BOM_UTF8) if head.startswith(BOM_UTF8) else 0
+    begin = next(place for place in range(0, len(head), 3) if head[place : place + 3] != BOM_UTF8)
     return max([begin, *(end.end() for end in ends)])
 
 
@@ -222,7 +213,7 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     body = block.rstrip(b"\r\n")
     start = body.rfind(b"\n") + 1
     line = body[start:].decode("utf-8", "replace")
-    if body.count(b"\n") < 2 or not _is_row(line) or not _is_cut(line, layout, block == body):
+    if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
         return _Cut(size, ())
     shown = (line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…").replace("\t", " ")
     text = f"the last row, '{shown}', is incomplete and was omitted"
@@ -382,7 +373,7 @@ def _lenient(cells: Sequence[str], mark: str) -> Array:
 
 def _decode(path: os.PathLike[str], block: bytes) -> str:
     try:
-        text = block.decode("utf-8").lstrip("\ufeff")
+        text = text_of(block)
     except UnicodeDecodeError as error:
         if len(block) >= HEAD and error.start > len(block) - 4:  # the head may end inside a letter
             return _decode(path, block[: error.start])

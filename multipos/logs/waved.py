@@ -58,6 +58,11 @@ class Waved(Result):
     unit: str | None = None
     scheme_up: None = None
 
+    @property
+    def seen(self) -> str:
+        """What was taken of the log, in a sentence."""
+        return f"Outputs are {', '.join(self.outputs)}; {self.rows} rows as they are."
+
     def columns(self) -> dict[str, Column]:
         """Return the columns of a readings file."""
         return self.readings.columns()

@@ -1,17 +1,15 @@
 """Figures of repeated calibrations and of repeated regressions.
 
-`draw_runs` draws one parameter of every output by run, `draw_values` any values so, and
-`draw_chart` one parameter over the dates; `runs_figure` is the figure of all. `draw_terms` draws
-the terms of repeated regressions, and `terms_figure` is their figure.
+`draw_runs` draws one parameter of every output by run, `draw_chart` one parameter over the dates;
+`runs_figure` is the figure of all. `draw_terms` draws the terms of repeated regressions, and
+`terms_figure` is their figure.
 """
 
-from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multipos.numerics.arrays import Array
 from multipos.plots.marks import draw_band, draw_line, draw_points
 from multipos.plots.style import (
     COLOURS,
@@ -41,35 +39,18 @@ def draw_runs(comparison: Comparison, axes: "Axes", *, term: str = "1") -> None:
     """
     model = comparison.calibrations[0].model
     wanted = [i for i, (_, t) in enumerate(model.keys) if str(t) == term]
-    draw_values(
-        {
-            model.names[i]: (
-                comparison.values[:, i] - comparison.mean[i],
-                np.array([c.U[i] for c in comparison.calibrations]),
-            )
-            for i in wanted
-        },
-        axes,
-        unit=model.units[wanted[0]] if wanted else model.unit,
-    )
-
-
-def draw_values(values: Mapping[str, tuple[Array, Array]], axes: "Axes", *, unit: str) -> None:
-    """Draw values (R,) less their mean by run, each name a line, with a bar of U (R,).
-
-    A run whose U is not finite has no bar.
-    """
-    runs = 0
-    for series, (name, (found, U)) in enumerate(values.items()):
-        runs = max(runs, len(found))
-        run = np.arange(1, len(found) + 1) + _BESIDE * (series - (len(values) - 1) / 2.0)
-        bars = np.where(np.isfinite(U), U, 0.0)
-        joined = {"linestyle": "-", "linewidth": 0.9}
-        draw_points(axes, run, found, series, name, yerr=bars, **joined, **_CAPS)
+    runs = np.arange(1, len(comparison.calibrations) + 1)
+    joined = {"linestyle": "-", "linewidth": 0.9}
+    for series, i in enumerate(wanted):
+        run = runs + _BESIDE * (series - (len(wanted) - 1) / 2.0)
+        found = comparison.values[:, i] - comparison.mean[i]
+        U = np.array([c.U[i] for c in comparison.calibrations])
+        bars = np.where(np.isfinite(U), U, 0.0)  # a run whose U is not finite has none
+        draw_points(axes, run, found, series, model.names[i], yerr=bars, **joined, **_CAPS)
     axes.axhline(0.0, color="#000000", linewidth=0.6)
-    axes.set_xticks(range(1, runs + 1))
+    axes.set_xticks(runs)
     axes.set_xlabel("run")
-    name_axis(axes.yaxis, "less its mean", unit)
+    name_axis(axes.yaxis, "less its mean", model.units[wanted[0]] if wanted else model.unit)
     name_series(axes, 3)
 
 

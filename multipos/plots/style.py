@@ -20,6 +20,7 @@ from itertools import pairwise
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Literal
 
+from multipos.errors import MultiposError
 from multipos.files.numbers import SUPERSCRIPT, in_unit, readable_unit
 from multipos.plots.fonts import FONT, font_of
 from multipos.plots.svg import svg_renderer
@@ -50,8 +51,12 @@ def new_figure(
     rows: int = 1, columns: int = 1, *, width: float = 5.8, height: float = 2.6
 ) -> "tuple[Figure, Any]":
     """Return a figure of axes in rows and columns, and the axes, row by row; sizes in inches."""
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
+    try:
+        from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+    except ModuleNotFoundError:
+        said = "a figure needs matplotlib, which is not installed; pip install matplotlib."
+        raise MultiposError(said) from None
 
     layout = ConstrainedLayoutEngine(h_pad=0.04167, w_pad=0.04167, hspace=0.02, wspace=0.02)
     figure = Figure(

@@ -50,16 +50,7 @@ _SAME = 9  # decimals to which equal directions agree
 _RINGS = 6  # of a cap, beside its middle
 _SPOKES = 24  # directions of a ring
 
-NAMES = (
-    "two-axis-A",
-    "two-axis-AxB",
-    "roll-A-xyz",
-    "cube",
-    "dodecahedron",
-    "near-faces-D",
-    "tilt-D",
-    "sphere",
-)
+NAMES = "two-axis-A, two-axis-AxB, roll-A-xyz, cube, dodecahedron, near-faces-D, tilt-D, sphere"
 
 
 def read_bench(source: "Source | Scheme") -> Array:
@@ -98,7 +89,7 @@ def _reach(name: str) -> Array:
     try:
         return read_scheme(name).up
     except UsageError as error:
-        raise UsageError(f"{str(error)[:-1]}; or a bench: {', '.join(NAMES)}.") from None
+        raise UsageError(f"{str(error)[:-1]}; or a bench: {NAMES}.") from None
 
 
 def _turn(name: str, text: str) -> Array:

@@ -28,6 +28,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.tables import Table
+from multipos.files.written_units import PER_G
 from multipos.finding import Finding
 from multipos.numerics.arrays import LARGEST, Array, Mask
 from multipos.units import STANDARD_GRAVITY
@@ -170,20 +171,17 @@ def find_likely_m_s2(force: Array, units: Mapping[str, str]) -> tuple[Finding, .
     return (Finding("likely-unit", "warning", text, action),)
 
 
-_PER_G = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3, "ug": 1e6}
-
-
 def in_standard_g(table: Table, units: Mapping[str, str]) -> Table:
     """Return a table whose forces f_x, f_y, f_z are in standard g, by the units of their header."""
     moved = {
-        name: table.number(name, empty=True) / _PER_G[units[name]]
+        name: table.number(name, empty=True) / PER_G[units[name]]
         for name in FORCE
-        if units.get(name, "g") in _PER_G and units.get(name, "g") != "g"
+        if units.get(name, "g") in PER_G and units.get(name, "g") != "g"
     }
-    strange = [name for name in FORCE if units.get(name, "g") not in _PER_G]
+    strange = [name for name in FORCE if units.get(name, "g") not in PER_G]
     if strange:
         raise MultiposError(
             f"{table.source}: column '{strange[0]}' is in {units[strange[0]]} by its header; known "
-            f"forces are in {', '.join(_PER_G)}."
+            f"forces are in {', '.join(PER_G)}."
         )
     return replace(table, columns={**table.columns, **moved}) if moved else table

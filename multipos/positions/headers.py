@@ -1,16 +1,15 @@
 """What a header says: units in its brackets, what a column measures, and along which axis.
 
-`unit_of` and `split_unit` know units as people write them, `unit_as_known` as they are called here.
 `component` cuts a name into what it measures and its axis; `triads_of`, `axes_by_name` and
-`named_axes` find axes among several, `is_beside`, `is_environment` and `is_without_gravity` what is
-no output, `field_of_outputs` which field is sensed. `plain_names`, `under_names` and `find_column`
-match columns with names; `with_first_named`, `with_direction`, `with_angle` and `in_plane` give a
-table the columns that its own stand for. `unit_of_outputs`, `in_celsius` and `require_units` keep
-units consistent, `unused_columns` says what is left out.
+`named_axes` find axes among several, `is_beside`, `is_environment`, `is_without_gravity` what is
+no output, `field_of_outputs` which field is sensed.
+`plain_names`, `under_names` and `find_column` match columns with names; `with_first_named`,
+`with_direction`, `with_angle` and `in_plane` give a table the columns that its own stand for.
+`unit_as_known`, `unit_of_outputs`, `in_celsius` and `require_units` keep units consistent,
+`unused_columns` says what is left out.
 
-What is in brackets is a unit only where it is known as such: in ``accelerometer_m_s2[0]`` it is a
-number. A name that ends in x, y or z, or in a number in brackets, is a component of what stands
-before it. Outputs are in the unit that their header says. A column in a unit of temperature, time
+A name that ends in x, y or z, or in a number in brackets, is a component of what stands before
+it. Outputs are in the unit that their header says. A column in a unit of temperature, time
 or pressure is about the surroundings and no output. Temperatures are in degrees Celsius everywhere;
 a header in kelvin is taken as such, and
 
@@ -29,36 +28,24 @@ import numpy as np
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import packaged_pairs
 from multipos.files.tables import Column, Table
+from multipos.files.written_units import MAGNETIC_UNITS, PER_G, split_unit, unit_of
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS
 from multipos.positions import attitudes
 from multipos.positions.forces import FORCE, REFERENCE_U
 from multipos.units import cos_deg, sin_deg
 
-# As a header may write a unit, without blanks and in small letters, and as it is called here.
-_WRITTEN = packaged_pairs(__file__, "units.csv")
-UNITS = {written: unit for unit, all_ in _WRITTEN.items() for written in all_.split()}
-MAGNETIC_UNITS = ("T", "mT", "uT", "nT", "G", "mG")
-ACCELERATION_UNITS = ("m/s^2", "g", "mg", "ug")
-_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]")
 _COMPONENT = re.compile(
     r"(.*?)[\s_.\-]*(?:([xyz])|\[([0-2])\])((?:_(?:cal|uncal|raw))?)", re.IGNORECASE
 )
-_ACCELERATION = re.compile(r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc[a-z]?raw")
+_ACCELERATION = re.compile(
+    r"(.* )?a|[a-z ]*acc([^a-z].*|el.*)?|[a-z ]*acceleration.*|acc([a-z]?raw|smooth)"
+)
 _ELSEWHERE = re.compile(
     r"(.* )?[gwmbh]|omega|[a-z ]*(gyr|mag|rate|rot|angular|velocity|field|gravity|orient|quat).*"
 )
 _MAGNETIC = re.compile(r"(.* )?m|[a-z ]*(mag|field|compass).*")
-_FOREIGN = {
-    "beschleunigung": "acceleration",
-    "drehrate": "gyro",
-    "winkelgeschwindigkeit": "gyro",
-    "magnetfeld": "mag",
-    "加速度": "acceleration",
-    "角速度": "gyro",
-    "陀螺": "gyro",
-    "磁场": "mag",
-}
+_FOREIGN = packaged_pairs(__file__, "foreign_names.csv")
 # What stands beside a triad of acceleration and is none: counters, times, surroundings.
 _BESIDE = re.compile(
     r"(soak|run|cycle|chamber|lage|pos(ition)?|unit|nr|no|num|id|i|n|index|row|step|count(er)?|date"
@@ -67,20 +54,6 @@ _BESIDE = re.compile(
 )
 _WITHOUT_GRAVITY = re.compile(r".*(free|user) ?acc.*")
 _LINEAR = re.compile(r"linear acceleration", re.IGNORECASE)  # of phyphox; ROS writes linear_acc…
-
-
-def unit_of(written: str) -> str | None:
-    """Return the unit that a text is, None where it is none that is known."""
-    plain = written.replace(" ", "")
-    # A capital tells gauss from g and tesla from time.
-    return plain if plain in MAGNETIC_UNITS else UNITS.get(plain.casefold())
-
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """Return a name without the unit in brackets behind it, and the unit."""
-    found = _BRACKETS.fullmatch(name)
-    unit = unit_of(found[2]) if found else None
-    return (found[1], unit) if found and unit and found[1] else (name, None)
 
 
 class NameParts(NamedTuple):
@@ -148,14 +121,14 @@ def field_of_outputs(
             )
         return "gravity"
     if asked == "magnetic":
-        if unit in ACCELERATION_UNITS:
+        if unit in PER_G:
             raise UsageError(
                 f"the unit {unit} is of accelerations; give --unit {', '.join(MAGNETIC_UNITS)} or "
                 "count, or leave --field magnetic away."
             )
         return asked
     named = bool(kinds) and all(kind.magnetic for kind in kinds) and stated is None
-    return "magnetic" if magnetic or (named and unit not in ACCELERATION_UNITS) else "gravity"
+    return "magnetic" if magnetic or (named and unit not in PER_G) else "gravity"
 
 
 def is_beside(name: str) -> bool:
@@ -238,7 +211,23 @@ def plain_names(table: Table) -> tuple[Table, dict[str, str]]:
         renamed[plain] = table.columns[name]
         if unit is not None:
             units[plain] = unit
-    return _in_degrees(replace(table, columns=renamed), units)
+    return _in_one_unit(*_in_degrees(replace(table, columns=renamed), units))
+
+
+def _in_one_unit(table: Table, units: dict[str, str]) -> tuple[Table, dict[str, str]]:
+    """Return a table whose uncertainties are in the unit of what they are of."""
+    columns = dict(table.columns)
+    for name in [*units]:
+        prefix, _, own = name.partition("_")
+        wanted = "g" if name in REFERENCE_U else units.get(own) if prefix in ("u", "sd") else None
+        if wanted is None or units[name] == wanted:
+            continue
+        if not {units[name], wanted} <= {*PER_G}:
+            said = f"'{name}' is in {units[name]} by its header, and '{own}' in {wanted}"
+            raise MultiposError(f"{table.source}: {said}; give both in one unit.")
+        columns[name] = table.number(name, empty=True) * (PER_G[wanted] / PER_G[units[name]])
+        del units[name]
+    return replace(table, columns=columns), units
 
 
 _ANGLES = {name.removesuffix("_deg"): name for name in attitudes.COLUMNS if name.endswith("_deg")}
@@ -248,8 +237,9 @@ def _in_degrees(table: Table, units: dict[str, str]) -> tuple[Table, dict[str, s
     """Return a table whose angles, `Roll [deg]` or `pitch [rad]`, have their own names and unit."""
     columns = dict[str, Column]()
     for name, column in table.columns.items():
-        own = _ANGLES.get(name.casefold())
-        if own is None or own in table or units.get(name) not in ("deg", "rad"):
+        own = name if name.endswith("_deg") else _ANGLES.get(name.casefold(), "")
+        taken = own != name and own in table
+        if not own or taken or units.get(name) not in ("deg", "rad"):
             columns[name] = column
         else:
             columns[own] = column if units.pop(name) == "deg" else np.degrees(table.number(name))
@@ -395,7 +385,7 @@ def unused_columns(texts: Iterable[str]) -> list[Finding]:
 def unit_as_known(unit: str) -> str:
     """Return a unit as it is called here: m/s2, mps2 and m/s**2 are m/s^2, µT is uT."""
     known = unit_of(unit)
-    return known if known in (*ACCELERATION_UNITS, *MAGNETIC_UNITS) else unit
+    return known if known in (*PER_G, *MAGNETIC_UNITS) else unit
 
 
 def unit_of_outputs(

@@ -16,6 +16,7 @@ import numpy as np
 from multipos.errors import MultiposError
 from multipos.files.spelling import Names, listed, quoted, require_columns, split_names
 from multipos.files.tables import Source, Table, read_table
+from multipos.files.written_units import MAGNETIC_UNITS, PER_G
 from multipos.finding import Finding
 from multipos.numerics.arrays import COMPONENTS, LARGEST, Array, Mask
 from multipos.positions import attitudes, forces, headers
@@ -152,11 +153,11 @@ def _of_magnetic_field(
     others = [n for n in table.columns if headers.component(n).acceleration]
     if field is None:
         kinds = {units.get(name) for name in names or named} | {headers.unit_as_known(unit or "")}
-        shown = bool(kinds.intersection(headers.MAGNETIC_UNITS)) and not others
+        shown = bool(kinds.intersection(MAGNETIC_UNITS)) and not others
         alone = len(named) == len(COMPONENTS) and not others
         if names is not None:
             alone = all(headers.component(name).magnetic for name in names)
-        if not (shown or alone) or headers.unit_as_known(unit or "") in headers.ACCELERATION_UNITS:
+        if not (shown or alone) or headers.unit_as_known(unit or "") in PER_G:
             return table, names
     whole = headers.triads_of(named, {name: headers.component(name) for name in named})
     if field == "magnetic" and names is None and len(whole) == 1:
@@ -231,10 +232,7 @@ def _without_attitude(
 
 
 def _named_otherwise(
-    readings: Readings,
-    names: tuple[str, ...] | None,
-    unit: str | None,
-    environment: Sequence[str],
+    readings: Readings, names: tuple[str, ...] | None, unit: str | None, environment: Sequence[str]
 ) -> Readings:
     """Return readings with the outputs that are asked for, in a unit."""
     if names is None and not set(environment).isdisjoint(readings.outputs):
@@ -303,13 +301,12 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
             f"the columns are {quoted(table.columns)}."
         )
     beside = frozenset(_averaged_along(numeric, table))  # as `average` writes them: no word
-    left = tuple(name for name in numeric if name not in beside)
     kinds = {name: headers.component(name) for name in candidates}
+    left = tuple(name for name in numeric if name not in beside)
     chosen = _of_acceleration(left, kinds)
     _refuse_text(table, chosen, list(text), kinds)
-    findings += headers.unused_columns(
-        f"column '{name}' holds text and is not used" for name in text
-    )
+    texts = (f"column '{name}' holds text and is not used" for name in text)
+    findings += headers.unused_columns(texts)
     used = frozenset(chosen)
     findings += _find_others(chosen, [name for name in left if name not in used])
     return chosen
@@ -431,12 +428,7 @@ def _stands_beside(name: str, prefix: str, table: Table) -> bool:
 
 
 def nonnegative_column(
-    table: Table,
-    name: str,
-    *,
-    zero: bool = False,
-    empty: bool = False,
-    largest: float = math.inf,
+    table: Table, name: str, *, zero: bool = False, empty: bool = False, largest: float = math.inf
 ) -> Array:
     """Return a column of numbers above 0, or with `zero` of 0 or more; `empty` cells are NaN."""
     values = table.number(name, empty=empty, largest=largest)

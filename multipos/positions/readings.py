@@ -123,13 +123,17 @@ class Readings(Result, Tabular):
     plane: tuple[str, ...] = ()
 
     def columns(self) -> dict[str, Any]:
-        """Return the means with their u, beside the up vectors and the other columns."""
+        """Return the means with sd, u and its dof, beside the up vectors and other columns."""
         found: dict[str, Any] = {"position": self.labels}
         if self.up is not None:
             found |= dict(zip(attitudes.UP, self.up.T, strict=True))
+        if self.samples is not None:
+            found["n"] = self.samples
         found |= dict(zip(self.outputs, self.values.T, strict=True))
-        if self.u is not None:
-            found |= {f"u_{name}": self.u[:, i] for i, name in enumerate(self.outputs)}
+        for prefix in ("sd", "u", "dof"):
+            beside = getattr(self, prefix)
+            if beside is not None:
+                found |= {f"{prefix}_{n}": beside[:, i] for i, n in enumerate(self.outputs)}
         return found | dict(self.environment)
 
     def __eq__(self, other: object) -> bool:

@@ -20,7 +20,7 @@ from multipos.bias_stability.stability_result import Stability
 from multipos.bias_stability.stability_text import stability_sentence, stability_text
 from multipos.designs.assessment import Schemes, scheme_rows, schemes_sentence, schemes_text
 from multipos.designs.designing import Design, design_sentence, design_text
-from multipos.errors import UsageError
+from multipos.errors import MultiposError, UsageError
 from multipos.files.numbers import number
 from multipos.files.spelling import visible
 from multipos.finding import NOT_FIT, Findings, errors_of, serious
@@ -111,7 +111,10 @@ def show_html(found: Result | Columns) -> str:
     parts = [head, *_findings(found), _body(found)]
     panels = _panels(found)
     if panels:
-        figure = style.to_svg(style.figure_of(panels))
+        try:
+            figure = style.to_svg(style.figure_of(panels))
+        except MultiposError as error:  # the rest is worth more than its figure
+            return f'<div class="multipos">{"".join(parts)}<p>{_text(str(error))}</p></div>'
         parts.append(f'<div style="{_PAPER}">{_own_ids(figure)}</div>')
     return f'<div class="multipos">{"".join(parts)}</div>'
 

@@ -14,10 +14,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from multipos.files import numbers
+from multipos.files.written_units import MAGNETIC_UNITS
 from multipos.finding import LEVELS, Finding, errors_of
 from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.terms import CONSTANT
-from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.sensor.calibration import Calibration, parameter_rows, rms_before
 
 _ROUNDING = 1e-12  # of the largest scale factor: an output that does not respond
@@ -68,8 +68,14 @@ def _shown(c: Calibration, size: float) -> str:
 
 
 def _largest_expanded(c: Calibration) -> tuple[float, float]:
-    """Return the largest U of a bias [g], and of an own scale factor as a share of it."""
+    """Return the largest U of a bias [g], and of a scale factor as a share of it.
+
+    Of each output that is the scale factor along the axis that it senses most.
+    """
     own = {c.model.keys[i][0]: i for i in c.model.own_scales}
+    for i in c.model.scaled[0]:
+        output = c.model.keys[i][0]
+        own[output] = max(own[output], i, key=lambda place: abs(c.parameters[place]))
     keys = enumerate(c.model.keys)
     zero = [i for i, (output, term) in keys if term == CONSTANT and output in own]
     places = list(own.values())

@@ -12,8 +12,9 @@ from numbers import Real
 from typing import TypedDict
 
 from multipos.errors import UsageError
+from multipos.files.written_units import MAGNETIC_UNITS, unit_of
 from multipos.numerics.arrays import LARGEST
-from multipos.positions.headers import MAGNETIC_UNITS, field_of_outputs, unit_of
+from multipos.positions.headers import field_of_outputs
 from multipos.results import frozen
 from multipos.sensor.gravity import (
     GRAVITY,

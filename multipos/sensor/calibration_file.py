@@ -98,13 +98,7 @@ def _calibration(
         model=made,
         parameters=np.array([entry["value"] for entry in entries]),
         parameter_dof=np.where(np.isnan(k), 0.0, dof),
-        readings=_readings(
-            readings,
-            values["reference"],
-            values["convention"],
-            made,
-            oriented=values["estimator"] is not Estimator.UNKNOWN,
-        ),
+        readings=_readings(readings, made, values),
         **values,
     )
     for key, value, shape in _lists(c):
@@ -130,11 +124,9 @@ def _chosen(model: Model, selection: Mapping[str, Any] | None) -> Model:
     return model.keeping([(o, term) for o in model.outputs for term in selection[o].terms])
 
 
-def _readings(
-    said: Mapping[str, Any], reference: Array, convention: str, model: Model, *, oriented: bool
-) -> Readings:
+def _readings(said: Mapping[str, Any], model: Model, fitted: Mapping[str, Any]) -> Readings:
     """Return the readings of a file, up along its reference where it does not say otherwise."""
-    count, force = len(said["values"]), said.get("force")
+    reference, count, force = fitted["reference"], len(said["values"]), said.get("force")
     for key, vectors in (("reference", reference), ("force", force)):
         if vectors is not None:
             _require_shape(key, vectors, (count, 3))
@@ -142,8 +134,9 @@ def _readings(
     at_rest = np.ones(count, dtype=bool) if force is None else ~known_rows(force)
     if not (np.isfinite(size) & ((size > 0.0) | ~at_rest)).all():
         raise ValueError("its reference is zero or not finite")
-    sign = -1.0 if convention == "gravity" else 1.0
-    stated = {"up": directions(reference) * sign + 0.0} if oriented else {}
+    sign = -1.0 if fitted["convention"] == "gravity" else 1.0
+    free = fitted["estimator"] is Estimator.UNKNOWN
+    stated = {} if free else {"up": directions(reference) * sign + 0.0}
     known = {**stated, **said}
     labels = known.pop("labels")
     return Readings(outputs=model.outputs, positions=labels, unit=model.unit, **known)

@@ -26,8 +26,8 @@ from multipos.files.records import (
     Text,
 )
 from multipos.files.schema import As, Stored, also, schema_of
+from multipos.files.written_units import MAGNETIC_UNITS
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST
-from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.sensor.found import Parameter
 from multipos.sensor.gravity import KINDS
 from multipos.sensor.model import GAUGES, ROLL_GAUGES

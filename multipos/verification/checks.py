@@ -42,13 +42,14 @@ from multipos.errors import CalibrationWarning, MultiposError, UsageError
 from multipos.files.handed import take_in
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
+from multipos.files.written_units import unit_of
 from multipos.finding import Finding, Findings, about, errors_of, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.logs.averages import Averages
 from multipos.logs.averaging import average
 from multipos.numerics.arrays import COMPONENTS, Array, Mask
 from multipos.numerics.quantiles import coverage_by_tenths
-from multipos.positions.headers import require_units, unit_of
+from multipos.positions.headers import require_units
 from multipos.positions.open_rolls import refuse_open_rolls
 from multipos.positions.orientations import are_samples, orient
 from multipos.positions.reading_tables import read_readings

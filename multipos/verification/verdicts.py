@@ -54,9 +54,9 @@ from multipos.files.records import (
 from multipos.files.schema import As, Saved, Stored, also, restore
 from multipos.files.spelling import StrPath
 from multipos.files.trees import read_json
+from multipos.files.written_units import MAGNETIC_UNITS
 from multipos.finding import Findings, findings_upgraded
 from multipos.numerics.arrays import COMPONENTS, LARGEST, SMALLEST, Array, Mask
-from multipos.positions.headers import MAGNETIC_UNITS
 from multipos.results import Drawn, data_frame, frozen
 from multipos.verification.agreement import Agreement
 

@@ -231,7 +231,7 @@ SAID = [
     ("fit crlf.csv", "give --scheme", FIT.format("crlf.csv")),
     (
         "calibrate crlf.csv",
-        "multipos fit crlf.csv --scheme NAME, or --unknown-orientation",
+        "multipos fit crlf.csv --unknown-orientation",
         FIT.format("crlf.csv"),
     ),
     (

@@ -123,14 +123,14 @@ def test_a_wide_table_is_taken_apart_once(tmp_path, monkeypatch):
     path.write_text("\n".join([",".join(f"c{i}" for i in range(3_000)), *[row] * 300]) + "\n")
     monkeypatch.setattr(files, "_LONG", -1)
     split = 0
-    kept = columns._kept
+    kept = columns.rows_of_text
 
     def counted(text):
         nonlocal split
         split += 1
         return kept(text)
 
-    monkeypatch.setattr(columns, "_kept", counted)
+    monkeypatch.setattr(columns, "rows_of_text", counted)
     table = files.read_table(path)
     assert [table.number(name)[-1] for name in table.columns] == list(range(3_000))
     assert split == 1

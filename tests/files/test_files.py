@@ -124,10 +124,7 @@ def test_faulty_columns_are_refused(source, message):
 
 
 def test_what_is_no_table_is_a_type_error():
-    with pytest.raises(
-        TypeError,
-        match="must be a path, an open file, a mapping of columns",
-    ):
+    with pytest.raises(TypeError, match="must be a path, an open file, a mapping of columns"):
         read_table(3.0)
 
 

@@ -170,7 +170,7 @@ def test_what_is_no_table_is_said(name, content, message, tmp_path):
 def test_whole_numbers_beyond_64_bits_are_numbers(cell, tmp_path):
     (tmp_path / "r.json").write_text(json.dumps([{"a": cell}, {"a": None}]))
     column = handed.read_json_columns(tmp_path / "r.json", "data")["a"]
-    assert column[0] in (1e30, cell)
+    assert column[0] in (float(cell), cell)
     assert column.dtype.kind in "fU"
 
 

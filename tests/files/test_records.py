@@ -230,10 +230,7 @@ def test_a_damaged_file_names_the_key(files, name, place, value, message, tmp_pa
 def test_names_with_control_characters_are_refused(tmp_path):
     up = np.eye(3)
     for options, message in (
-        (
-            {"outputs": ("ax", "a\x1b", "az")},
-            r"`outputs` 2 is 'a\\u001b', with a control",
-        ),
+        ({"outputs": ("ax", "a\x1b", "az")}, r"`outputs` 2 is 'a\\u001b', with a control"),
         ({"positions": ("1", "2", "3\n")}, r"`positions` 3 is '3\\u000a'"),
         ({"group": ("\x07", "", "")}, r"`group` 1 is '\\u0007'"),
         ({"environment": {"t\t": np.ones(3)}}, r"`environment` 1 is 't\\u0009'"),

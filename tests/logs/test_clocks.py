@@ -187,12 +187,13 @@ def test_rests_are_kept_whole(still, noise, more):
     assert np.median(kept) >= 0.95
 
 
-def test_a_frozen_stretch_is_no_rest_and_named():
+@pytest.mark.parametrize(("first", "last", "rests"), [(4, 4, 11), (0, 3, 8), (8, 11, 8)])
+def test_a_frozen_stretch_is_no_rest_and_named(first, last, rests):
     samples, edges = rests_of(400, 150, 0.02, np.random.default_rng(5))
-    frozen = slice(edges[4][0] - 100, edges[4][1] + 100)
+    frozen = slice(max(edges[first][0] - 100, 0), min(edges[last][1] + 100, len(samples)))
     samples[frozen] = samples[frozen.start]
     found = mp.average(dict(zip(OUTPUTS, samples.T, strict=True)), rate=RATE)
-    assert len(found.rests) == 11
+    assert len(found.rests) == rests
     (said,) = [each for each in found.findings if each.code == "frozen"]
     first, last = (int(cell.rstrip(":")) for cell in said.text.split()[1:4:2])
     assert abs(first - frozen.start) < 12

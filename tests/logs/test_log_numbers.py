@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 import multipos as mp
+from multipos.files import layout
 from multipos.logs import (
     common_noise,
     faults,
-    layout,
     log_columns,
     matching,
     opening,

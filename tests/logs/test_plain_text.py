@@ -67,12 +67,7 @@ def test_single_numbers_at_the_borders(tmp_path, cell):
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "1 2  3   4\n5\t6 7 8\n",
-        "   1 2 3 4   \n 5 6 7 8",
-        "1 2 3 4\n5 6 7 8",
-    ],
+    "text", ["1 2  3   4\n5\t6 7 8\n", "   1 2 3 4   \n 5 6 7 8", "1 2 3 4\n5 6 7 8"]
 )
 def test_white_space_in_any_amount(tmp_path, text):
     assert_array_equal(read(tmp_path, text, "", [0, 3]), [[1.0, 5.0], [4.0, 8.0]])

@@ -75,10 +75,7 @@ LINES = {
     "angle brackets": (lambda t, x, y, z: f"<{x},{y},{z}>", False),
     "a dictionary": (lambda t, x, y, z: f"{{'ax': {x}, 'ay': {y}, 'az': {z}}}", False),
     "bars": (lambda t, x, y, z: f"| {x} | {y} | {z} |", False),
-    "decimal commas": (
-        lambda t, x, y, z: f"ax: {x} ay: {y} az: {z}".replace(".", ","),
-        False,
-    ),
+    "decimal commas": (lambda t, x, y, z: f"ax: {x} ay: {y} az: {z}".replace(".", ","), False),
     "an index": (
         lambda t, x, y, z: f"accSmooth[0]: {x} accSmooth[1]: {y} accSmooth[2]: {z}",
         False,
@@ -88,10 +85,7 @@ LINES = {
         lambda t, x, y, z: f"Accel:\n  X: {x}\n  Y: {y}\n  Z: {z}\nGyro:\n  X: 1\n  Y: 2\n  Z: 3",
         False,
     ),
-    "milliseconds before": (
-        lambda t, x, y, z: f"t={round(t * 1e3)} ms, a=[{x}, {y}, {z}]",
-        True,
-    ),
+    "milliseconds before": (lambda t, x, y, z: f"t={round(t * 1e3)} ms, a=[{x}, {y}, {z}]", True),
     "Teleplot": (
         lambda t, x, y, z: "\n".join(
             f">a{name}:{round(t * 1e3)}:{each}" for name, each in zip("xyz", (x, y, z), strict=True)

@@ -11,8 +11,8 @@ from log_bench import sensor, shared
 
 import multipos as mp
 from multipos.cli import main
+from multipos.files.layout import find_layout
 from multipos.logs.clock import read_clock
-from multipos.logs.layout import find_layout
 from multipos.logs.opening import open_log
 
 OUTPUTS = ("ax", "ay", "az")
@@ -424,3 +424,29 @@ def test_a_long_line_of_blanks_is_no_row(mark, tmp_path):
     (piece,) = open_log(path, columns="time,ax,ay,az").read(("ax", "time"))
     assert piece.table.rows == len(piece.lines()) == 200
     np.testing.assert_allclose(piece.table.columns["time"], 0.01 * np.arange(200), atol=1e-12)
+
+
+def test_a_refusal_says_what_was_taken(log, tmp_path):
+    four = {name: column[:2350] for name, column in log.items()}
+    with pytest.raises(mp.MultiposError, match=r"Outputs are ax, ay, az; rest: rows 0 to .*\(4\)"):
+        mp.calibrate(four)
+    path = tmp_path / "seven.txt"
+    np.savetxt(path, np.random.default_rng(1).normal(size=(1200, 7)))
+    with pytest.raises(mp.UsageError, match=r"multipos calibrate seven\.txt --outputs 1,2,3"):
+        mp.calibrate(path)
+
+
+def test_bad_rows_of_one_of_two_sensors_are_dropped(log, expected, tmp_path):
+    rows = rows_of(log).splitlines()
+    lines = [f"{row},{name}" for row in rows for name in ("A", "G")]
+    lines[12] = "5,A"
+    path = written(tmp_path, "\n".join(["time,ax,ay,az,which", *lines]))
+    found = mp.average(path, only="which=A", drop_bad=True)
+    np.testing.assert_allclose(found.readings.values, expected, atol=1e-4)
+
+
+def test_days_of_a_spreadsheet_are_a_time(log, expected, tmp_path):
+    days = dict(log, time=45417.5 + log["time"] / 86400.0)
+    found = mp.average(written(tmp_path, "Zeit,ax,ay,az\n" + rows_of(days)))
+    np.testing.assert_allclose(found.readings.values, expected, atol=1e-9)
+    assert found.sample_rate == pytest.approx(100.0, rel=1e-3)

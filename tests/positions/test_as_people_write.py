@@ -5,6 +5,7 @@ import pytest
 
 import multipos as mp
 from multipos.errors import MultiposError
+from multipos.reports.summary import calibration_sentence
 
 UP = np.array([(0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)], dtype=float)
 MATRIX = np.array([[9.72, -0.03, 0.03], [0.04, 9.85, 0.03], [-0.05, 0.02, 10.04]])
@@ -195,3 +196,53 @@ def test_registers_are_twos_complement_where_they_reach_8(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("ax,ay\n0x4000,0x0010\n0xC000,0x0020\n", encoding="utf-8")
     assert mp.read_readings(path).values.tolist() == [[16384, 16], [-16384, 32]]
+
+
+LAYOUTS = {
+    "lines above": ("Device: A1\nSerial; 5\n\nface,ax,ay,az\n", ",", ""),
+    "its mark": ("sep=;\nface;ax;ay;az\n", ";", ""),
+    "tabs and commas": ("face\tax\tay\taz\n", "\t", ""),
+    "white space": ("# by hand\nface   ax ay   az\n", "  ", ""),
+    "a mark behind": ("face,ax,ay,az,\n", ",", ","),
+    "a commented header": ("# face,ax,ay,az\n", ",", ""),
+    "units below": ("face,ax,ay,az\n,m/s^2,m/s^2,m/s^2\n", ",", ""),
+    "numbers as names, two marks": ("\ufeff\ufeffface,1,2,3\n", ",", ""),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_tables_are_laid_out_as_logs_are(layout, tmp_path):
+    above, mark, end = LAYOUTS[layout]
+    rows = [
+        [face, *map(repr, row)] for face, row in zip(WORDS["signs"], READ.tolist(), strict=True)
+    ]
+    lines = [mark.join(row) + end for row in rows]
+    if mark not in (",", "  "):
+        lines = [line.replace(".", ",") for line in lines]
+    (tmp_path / "t.csv").write_text(above + "\n".join(lines) + "\n", encoding="utf-8")
+    readings = mp.read_readings(tmp_path / "t.csv")
+    assert readings.values == pytest.approx(READ)
+    assert readings.up == pytest.approx(UP)
+    assert (readings.unit == "m/s^2") == ("units" in layout)
+
+
+def test_an_uncertainty_and_an_angle_are_in_the_unit_of_their_heading(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text(
+        "angle_deg [rad],ax [g],ay [g],u_ax [mg],u_ay [mg]\n0,1,0,1,2\n3.141592653589793,-1,0,1,2\n"
+    )
+    readings = mp.read_readings(path)
+    assert readings.u == pytest.approx(np.array([[1e-3, 2e-3]] * 2))
+    assert readings.up[1] == pytest.approx([-1, 0, 0])
+    path.write_text(path.read_text().replace("u_ax [mg]", "u_ax [mV]"))
+    with pytest.raises(MultiposError, match="'u_ax' is in mV by its header"):
+        mp.read_readings(path)
+
+
+def test_u_of_a_board_that_is_yawed_is_by_the_axis_that_is_sensed(tmp_path):
+    path = table(tmp_path / "yawed.csv", WORDS["signs"], values=READ[:, [1, 0, 2]] * [1, -1, 1])
+    sizes = [
+        calibration_sentence(mp.fit(each, unit="m/s^2"))
+        for each in (path, table(tmp_path / "s.csv", WORDS["signs"]))
+    ]
+    assert sizes[0].partition("U (")[2][:30] == sizes[1].partition("U (")[2][:30]

@@ -3,7 +3,8 @@
 import pytest
 
 import multipos as mp
-from multipos.positions.headers import axes_by_name, split_unit
+from multipos.files.written_units import split_unit
+from multipos.positions.headers import axes_by_name
 
 
 @pytest.mark.parametrize(

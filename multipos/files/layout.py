@@ -1,12 +1,14 @@
-"""Where the table of a text log begins, and how its rows are cut into cells.
+"""Where the table of a text begins, and how its rows are cut into cells.
 
-`find_layout` returns it from the first lines; `is_comment`, `cells_of`, `has_open_quote`,
-`is_number` and `number_of` are how one line and one cell are read.
+`find_layout` returns it from the first lines of a table or a log; `cells_of`, `has_open_quote`,
+`is_number` and `number_of` are how one line and one cell are read, `units_in` a line of
+units, `goes_up` a column of times.
 
-A log may begin with lines that are no table: what wrote it, with which settings, in which units.
+A text may begin with lines that are no table: what wrote it, with which settings, in which units.
 What a row is tell the rows farther down: how many cells they have and which of them are numbers.
 The first line that is so begins the table; its header is the nearest line above that names as many
-columns, behind ``#``, ``//`` or ``%`` too, and between the two may stand a line of units.
+columns, behind ``#``, ``//`` or ``%`` too, and between the two may stand a line of units. Lines
+that a program printed (`multipos.files.printed`) become rows first.
 """
 
 import csv
@@ -15,6 +17,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
@@ -22,9 +25,9 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.marks import is_grouped, number_in
-from multipos.files.printed import COMMENTS, DATE
-from multipos.finding import Finding, Findings
-from multipos.positions.headers import split_unit, unit_of
+from multipos.files.printed import DATE, Printed, Records, find_printed, holds_number, is_comment
+from multipos.files.written_units import split_unit, unit_of
+from multipos.numerics.arrays import Array
 from multipos.results import frozen
 
 _LAST = 50  # rows that tell what a row is
@@ -48,7 +51,7 @@ class Line(NamedTuple):
 
 @frozen(eq=True)
 class Layout:
-    """How the rows of a text log are laid out.
+    """How the rows of a text are laid out.
 
     Attributes
     ----------
@@ -65,13 +68,18 @@ class Layout:
         Of each column; '' where none is stated.
     numeric, dates : tuples of bool
         Which columns hold numbers, and dates.
+    below : int
+        Line below the header and its units; 1 without.
     first : int
         Line of the first row.
     rising : bool
         Whether the first column goes up in the first rows, and not by ones.
     rate : float or None [Hz]
         Sample rate, where a line above the table tells one.
-    notes : tuple of Finding
+    begins : str
+        In words where the table begins, if that is not where one looks for it; '' otherwise.
+    printed : Printed or None
+        How the records are printed of which these are the rows.
     """
 
     delimiter: str
@@ -82,37 +90,51 @@ class Layout:
     units: tuple[str, ...]
     numeric: tuple[bool, ...]
     dates: tuple[bool, ...]
+    below: int
     first: int
     rising: bool
     rate: float | None
-    notes: Findings
+    begins: str
+    printed: Printed | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The header; of a table without one the numbers of its columns."""
+        return self.header or tuple(map(str, range(1, self.width + 1)))
 
 
-def find_layout(source: str, lines: Sequence[str], names: Sequence[str] | None = None) -> Layout:
-    """Return how the rows of a log are laid out, from its first lines.
-
-    Names are given where no line holds them.
+def find_layout(source: str, lines: Sequence[str], *, needs: str = "a log needs samples") -> Layout:
+    """Return how the rows of a text are laid out, from its first lines.
 
     Raises
     ------
     MultiposError
-        There is no row, or the header does not fit the rows.
+        There is no row, or the header does not fit the rows; the message ends in what is needed.
     """
+    printed = find_printed(lines)
+    if printed is None:
+        return _laid_out(source, lines, None, needs)
+    rows = [*Records(printed).text(lines)]
+    return replace(_laid_out(source, rows, printed.names, needs), printed=printed)
+
+
+def _laid_out(source: str, lines: Sequence[str], names: Sequence[str] | None, needs: str) -> Layout:
+    """Return how rows are laid out; names are given where no line holds them."""
     stated, table = _stated(lines)
     rows = [line for line in table if not is_comment(line.text)]
     if not rows:
-        raise MultiposError(f"{source}: no rows in its first lines; a log needs samples.")
+        raise MultiposError(f"{source}: no rows in its first lines; {needs}.")
     last = [line.text for line in rows[-_LAST:]]
-    mark = _separator(last) if stated is None else stated
+    mark = _separator(rows[0].text, last) if stated is None else stated
     shape = _shape([cells_of(line, mark) for line in last], mark)
     if not shape.numbers and len(rows) == 1:
-        raise MultiposError(f"{source}: only a header, no rows; a log needs samples.")
+        raise MultiposError(f"{source}: only a header, no rows; {needs}.")
     begin = _first_row(rows, shape).number
     above = [line for line in table if line.number < begin]
     shape, header = _headed(source, above, shape)
     body = _body(rows, begin, shape)
     if not body:
-        raise MultiposError(f"{source}: no row has all its numbers; a log needs samples.")
+        raise MultiposError(f"{source}: no row has all its numbers; {needs}.")
     if names and len(names) == shape.columns:
         header = header._replace(
             cells=(*names,), units=tuple(split_unit(name)[1] or "" for name in names)
@@ -127,10 +149,12 @@ def find_layout(source: str, lines: Sequence[str], names: Sequence[str] | None =
         units=header.units,
         numeric=tuple(_mostly([is_number(cell, mark) for cell in cells]) for cells in columns),
         dates=tuple(_mostly([DATE.fullmatch(cell) for cell in cells]) for cells in columns),
+        below=header.below,
         first=begin,
-        rising=_rises([row[0] for row in body], mark),
+        rising=goes_up(np.array([number_of(row[0], mark) for row in body], dtype=np.float64)),
         rate=_stated_rate(above),
-        notes=_find_begin(above, begin, header),
+        begins=_begins(above, begin, header),
+        printed=None,
     )
 
 
@@ -158,18 +182,13 @@ def _stated_rate(above: Sequence[Line]) -> float | None:
     return float(found[0][1] or found[0][2]) if found else None
 
 
-def _find_begin(before: Sequence[Line], begin: int, header: "_Header") -> Findings:
+def _begins(before: Sequence[Line], begin: int, header: "_Header") -> str:
     """Return where the table is, if that is not where one looks for it."""
     skipped = [line for line in before if line.number != header.line]
     if not header.commented and all(is_comment(line.text) for line in skipped):
-        return ()
+        return ""
     where = f"its header on line {header.line}" if header.cells else "without a header"
-    return (Finding("table-begin", "note", f"the table begins on line {begin}, {where}"),)
-
-
-def is_comment(line: str) -> bool:
-    """Tell whether a line is a comment."""
-    return line.lstrip().startswith(COMMENTS)
+    return f"the table begins on line {begin}, {where}"
 
 
 def cells_of(line: str, mark: str) -> list[str]:
@@ -196,17 +215,26 @@ def number_of(cell: str, mark: str) -> float | None:
 
 def is_number(cell: str, mark: str) -> bool:
     """Tell whether a cell is a number, also one with marks between thousands."""
-    return number_of(cell, mark) is not None or is_grouped(cell)
+    return number_of(cell, mark) is not None or is_grouped(cell, commas_between=mark == ",")
 
 
-def _separator(rows: Sequence[str]) -> str:
-    """Return what stands between cells: what leaves the most numbers."""
+def _separator(head: str, rows: Sequence[str]) -> str:
+    """Return what stands between cells: as many times as in a header, or what leaves most numbers.
+
+    Where nothing separates and there is no number, a row is one cell.
+    """
+    for mark in ";\t,":
+        names = cells_of(head, mark)
+        even = sum(len(cells_of(row, mark)) == len(names) for row in rows)
+        if len(names) > 1 and even == len(rows) and not any(map(holds_number, names)):
+            return mark
 
     def numbers(mark: str) -> int:
         return sum(is_number(cell, mark) for row in rows for cell in cells_of(row, mark))
 
     present = [mark for mark in ";\t," if any(mark in row for row in rows)]
-    return max([*present, ""], key=numbers)  # the first of those that are as good
+    best = max([*present, ""], key=numbers)  # the first of those that are as good
+    return best if best or numbers("") else ","
 
 
 class _Shape(NamedTuple):
@@ -256,7 +284,10 @@ def _named_by_numbers(row: Line, shape: _Shape) -> bool:
     cells = cells_of(row.text, shape.mark)
     held = [cells[i] for i in shape.numbers]
     texts = [cell for cell in held if not is_number(cell, shape.mark)]
-    return any(texts) and all(cell.isdigit() for cell in held if cell not in texts)
+    numbers = [cell for cell in held if cell not in texts]
+    if not any(texts):  # columns of text may stand beside
+        return len(numbers) > 1 and numbers == [str(i) for i in range(1, len(numbers) + 1)] != cells
+    return all(map(str.isdigit, numbers))
 
 
 class _Header(NamedTuple):
@@ -265,6 +296,7 @@ class _Header(NamedTuple):
     cells: tuple[str, ...] | None
     units: tuple[str, ...]
     line: int
+    below: int  # of it and of the line of its units
     commented: bool
 
 
@@ -285,24 +317,28 @@ def _headed(source: str, above: Sequence[Line], shape: _Shape) -> tuple[_Shape, 
 
 
 def _header(source: str, above: Sequence[Line], shape: _Shape) -> _Header:
-    units: tuple[str, ...] = ()
+    """Return the nearest line that names columns, rather one that holds no number."""
+    units, below, best = tuple[str, ...](), 0, None
     for line in reversed(above):
         bare, comment = _bare(line.text)
         cells = _names(bare, shape, comment=comment)
         if cells is None:
             if not comment:
                 break
-        elif not units and line is not above[0] and (units_found := _units(cells)):
-            units = units_found
+        elif not units and line is not above[0] and (units_found := units_in(cells)):
+            units, below = units_found, line.number + 1
         else:
             _refuse_open_quote(source, line)
-            return _Header(
-                cells,
-                units or tuple(split_unit(name)[1] or "" for name in cells),
-                line.number,
-                comment,
-            )
-    return _Header(None, units or ("",) * shape.columns, 0, False)
+            named = units or tuple(split_unit(name)[1] or "" for name in cells)
+            found = _Header(cells, named, line.number, below or line.number + 1, comment)
+            if not any(map(_is_plain_number, cells)):
+                return found
+            best = best or found
+    return best or _Header(None, units or ("",) * shape.columns, 0, 1, False)
+
+
+def _is_plain_number(cell: str) -> bool:
+    return is_number(cell, ",")
 
 
 def _refuse_open_quote(source: str, line: Line) -> None:
@@ -339,7 +375,7 @@ def _may_name(cells: Sequence[str], shape: _Shape) -> bool:
     return any(cells) and all(map(str.isdigit, numbers))
 
 
-def _units(cells: Sequence[str]) -> tuple[str, ...] | None:
+def units_in(cells: Sequence[str]) -> tuple[str, ...] | None:
     """Return units, where all cells are units."""
     bare = [cell[1:-1] if cell[:1] in ("(", "[") else cell for cell in cells]
     units_found = ["" if cell.casefold() in _UNITLESS else unit_of(cell) for cell in bare]
@@ -361,8 +397,8 @@ def _refuse_other_width(source: str, line: Line, shape: _Shape) -> None:
         )
 
 
-def _rises(cells: Sequence[str], mark: str) -> bool:
-    values = np.array([number_of(cell, mark) for cell in cells], dtype=np.float64)
+def goes_up(values: Array) -> bool:
+    """Tell whether numbers (n,) go up, and not by ones, as a time does."""
     with np.errstate(over="ignore", invalid="ignore"):  # between infinities
         steps = np.diff(values)
     rising = len(steps) > 1 and (steps >= 0.0).all() and steps.any()
