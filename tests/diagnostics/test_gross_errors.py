@@ -54,6 +54,11 @@ def swap(values, up):
     values[[0, 1]] = values[[1, 0]]
 
 
+def far(values, up):
+    """Exchange rows of two axes."""
+    values[[1, 4]] = values[[4, 1]]
+
+
 def flip(values, up):
     up[2] *= -1.0
 
@@ -192,6 +197,22 @@ def test_angles_in_radians_are_named():
     assert warned(mp.fit(columns)) == ["angles-in-radians"]
     columns |= {"roll_deg": np.degrees(roll), "pitch_deg": np.degrees(pitch)}
     assert warned(mp.fit(columns)) == []
+
+
+@pytest.mark.parametrize("scheme", ["faces-6", "fibonacci-24"])
+@pytest.mark.parametrize(("edit", "code"), [(far, "interchanged-rows"), (flip, "flipped-row")])
+def test_it_is_named_where_orientation_errors_are_estimated_and_rows_set_aside(scheme, edit, code):
+    """An error of the whole fit, or a warning beside that of the others."""
+    up = mp.read_scheme(scheme).up.copy()
+    values = sense(up)
+    edit(values, up)
+    cal = mp.fit(mp.Readings(values, up=up))
+    (found,) = (each for each in cal.findings if each.code == code)
+    assert found.level == ("warning" if cal.excluded else "error")
+    if scheme == "fibonacci-24":
+        assert {each.label for each in cal.excluded} == {*found.rows}
+        truth = np.column_stack([[0.02, -0.03, 0.05], MATRIX]).ravel()
+        assert np.mean(np.abs(cal.parameters - truth) <= cal.U) > 0.8
 
 
 @pytest.mark.parametrize(("gravity", "said"), [(32.17, True), (9.79, False), (1.0, True)])
