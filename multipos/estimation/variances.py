@@ -175,8 +175,10 @@ class Posterior(NamedTuple):
         Of the parameters, from where the model was linearised.
     outputs : (B, M) array
         d of eq. (4).
-    dof : (B, p) array or None
-        Of eq. (5) where nothing is stated.
+    unequal : (B, p) array
+        The sum of eq. (5), of outputs that may be unequal.
+    stated : bool
+        Whether the noise is stated, so that the unit of all is known.
     grids : tuple of A (B, C) arrays
         Logarithms of the nodes of each axis.
     nu : float
@@ -189,7 +191,8 @@ class Posterior(NamedTuple):
     shifts: Array
     variances: Array
     outputs: Array
-    dof: Array | None
+    unequal: Array
+    stated: bool
     grids: tuple[Array, ...]
     nu: float
 
@@ -202,7 +205,8 @@ class Posterior(NamedTuple):
             self.shifts[units],
             self.variances[units],
             self.outputs[units],
-            None if self.dof is None else self.dof[units],
+            self.unequal[units],
+            self.stated,
             tuple(grid[units] for grid in self.grids),
             self.nu,
         )
@@ -515,7 +519,8 @@ def with_unequal_outputs(linear: Linear) -> tuple[Array, Array]:
     _, should, parts, _ = model.at(nodes, best)
     variance = parts.sum(axis=1)
     u = np.sqrt(size[:, None] * variance)
-    return u, model.degrees_of(parts / variance[:, None], should)
+    unequal = model.unequal_of(parts / variance[:, None], should)
+    return u, 1.0 / (1.0 / model.nu + unequal)
 
 
 def own_axes_weights(linear: Linear) -> tuple[float, float]:
@@ -584,7 +589,8 @@ def integrate(
     terms = model.evaluate(nodes)
     weights = _weights(terms.log + prior)
     found = (weights, nodes, terms.size, terms.shifts, terms.variances)
-    return Posterior(*found, model.outputs, model.degrees(nodes, best), tuple(grids), model.nu)
+    unequal = model.unequal(nodes, best)
+    return Posterior(*found, model.outputs, unequal, names.stated, tuple(grids), model.nu)
 
 
 def _weights(log: Array) -> Array:
@@ -816,21 +822,20 @@ class _Model:
             at = at + np.clip(step, -1.0, 1.0)
             self.outputs = np.exp(at - at.mean(axis=1, keepdims=True))
 
-    def degrees(self, nodes: Array, best: Places) -> Array | None:
-        """Return the degrees of freedom (B, p) of eq. (5), None where noise is stated."""
-        if self.stated:
-            return None
-        _, should, parts, inverse = self.at(nodes, best)
+    def unequal(self, nodes: Array, best: Places) -> Array:
+        """Return the sum of eq. (5) (B, p), nothing where outputs have one noise."""
+        p = self.linear.blocks[0].design.shape[3]
         outer = self.linear.outer
-        if outer is not None:
-            return np.full((self.count, len(outer)), self.nu)
-        return self.degrees_of(parts / np.einsum("bpp->bp", inverse)[:, None], should)
+        if self.equal or self.M == 1 or outer is not None:
+            return np.zeros((self.count, p if outer is None else len(outer)))
+        _, should, parts, inverse = self.at(nodes, best)
+        return self.unequal_of(parts / np.einsum("bpp->bp", inverse)[:, None], should)
 
-    def degrees_of(self, share: Array, should: Array) -> Array:
-        """Return eq. (5) of parts (B, M, p) and of ν (B, M)."""
+    def unequal_of(self, share: Array, should: Array) -> Array:
+        """Return the sum of eq. (5) of parts (B, M, p) and of ν (B, M)."""
         away = share - share.mean(axis=1, keepdims=True)
         known = np.maximum(should, 0.0) + 2.0 / self.shrunk**2
-        return np.asarray(1.0 / (1.0 / self.nu + np.sum(away**2 / known[:, :, None], axis=1)))
+        return np.asarray(np.sum(away**2 / known[:, :, None], axis=1))
 
 
 def _without_labels(block: Block, W: Array, WX: Array, L: Array) -> tuple[Array, Array]:
@@ -864,13 +869,17 @@ def half_interval(posterior: Posterior, moves: Array | None = None) -> tuple[Arr
 
     About the solution, or about estimates that moved from it by `moves` (B, p).
     """
-    shifts, dof = posterior.shifts, posterior.dof
+    weights, variances, shifts = posterior.weights, posterior.variances, posterior.shifts
     if moves is not None:
         shifts = shifts - moves[:, None]
-    U = half_of_mixture(posterior.weights, posterior.variances, dof, shifts)
-    if dof is not None:
-        return U, dof
-    return U, dof_of(posterior.weights, posterior.variances)
+    if not posterior.stated:
+        dof = 1.0 / (1.0 / posterior.nu + posterior.unequal)
+        return half_of_mixture(weights, variances, dof, shifts), dof
+    U = half_of_mixture(weights, variances, None, shifts)
+    alike = dof_of(weights, variances)
+    dof = 1.0 / np.maximum(1.0 / alike + posterior.unequal, 0.5 / _MOST_DOF)
+    dof = np.where(dof > _MOST_DOF, np.inf, dof)
+    return U * coverage_factors(0.95, dof) / coverage_factors(0.95, alike), dof
 
 
 def half_of_mixture(

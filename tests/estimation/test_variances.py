@@ -118,7 +118,8 @@ def test_degrees_of_freedom_are_those_of_each_output_where_orientations_are_exac
     # without shrinkage ν_i is n − p, and so is 1/(1/3(n − p) + (2/3)/(n − p))
     model = variances._Model(Linear((rows,)), Names(stated=False, shrunk=1e9), None)
     share = np.repeat(np.eye(3), 4, axis=1)[None]
-    assert_allclose(model.degrees_of(share, np.full((1, 3), n - 4.0)), n - 4.0)
+    unequal = model.unequal_of(share, np.full((1, 3), n - 4.0))
+    assert_allclose(1.0 / (1.0 / model.nu + unequal), n - 4.0)
 
 
 def test_nothing_stated_of_exact_orientations_is_student_s_t():
