@@ -36,6 +36,9 @@ def sense(force):
     return force @ M.T + BIAS + K2 * force**2
 
 
+KNOWN = {"orientation_sd": 0, "exclude": "none"}  # least squares of the listed orientations
+
+
 def calibrate(scheme="dual-axis-48", noise=0.0, seed=1, **options):
     given = read_scheme(scheme)
     sign = -1.0 if options.get("convention") == "gravity" else 1.0
@@ -43,7 +46,9 @@ def calibrate(scheme="dual-axis-48", noise=0.0, seed=1, **options):
     values = sense(sign * size * given.up)
     values = values + noise * np.random.default_rng(seed).standard_normal(values.shape)
     readings = mp.Readings(values, unit="g", positions=given.labels)
-    return mp.fit(readings, **{"scheme": scheme, "model": "own-quadratic", **options})
+    stated = options.keys() & {"unknown_orientation", "level_sd", "closed_form"}
+    known = {} if stated else KNOWN
+    return mp.fit(readings, **known | {"scheme": scheme, "model": "own-quadratic", **options})
 
 
 def rotation_vector(axis, angle):
@@ -108,7 +113,9 @@ def test_gain_of_weighted_fits(kind):
         noise = {"covariance": root @ root.T + n * np.eye(n)}
     y = sense(given.up)
     fits = [
-        with_known_noise(mp.fit(mp.Readings(y + step, unit="g", **noise), scheme="icosahedron-12"))
+        with_known_noise(
+            mp.fit(mp.Readings(y + step, unit="g", **noise), scheme="icosahedron-12", **KNOWN)
+        )
         for step in (0.0, rng.standard_normal(y.shape))
     ]
     difference = (fits[1].readings.values - fits[0].readings.values).ravel()
@@ -143,6 +150,7 @@ def test_sensitivities_against_the_whole_estimator(name, components, step, conve
                 model="own-quadratic",
                 convention=convention,
                 gravity=GRAVITY,
+                **KNOWN,
             )
             found.append(moved.parameters)
         # central differences: third order in the step is left, (step)² of the effect
@@ -384,8 +392,10 @@ def test_degrees_of_freedom_beyond_what_was_applied_by_hand():
     up = read_scheme("faces-6").up
     values = up + 1e-5 * np.random.default_rng(1).standard_normal(up.shape)
     how = {"scheme": "faces-6", "model": "linear"}
-    plain = evaluate_sphere(mp.fit(mp.Readings(values), **how), size=2.0, directions="faces-6")
-    beyond = mp.fit(mp.Readings(values), budget={"third_order": {"u": 2e-6}}, **how)
+    plain = evaluate_sphere(
+        mp.fit(mp.Readings(values), **how, **KNOWN), size=2.0, directions="faces-6"
+    )
+    beyond = mp.fit(mp.Readings(values), budget={"third_order": {"u": 2e-6}}, **how, **KNOWN)
     for axis, entry in evaluate_sphere(beyond, size=2.0, directions="faces-6")["force"].items():
         u2 = plain["force"][axis]["worst"] ** 2
         assert plain["force"][axis]["dof"] == pytest.approx(2.0)
@@ -540,7 +550,7 @@ def test_gravity_of_the_budget_is_used(tmp_path, capsys):
 def test_a_file_whose_parameters_nothing_determines_is_refused(tmp_path):
     up = read_scheme("all-26").up
     noise = 1e-4 * np.random.default_rng(2).standard_normal(up.shape)
-    found = mp.fit(mp.Readings(up + noise, up=up), model="each = b + s*own/(1 + k*own^2)")
+    found = mp.fit(mp.Readings(up + noise, up=up), model="each = b + s*own/(1 + k*own^2)", **KNOWN)
     content = found.to_dict()
     content["own_model"]["outputs"]["each"] = "0*b + s*own/(1 + k*own^2)"  # b is in no reading
     path = tmp_path / "cal.json"
@@ -557,7 +567,8 @@ def test_a_stated_resolution_is_the_least_noise_of_readings():
     for noise in (1e-6, 3e-3):
         values = up + noise * rng.standard_normal(up.shape)
         readings = mp.Readings(values, up=up, unit="g")
-        pair = [mp.fit(readings), mp.fit(readings, budget={"resolution": {"step": step}})]
+        budget = {"resolution": {"step": step}}
+        pair = [mp.fit(readings, **KNOWN), mp.fit(readings, budget=budget, **KNOWN)]
         found.append([c["bias_ax"] for c in pair])
     quiet, loud = found
     assert quiet[0].u < 1e-6 < quiet[1].u
