@@ -457,7 +457,8 @@ def _plain(posterior: Posterior, names: Names, scale: _Scale) -> _Plain:
         return _Plain(noise, None, label)
     ratio = posterior.ratios[names.orientation]
     unit = scale.noise if names.stated else np.ones_like(v)
-    typical = np.exp(posterior.mean(np.log(np.maximum(ratio, _LOW / 3.0 * unit[:, None]))))
+    none = np.broadcast_to(_LOW / 3.0 * unit[:, None], ratio.shape)
+    typical = np.exp(posterior.mean(np.log(np.where(ratio > 0.0, ratio, none))))
     factor = typical**2 * (1.0 if names.stated else v) / scale.spread**2
     if names.label is not None:
         ratio = posterior.ratios[names.label] ** 2 * posterior.size

@@ -90,8 +90,8 @@ def test_profile_meets_the_linear_fit_where_orientations_are_certain(noise):
     for output, term in (("ax", "1"), ("ay", "x"), ("az", "z")):
         p = linear[output, term]
         ends = profile_interval(certain, output, term)
-        # outputs have one noise in the one, and may be unequal in the other
-        assert_allclose(ends, [p.value - p.U, p.value + p.U], atol=0.12 * p.U)
+        # outputs have one noise in the one, and may be unequal in the other, on fewer dof
+        assert_allclose(ends, [p.value - p.U, p.value + p.U], atol=0.2 * p.U)
 
 
 @pytest.mark.parametrize(
@@ -283,22 +283,21 @@ TABLES = {
     [
         {"unknown_orientation": True},
         {"unknown_orientation": True, "gauge": "symmetric"},
-        {"orientation_sd": 0.05},
     ],
-    ids=["unknown", "symmetric", "uncertain"],
+    ids=["unknown", "symmetric"],
 )
 @pytest.mark.usefixtures("without_findings")
 def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, options):
-    """Readings of a world where the quantity is off, calibrated as if it were not."""
-    uncertain = "orientation_sd" in options
-    if name == "level" and not uncertain:
+    """Readings of a world where the quantity is off, calibrated as if it were not.
+
+    At uncertain orientations variance components are found anew in each world.
+    """
+    if name == "level":
         pytest.skip("orientations that were not used cannot be wrong")
     rng = np.random.default_rng(5)
     given = read_scheme(ROLLS)
     values = sense(given.up, 1e-3) + 1e-4 * rng.standard_normal(given.up.shape)
     options = {"model": "own-quadratic", "gravity": GRAVITY, "reading_sd": 1e-4, **options}
-    if uncertain:
-        options["scheme"] = ROLLS
     c = exactly(mp.Readings(values, unit="g", positions=given.labels), **options)
     quantity = read_budget(TABLES).quantities[name]
     # gravity acts through the calibration's own
@@ -319,6 +318,4 @@ def test_sensitivities_of_the_likelihood_against_the_whole_estimator(name, optio
         found = (moved[0] - moved[1]) / (2.0 * step)
         # the gain leaves out second derivatives times residuals, 1e-4 of noise, some times over;
         # against the largest effect, for a reading across the force hardly has one
-        assert_allclose(
-            effects[:, component], found, atol=(1e-2 if uncertain else 2e-3) * np.abs(effects).max()
-        )
+        assert_allclose(effects[:, component], found, atol=2e-3 * np.abs(effects).max())

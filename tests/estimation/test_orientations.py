@@ -424,7 +424,7 @@ def test_beside_a_stated_noise_scatter_and_orientation_are_estimated():
     low, high = map(float, re.search(r"\(68 %: ([\d.]+) to ([\d.]+)\)", said).groups())
     assert placed.u == pytest.approx((high - low) / 2.0, rel=0.1)  # ends are said to two digits
     six = exactly(readings_of(SENSOR, "faces-6", rng(), off_deg=0.02), orientation_sd="auto")
-    assert any("noise and orientation errors cannot be told apart" in w for w in texts(six))
+    assert any("noise and orientation errors are inseparable" in w for w in texts(six))
 
 
 def test_noise_beside_a_tilt_of_the_table_has_the_right_size():

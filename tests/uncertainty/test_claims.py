@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from amounts import few_and_many
+from amounts import exactly, few_and_many
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
 from profile_oracle import profile_interval, search_interval
@@ -99,7 +99,7 @@ def test_monte_carlo_validates_a_linear_budget():
         "resolution": {"step": 1e-3},
         "offset": {"u": 1e-4, "each_output": True},
     }
-    c = mp.fit(readings(), scheme="icosahedron-12", reading_sd=1e-3, gravity=9.81, gravity_u=3e-4)
+    c = exactly(readings(), scheme="icosahedron-12", reading_sd=1e-3, gravity=9.81, gravity_u=3e-4)
     c = mp.state_budget(with_known_noise(c), budget)
     found = simulate_budget(c, rng=3)
     assert found.stable
@@ -112,14 +112,14 @@ def test_monte_carlo_validates_a_linear_budget():
 
 
 def test_monte_carlo_draws_students_t():
-    c = mp.fit(readings("faces-6"), scheme="faces-6", pool=True)  # six degrees of freedom
+    c = exactly(readings("faces-6"), scheme="faces-6", pool=True)  # six degrees of freedom
     found = simulate_budget(c, trials=60_000, rng=5)
     assert_allclose(found.u, c.u * math.sqrt(6 / 4), rtol=0.03)  # sd of t on 6
     assert_allclose(np.diff(found.symmetric)[:, 0] / 2, c.U, rtol=0.02)
 
 
 def test_monte_carlo_with_two_degrees_of_freedom_has_intervals_only():
-    c = mp.fit(readings("faces-6"), scheme="faces-6")
+    c = exactly(readings("faces-6"), scheme="faces-6")
     found = simulate_budget(c, trials=60_000, rng=5)
     assert np.isnan(found.u).all()
     assert_allclose(np.diff(found.symmetric)[:, 0] / 2, c.U, rtol=0.05)
@@ -259,7 +259,7 @@ def test_another_estimator_can_be_simulated():
 
 
 def test_progress_and_limits():
-    c = mp.fit(readings(), scheme="icosahedron-12")
+    c = exactly(readings(), scheme="icosahedron-12")
     seen = []
     simulate_budget(c, trials=25_000, progress=seen.append)
     assert seen == [10_000, 20_000, 25_000]
@@ -297,7 +297,7 @@ def random_linear_fit(kind, rng):
         "correlated": {"covariance": covariance},
     }.get(kind, {})
     options = {"pooled": {"pool": True}, "closed form": {"closed_form": True}}.get(kind, {})
-    return mp.fit(mp.Readings(values, up=up, unit="g", **stated), **options)
+    return exactly(mp.Readings(values, up=up, unit="g", **stated), **options)
 
 
 @pytest.mark.parametrize(
@@ -336,8 +336,8 @@ def test_profile_may_be_open():
 
 def test_terms_are_judged_by_the_nested_f():
     data = readings("faces-corners-14", quad=5e-3)
-    c = mp.fit(data, scheme="faces-corners-14", model="own-quadratic")
-    linear = mp.fit(data, scheme="faces-corners-14")
+    c = exactly(data, scheme="faces-corners-14", model="own-quadratic")
+    linear = exactly(data, scheme="faces-corners-14")
     found = {(t.output, t.term): t for t in judge_terms(c)}
     test = found["ax", "x^2"]
     rss = [np.sum(f.residuals[:, 0] ** 2) for f in (linear, c)]
@@ -350,7 +350,7 @@ def test_terms_are_judged_by_the_nested_f():
     assert test.aicc == pytest.approx(aicc(rss[0], 14, 4))
     cubic = found["ax", "x^3"]
     assert not cubic.inside
-    wider = mp.fit(data, scheme="faces-corners-14", model="own-cubic")
+    wider = exactly(data, scheme="faces-corners-14", model="own-cubic")
     p = wider["ax", "x^3"]
     assert cubic.f == pytest.approx((p.value / p.u) ** 2, rel=1e-6)
 
@@ -366,11 +366,11 @@ def test_influence_against_leaving_positions_out():
     # eqs. (1), (2) of diagnostics.criticism
     scheme = read_scheme("faces-corners-14")
     data = readings("faces-corners-14")
-    c = mp.fit(data, scheme="faces-corners-14")
+    c = exactly(data, scheme="faces-corners-14")
     found = find_influence(c)
     for row in (0, 9):
         keep = np.arange(14) != row
-        other = mp.fit(
+        other = exactly(
             mp.Readings(data.values[keep], unit="g"),
             scheme={f"up_{axis}": scheme.up[keep, i] for i, axis in enumerate("xyz")},
         )
@@ -399,7 +399,7 @@ def test_fourier_view_finds_an_index_error():
     rng = np.random.default_rng(1)
     values = up[:, :2] + 1e-3 * np.column_stack([np.cos(3 * angle), 0 * angle])
     values = values + 1e-4 * rng.standard_normal(values.shape)
-    c = mp.fit(mp.Readings(values, unit="g"), scheme="roll-z-24", inputs="x,y", axes="x,y")
+    c = exactly(mp.Readings(values, unit="g"), scheme="roll-z-24", inputs="x,y", axes="x,y")
     views = fourier_residuals(c)
     assert [(v["roll"], v["output"]) for v in views] == [("z", "ax"), ("z", "ay")]
     third = views[0]["harmonics"][2]
@@ -413,7 +413,7 @@ def test_fourier_view_of_rolls_that_share_faces():
     scheme = "roll-x-8+roll-y-8+roll-z-8"
     up = read_scheme(scheme).up
     values = up + 1e-4 * np.random.default_rng(1).standard_normal(up.shape)
-    views = fourier_residuals(mp.fit(mp.Readings(values, unit="g"), scheme=scheme))
+    views = fourier_residuals(exactly(mp.Readings(values, unit="g"), scheme=scheme))
     assert {tuple(h["order"] for h in view["harmonics"]) for view in views} == {(1, 2, 3)}
     assert max(h["amplitude"] for view in views for h in view["harmonics"]) < 1e-3
 

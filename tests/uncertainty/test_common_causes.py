@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from amounts import exactly
 from numpy.testing import assert_allclose, assert_array_equal
 
 import multipos as mp
@@ -32,7 +33,7 @@ def tilted(rotation, rng, level=LEVEL, noise=NOISE, outputs=3, **stated):
 
 
 def fitted(readings, level=LEVEL, **options):
-    return mp.fit(readings, budget={"level": {"u_deg": level}}, **options)
+    return exactly(readings, budget={"level": {"u_deg": level}}, **options)
 
 
 def of(cal, evaluation):
@@ -102,7 +103,7 @@ def test_variance_is_that_of_the_restricted_likelihood():
 def test_a_large_tilt_is_projected_out_and_added_in_full(options):
     rotation = attitudes(24, 3)
     cal = fitted(tilted(rotation, np.random.default_rng(5)), **options)
-    plain = mp.fit(cal.readings, **options)
+    plain = exactly(cal.readings, **options)
     found = evaluate_budget(cal).cleared
     sd = plain.residual_sd * np.sqrt(found.ratio)
     assert (plain.residual_sd > 10.0 * NOISE).all()
@@ -117,7 +118,7 @@ def test_a_large_tilt_is_projected_out_and_added_in_full(options):
 
 def test_a_level_of_nothing_changes_nothing():
     readings = tilted(attitudes(12, 1), np.random.default_rng(2), level=0.01)
-    plain = mp.fit(readings)
+    plain = exactly(readings)
     for level in (0.0, 1e-6):
         cal = fitted(readings, level)
         found = evaluate_budget(cal).cleared
@@ -142,7 +143,7 @@ def test_what_the_model_follows_is_added_as_ever():
     noise = 1e-4 * np.random.default_rng(1).standard_normal((12, 3))
     readings = mp.Readings(scheme.up + noise, unit="g")
     cal = fitted(readings, scheme=scheme, model="1 + y + z")
-    plain = mp.fit(readings, scheme=scheme, model="1 + y + z")
+    plain = exactly(readings, scheme=scheme, model="1 + y + z")
     assert_array_equal(evaluate_budget(cal).cleared.ratio, 1.0)
     assert_array_equal(of(cal, "A"), plain.covariance)
     assert_allclose(cal.covariance, plain.covariance + of(cal, "B"), rtol=1e-12)
@@ -152,7 +153,7 @@ def test_what_the_model_follows_is_added_as_ever():
 def test_beside_stated_noise_the_tilt_is_no_scatter_from_rest_to_rest(claim):
     rotation = attitudes(24, 3)
     readings = tilted(rotation, np.random.default_rng(5), u=claim * NOISE)
-    cal, plain = fitted(readings), mp.fit(readings)
+    cal, plain = fitted(readings), exactly(readings)
     assert min(one.value for one in plain.variance_components.rest_to_rest.values()) > 10.0 * NOISE
     X = np.column_stack([np.ones(24), rotation[:, :, 2]])
     sd = np.sqrt(np.diag(of(cal, "A")) / np.tile(np.diag(np.linalg.inv(X.T @ X)), 3))
@@ -182,7 +183,7 @@ def test_the_error_of_a_dividing_head_goes_the_same_way():
     off = np.radians(0.1) * np.cos(3.0 * angle)  # half of it is seen as no parameter
     turned = scheme.up[:, :2] + off[:, None] * scheme.up[:, [1, 0]] * [-1.0, 1.0]
     values = turned + NOISE * rng.standard_normal((24, 2))
-    cal = mp.fit(
+    cal = exactly(
         mp.Readings(values, unit="g"),
         scheme=scheme,
         inputs="x,y",
@@ -212,7 +213,7 @@ def test_robust_weights_follow_the_tilt_themselves():
 
 def test_another_budget_starts_from_the_whole_scatter():
     readings = tilted(attitudes(12, 1), np.random.default_rng(2))
-    cal, plain = fitted(readings), mp.fit(readings)
+    cal, plain = fitted(readings), exactly(readings)
     assert_array_equal(evaluate_budget(cal).covariance, cal.covariance)
     assert_array_equal(mp.state_budget(cal, {}).covariance, plain.covariance)
     again = mp.state_budget(mp.state_budget(cal, {}), {"level": {"u_deg": LEVEL}})
@@ -286,7 +287,7 @@ def test_a_level_without_headings_is_an_orientation_error_of_each_position():
     # eq. (2b) of uncertainty.sensitivities
     up = mp.read_scheme("fibonacci-12").up
     values = up + 1e-4 * np.random.default_rng(3).standard_normal(up.shape)
-    cal = mp.fit(mp.Readings(values, up=up, unit="g"))
+    cal = exactly(mp.Readings(values, up=up, unit="g"))
     found = evaluate_budget(cal, {"level": {"u_deg": 0.01}}).covariance - cal.covariance
     gain = np.linalg.pinv(np.column_stack([np.ones(12), up]))  # of an output
     moves = np.cross(np.eye(3), up[:, None]) @ cal.sensitivity.T  # (position, axis, output)

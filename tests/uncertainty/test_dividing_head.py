@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from amounts import exactly
 from findings_bench import texts
 from numpy.testing import assert_allclose
 from tumble_bench import TRUTH, triad
@@ -119,7 +120,7 @@ def test_a_stated_bench_gives_every_u():
     table = bench(ROLLS[:3], sd=1e-6)
     scheme = read_scheme("roll-z-12+roll-y-12+roll-x-12")
     values = np.column_stack([table[f"a{axis}"] for axis in "xyz"])
-    first = mp.fit(mp.Readings(values, unit="V"), scheme=scheme)
+    first = exactly(mp.Readings(values, unit="V"), scheme=scheme)
     found = mp.tumble(mp.state_bench(first, reading_sd=1e-6, first_sd_deg=1e-3, level_sd_deg=1e-3))
     assert all(
         math.isfinite(e.U) for one in found.outputs.values() for e in one.coefficients.values()
