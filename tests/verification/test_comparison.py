@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from known_noise import with_known_noise
 from numpy.testing import assert_allclose
+from scipy import optimize, special
 
 import multipos as mp
 from multipos.cli import main
@@ -243,6 +244,23 @@ def test_a_calibration_without_times_leaves_the_order_given():
     assert mp.compare(*found, without).times == "as given"
 
 
+def half_of_stated_noise(contrasts):
+    """Return U over u of parameters whose readings have the sd that is stated, and no residuals.
+
+    With a probability of a half the sd is as stated; else readings have r times it beside it, ln r
+    even between .3 and 300. Residuals of zero have the likelihood (1 + r²)^(−contrasts/2).
+    """
+    r = np.geomspace(0.3, 300.0, 100_001)
+    likelihood = (1.0 + r**2) ** (-contrasts / 2)
+    weights = np.append(1.0, likelihood / len(r))
+    sds = np.append(1.0, np.sqrt(1.0 + r**2))
+
+    def left_out(U):
+        return float(weights @ special.erfc(U / sds / math.sqrt(2)) / weights.sum()) - 0.05
+
+    return optimize.brentq(left_out, 1.0, 10.0)
+
+
 def test_drift_and_spread_of_three_runs_by_hand():
     """Biases 0, 3, 3 at hours 0, 1, 5: about the means 2 and 2 the slope is (−3 + 9)/14 = 3/7.
 
@@ -268,7 +286,12 @@ def test_drift_and_spread_of_three_runs_by_hand():
     assert c.range[bias] == pytest.approx(3.0, rel=1e-9)
     assert c.bias_stability["ax"] == pytest.approx(math.sqrt(3), rel=1e-9)
     changes, *rest = comparison_text(c).split("\n\n")
-    assert changes.splitlines()[1].split() == ["bias_ax", "reading", "3.0000", "0.0012", "2537"]
+    *moved, U, by_U = changes.splitlines()[1].split()
+    assert moved == ["bias_ax", "reading", "3.0000"]
+    # U of both, root of the sum of squares; the fit has a grid of 14 excesses, good to .1 %
+    expected = math.sqrt(2) * half_of_stated_noise(contrasts=6) * 1e-3 / math.sqrt(6)
+    assert float(U) == pytest.approx(expected, abs=5e-5)
+    assert float(by_U) == pytest.approx(3.0 / expected, rel=1e-3)
     lines = [line.split() for line in "\n".join(rest).splitlines()]
     (row,) = (line for line in lines if line[:1] == ["bias_ax"])
     assert row[3:8] == ["3", "3", "2.0(17)", "3.7e+04", "0.55"]  # 3/7 a second is 37,029 a day
