@@ -21,6 +21,8 @@ from typing import TypeGuard
 import multipos
 from multipos import plots
 from multipos.cli import COMMANDS, command_parser
+from multipos.files.spelling import packaged_pairs
+from multipos.logs import joining
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 COMMANDS_HEAD = """# Commands
@@ -302,13 +304,13 @@ def messages(files: Iterable[Path], put_in: str) -> Iterator[Message]:
     for path in files:
         if _MAKING.search(path.read_text("utf-8")):  # most files make none
             yield from _messages_in(path, put_in)
+    yield from _of_rests(put_in)
 
 
 def _messages_in(path: Path, put_in: str) -> Iterator[Message]:
     tree, nodes = parsed(path)
     functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
     yield from _said(tree, functions, put_in)
-    yield from _of_rests(tree, put_in)
     every = [node for node in nodes if _is_made(node)]
     seen: set[int] = set()
     for part in (*_around([node.lineno for node in every], functions), tree):
@@ -366,13 +368,12 @@ def _said(tree: ast.Module, functions: list[ast.FunctionDef], put_in: str) -> It
             yield Message((code,), ("warning",), tuple(text), tuple(action))
 
 
-def _of_rests(tree: ast.Module, put_in: str) -> Iterator[Message]:
-    """Yield what several rests have in common, of a table `_OF_RESTS`."""
-    for node in tree.body:
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "_OF_RESTS":
-            for code, (fact, action) in ast.literal_eval(node.value).items():
-                text = f"{put_in} of {put_in} rests {fact}: positions {put_in}"
-                yield Message((code,), (), (text,), (action,) if action else ())
+def _of_rests(put_in: str) -> Iterator[Message]:
+    """Yield what several rests have in common, of the table beside `multipos.logs.joining`."""
+    for code, said in packaged_pairs(joining.__file__, "of_rests.csv").items():
+        fact, _, action = said.partition("|")
+        text = f"{put_in} of {put_in} rests {fact}: positions {put_in}"
+        yield Message((code,), (), (text,), (action,) if action else ())
 
 
 def _is_made(node: ast.AST) -> TypeGuard[ast.Call]:

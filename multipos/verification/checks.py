@@ -512,6 +512,7 @@ def _of_the_run(calibration: Calibration, data: Readings, known: Array) -> Findi
                 axes=c.facing or c.model.axes,
                 inputs=c.model.inputs,
                 convention=c.convention,
+                exclude="none",  # else rows that are interchanged are set aside, and nothing said
                 **c.field.stated(),
             )
         except MultiposError:  # too few positions to fit

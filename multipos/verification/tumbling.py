@@ -73,7 +73,8 @@ from multipos.verification.coefficients import (
 )
 from multipos.verification.hysteresis import Hysteresis, find_hysteresis
 
-_OF_TUMBLE = ("hidden-table", "part-of-a-turn")  # which a tumble says in its own words
+# Which a tumble says in its own words, or of which it has no option.
+_OF_TUMBLE = ("hidden-table", "inseparable", "part-of-a-turn")
 
 
 SCHEMA = "multipos/tumble/1"
@@ -203,6 +204,7 @@ def tumble_output(
         axes=(facing,),
         convention=convention,
         reading_sd=reading_sd,
+        exclude="none",  # a roll is judged by its harmonics, which need every angle
         **vars(bench),
     )
     coefficients = fitted_coefficients(calibration, axis)

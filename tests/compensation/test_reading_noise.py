@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from amounts import exactly
 from cli_bench import run
 from findings_bench import texts
 
@@ -71,7 +72,8 @@ def test_k_is_of_the_residuals_where_both_stand_on_them(cal):
     """K is diagonal here, so every axis has the 12 − 4 degrees of freedom of its own output."""
     values = np.vstack([FACES, FACES]) + BIAS
     values += 1e-3 * np.random.default_rng(1).standard_normal(values.shape)
-    plain = mp.fit(mp.Readings(values, up=np.vstack([FACES, FACES])), model="1 + own")
+    readings = mp.Readings(values, up=np.vstack([FACES, FACES]))
+    plain = exactly(readings, model="1 + own")
     one = {"ax": [0.3], "ay": [0.2], "az": [0.9]}
     found = mp.apply(plain, one, uncertainty=True)
     k = (stacked(found, "U_f") / stacked(found, "u_f"))[0]

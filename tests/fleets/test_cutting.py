@@ -123,7 +123,7 @@ def test_rows_in_memory_are_cut_as_well(monkeypatch):
 @given(seed=st.integers(0, 2**32 - 1), rows=st.integers(3 * N, 160))
 def test_rows_in_any_order_give_every_unit_its_numbers(tmp_path_factory, seed, rows):
     table = line(12, stations=2, scheme="faces-corners-14", seed=5)
-    whole = mp.fit_many(table, unit_column="unit", station_column="station")
+    whole = mp.fit_many(table, **APART)
     order = np.random.default_rng(seed).permutation(12 * N)
     mixed = {name: column[order] for name, column in table.items()}
     with pytest.MonkeyPatch.context() as patch:

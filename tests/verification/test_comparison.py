@@ -254,6 +254,7 @@ def test_drift_and_spread_of_three_runs_by_hand():
             mp.Readings(up + bias, environment={"time": np.full(6, hour)}),
             scheme="faces-6",
             reading_sd=1e-3,
+            orientation_sd=0,
         )
         for hour, bias in ((0.0, 0.0), (1.0, 3.0), (5.0, 3.0))
     ]
