@@ -654,7 +654,8 @@ def state_bench(
 ) -> Readings:
     """Return a calibration's readings with the covariance that a stated bench gives them.
 
-    Fitted again, they give the best estimate on that bench and an uncertainty with all of it in.
+    Fitted again, they give the best estimate on that bench and an uncertainty with all of it in:
+    orientation errors that the first fit estimated are left out, as the bench states them.
 
     Parameters
     ----------
@@ -700,4 +701,7 @@ def state_bench(
         moved = _columns(n, linear, parts) * np.radians(sd_deg)
         covariance += moved @ moved.T
     shifted = _shifts(model.outputs, n, rolls).actual * zero_drift
-    return replace(readings, u=None, covariance=covariance + shifted @ shifted.T)
+    covariance += shifted @ shifted.T
+    sd = np.zeros(n) if readings.orientation_sd is None else readings.orientation_sd
+    sd = np.where(np.isinf(sd), sd, 0.0)
+    return replace(readings, u=None, covariance=covariance, orientation_sd=sd)

@@ -116,12 +116,15 @@ def test_three_rolls_one_way_leave_it_open():
         assert given == {"K1", "K3", "Koq"}
 
 
-def test_a_stated_bench_gives_every_u():
+@pytest.mark.parametrize("first_fit", [mp.fit, exactly])
+def test_a_stated_bench_gives_every_u(first_fit):
     table = bench(ROLLS[:3], sd=1e-6)
     scheme = read_scheme("roll-z-12+roll-y-12+roll-x-12")
     values = np.column_stack([table[f"a{axis}"] for axis in "xyz"])
-    first = exactly(mp.Readings(values, unit="V"), scheme=scheme)
-    found = mp.tumble(mp.state_bench(first, reading_sd=1e-6, first_sd_deg=1e-3, level_sd_deg=1e-3))
+    first = first_fit(mp.Readings(values, unit="V"), scheme=scheme)
+    known = mp.state_bench(first, reading_sd=1e-6, first_sd_deg=1e-3, level_sd_deg=1e-3)
+    assert not known.orientation_sd.any()  # the bench states what the first fit estimated
+    found = mp.tumble(known)
     assert all(
         math.isfinite(e.U) for one in found.outputs.values() for e in one.coefficients.values()
     )
