@@ -33,7 +33,8 @@ def repeats(rng, count=4, *, scheme="faces-6", sd=SD, shift=None, **options):
         values = up + sd * rng.standard_normal(up.shape)
         if shift is not None:
             values = values + run * np.asarray(shift)
-        options = {"model": "own-quadratic", **options}
+        exact = {"orientation_sd": 0, "exclude": "none"}
+        options = {"model": "own-quadratic"} | exact | options
         found.append(mp.fit(mp.Readings(values, unit="g"), scheme=scheme, **options))
     return found
 
