@@ -484,8 +484,18 @@ def _components(posterior: Posterior, names: Names, scale: _Scale, plain: _Plain
     if names.orientation is not None:
         sds = posterior.ratios[names.orientation] * np.sqrt(posterior.size)
         low, high = _central(sds / scale.spread[:, None], posterior.weights) ** 2
+        if excess is None:  # and the size at one node
+            low, high = _widened(low, high, 2.0 / posterior.nu)
         low, high = np.minimum(low, factor), np.maximum(high, factor)
     return [U, dof, moves, plain.noise, u, factor, low, high, plain.label]
+
+
+def _widened(low: Array, high: Array, more: float) -> tuple[Array, Array]:
+    """Return an interval of 68 % wider by a variance `more` of its logarithm."""
+    some = low > 0.0
+    half = 0.5 * np.log(np.where(some, high / np.where(some, low, 1.0), 1.0))
+    middle, wider = np.sqrt(low * high), np.exp(np.sqrt(half**2 + more))
+    return np.where(some, middle / wider, low), np.where(some, middle * wider, high)
 
 
 def _central(values: Array, weights: Array) -> Array:

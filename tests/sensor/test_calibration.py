@@ -225,11 +225,11 @@ def test_a_damaged_file_is_used_or_refused_in_one_line(name, step):
                 del inner[place[-1]]
             try:
                 cal = from_dict(content)
+                text_report(cal)
+                mp.apply(cal, data, uncertainty=True)
             except MultiposError:
                 refused += 1
                 continue
-            text_report(cal)
-            mp.apply(cal, data, uncertainty=True)
             cal.to_dict()
     assert refused > 300 / step
 
