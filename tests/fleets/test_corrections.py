@@ -68,7 +68,7 @@ def test_a_unit_that_is_fitted_with_it_is_off_by_no_more_than_it_says():
         correction = correction_of({name: cells[: 24 * count] for name, cells in table.items()})
         kept = ("position", "ax", "ay", "az")
         unit = {name: table[name][24 * count :] for name in kept}
-        listed = mp.fit(unit, scheme="fibonacci-24")
+        listed = mp.fit(unit, scheme="fibonacci-24", orientation_sd=0)
         cal = mp.fit(unit, scheme=correction["scheme"], budget=correction["budget"])
         rng = np.random.default_rng(1000 + seed)  # as `line` draws them
         rng.integers(0, 1, count + 1)
