@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "multipos"
 
-ALL, TESTS = 52_019, 48_951
+ALL, TESTS = 52_020, 48_951
 
 # By room; what stands beside the rooms counts with the commands.
 CEILINGS = {
@@ -25,7 +25,7 @@ CEILINGS = {
     "compensation": 781,
     "designs": 1734,
     "diagnostics": 4063,
-    "estimation": 5913,
+    "estimation": 5914,
     "exports": 2509,
     "files": 3065,
     "fitting": 1377,

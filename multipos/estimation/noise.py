@@ -371,7 +371,8 @@ def _covariances(problem: Problem) -> Array:
 def _precision(problem: Problem, noise: Array, stated: bool) -> Array:
     """Return the precision of readings of noise (M,) beside what is stated of them."""
     if not stated:
-        return np.broadcast_to(1.0 / noise, problem.values.shape)
+        least = (_FINEST * float(np.abs(problem.values).max())) ** 2
+        return np.broadcast_to(1.0 / np.maximum(noise, least), problem.values.shape)
     if problem.precision.ndim == 2:
         return np.asarray(1.0 / (1.0 / problem.precision + noise))
     return np.asarray(np.linalg.inv(_covariances(problem) + np.diag(noise)))
