@@ -50,7 +50,6 @@ _ROUNDING = 1e-9  # relative, below which no sd is known
 _FINEST = 1e-15  # of the largest reading, below which no noise is
 _WIDEST = 1.0  # [rad], beyond which an orientation is as good as unknown
 _RANK = 1e-7  # of the largest singular value, scaled, below which nothing is determined
-SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 _NO_UNCERTAINTY = Finding(
     "no-dof",
     "warning",
@@ -107,7 +106,7 @@ def estimate_noise(
         return problem, optimum, _of_residuals(problem, optimum, nu)
     if nu <= 0:
         return problem, optimum, NoiseEstimate(1.0, np.inf)
-    few = problem.places < SEPARATING
+    few = problem.places < variances.SEPARATING
     alone = problem.tied.all() and not problem.shared and not problem.repeats
     if few and alone and not stated:
         return _by_own_axes(problem, optimum)
@@ -285,8 +284,7 @@ def linear_model(problem: Problem, optimum: Optimum) -> Linear:
     slopes = parameter_jacobian(problem.model, state.theta, point.force, problem.environment)
     error = point.residuals + np.einsum("nmi,ni->nm", normal.jacobian, state.step)
     design = np.concatenate([slopes, normal.shared], axis=2)
-    tied = np.isfinite(problem.orientation_sd) & (problem.orientation_sd > 0.0)
-    sd = np.where(tied, problem.orientation_sd, 0.0)[:, None, None]
+    sd = np.where(problem.tied, problem.orientation_sd, 0.0)[:, None, None]
     spread = sd * normal.jacobian * np.where(problem.rolled[:, None, None], [0.0, 1.0], 1.0)
     plain = problem.precision.ndim == 2
     variance = 1.0 / problem.precision if plain else _covariances(problem)

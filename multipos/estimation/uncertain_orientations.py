@@ -33,7 +33,7 @@ from multipos.estimation.likelihood import eliminate, full
 from multipos.estimation.problem import RELATIVE_NOISE, Point, Problem, State
 from multipos.estimation.stated_uncertainty import StatedNoise, combined_jointly, taken_by_blocks
 from multipos.estimation.unknown_orientations import Place, SearchedUnits, combined, search
-from multipos.estimation.variances import Block, Linear, StatedComponents, estimate
+from multipos.estimation.variances import SEPARATING, Block, Linear, StatedComponents, estimate
 from multipos.files.records import LARGEST
 from multipos.numerics.arrays import COMPONENTS, Array, Mask, Places
 from multipos.numerics.levenberg_marquardt import Rules
@@ -43,7 +43,6 @@ from multipos.results import frozen
 from multipos.sensor.model import Model
 from multipos.sensor.studentised import find_outlying_positions, square_beyond, studentised_squares
 
-SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 WIDE = np.radians(5.0)  # beyond it the listed directions alone are not trusted for a start
 _STICKS_OUT = 5e-4  # probability that chance makes the largest residual of an output as large
 _FREE = 3.0  # degrees of freedom without which none sticks out

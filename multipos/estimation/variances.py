@@ -65,6 +65,7 @@ from multipos.numerics.quantiles import coverage_factors, erf, normal_quantile
 SHRUNK = 1.0  # s of eq. (4): ln of a variance
 _APART = 6.0  # the same where orientations are exact, so that each output shows its own
 CENTRE_SD = 1.1  # of ln of an orientation sd about what is stated
+SEPARATING = 12  # positions from which on readings tell noise from orientation errors
 _LOW, _HIGH = 0.3, 300.0  # ratios to the noise between which orientation errors are looked for
 _FAR = 30.0  # the same, at which own axes alone count
 _HIGHER = 3000.0  # the same to a stated noise
@@ -731,7 +732,10 @@ class _Model:
         return _Terms(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def _evaluate(self, linear: Linear, nodes: Array, units: slice) -> _Terms:
-        sums, logdet = self._sums(linear, nodes, units)
+        return self._solved(linear, *self._sums(linear, nodes, units))
+
+    def _solved(self, linear: Linear, sums: Array, logdet: Array) -> _Terms:
+        """Return the terms of eq. (2) of its sums."""
         P = sums.shape[-1] - 1
         A, b, q = sums[..., :P, :P], sums[..., :P, P], sums[..., P, P]
         scale = 1.0 / np.sqrt(np.einsum("bgpp->bgp", A))
@@ -791,7 +795,7 @@ class _Model:
         """
         here = nodes[:, np.arange(self.count), best][:, :, None]
         whole = slice(0, self.count)
-        sums, _ = self._sums(self.linear, here, whole)
+        sums, logdet = self._sums(self.linear, here, whole)
         P = sums.shape[-1] - 1
         inverse = np.linalg.inv(sums[:, 0, :P, :P])
         if not self.balanced:
@@ -799,7 +803,7 @@ class _Model:
                 sum(np.einsum("bkrp,bkrq->bpq", b.design, b.design) for b in self.linear.blocks)
             )
         shift = np.einsum("bpq,bq->bp", inverse, sums[:, 0, :P, P])
-        size = self._evaluate(self.linear, here, whole).size[:, 0]
+        size = self._solved(self.linear, sums, logdet).size[:, 0]
         left, should = np.zeros((2, self.count, self.M))
         parts = np.zeros((self.count, self.M, P))
         for block in self.linear.blocks:
