@@ -206,6 +206,7 @@ def find_pattern(
         and c.budget is None
         and c.model.drift_per is None
         and not c.readings.forced.any()
+        and (np.ptp(c.readings.values, axis=0) > 0.0).all()  # a dead output says nothing of others
     )
     own = not c.model.has_terms  # of which no correlation is asked
     timed = correlated_rows.order_in_time(c.readings) is not None and not own

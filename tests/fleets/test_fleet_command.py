@@ -61,7 +61,7 @@ def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
     for parameter in cal.entries:
         assert rows[parameter.name][place] == pytest.approx(parameter.value, rel=1e-10)
         assert rows[f"u_{parameter.name}"][place] == pytest.approx(parameter.u, rel=1e-10)
-        assert rows[f"dof_{parameter.name}"][place] == parameter.dof
+        assert rows[f"dof_{parameter.name}"][place] == pytest.approx(parameter.dof, rel=1e-10)
     assert rows["rms"][place] == pytest.approx(cal.rms, rel=1e-10)
     assert rows["findings"][place] == ""
 
