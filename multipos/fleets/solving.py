@@ -224,11 +224,8 @@ def find_pattern(
         return None
     if shared is None:
         return None
-    fixture, tests = None, None
-    if isinstance(shared, SharedDesign):
-        tests = unit_findings.unit_tests(c, shared)
-    if fixtures and c.readings.up is not None:
-        fixture = _fixture(shared, c)
+    tests = unit_findings.unit_tests(c, shared) if isinstance(shared, SharedDesign) else None
+    fixture = _fixture(shared, c) if fixtures and c.readings.up is not None else None
     sought = _sought(shared, c, exclude)
     listed = None
     if isinstance(shared, uncertain_orientations.SharedOrientations) and shared.estimated:
