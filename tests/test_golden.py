@@ -49,7 +49,6 @@ LEFT_OUT = frozenset(
         "environment",
         "file",
         "findings",
-        "fourier_max_difference",
         "hidden",
         "input",
         "k",

@@ -1,7 +1,7 @@
 """Rolls and their harmonics: the Fourier view of a signal against the angle of a turn.
 
 `find_rolls` finds the rolls among readings; `series` and `residual_series` give their harmonics, up
-to the `highest_order` that their angles distinguish, `transform` and `power` those of one roll,
+to the `highest_order` that their angles distinguish, `transform` those of one roll,
 `beyond_chance` and `strange_harmonics` what stands out among them.
 
 A roll is a set of positions with one case axis horizontal; its angle t runs from the first of the
@@ -227,10 +227,13 @@ def highest_order(roll: Roll) -> int:
 def transform(roll: Roll) -> Array:
     """Return the matrix (1 + 2 H, N) of the transform: m, c_1, s_1, … c_H, s_H by eq. (2)."""
     basis = _basis(roll.distinct, highest_order(roll))
-    if roll.even:
-        result: Array = basis.T / (len(basis) * power(roll)[:, None])  # eq. (2)
-        return result
-    return np.asarray(np.linalg.pinv(basis))
+    if not roll.even:
+        return np.asarray(np.linalg.pinv(basis))
+    result: Array = 2.0 * basis.T / len(basis)
+    result[0] /= 2.0
+    if basis.shape[1] > len(basis):  # N is even, and h = N/2 among the orders
+        result[-2:] /= 2.0
+    return result
 
 
 def series(rolls: Sequence[Roll], signal: Array, sd: float | None = None) -> tuple[Harmonic, ...]:
@@ -308,16 +311,6 @@ def strange_harmonics(residual: Sequence[Harmonic]) -> list[Finding]:
         )
         for h in beyond_chance(residual)
     ]
-
-
-def power(roll: Roll) -> Array:
-    """Return what the square of each coefficient adds to the mean square, (1 + 2 H,)."""
-    order = highest_order(roll)
-    share = np.full(1 + 2 * order, 0.5)
-    share[0] = 1.0
-    if roll.even and len(roll.distinct) % 2 == 0 and order:
-        share[-2:] = 1.0
-    return share
 
 
 def _basis(angle: Array, order: int) -> Array:

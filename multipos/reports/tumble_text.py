@@ -42,12 +42,7 @@ def tumble_text(found: Tumble | Tumbles) -> str:
     sections += _hysteresis_section(outputs)
     sections += [(each.caption, str(each)) for each in turntable_tables(found.table_errors)]
     sections += _beside_section(beside, found.table_errors)
-    text = "\n".join(titled(*section) for section in sections)
-    if isinstance(found, Tumble) and found.fourier_max_difference is not None:
-        text += (
-            f"\nFourier against least squares: {found.fourier_max_difference:.1e} of a reading\n"
-        )
-    return text
+    return "\n".join(titled(*section) for section in sections)
 
 
 def _misaligned(found: Tumbles) -> str:
@@ -112,7 +107,7 @@ def _coefficient_rows(
 
 
 def _hidden_section(found: Tumble) -> _Sections:
-    hidden = [*found.unidentifiable, *found.weak]
+    hidden = [*found.unidentifiable]
     hidden += [each.text for each in found.findings if each.code == "hidden-table"]
     if found.taken_as_zero:
         hidden.append(f"taken as zero: {', '.join(found.taken_as_zero)}")

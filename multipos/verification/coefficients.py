@@ -3,8 +3,8 @@
 - `formula_of` and `kept_coefficients` say which coefficients a tumble has, `fitted_coefficients`
   their values, `coefficients_beside` those that were taken from elsewhere.
 - `ratios_to_k1` makes of a model's parameters each a `TumbleCoefficient`, eq. (2).
-- `roles` and `applied_forces` say which axis is which, `those_that_hold` and `poorly_separated`
-  which coefficients the positions determine.
+- `roles` and `applied_forces` say which axis is which, `those_that_hold` which coefficients the
+  positions determine.
 - `find_without_u` and `find_hidden_table` are findings: no U, and what the table may hide.
 
 With a = (a_i, a_p, a_o) the specific force [g] on the three axes, the output E is modelled by
@@ -60,7 +60,6 @@ COEFFICIENTS = {
 }
 DEFAULT = tuple(COEFFICIENTS)[:9]  # the nine of eq. (1), in the order they are kept
 _MILLION = 1e6
-_WEAK = 5.0  # u of one grows so much by the other being fitted as well
 _FAINT = 10.0  # times by which others may enlarge the u of a coefficient on part of a turn
 _ODD = 2.0  # times by which Koq, which few sensors have, may enlarge the u of K3
 
@@ -136,8 +135,10 @@ def kept_coefficients(
                 f"`{name}` hides behind the others on this part of a turn, which would make its u "
                 f"{loss:.2g} times as large; it is taken as zero"
             )
-    odd = None if chosen or data.forced.any() else _odd_loss(design, kept)
-    if odd is not None:
+    odd = None if data.forced.any() else _odd_loss(design, kept)
+    if odd is not None and chosen:
+        faint.append(f"`Koq`, where the model has it, makes the u of K3 {odd:.2g} times as large")
+    elif odd is not None:
         kept.remove(DEFAULT.index("Koq"))
         faint.append(
             f"`Koq` would make the u of K3 {odd:.2g} times as large; it is taken as zero, which U "
@@ -319,26 +320,3 @@ def ratios_to_k1(
         custom |= {"u": size * u, "U": size * U, "unit": customary}
         result[name] = TumbleCoefficient(value, u, U, own, float(k[j]), float(dof[j]), custom)
     return result
-
-
-def poorly_separated(calibration: Calibration, axis: str) -> tuple[str, ...]:
-    """Say which pairs are separated so weakly that each costs the other most of its u."""
-    model = calibration.model
-    places = {
-        model.index(model.outputs[0], _term(name, axis)): name
-        for name in COEFFICIENTS
-        if name != "K0" and _term(name, axis) in {str(term) for term in model.terms[0]}
-    }
-    said = []
-    for j, one in places.items():
-        for k, other in places.items():
-            rho = float(calibration.correlation[j, k])
-            if j >= k or not abs(rho) < 1.0:
-                continue
-            loss = 1.0 / math.sqrt(1.0 - rho**2)
-            if loss > _WEAK:
-                said.append(
-                    f"`{one}` and `{other}` are poorly separated: the u of each is {loss:.2g} "
-                    "times what it would be if the other were known"
-                )
-    return tuple(said)

@@ -4,8 +4,8 @@
 - `tumble_output` returns that of one output of readings.
 
 Least squares give the coefficients of `multipos.verification.coefficients`. The Fourier view
-(`multipos.positions.harmonics`) of the same readings gives the same where the points are even steps
-of a turn, and its residual harmonics are the test of table and model: what no term explains.
+(`multipos.positions.harmonics`) of their residuals is the test of table and model: what no term
+explains.
 
 Any number of outputs, any mix of rolls, passes and known forces: every output is a tumble by
 itself. Together they show more of the turntable, since all of them stand on the same one
@@ -25,25 +25,22 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multipos.errors import RankError, UsageError
+from multipos.errors import UsageError
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Source
 from multipos.finding import Finding, Findings, in_order
 from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import takes_options
 from multipos.numerics.arrays import COMPONENTS, Array
-from multipos.numerics.least_squares import solve
 from multipos.numerics.terms import Formula, ModelText
 from multipos.positions.attitudes import Convention
 from multipos.positions.harmonics import (
     Harmonic,
     Roll,
     find_rolls,
-    power,
     residual_series,
     series,
     strange_harmonics,
-    transform,
 )
 from multipos.positions.open_rolls import refuse_open_rolls
 from multipos.positions.orientations import orient
@@ -67,7 +64,6 @@ from multipos.verification.coefficients import (
     fitted_coefficients,
     formula_of,
     kept_coefficients,
-    poorly_separated,
     roles,
     those_that_hold,
 )
@@ -95,11 +91,9 @@ class Tumble(Result, Drawn, Tabular):
     rolls : tuple of Roll
     harmonics, residual_harmonics : tuples of Harmonic
         Of the readings and of their residuals.
-    fourier_max_difference : float or None
-        Largest difference of the coefficients by the Fourier view from least squares, as a
-        reading over the largest reading; None where the points are not even.
     table_errors : TableErrors
-    unidentifiable, weak : tuples of str
+    unidentifiable : tuple of str
+        What the points do not tell, or tell at the cost of another coefficient.
     hysteresis : dict of plane to Hysteresis
         Of the rolls that were passed forward and backward.
     findings : tuple of Finding
@@ -127,10 +121,8 @@ class Tumble(Result, Drawn, Tabular):
     rolls: tuple[Roll, ...]
     harmonics: tuple[Harmonic, ...]
     residual_harmonics: tuple[Harmonic, ...]
-    fourier_max_difference: float | None
     table_errors: TableErrors
     unidentifiable: tuple[str, ...]
-    weak: tuple[str, ...]
     hysteresis: dict[str, Hysteresis]
     beside_table: dict[str, TumbleCoefficient]
     findings: Findings = ()
@@ -159,13 +151,11 @@ class Tumble(Result, Drawn, Tabular):
             "residual_harmonics": [
                 {**entry.to_dict(), "p": entry.p} for entry in self.residual_harmonics
             ],
-            "fourier_max_difference": self.fourier_max_difference,
             "hysteresis": {plane: vars(found) for plane, found in self.hysteresis.items()},
             "table_errors": self.table_errors.to_dict(),
             "beside_table": {name: vars(found) for name, found in self.beside_table.items()},
             "unidentifiable": self.unidentifiable,
             "taken_as_zero": self.taken_as_zero,
-            "weak": self.weak,
             "findings": [finding.to_dict() for finding in self.findings],
             "calibration": self.calibration.to_dict(),
         }
@@ -232,10 +222,8 @@ def tumble_output(
         rolls=rolls,
         harmonics=series(rolls, signal, sd if sd > rounding else None),
         residual_harmonics=residual,
-        fourier_max_difference=_fourier_difference(calibration, rolls),
         table_errors=table,
         unidentifiable=unidentifiable,
-        weak=poorly_separated(calibration, axis),
         findings=in_order(findings),
         hysteresis=find_hysteresis(
             _mounted_once(calibration.readings, rolls),
@@ -286,33 +274,6 @@ def _on_part_of_a_turn(data: Readings, rolls: tuple[Roll, ...]) -> list[Finding]
         )
         for roll in rolls
     ]
-
-
-def _fourier_difference(calibration: Calibration, rolls: tuple[Roll, ...]) -> float | None:
-    """Return how far the coefficients from the harmonics are from those of least squares.
-
-    By Parseval the sum of squares of a roll is n times that of its harmonics, so least squares of
-    the harmonics, against those of the sampled terms, is the same problem in other axes.
-    """
-    c = calibration
-    stated = c.readings.u is not None and np.ptp(c.readings.u) > 0.0
-    if stated or c.readings.covariance is not None or not rolls:
-        return None
-    if sum(len(roll.rows) for roll in rolls) != len(c.readings):
-        return None
-    design, signal = _design(c.model, c), c.readings.values[:, 0]
-    left, right = [], []
-    for roll in rolls:
-        if not roll.even or np.ptp(np.bincount(roll.groups)) > 0:
-            return None
-        weighted = np.sqrt(len(roll.rows) * power(roll))[:, None] * transform(roll)
-        left.append(weighted @ roll.average(design[roll.rows]))
-        right.append(weighted @ roll.average(signal[roll.rows]))
-    try:
-        by_fourier = solve(np.concatenate(left), np.concatenate(right)).coefficients
-    except RankError:  # means over a turn tell less than all its readings
-        return None
-    return float(np.abs(by_fourier - c.parameters).max() / np.abs(signal).max())
 
 
 def _design(model: Model, calibration: Calibration) -> Array:
