@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.printed import COMMENTS, is_row
+from multipos.files.printed import COMMENTS, is_comment, is_row
 from multipos.files.spelling import StrPath
 from multipos.files.whole import reading
 from multipos.numerics.arrays import Array, Places, places_of_kinds
@@ -83,6 +83,7 @@ class Plain(NamedTuple):
     columns: list["Cells"]
     lines: Lines
     delimiter: str
+    comments: bool  # lines below the header that begin as comments and have as many cells
 
 
 class _Piece(NamedTuple):
@@ -317,6 +318,7 @@ class _Pieces:
         self._pieces: list[_Piece] = []
         self._numbers: list[NDArray[np.int64]] = []
         self.rows = 0
+        self.comments = False
 
     @property
     def wide(self) -> bool:
@@ -333,17 +335,22 @@ class _Pieces:
         except UnicodeDecodeError:
             return False
         kept, places = rows_of_text(text)
+        begin = 0
         if kept and not self._header:
             self._take_header(kept[0])
             lines = raw.splitlines(keepends=True)
             start += sum(map(len, lines[: places[0] + 1]))
-            kept, places = kept[1:], places[1:]
+            begin, kept, places = places[0], kept[1:], places[1:]
         if kept:
             if set(map(methodcaller("count", self._mark), kept)) != {len(self._header) - 1}:
                 return False
             self._pieces.append(_Piece(start, end, self.rows))
             self._numbers.append(self._line + np.asarray(places, dtype=np.int64))
             self.rows += len(kept)
+        if not isinstance(places, range):
+            count = len(self._header) - 1
+            below = filter(is_comment, text.split("\n")[begin:])
+            self.comments |= any(line.count(self._mark) == count for line in below)
         self._line += text.count("\n")
         return True
 
@@ -357,7 +364,8 @@ class _Pieces:
             Cells(self._raw, self._pieces, self.rows, place, self._mark)
             for place in range(len(self._header))
         ]
-        return Plain(self._header, columns, np.concatenate(self._numbers), self._mark)
+        lines = np.concatenate(self._numbers)
+        return Plain(self._header, columns, lines, self._mark, self.comments)
 
 
 def unix_lines(raw: bytes) -> bytes:

@@ -1,9 +1,9 @@
 """What users hand in as a table, made a path that can be opened or columns by name.
 
-`take_in` is the door; `read_json_columns`, `read_arrow`, `arrow_columns` and `workbook_text` read
-what is no text, `unpack` and `unpack_workbook` make it a file that can be read as any other,
-`is_json`, `is_packed` and `members` know it by its bytes, `content_of` and `find_copies` know
-copies, `require_extra` and `broken` say that a library is missing or cannot be loaded.
+`take_in` is the door; `read_json_columns`, `read_arrow`, `arrow_columns` and `of_array` read what
+is no text, `unpack` and `unpack_workbook` make it a file that can be read as any other, `is_json`,
+`is_packed` and `members` know it by its bytes, `content_of` and `find_copies` know copies,
+`require_extra` and `broken` say that a library is missing or cannot be loaded.
 
 A table is a path (text, a workbook, JSON, Parquet or Feather, packed or not), an open file or
 ``io.StringIO``, a mapping of columns, a data frame, a lazy frame, anything with the Arrow C stream
@@ -89,8 +89,10 @@ def members(path: StrPath) -> list[str]:
     return []
 
 
-def workbook_text(path: StrPath) -> str:
-    """Return a workbook's sheet as comma separated text.
+def unpack_workbook(path: StrPath) -> Unpacked:
+    """Return the sheet of a workbook that holds readings as a file of comma separated text.
+
+    That is the one that was open, or the first with at least half as many rows of numbers as any.
 
     Raises
     ------
@@ -99,50 +101,54 @@ def workbook_text(path: StrPath) -> str:
     """
     old = first_bytes(path, len(OLE)) == OLE
     require_extra(path, "an Excel workbook", "xlrd" if old else "openpyxl", "excel")
-    text = io.StringIO()
     try:
         with warnings.catch_warnings(action="ignore"):  # of print areas and styles: cells are read
-            rows = _rows_of_xls(path) if old else _rows_of_xlsx(path)
-            csv.writer(text, lineterminator="\n").writerows(map(_cells, rows))
+            sheets = dict(_sheets_of_xls(path) if old else _sheets_of_xlsx(path))
     except Exception as error:  # of a damaged file whatever its library raises
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise MultiposError(
             f"{path}: cannot read the workbook: {reason}; save it again as .xlsx or CSV."
         ) from None
-    return text.getvalue()
+    rows = {name: len(_NUMBERED.findall(text)) for name, text in sheets.items()}
+    name = next(each for each in sheets if 2 * rows[each] >= max(rows.values()))
+    said = f"taken from sheet '{name}', of {len(sheets)}" if len(sheets) > 1 else ""
+    return Unpacked(str(path), io.BytesIO(sheets[name].encode()), ".csv", said=said)
 
 
-def _rows_of_xlsx(path: StrPath) -> Iterator[tuple[Any, ...]]:
+_NUMBERED = re.compile(r"^(?:.*,)?-?\d+(?:\.\d*)?(?:,.*)?$", re.MULTILINE)  # a row with a number
+
+
+def _sheets_of_xlsx(path: StrPath) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each sheet, first of the one that was open."""
     from openpyxl import load_workbook
 
     with Path(path).open("rb") as stream:
         book = load_workbook(stream, read_only=True, data_only=True)
-        yield from book.active.iter_rows(values_only=True)
+        for sheet in sorted(book.worksheets, key=lambda each: each is not book.active):
+            yield sheet.title, _as_text(sheet.iter_rows(values_only=True))
 
 
-def _rows_of_xls(path: StrPath) -> Iterator[tuple[Any, ...]]:
+def _sheets_of_xls(path: StrPath) -> Iterator[tuple[str, str]]:
     import xlrd
 
     with xlrd.open_workbook(path, logfile=io.StringIO()) as book:
-        sheet = next(
-            (each for each in book.sheets() if each.sheet_selected), book.sheet_by_index(0)
-        )
-        for row in sheet.get_rows():
-            yield tuple(
-                xlrd.xldate_as_datetime(cell.value, book.datemode)
-                if cell.ctype == xlrd.XL_CELL_DATE
-                else cell.value
-                for cell in row
+        for sheet in sorted(book.sheets(), key=lambda each: not each.sheet_selected):
+            rows = (
+                tuple(
+                    xlrd.xldate_as_datetime(cell.value, book.datemode)
+                    if cell.ctype == xlrd.XL_CELL_DATE
+                    else cell.value
+                    for cell in row
+                )
+                for row in sheet.get_rows()
             )
+            yield sheet.name, _as_text(rows)
 
 
-def unpack_workbook(path: os.PathLike[str]) -> Unpacked:
-    """Return a workbook's sheet as a file of text."""
-    return Unpacked(str(path), io.BytesIO(workbook_text(path).encode()), ".csv")
-
-
-def _cells(row: tuple[Any, ...]) -> list[str]:
-    return [_cell(cell) for cell in row]
+def _as_text(rows: Iterable[tuple[Any, ...]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([*map(_cell, row)] for row in rows)
+    return text.getvalue()
 
 
 def _cell(value: Any) -> str:
@@ -189,7 +195,7 @@ def take_in(
     if callable(getattr(source, "read", None)):
         return _kept(source, what)
     if isinstance(source, np.ndarray):
-        return _of_array(source, what, names)
+        return of_array(source, what, names)
     if hasattr(source, "collect_schema") and hasattr(source, "collect"):
         return take_in(source.collect(), what)  # a lazy frame
     own: Any = getattr(source, "columns", None)
@@ -212,12 +218,13 @@ def _kept(stream: Any, what: str) -> Unpacked:
     return Unpacked(shown, io.BytesIO(raw), Path(shown).suffix)
 
 
-def _of_array(array: NDArray[Any], what: str, names: Sequence[str] | None) -> dict[str, Any]:
+def of_array(array: NDArray[Any], what: str, names: Sequence[str] | None) -> dict[str, Any]:
+    """Return the columns of an array: its fields, or by names, or numbered."""
     if array.dtype.names:
         return {name: array[name] for name in array.dtype.names}
     if array.ndim not in (1, 2):
         raise MultiposError(
-            f"the {what} is an array of shape {array.shape}; give one row a line, (n, columns)."
+            f"{what}: an array of shape {array.shape}; give one row a line, (n, columns)."
         )
     columns = array[:, None] if array.ndim == 1 else array
     width = columns.shape[1]
@@ -338,13 +345,9 @@ def unpack(path: StrPath) -> Unpacked:
     except MultiposError:
         raise
     except Exception as error:  # each library has exceptions of its own for a damaged file
-        raise _damaged(path, error) from None
-
-
-def _damaged(path: StrPath, error: Exception) -> MultiposError:
-    return MultiposError(
-        f"{path}: cannot unpack: {error}; the file is damaged or cut off, write it again."
-    )
+        raise MultiposError(
+            f"{path}: cannot unpack: {error}; the file is damaged or cut off, write it again."
+        ) from None
 
 
 def _zstd(path: StrPath) -> Any:

@@ -98,6 +98,23 @@ class Layout:
     printed: Printed | None
 
     @property
+    def in_words(self) -> str:
+        """How the rows stand in the text."""
+        if self.printed is not None:
+            return self.printed.said
+        marks = {",": "commas", ";": "semicolons", "\t": "tabs", "": "blanks"}
+        between = marks.get(self.delimiter, f"'{self.delimiter}'")
+        header = "no header" if self.header is None else f"header above line {self.below}"
+        return f"{self.width} columns between {between}, {header}"
+
+    def is_like_a_row(self, line: str) -> bool:
+        """Tell whether a comment has as many cells as a row, and numbers where it has."""
+        cells = cells_of(line, self.delimiter)
+        pairs = zip(cells, self.numeric, strict=False)
+        numbers = [is_number(cell, self.delimiter) for cell, numeric in pairs if numeric]
+        return len(cells) == self.width and any(numbers) and sum(numbers) >= len(numbers) - 1
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The header; of a table without one the numbers of its columns."""
         return self.header or tuple(map(str, range(1, self.width + 1)))

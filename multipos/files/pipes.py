@@ -49,11 +49,11 @@ def lines_of(path: StrPath) -> Iterator[str]:
             yield line.rstrip("\n") if number else line.rstrip("\n").lstrip(BOM)
 
 
-def decoded(raw: bytes) -> tuple[str, str] | None:
-    """Return the text that bytes are which are no UTF-8, and its encoding; None where unclear."""
+def decoded(raw: bytes) -> str | None:
+    """Return the text that bytes are which are no UTF-8; None where that is unclear."""
     if raw.startswith(UTF_16):
         try:
-            return raw.decode("utf-16"), "UTF-16"
+            return raw.decode("utf-16")
         except UnicodeDecodeError:
             return None
     try:
@@ -62,13 +62,13 @@ def decoded(raw: bytes) -> tuple[str, str] | None:
         text = ""
     runs = _CHINESE.findall(text)
     if runs and min(map(len, runs)) > 1:
-        return text, "GB 18030"
+        return text
     try:
         text = raw.decode("cp1252")
     except UnicodeDecodeError:
         return None
     strange = {letter for letter in text if letter > "\x7f"}
-    return (text, "Windows-1252") if strange <= _WESTERN and "\0" not in text else None
+    return text if strange <= _WESTERN and "\0" not in text else None
 
 
 def unpack_text(path: os.PathLike[str]) -> "Unpacked":
@@ -85,7 +85,7 @@ def unpack_text(path: os.PathLike[str]) -> "Unpacked":
             f"{path}: the text is not UTF-8, nor by its marks UTF-16, GB 18030 or Windows-1252; "
             "save it as UTF-8."
         )
-    return Unpacked(str(path), io.BytesIO(found[0].encode()), Path(str(path)).suffix)
+    return Unpacked(str(path), io.BytesIO(found.encode()), Path(str(path)).suffix)
 
 
 STDIN = "-"
@@ -186,10 +186,13 @@ def _pieces(source: str, stream: Any, most: int) -> Iterator[bytes]:
 class Unpacked(os.PathLike[str]):
     """What was in a packed file, or came through a pipe, as a path."""
 
-    def __init__(self, source: str, stream: Any, suffix: str, most: int = _MOST) -> None:
+    def __init__(
+        self, source: str, stream: Any, suffix: str, most: int = _MOST, said: str = ""
+    ) -> None:
         import tempfile  # slow to import, and seldom needed
 
         self._source = source
+        self.said = said  # of what was taken of it
         handle, path = tempfile.mkstemp(prefix="multipos-", suffix=suffix)
         self._kept = weakref.finalize(self, _remove, path)
         self._path = path

@@ -29,7 +29,7 @@ from multipos.files.csv_columns import Column as Column
 from multipos.files.layout import find_layout, units_in
 from multipos.files.marks import cleaned_columns, may_have_marks, number_in
 from multipos.files.pipes import UTF_16, Pipe, decoded, is_pipe, rereadable, text_of
-from multipos.files.printed import Records, holds_number, is_row
+from multipos.files.printed import Records, holds_number, is_comment, is_row
 from multipos.files.spelling import StrPath
 from multipos.files.written_units import split_unit
 from multipos.results import frozen
@@ -57,6 +57,7 @@ class Table:
     first: int = 0  # rows of the source that came before these, where it is read piece by piece
     copies: tuple[str, ...] = ()  # files that are no part of it, as they hold what others do
     read_as: str = ""  # what was decided of the marks in its numbers, in words
+    commented: tuple[int, ...] = ()  # lines that begin as comments and are like rows
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -72,6 +73,10 @@ class Table:
                 columns[name] = [column[row] for row in rows]
         lines = None if self.lines is None else [int(self.lines[row]) for row in rows]
         return replace(self, columns=columns, rows=len(rows), lines=lines)
+
+    def renamed(self, names: Mapping[str, str]) -> "Table":
+        """Return the table with other names of some columns."""
+        return replace(self, columns={names.get(n, n): each for n, each in self.columns.items()})
 
     @property
     def decimal_comma(self) -> bool:
@@ -275,7 +280,7 @@ def _sha256(raw: bytes) -> str:
 
 
 def _read_csv(path: StrPath, what: str) -> Table:
-    raw = whole.read_bytes(path, what)
+    raw, said = whole.read_bytes(path, what), ""
     sha256 = _sha256(raw)
     if raw.startswith((handed.ZIP, handed.OLE)):
         names = handed.members(path)
@@ -284,23 +289,23 @@ def _read_csv(path: StrPath, what: str) -> Table:
                 f"{path}: the archive is no workbook; unpack it, or give a log to multipos "
                 "calibrate."
             )
-        raw = handed.workbook_text(path).encode()
+        book = handed.unpack_workbook(path)
+        raw, said = whole.read_bytes(book, what), book.said
     if raw.startswith(UTF_16) and (found := decoded(raw)) is not None:
-        raw = found[0].encode()
+        raw = found.encode()
     plain = _plain(raw)
     if plain is None:
-        return _read_cells(path, raw, sha256, what)
-    table = _plain_table(path, plain, sha256)
+        return _read_cells(path, raw, sha256, what, said)
+    table = replace(_plain_table(path, plain, sha256), read_as=said)
     if len(raw) > _LONG:
         return table
-    columns = {name: [*cells] for name, cells in table.columns.items()}
-    return replace(table, columns=columns)
+    return replace(table, columns={name: [*cells] for name, cells in table.columns.items()})
 
 
 def _plain(raw: Raw) -> Plain | None:
     """Return columns that stay in their text; None where cells have to be looked at."""
     plain = read_plain(raw)
-    if plain is None or len(plain.header) < 2 or not plain.header[-1]:
+    if plain is None or len(plain.header) < 2 or not plain.header[-1] or plain.comments:
         return None
     if any(map(holds_number, plain.header)):
         return None
@@ -316,7 +321,7 @@ def _plain_table(path: StrPath, plain: Plain, sha256: str) -> Table:
     return Table(str(path), columns, len(plain.lines), plain.lines, sha256, plain.delimiter)
 
 
-def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
+def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str, taken: str) -> Table:
     """Read a table cell by cell, quotes included, or lines that a program printed."""
     lines = io.StringIO(_decode(path, raw, what), newline=None).read().split("\n")
     if not any(map(is_row, lines)):
@@ -344,7 +349,8 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
         commas_between=layout.delimiter == ",",
         decimal_commas=layout.decimal_comma and layout.delimiter != ";",
     )
-    said = (layout.begins, "" if printed is None else printed.said, marks)
+    comments = [(n, line) for n, line in enumerate(lines, 1) if n > begin and is_comment(line)]
+    said = (taken, layout.begins, "" if printed is None else printed.said, marks)
     return Table(
         str(path),
         columns,
@@ -353,6 +359,7 @@ def _read_cells(path: StrPath, raw: bytes, sha256: str, what: str) -> Table:
         sha256,
         "," if printed else layout.delimiter or " ",
         read_as="; ".join(filter(None, said)),
+        commented=tuple(number for number, line in comments if layout.is_like_a_row(line)),
     )
 
 
@@ -366,7 +373,7 @@ def _decode(path: StrPath, raw: bytes, what: str) -> str:
             raise MultiposError(
                 f"{path}: byte {error.start} is not UTF-8; save the {what} as UTF-8 text.{log}"
             ) from None
-        text = found[0]
+        text = found
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise MultiposError(

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multipos.errors import MultiposError
-from multipos.files.handed import read_json_columns
+from multipos.files.handed import of_array, read_json_columns
 from multipos.files.layout import goes_up
 from multipos.files.pipes import Unpacked
 from multipos.files.tables import Column, Table
@@ -139,17 +139,9 @@ def _split_columns(name: str, array: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def read_npy(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the columns of an array file, which stay on the disk until they are read."""
     array = loaded(path, lambda: np.load(Path(path), mmap_mode="r", allow_pickle=False))
-    if array.ndim not in (1, 2) or not array.size:
-        raise MultiposError(
-            f"{path}: an array of shape {array.shape}; a log is one column (n,), or one row a "
-            "sample (n, columns)."
-        )
-    if array.dtype.names:
-        return _legible(path, {name: array[name] for name in array.dtype.names})
     if array.ndim == 2 and array.shape[0] <= _WIDEST < array.shape[1]:
         array = array.T  # as NumPy users hold it, a row an output
-    columns = [array] if array.ndim == 1 else list(array.T)
-    return _legible(path, {str(i): column for i, column in enumerate(columns, 1)})
+    return _legible(path, of_array(array, str(path), None))
 
 
 def read_npz(path: os.PathLike[str]) -> Mapping[str, Any]:

@@ -74,6 +74,10 @@ class Averages(Result, Tabular):
         Stretches that stood still for less than a rest: the name of the log, and its rows.
     unit : str or None
         Of the outputs, where the log tells it.
+    layout : str
+        How the rows of the log stand in its file.
+    time_column : str or None
+        Column that is the time.
 
     Examples
     --------
@@ -95,6 +99,8 @@ class Averages(Result, Tabular):
     findings: Findings
     short: tuple[tuple[str, Rest], ...] = field(default=(), compare=False)
     unit: str | None = None
+    layout: str = field(default="", compare=False)
+    time_column: str | None = field(default=None, compare=False)
 
     @property
     def seen(self) -> str:
@@ -175,6 +181,8 @@ class Averages(Result, Tabular):
                 "findings": self.findings,
                 "short": [{"log": log, "start": a, "end": b} for log, (a, b) in self.short],
                 "unit": self.unit,
+                "layout": self.layout,
+                "taken": {"time": self.time_column, "outputs": self.outputs},
             }
         )
 

@@ -1,8 +1,7 @@
 """Readers that come with an extra or may crash, each run in a process of its own.
 
 `reader_with_extra` returns one that says what to install where its library is missing, `read_apart`
-runs one, `answer` is what runs in the child; `noted` takes what a reader says of its columns,
-`first_line` what an error says.
+runs one, `answer` is what runs in the child, `first_line` says what an error does.
 
 Some formats are read by compiled code that believes its file: a damaged one ends the whole process,
 and with it a notebook or a server. `read_apart` runs such a reader in a child of the same
@@ -145,19 +144,6 @@ def first_line(error: Exception) -> str:
 NOTES = "\0notes"  # the name of a column that is none: what there is to say of the others
 
 
-class Noted(dict[str, Any]):
-    """Columns, and what is to be said of how they were chosen."""
-
-    notes: tuple[str, ...] = ()
-
-
-def noted(columns: Mapping[str, Any]) -> Noted:
-    """Return columns with the column of notes, if there is one, beside them."""
-    found = Noted(columns)
-    found.notes = tuple(str(note) for note in found.pop(NOTES, ()))
-    return found
-
-
 def reader_with_extra(
     kind: str, library: str, extra: str, load: Callable[[os.PathLike[str]], Mapping[str, Any]]
 ) -> Callable[[os.PathLike[str]], Mapping[str, Any]]:
@@ -165,6 +151,6 @@ def reader_with_extra(
 
     def read(path: os.PathLike[str]) -> Mapping[str, Any]:
         require_extra(path, kind, library, extra)
-        return noted(read_apart(path, load))
+        return read_apart(path, load)
 
     return read

@@ -6,7 +6,7 @@
 units, `at_one_value` and `fault_and_way` word what is found.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -359,11 +359,13 @@ def _alike(sizes: Array) -> bool:
     return bool((np.abs(sizes - usual) <= _ALIKE * usual).mean() >= _MOST)
 
 
-def differ_in_unit(surveys: Sequence[Survey]) -> tuple[int, float] | None:
-    """Return which log reads how many times what the first does, by a factor of units."""
-    sizes = [survey.sizes() for survey in surveys]
+def differ_in_unit(surveys: Mapping[str, Survey]) -> list[Finding]:
+    """Name the first log, by its source, that reads a factor of units of what the first does."""
+    sizes = [survey.sizes() for survey in surveys.values()]
     usual = [float(median(each)) if len(each) else 0.0 for each in sizes]
-    for i, each in enumerate(usual):
+    first = next(iter(surveys))
+    for name, each in zip(surveys, usual, strict=True):
         if usual[0] > 0.0 and each > 0.0 and is_factor(each / usual[0]):
-            return i, each / usual[0]
-    return None
+            text = f"readings of {name} are {each / usual[0]:.3g} times those of {first}: two units"
+            return [Finding("two-units", "warning", text, "Convert one of the files.")]
+    return []

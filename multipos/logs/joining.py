@@ -15,7 +15,7 @@ import numpy as np
 
 from multipos.errors import MultiposError
 from multipos.files.spelling import listed, packaged_pairs
-from multipos.finding import Finding, Findings, about, in_order
+from multipos.finding import Finding, Findings, in_order
 from multipos.logs.averages import Averages, RestAverage
 from multipos.logs.common_noise import settle_together
 from multipos.logs.faults import (
@@ -126,19 +126,9 @@ def faults_of_means(chosen: Sequence[Chosen]) -> list[Finding]:
             )
             for fault in (*constant, *each.still.saturated)
         ]
-    said += _other_unit(list(dict.fromkeys(each.log.log.source for each in chosen)), chosen)
+    said += differ_in_unit({each.log.log.source: each.log.survey for each in chosen})
     scale = compare_scales(outputs, np.array([each.mean for each in found]))
     return said if scale is None else [*said, scale]
-
-
-def _other_unit(sources: Sequence[str], chosen: Sequence[Chosen]) -> list[Finding]:
-    surveys = {each.log.log.source: each.log.survey for each in chosen}
-    other = differ_in_unit([surveys[source] for source in sources])
-    if other is None:
-        return []
-    which, ratio = other
-    text = f"readings of {sources[which]} are {ratio:.3g} times those of {sources[0]}: two units"
-    return [Finding("two-units", "warning", text, "Convert one of the files.")]
 
 
 def complete(
@@ -179,6 +169,8 @@ def complete(
         findings=in_order((*left, *wrong, *unseen, *together, *_of_rests(rests), *general)),
         short=tuple((_name(log), rest) for log in logs for rest in log.short),
         unit=_unit(logs),
+        layout="; ".join(dict.fromkeys(log.log.layout for log in logs)),
+        time_column=next((log.clock.column for log in logs if log.clock is not None), None),
     )
 
 
@@ -292,10 +284,17 @@ def _name(log: StillLog) -> str:
 
 
 def _by_log(logs: Sequence[StillLog], said: Callable[[StillLog], Findings]) -> Findings:
-    """Return the findings about each log, with its name where there are several."""
+    """Return the findings about logs, of each kind those of the first that has it, by its name."""
     if len(logs) == 1:
         return said(logs[0])
-    return tuple(found for log in logs for found in about(_name(log), said(log)))
+    every = [(_name(log), said(log)) for log in logs]
+    found: list[Finding] = []
+    for code in dict.fromkeys(each.code for _, own in every for each in own):
+        having = [(n, alike) for n, own in every if (alike := [f for f in own if f.code == code])]
+        name, alike = having[0]
+        count = f" (as {len(having)} of {len(logs)} logs)" if len(having) > 1 else ""
+        found += [replace(each, text=f"{name}: {each.text}{count}") for each in alike]
+    return tuple(found)
 
 
 def _one_rate(rates: Sequence[float | None]) -> float | None:

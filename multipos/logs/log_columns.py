@@ -13,6 +13,7 @@ least there while its direction changes.
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,8 +37,7 @@ _CLEAR = 3.0  # times the variation of the next: a magnetometer turns too
 
 def triad_of_gravity(log: Log, names: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the three columns in a row that show gravity; None where that is not clear."""
-    table = next(log.read((), names, lenient=True)).table
-    data = np.array([table.columns[name] for name in names], dtype=np.float64)
+    data = _first_cells(log, names)
     data = data[:, (np.abs(data) <= LARGEST_SAMPLE).all(axis=0)]  # and no NaN
     count = data.shape[1] // _BLOCK
     if count < _FEWEST:
@@ -143,19 +143,40 @@ def choose_outputs(log: Log, given: Sequence[str] | None, clocks: Sequence[str])
     names = [name for name in log.numeric if name not in apart]
     kinds = {name: headers.component(name) for name in log.columns}
     chosen, by = _by_name(names, kinds), "their names"
+    idle = headers.idle_columns(chosen, kinds, partial(_first_cells, log))
+    chosen = tuple(name for name in chosen if name not in idle)
     if len(chosen) > 3 and not any(kinds[name].acceleration for name in chosen):
         chosen, by = triad_of_gravity(log, chosen) or chosen, "what they show of gravity"
-    _refuse_text(log, chosen, kinds)
+    texts = [name for name in log.columns if name not in log.numeric]
+    headers.refuse_text(log.source, chosen, texts, kinds)
     _refuse_without_gravity(log.source, chosen, kinds)
     if not chosen:
-        raise MultiposError(f"{log.source}: no numeric column can be an output; see --columns.")
+        raise MultiposError(
+            f"{log.source}: no numeric column can be an output ({_seen(log)}); give a file of "
+            "numbers, time,ax,ay,az in each line, or name its columns with --columns."
+        )
     if len(chosen) > 3:
-        line = f" (multipos calibrate {Path(log.source).name} --outputs {','.join(chosen[:3])})"
+        line = f"; type multipos calibrate {Path(log.source).name} --outputs {','.join(chosen[:3])}"
         raise UsageError(
             f"{log.source}: {len(chosen)} columns could be outputs: {listed(chosen, 12)}; name "
-            f"them with --outputs{line if log.headless else ''}."
+            f"them with --outputs{f' ({_seen(log)}{line})' if log.headless else ''}."
         )
-    return Outputs(chosen, _find_choice(chosen, names, by))
+    others = [name for name in names if name not in idle]
+    unused = headers.unused_columns((), idle)
+    return Outputs(chosen, (*unused, *_find_choice(chosen, others, by)))
+
+
+def _seen(log: Log) -> str:
+    """Return how many lines a log has, and what is in them."""
+    rows = sum(piece.table.rows for piece in log.read((), (), (), lenient=True))
+    names = ", no names" if log.headless else ""
+    return f"{rows:,} lines, {len(log.numeric) or 'no'} numbers each{names}"
+
+
+def _first_cells(log: Log, names: Sequence[str]) -> Array:
+    """Return the numbers (k, n) of columns in the first piece of a log."""
+    table = next(log.read((), names, lenient=True)).table
+    return np.array([table.columns[name] for name in names], dtype=np.float64)
 
 
 def _by_name(names: Sequence[str], kinds: dict[str, headers.NameParts]) -> tuple[str, ...]:
@@ -170,18 +191,6 @@ def _by_name(names: Sequence[str], kinds: dict[str, headers.NameParts]) -> tuple
     return whole[0] if whole else tuple(names)
 
 
-def _refuse_text(log: Log, chosen: Sequence[str], kinds: dict[str, headers.NameParts]) -> None:
-    stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
-    numeric = frozenset(log.numeric)
-    for name in log.columns:
-        kind = kinds[name]
-        if name not in numeric and kind.axis >= 0 and kind.stem.casefold() in stems:
-            raise MultiposError(
-                f"{log.source}: column '{name}' is an output by its name, but holds no number in "
-                "its first rows; correct it, or name the outputs with --outputs."
-            )
-
-
 def _refuse_without_gravity(
     source: str, chosen: Sequence[str], kinds: dict[str, headers.NameParts]
 ) -> None:
@@ -194,19 +203,12 @@ def _refuse_without_gravity(
             )
 
 
-def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Findings:
-    known = frozenset(chosen)
-    others = [name for name in names if name not in known]
-    if others:
-        text = (
-            f"outputs are {', '.join(chosen)}, by {by}; {listed(others, 12)} "
-            f"{'is not used' if len(others) == 1 else 'are not used'}"
-        )
-        return (Finding("outputs-by-name", "note", text),)
-    if [name for name in names if name in chosen] != list(chosen):
-        text = f"outputs are ordered {', '.join(chosen)}, by their names"
-        return (Finding("outputs-by-name", "note", text),)
-    return ()
+def _find_choice(chosen: tuple[str, ...], names: Sequence[str], by: str) -> Sequence[Finding]:
+    others = headers.find_others(chosen, names, by)
+    if others or [name for name in names if name in chosen] == list(chosen):
+        return others
+    text = f"outputs are ordered {', '.join(chosen)}, by their names"
+    return [Finding("outputs-by-name", "note", text)]
 
 
 def magnetic_outputs(

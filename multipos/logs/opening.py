@@ -30,7 +30,7 @@ from multipos.files.tables import Column, Source, read_table
 from multipos.files.whole import reading
 from multipos.finding import Finding, Findings, repeated_files
 from multipos.logs.array_logs import log_of_columns, refuse_without_gravity
-from multipos.logs.extras import Noted
+from multipos.logs.extras import NOTES
 from multipos.logs.readers import read_bag, reader_of
 from multipos.logs.table import Log
 from multipos.logs.text_logs import HEAD, head_lines, open_text
@@ -92,14 +92,15 @@ def open_log(
             path = unpack_text(path)
             head = _read_head(path)
         return refuse_without_gravity(_open_text(path, head, names))
-    return _with_notes(path, reader.columns(path), names)
+    return replace(_with_notes(path, reader.columns(path), names), layout=reader.listed)
 
 
 def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None) -> Log:
     """Return a log of text: rows, or the records that a program printed, without marks."""
     lines = head_lines(path, head)
     layout = find_layout(str(path), lines)
-    said = []
+    laid_out = layout.in_words
+    said = [*filter(None, [getattr(path, "said", "")])]
     if layout.printed is not None:
         said.append(layout.printed.said)
         path = unpack_printed(path, layout.printed)
@@ -116,6 +117,7 @@ def _open_text(path: os.PathLike[str], head: bytes, names: Sequence[str] | None)
     bits = zip(log.columns, marks.bits if marks else (), strict=False)
     return replace(
         log,
+        layout=laid_out,
         notes=(*log.notes, *(Finding("log-source", "note", text) for text in said)),
         registers={name: each for name, each in bits if each > 0},
     )
@@ -143,10 +145,9 @@ def _cleaned(line: str, layout: Layout, marks: Marks) -> bytes:
 
 def _with_notes(path: StrPath, found: Mapping[str, Any], names: Sequence[str] | None) -> Log:
     """Return the log of columns of a file, with what its reader says of them."""
-    log = log_of_columns(str(path), found, names)
-    if not isinstance(found, Noted):
-        return log
-    return replace(log, notes=tuple(Finding("log-source", "note", text) for text in found.notes))
+    log = log_of_columns(str(path), {n: each for n, each in found.items() if n != NOTES}, names)
+    said = map(str, found.get(NOTES, ()))
+    return replace(log, notes=tuple(Finding("log-source", "note", text) for text in said))
 
 
 def read_log(log: Log) -> dict[str, Column]:

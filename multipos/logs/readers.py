@@ -37,7 +37,7 @@ from multipos.files.handed import unpack
 from multipos.files.pipes import GZIP, UTF_16, lines_of, unpack_text
 from multipos.logs import array_logs
 from multipos.logs.array_logs import loaded
-from multipos.logs.extras import NOTES, noted, reader_with_extra
+from multipos.logs.extras import NOTES, reader_with_extra
 
 _AXES = "XYZ"
 _OF_KINDS = {"Acc": " (m/s^2)", "Gyr": " (rad/s)"}
@@ -60,7 +60,8 @@ def load_dataflash(path: os.PathLike[str]) -> Mapping[str, Any]:
 
 def read_dataflash_text(path: os.PathLike[str]) -> Mapping[str, Any]:
     """Return the same of the text that ArduPilot's tools make of a log, a message a line."""
-    return noted(loaded(path, lambda: _first_imu(_messages(path))))
+    found: Mapping[str, Any] = loaded(path, lambda: _first_imu(_messages(path)))
+    return found
 
 
 def _messages(path: os.PathLike[str]) -> Iterator[tuple[str, dict[str, str]]]:

@@ -16,7 +16,8 @@ import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import groupby
+from operator import itemgetter
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -53,21 +54,11 @@ class Runs:
     def __init__(self, source: str, column: str) -> None:
         self.column = column
         self._source = source
-        self._runs: list[tuple[str, int, int]] = []
-        self._rows = 0
+        self._runs: list[tuple[str, int]] = []  # a label, and rows in a row that have it
 
     def feed(self, labels: Sequence[str]) -> None:
         """Add the labels of the rows that follow."""
-        edges = [0, *(i for i in range(1, len(labels)) if labels[i] != labels[i - 1]), len(labels)]
-        for start, end in pairwise(edges):
-            if start == end:
-                continue
-            first, last = self._rows + start, self._rows + end
-            if self._runs and self._runs[-1][0] == labels[start]:
-                self._runs[-1] = (labels[start], self._runs[-1][1], last)
-            else:
-                self._runs.append((labels[start], first, last))
-        self._rows += len(labels)
+        self._runs += [(label, sum(1 for _ in rows)) for label, rows in groupby(labels)]
 
     def rests(self) -> list[tuple[str, Rest]]:
         """Return the rests with their labels, in the order of the log; a label may come again.
@@ -77,7 +68,10 @@ class Runs:
         MultiposError
             No row has a label, or a label stands on a single row.
         """
-        found = [(label, Rest(start, end)) for label, start, end in self._runs if label]
+        found, row = [], 0
+        for label, runs in groupby(self._runs, key=itemgetter(0)):
+            start, row = row, row + sum(rows for _, rows in runs)
+            found += [(label, Rest(start, row))] if label else []
         if not found:
             raise MultiposError(
                 f"{self._source}: column '{self.column}' has no label; a row without one belongs "

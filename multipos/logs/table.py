@@ -73,6 +73,8 @@ class Log:
         What of it is not read.
     registers : mapping of str to int
         The bits of columns that hold words of two's complement, which are numbers here.
+    layout : str
+        How its rows stand in the file, in words.
     """
 
     source: str
@@ -91,6 +93,7 @@ class Log:
     notes: Findings = ()
     left_out: Findings = ()
     registers: Mapping[str, int] = field(default_factory=dict)
+    layout: str = "columns"
 
     def read(
         self,
@@ -149,8 +152,7 @@ def called_as(log: Log, given: Sequence[str]) -> Log:
     def read(wanted: Wanted) -> Iterator[Piece]:
         asked = [tuple(own.get(name, name) for name in part) for part in wanted[:3]]
         for piece in log.read(*asked, lenient=wanted.lenient):
-            columns = {new.get(name, name): each for name, each in piece.table.columns.items()}
-            yield piece._replace(table=replace(piece.table, columns=columns))
+            yield piece._replace(table=piece.table.renamed(new))
 
     return replace(
         log,

@@ -110,9 +110,9 @@ def open_text(
 ) -> Log:
     """Return a log of text, whose first bytes and layout are given."""
     named = name_header(str(path), layout.header, layout.width, given)
-    cut = _cut_row(path, layout)
-    text = _Text(path, named.columns, layout, _begin(head, layout.first), cut.end)
-    return _log(text, named, partial(_read_text, text), cut.found)
+    end, left_out = _cut_row(path, layout)
+    text = _Text(path, named.columns, layout, _begin(head, layout.first), end)
+    return _log(text, named, partial(_read_text, text), left_out)
 
 
 def open_lines(source: str, lines: Sequence[str], given: Sequence[str] | None) -> "LiveText":
@@ -197,15 +197,11 @@ def _begin(head: bytes, line: int) -> int:
     return max([begin, *(end.end() for end in ends)])
 
 
-class _Cut(NamedTuple):
-    """Where the last whole row ends, and what is said of the one after it."""
+def _cut_row(path: os.PathLike[str], layout: Layout) -> tuple[int, Findings]:
+    """Return where the last whole row ends, and what is said of one that is cut off after it.
 
-    end: int
-    found: Findings
-
-
-def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
-    """Find a last row that is cut off: with fewer cells than there are, or half a number."""
+    That is one with fewer cells than there are, or half a number.
+    """
     with Path(path).open("rb") as stream:
         size = os.fstat(stream.fileno()).st_size
         begin = stream.seek(max(size - HEAD, 0))
@@ -214,10 +210,10 @@ def _cut_row(path: os.PathLike[str], layout: Layout) -> _Cut:
     start = body.rfind(b"\n") + 1
     line = body[start:].decode("utf-8", "replace")
     if body.count(b"\n") < 2 or not is_row(line) or not _is_cut(line, layout, block == body):
-        return _Cut(size, ())
+        return size, ()
     shown = (line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…").replace("\t", " ")
     text = f"the last row, '{shown}', is incomplete and was omitted"
-    return _Cut(begin + start, (Finding("cut-row", "note", text),))
+    return begin + start, (Finding("cut-row", "note", text),)
 
 
 def _is_cut(line: str, layout: Layout, unended: bool) -> bool:

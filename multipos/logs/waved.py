@@ -21,8 +21,9 @@ from multipos.files.spelling import quoted
 from multipos.files.tables import Column
 from multipos.finding import Finding, Findings
 from multipos.logs.averages import Averages
+from multipos.logs.samples import Samples, Timing
 from multipos.logs.table import Log
-from multipos.numerics.arrays import LARGEST, Array, median
+from multipos.numerics.arrays import COMPONENTS, Array, median
 from multipos.positions.readings import Readings
 from multipos.results import Result, frozen, plain_dict
 
@@ -96,28 +97,16 @@ def read_rows(
     warm = [name for name in ("temperature",) if all(name in log.numeric for log in logs)]
     parts: list[Array] = []
     for log in logs:
-        for piece in log.read(() if drop_bad else outputs, outputs if drop_bad else (), ()):
-            columns = [np.asarray(piece.table.columns[n], dtype=np.float64) for n in outputs]
-            parts.append(np.column_stack(columns))
-    values = np.concatenate(parts) if parts else np.empty((0, len(outputs)))
-    if signed is not None:
-        half = 2.0 ** (signed - 1)
-        values = np.where(values >= half, values - 2.0 * half, values)
-    far = (np.abs(values) > LARGEST) & np.isfinite(values)
-    if far.any():
-        row, column = np.argwhere(far)[0].tolist()
-        raise MultiposError(
-            f"{logs[0].source}: row {row + 1}, column '{outputs[column]}': "
-            f"{values[row, column]:g} is no number that is measured (beyond {LARGEST:g} in any "
-            "unit); correct it."
-        )
-    environment = {}
-    for name in warm:
-        pieces = [p.table.columns[name] for log in logs for p in log.read((), (name,), ())]
-        column = np.concatenate([np.asarray(p, dtype=np.float64) for p in pieces])
-        environment[name] = np.where(np.abs(column) <= LARGEST, column, np.nan)
-    good = np.isfinite(values).all(axis=1)
-    values, environment = values[good], {n: c[good] for n, c in environment.items()}
+        timing = Timing(rate=1.0)  # no time is needed
+        with Samples(
+            log, outputs, timing, signed=signed, drop_bad=drop_bad, as_they_are=True
+        ) as samples:
+            samples.survey(None)
+            columns = (*outputs, *samples.others)
+            kept = [columns.index(name) for name in (*outputs, *warm)]
+            parts += [piece[kept] for _, piece in samples.pieces()]
+    data = np.concatenate(parts, axis=1)
+    values, environment = data[: len(outputs)].T, dict(zip(warm, data[len(outputs) :], strict=True))
     if len(values) < _FEWEST:
         raise MultiposError(
             f"{logs[0].source}: {len(values)} rows, and a magnetometer that is waved takes "
@@ -147,8 +136,22 @@ def holds_most(found: Averages, rows: int) -> bool:
 def waved(
     logs: Sequence[Log], outputs: tuple[str, ...], values: Array, environment: dict[str, Array]
 ) -> Waved:
-    """Return the rows (n, 3) of a waved log as readings."""
+    """Return the rows (n, 3) of a waved log as readings.
+
+    Raises
+    ------
+    MultiposError
+        Fewer than three outputs; of two that are turned level it names bias and scale factors.
+    """
     source = logs[0].source
+    if values.shape[1] < len(COMPONENTS):
+        ends = zip(outputs, values.min(axis=0), values.max(axis=0), strict=True)
+        shown = ", ".join(f"{n} {(a + b) / 2:.4g} and {(b - a) / 2:.4g}" for n, a, b in ends)
+        raise MultiposError(
+            f"{source}: a waved magnetometer is calibrated with three outputs; turned level, "
+            f"middle and half range are {shown}, which are bias and scale factor times the level "
+            "field if it made whole turns: record the third output too, in all directions."
+        )
     said = f"{len(values)} rows are taken as they are, each a direction of its own"
     findings = [Finding("waved", "note", said), *find_cut_off(outputs, values)]
     units = {log.units.get(name) for log in logs for name in outputs}

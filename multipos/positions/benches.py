@@ -23,6 +23,7 @@ Benches that are fine sets of directions, such as ``sphere``, have no such names
 import os
 import re
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,6 @@ from multipos.files.pipes import is_file
 from multipos.files.tables import Source, read_table
 from multipos.numerics.arrays import Array
 from multipos.positions import attitudes
-from multipos.positions.attitudes import roll
 from multipos.positions.scheme import Scheme, read_scheme
 from multipos.units import cos_deg, sin_deg
 
@@ -70,26 +70,35 @@ def read_bench(source: "Source | Scheme") -> Array:
     """
     if not isinstance(source, str):
         return _once(read_scheme(source).up)
-    return _once(np.concatenate([_reach(part.strip()) for part in source.split("+")]))
+    return _once(np.concatenate([_reach(part.strip())[0] for part in source.split("+")]))
 
 
-def _reach(name: str) -> Array:
-    if name in AS_SCHEMES:
-        return read_scheme(AS_SCHEMES[name]).up
+def _reach(name: str) -> tuple[Array, list[dict[str, Any]]]:
+    """Return up vectors (n, 3) that a bench reaches, and how it is set for each, where it says."""
     if match := _TWO_AXIS.fullmatch(name):
-        return _two_axis(_turn(name, match[1]), _turn(name, match[2] or match[1]))
+        tilt, turn = _turn(name, match[1]), _turn(name, match[2] or match[1])
+        pairs = product(tilt.tolist(), turn.tolist())
+        set_by = [{"tilt_deg": round(a, 6), "roll_deg": round(b, 6)} for a, b in pairs]
+        return _two_axis(tilt, turn), set_by
     if match := _ROLL.fullmatch(name):
-        steps = len(_turn(name, match[1]))
-        return np.concatenate([read_scheme(f"roll-{axis}-{steps}").up for axis in match[2]])
+        steps = _turn(name, match[1])
+        rolls = [read_scheme(f"roll-{axis}-{len(steps)}").up for axis in match[2]]
+        turns = product(match[2], steps.tolist())
+        return np.concatenate(rolls), [
+            {"roll_axis": axis, "angle_deg": round(angle, 6)} for axis, angle in turns
+        ]
     if match := _NEAR.fullmatch(name):
-        return _at_faces(_cap(_within(name, match[1], 45.0)))
+        return _at_faces(_cap(_within(name, match[1], 45.0))), []
     if match := _TILT.fullmatch(name):
         shift = "zxy".index(match[2] or "z")
-        return np.roll(_cap(_within(name, match[1], 180.0)), shift, axis=1)
+        return np.roll(_cap(_within(name, match[1], 180.0)), shift, axis=1), []
+    called = AS_SCHEMES.get(name, name)
     try:
-        return read_scheme(name).up
+        scheme = read_scheme(called)
     except UsageError as error:
         raise UsageError(f"{str(error)[:-1]}; or a bench: {NAMES}.") from None
+    fine = _FINE.fullmatch(name) is not None
+    return scheme.up, [{"scheme": called, "number": each} for each in scheme.names if not fine]
 
 
 def _turn(name: str, text: str) -> Array:
@@ -140,9 +149,8 @@ _ANGLES = (
     *attitudes.FORMS["roll about an axis"],
     *attitudes.FORMS["quaternion"],
 )
-_TWO_AXIS_BENCH_SETTINGS = re.compile(r"two-axis-.*")
-_FINE = re.compile(r"near-faces-.*|tilt-.*|sphere|fibonacci-.*")
-_SAME_BENCH_SETTINGS = 1e-6  # [rad], to which a position of a bench is found again
+_FINE = re.compile(r"sphere|fibonacci-.*")
+_NEAR_ENOUGH = 1e-6  # [rad], to which a position of a bench is found again
 
 
 def read_once(source: "Source | Scheme | None") -> "Source | Scheme | None":
@@ -163,7 +171,8 @@ def bench_settings(source: "Source | Scheme", up: Array) -> tuple[dict[str, Any]
     known: list[tuple[Array, dict[str, Any]]] = []
     if isinstance(source, str) and not is_file(source):
         for part in source.split("+"):
-            known += _of_name(part.strip())
+            vectors, set_by = _reach(part.strip())
+            known += zip(vectors, set_by, strict=False)  # a fine set has no names
     else:
         known = _of_table(source)
     if not known:
@@ -173,36 +182,8 @@ def bench_settings(source: "Source | Scheme", up: Array) -> tuple[dict[str, Any]
     for vector in up:
         apart = np.linalg.norm(reached - vector, axis=1)
         nearest = int(np.argmin(apart))
-        found.append(known[nearest][1] if apart[nearest] < _SAME_BENCH_SETTINGS else {})
+        found.append(known[nearest][1] if apart[nearest] < _NEAR_ENOUGH else {})
     return tuple(found)
-
-
-def _of_name(name: str) -> list[tuple[Array, dict[str, Any]]]:
-    if _FINE.fullmatch(name):
-        return []
-    up = read_bench(name)
-    if _TWO_AXIS_BENCH_SETTINGS.fullmatch(name):
-        tilt = np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0)))
-        turn = np.degrees(np.arctan2(up[:, 1], up[:, 0])) % 360.0
-        turn[np.hypot(up[:, 0], up[:, 1]) < _SAME_BENCH_SETTINGS] = 0.0
-        angles = zip(tilt.tolist(), turn.tolist(), strict=True)
-        return [
-            (vector, {"tilt_deg": round(a, 6), "roll_deg": round(b, 6) % 360.0})
-            for vector, (a, b) in zip(up, angles, strict=True)
-        ]
-    if match := _ROLL.fullmatch(name):
-        steps = _turn(name, match[1])
-        return [
-            (vector, {"roll_axis": axis, "angle_deg": round(angle, 6) % 360.0})
-            for axis in match[2]
-            for vector, angle in zip(roll(axis, steps).up, steps.tolist(), strict=True)
-        ]
-    name = AS_SCHEMES.get(name, name)
-    scheme = read_scheme(name)
-    return [
-        (vector, {"scheme": name, "number": label})
-        for vector, label in zip(scheme.up, scheme.names, strict=True)
-    ]
 
 
 def _set_by(columns: Iterable[str]) -> tuple[str, ...]:

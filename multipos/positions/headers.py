@@ -1,12 +1,12 @@
 """What a header says: units in its brackets, what a column measures, and along which axis.
 
 `component` cuts a name into what it measures and its axis; `triads_of`, `axes_by_name` and
-`named_axes` find axes among several, `is_beside`, `is_environment`, `is_without_gravity` what is
-no output, `field_of_outputs` which field is sensed.
+`named_axes` find axes among several, `is_beside`, `is_environment`, `is_without_gravity` and
+`idle_columns` what is no output, `field_of_outputs` which field is sensed.
 `plain_names`, `under_names` and `find_column` match columns with names; `with_first_named`,
 `with_direction`, `with_angle` and `in_plane` give a table the columns that its own stand for.
 `unit_as_known`, `unit_of_outputs`, `in_celsius` and `require_units` keep units consistent,
-`unused_columns` says what is left out.
+`unused_columns` and `find_others` say what is left out, which `refuse_text` refuses of some.
 
 A name that ends in x, y or z, or in a number in brackets, is a component of what stands before
 it. Outputs are in the unit that their header says. A column in a unit of temperature, time
@@ -18,7 +18,7 @@ a header in kelvin is taken as such, and
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -26,11 +26,11 @@ from typing import NamedTuple
 import numpy as np
 
 from multipos.errors import MultiposError, UsageError
-from multipos.files.spelling import packaged_pairs
+from multipos.files.spelling import listed, packaged_pairs
 from multipos.files.tables import Column, Table
 from multipos.files.written_units import MAGNETIC_UNITS, PER_G, split_unit, unit_of
 from multipos.finding import Finding
-from multipos.numerics.arrays import COMPONENTS
+from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.positions import attitudes
 from multipos.positions.forces import FORCE, REFERENCE_U
 from multipos.units import cos_deg, sin_deg
@@ -149,6 +149,33 @@ def triads_of(names: Sequence[str], kinds: Mapping[str, NameParts]) -> list[tupl
     return [tuple(axes[i] for i in range(3)) for axes in by_stem.values() if len(axes) == 3]
 
 
+def idle_columns(
+    names: Sequence[str],
+    kinds: Mapping[str, NameParts],
+    values: Callable[[Sequence[str]], Iterable[Array]],
+) -> list[str]:
+    """Return columns that only count rows, or never change, beside others that may be outputs.
+
+    Parameters
+    ----------
+    names : sequence of str
+    kinds : mapping of str to NameParts
+    values : callable
+        Gives the cells (n,) of columns.
+    """
+    stems = {name[:-1].casefold() for name in names if kinds[name].axis >= 0}
+    open_ = [n for n in names if kinds[n].axis < 0 and n[:-1].casefold() not in stems]
+    if not open_ or (not stems and len(names) <= len(COMPONENTS)):
+        return []
+    idle = [n for n, cells in zip(open_, values(open_), strict=True) if _is_idle(cells)]
+    return idle if len(idle) < len(names) else []
+
+
+def _is_idle(values: Array) -> bool:
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 1 and steps[0] in (0.0, 1.0) and bool((steps == steps[0]).all())
+
+
 @lru_cache(maxsize=64)
 def axes_by_name(outputs: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return the axis that each output names, where all name one; else None.
@@ -251,15 +278,9 @@ def under_names(table: Table, wanted: Iterable[str]) -> tuple[Table, dict[str, s
 
     A column answers to a name whatever its case and the unit behind it, where it alone does.
     """
-    columns, units = dict(table.columns), {}
-    for name in wanted:
-        found = find_column(table, name)
-        if found in table:
-            columns = {name if key == found else key: each for key, each in columns.items()}
-            unit = split_unit(found)[1]
-            if unit is not None:
-                units[name] = unit
-    return replace(table, columns=columns), units
+    there = {found: name for name in wanted if (found := find_column(table, name)) in table}
+    units = {name: unit for found, name in there.items() if (unit := split_unit(found)[1])}
+    return table.renamed(there), units
 
 
 def with_first_named(table: Table) -> Table:
@@ -270,7 +291,7 @@ def with_first_named(table: Table) -> Table:
     if not len(steps) or not (steps > 0.0).all():
         return table
     name = "position" if (steps == 1.0).all() else "time"
-    return replace(table, columns={name if n == "1" else n: c for n, c in table.columns.items()})
+    return table.renamed({"1": name})
 
 
 def with_angle(table: Table) -> Table:
@@ -279,11 +300,7 @@ def with_angle(table: Table) -> Table:
     folded = {name.casefold(): name for name in table.columns}
     if "angle" not in folded or any(name in table for name in stated):
         return table
-    columns = {
-        "angle_deg" if name == folded["angle"] else name: column
-        for name, column in table.columns.items()
-    }
-    return replace(table, columns=columns)
+    return table.renamed({folded["angle"]: "angle_deg"})
 
 
 def in_plane(table: Table, outputs: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
@@ -322,10 +339,9 @@ def with_direction(table: Table) -> Table:
         if component(name).acceleration or not table.is_text(name):
             continue
         if attitudes.are_directions(table.unchecked(name)):
-            columns = {"direction" if key == name else key: c for key, c in table.columns.items()}
-            labels = table.columns[name]
+            turned, labels = table.renamed({name: "direction"}), {"position": table.columns[name]}
             known = "position" in table and name != "position"
-            return replace(table, columns=columns if known else {"position": labels, **columns})
+            return turned if known else replace(turned, columns=labels | dict(turned.columns))
     return table
 
 
@@ -374,12 +390,41 @@ def find_column(table: Table, name: str) -> str:
     return equal[0] if len(equal) == 1 else name
 
 
-def unused_columns(texts: Iterable[str]) -> list[Finding]:
-    """Return a note of each column that is not used; of many, of a dozen and how many there are."""
-    every = list(texts)
+def unused_columns(texts: Iterable[str], idle: Iterable[str] = ()) -> list[Finding]:
+    """Return a note of each column that is not used; of many, of a dozen and how many there are.
+
+    Of columns that are `idle` their names suffice.
+    """
+    said = (f"column '{name}' counts rows or never changes and is not used" for name in idle)
+    every = [*texts, *said]
     if len(every) > _NOTED + 1:
         every[_NOTED:] = [f"{len(every) - _NOTED} more columns are not used"]
     return [Finding("unused-column", "note", text) for text in every]
+
+
+def refuse_text(
+    source: str, chosen: Sequence[str], texts: Iterable[str], kinds: Mapping[str, NameParts]
+) -> None:
+    """Refuse columns of text of which one is an output by its name."""
+    stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
+    for name in texts:
+        kind = kinds[name]
+        if kind.acceleration or (kind.axis >= 0 and kind.stem.casefold() in stems):
+            raise MultiposError(
+                f"{source}: column '{name}' is an output by its name, but holds no number; correct "
+                "it, or name the outputs with --outputs."
+            )
+
+
+def find_others(chosen: Sequence[str], names: Sequence[str], by: str) -> list[Finding]:
+    """Return a note of which columns are the outputs, where others might be."""
+    known = frozenset(chosen)
+    others = [name for name in names if name not in known]
+    if not others:
+        return []
+    whose = "is not used" if len(others) == 1 else "are not used"
+    text = f"outputs are {', '.join(chosen)}, by {by}; {listed(others, 12)} {whose}"
+    return [Finding("outputs-by-name", "note", text)]
 
 
 def unit_as_known(unit: str) -> str:

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,7 @@ def read_readings(
     table = headers.with_angle(headers.with_direction(headers.with_first_named(table)))
     _refuse_pairs(table)
     findings = [] if not table.read_as else [Finding("log-source", "note", table.read_as)]
+    findings += _commented(table)
     names = None if names is None else tuple(headers.find_column(table, name) for name in names)
     if field != "gravity":
         table, names = _of_magnetic_field(table, names, units, unit, field)
@@ -113,6 +115,15 @@ def read_readings(
         open_roll=rolls,
         plane=plane,
     )
+
+
+def _commented(table: Table) -> list[Finding]:
+    """Name the lines that begin as comments and are like rows."""
+    if not table.commented:
+        return []
+    lines = listed([*map(str, table.commented)], 6)
+    text = f"line {lines} begins as a comment but is like a row, and is left out"
+    return [Finding("commented-row", "warning", text, "Write its label without the mark.")]
 
 
 _PAIR = re.compile(r"[+-]?\s*1\s*g", re.IGNORECASE)
@@ -177,7 +188,7 @@ def _of_magnetic_field(
         ), names
     renamed = dict(zip(forms[0], attitudes.UP, strict=True))
     columns = _without(table, names, () if len(forms) == 1 else forms[1])
-    return replace(table, columns={renamed.get(n, n): c for n, c in columns.items()}), names
+    return replace(table, columns=columns).renamed(renamed), names
 
 
 def _without(table: Table, outputs: tuple[str, ...] | None, names: Sequence[str]) -> dict[str, Any]:
@@ -303,24 +314,14 @@ def _numeric(table: Table, candidates: list[str], findings: list[Finding]) -> tu
     beside = frozenset(_averaged_along(numeric, table))  # as `average` writes them: no word
     kinds = {name: headers.component(name) for name in candidates}
     left = tuple(name for name in numeric if name not in beside)
+    idle = headers.idle_columns(left, kinds, partial(map, table.numbers))
+    left = tuple(name for name in left if name not in idle)
     chosen = _of_acceleration(left, kinds)
-    _refuse_text(table, chosen, list(text), kinds)
+    headers.refuse_text(table.source, chosen, text, kinds)
     texts = (f"column '{name}' holds text and is not used" for name in text)
-    findings += headers.unused_columns(texts)
-    used = frozenset(chosen)
-    findings += _find_others(chosen, [name for name in left if name not in used])
+    findings += headers.unused_columns(texts, idle)
+    findings += headers.find_others(chosen, left, "their names")
     return chosen
-
-
-def _find_others(chosen: Sequence[str], others: Sequence[str]) -> list[Finding]:
-    if not others:
-        return []
-    if any(map(headers.is_beside, others)):
-        whose = "is not used" if len(others) == 1 else "are not used"
-    else:
-        whose = "belongs to another sensor" if len(others) == 1 else "belong to other sensors"
-    text = f"outputs are {', '.join(chosen)}, by their names; {listed(others, 12)} {whose}"
-    return [Finding("outputs-by-name", "note", text)]
 
 
 def _of_acceleration(
@@ -334,25 +335,6 @@ def _of_acceleration(
     if not named or not elsewhere:
         return names
     return tuple(name for name in names if name in named or not kinds[name].elsewhere)
-
-
-def _refuse_text(
-    table: Table,
-    chosen: tuple[str, ...],
-    text: Sequence[str],
-    kinds: Mapping[str, headers.NameParts],
-) -> None:
-    """Refuse to drop a column that is an output by its name."""
-    stems = {kinds[name].stem.casefold() for name in chosen if kinds[name].axis >= 0}
-    for name in text:
-        kind = kinds[name]
-        if kind.acceleration or (kind.axis >= 0 and kind.stem.casefold() in stems):
-            cell = table.text(name)[0]
-            held = f"text ('{cell[:20]}')" if cell.strip() else "nothing"
-            raise MultiposError(
-                f"{table.where(0, name)}: an output by its name, but the column holds {held}; "
-                "correct it, or name the outputs with --outputs."
-            )
 
 
 def _may_be_output(name: str, table: Table) -> bool:

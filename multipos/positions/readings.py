@@ -20,13 +20,7 @@ from numpy.typing import ArrayLike
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files.records import LONGEST
-from multipos.files.spelling import (
-    control_characters,
-    numbered,
-    require_columns,
-    tuple_of,
-    visible,
-)
+from multipos.files.spelling import control_characters, numbered, require_columns, tuple_of, visible
 from multipos.finding import Findings
 from multipos.numerics.arrays import FEWEST, LARGEST, SMALLEST, Array, Mask, as_numbers
 from multipos.positions import attitudes

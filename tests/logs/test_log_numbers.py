@@ -39,13 +39,11 @@ from multipos.logs.rest_means import (
     with_rounding,
 )
 from multipos.logs.rests import (
-    Finder,
     Grid,
     Limits,
     Rest,
     Run,
     Spikes,
-    _first_peak,
     _valley,
     is_long,
     long_enough,
@@ -104,18 +102,6 @@ def test_a_column_that_begins_again_has_so_many_turns():
     assert _turns(lost) == 3
 
 
-def test_whole_numbers_get_their_sign():
-    log = SimpleNamespace(registers={})
-    state = SimpleNamespace(signed=8, log=log, _column=lambda table, name, largest: table)
-    assert Samples._output(state, np.array([0.0, 127.0, 128.0, 255.0]), "a").tolist() == [
-        0.0, 127.0, -128.0, -1.0]  # fmt: skip
-    cells = type("Cells", (np.ndarray,), {"where": lambda self, row, name: f"row {row}"})
-    for bad in (256.0, -1.0, 3.5):
-        column = np.array([1.0, bad]).view(cells)
-        with pytest.raises(mp.MultiposError, match=r"row 1: .* is no number of 8 bits"):
-            Samples._output(state, column, "a")
-
-
 # --- rests
 
 
@@ -131,25 +117,6 @@ def test_rests_are_as_long_as_those_of_the_log():
     assert (shortest, [rest.start for rest in long]) == (120, [0])
     assert is_long(Rest(0, 117), 120, Grid(2, 120))
     assert not is_long(Rest(0, 116), 120, Grid(2, 120))
-
-
-def test_the_first_peak_is_the_leftmost_that_is_high_enough():
-    density = np.array([0.0, 1.0, 0.5, 3.0, 7.0, 7.0, 2.0, 20.0, 9.0, 30.0, 1.0])
-    from multipos.logs.rests import _PEAK
-
-    least = _PEAK * 30.0
-    expected = next(i for i in (1, 5, 7, 9) if density[i] >= least)
-    assert _first_peak(density) == expected
-
-
-def test_frozen_parts_are_left_out_of_a_run():
-    grid = Grid(5, 10)
-    state = SimpleNamespace(_grid=grid, _frozen=SimpleNamespace(found=[(2, 3), (20, 24), (50, 60)]))
-    found = Finder._without_frozen(state, 8, 40)
-    assert [(run.start, run.end, run.begins, run.ends) for run in found] == [
-        (40, 100, True, False), (120, 200, False, Run(0, 1).ends)]  # fmt: skip
-    state._frozen.found = [(12, 13)]  # four blocks before it are less than a window of eight
-    assert [run.start for run in Finder._without_frozen(state, 8, 40)] == [65]
 
 
 def mean_of(n=100, **given):
@@ -204,16 +171,6 @@ def test_lines_edges_and_cosines_of_batch_means():
     cosine = np.array([np.cos(np.pi * j * (k + 0.5) / 64) for j in range(1, 9)])
     by_hand = 2.0 * (cosine @ sums) ** 2 / (b**2 * 0.3)
     assert_allclose(_cosines(phases, count, np.array([[0.3]]))[0, 0], by_hand, rtol=1e-9)
-
-
-def test_runs_are_settled_once_they_have_ended():
-    state = SimpleNamespace(
-        _still=SimpleNamespace(found=[(0, 4), (6, 9), (11, 15)]), _ended=0, _settled=[],
-        _without_frozen=lambda first, last: [(first, last)], _count=3,
-    )  # fmt: skip
-    for count, ended in ((3, 0), (4, 1), (10, 2), (14, 2), (15, 3)):
-        state._count = count
-        assert Finder.settled(state) == state._still.found[:ended]
 
 
 def test_rests_of_one_direction_are_given_to_its_positions_in_turn():
@@ -789,14 +746,14 @@ def test_a_last_row_that_isfind_cut_off(last, cut, tmp_path):
         assert end == len(above) + (0 if cut else len(last))
         assert bool(found) is cut
     path.write_text("a,b,c\n5,6")  # nothing is a row above it
-    assert text_logs._cut_row(path, layout).end == 9
+    assert text_logs._cut_row(path, layout)[0] == 9
     for width in (40, 41):
         path.write_text("a,b,c\n1,2,x\n" + "7" * width)
         shown = "7" * 40 + "…" * (width > 40)
-        assert f"'{shown}'" in text_logs._cut_row(path, layout).found[0].text
+        assert f"'{shown}'" in text_logs._cut_row(path, layout)[1][0].text
     tabbed = SimpleNamespace(delimiter="\t", width=3, numeric=(True, True, False))
     path.write_text("a\tb\tc\n1\t2\tx\n5\t6\0")  # what is said holds no control characters
-    assert r"'5 6\u0000'" in text_logs._cut_row(path, tabbed).found[0].text
+    assert r"'5 6\u0000'" in text_logs._cut_row(path, tabbed)[1][0].text
 
 
 def test_a_log_is_read_in_whole_lines(tmp_path, monkeypatch):
@@ -889,35 +846,29 @@ def test_the_clock_of_a_log(header, cells, timing, rate, clock, counter):
 
 
 def test_rows_of_a_sensor_that_is_waved():
-    """Two's complement of eight bits; what is no number goes, with its temperature."""
+    """Two's complement of eight bits; a row that is bad goes, with its temperature."""
     rng = np.random.default_rng(2)
     raw = rng.integers(0, 256, (30, 2)).astype(float)
-    raw[4, 0], raw[0, 0], raw[1, 0] = np.nan, 128.0, 127.0
+    raw[0, 0], raw[1, 0] = 128.0, 127.0
     warm = rng.normal(size=30)
 
-    def log(first, end, numeric=("temperature",)):
-        columns = {"a": raw[first:end, 0], "b": raw[first:end, 1], "temperature": warm[first:end]}
-        piece = SimpleNamespace(table=SimpleNamespace(columns=columns))
-        return SimpleNamespace(source="s", numeric=numeric, read=lambda *_: [piece])
+    def rows(*parts, drop_bad=False, **options):
+        columns = [
+            {"a": raw[part, 0], "b": raw[part, 1], "temperature": warm[part]} for part in parts
+        ]
+        logs = [opening.open_log(each) for each in columns]
+        return waved.read_rows(logs, ("a", "b"), drop_bad=drop_bad, **{"signed": None, **options})
 
-    def rows(*logs, signed=None):
-        return waved.read_rows(logs, ("a", "b"), signed=signed, drop_bad=False)
-
-    values, environment = rows(log(0, 17), log(17, 30))
-    good = np.arange(30) != 4
+    values, environment = rows(slice(17), slice(17, 30), signed=8)
+    assert_allclose(values, np.where(raw >= 128, raw - 256, raw))
+    assert_allclose(environment["temperature"], warm)
+    with pytest.raises(mp.MultiposError, match="log: 11 rows, and"):
+        rows(slice(11))
+    raw[4, 0], raw[20, 1] = np.nan, -1.1e40
+    values, environment = rows(slice(30), drop_bad=True)
+    good = np.delete(np.arange(30), [4, 20])
     assert_allclose(values, raw[good])
     assert_allclose(environment["temperature"], warm[good])
-    values, environment = rows(log(0, 17), log(17, 30, ()), signed=8)
-    assert_allclose(values, np.where(raw >= 128, raw - 256, raw)[good])
-    assert environment == {}
-    assert len(rows(log(10, 22))[0]) == 12
-    with pytest.raises(mp.MultiposError, match="s: 11 rows, and"):
-        rows(log(10, 21))
-    raw[20, 1] = -1.1e40
-    with pytest.raises(mp.MultiposError, match=r"s: row 21, column 'b': -1\.1e"):
-        rows(log(0, 30))
-    raw[20, 1] = -0.9e40
-    assert len(rows(log(0, 30))[0]) == 29
 
 
 @pytest.mark.parametrize(

@@ -432,7 +432,8 @@ def test_a_refusal_says_what_was_taken(log, tmp_path):
         mp.calibrate(four)
     path = tmp_path / "seven.txt"
     np.savetxt(path, np.random.default_rng(1).normal(size=(1200, 7)))
-    with pytest.raises(mp.UsageError, match=r"multipos calibrate seven\.txt --outputs 1,2,3"):
+    said = r"1,200 lines, 7 numbers each, no names; type multipos calibrate seven.txt --outputs"
+    with pytest.raises(mp.UsageError, match=said):
         mp.calibrate(path)
 
 
@@ -445,8 +446,45 @@ def test_bad_rows_of_one_of_two_sensors_are_dropped(log, expected, tmp_path):
     np.testing.assert_allclose(found.readings.values, expected, atol=1e-4)
 
 
+def test_logs_of_one_rest_each_have_one_warning_of_a_kind(log, tmp_path):
+    cuts = [each.rows for each in mp.average(log).rests]
+    paths = [tmp_path / f"{first}.csv" for first, _ in cuts]
+    for path, (first, last) in zip(paths, cuts, strict=True):
+        part = {name: column[first:last] for name, column in log.items()}
+        path.write_text("ax,ay,az\n" + rows_of(part, OUTPUTS))
+    said = [each.text for each in mp.average(*paths).findings if each.code == "no-time"]
+    assert len(said) == 1
+    assert said[0].endswith("(as 6 of 6 logs)")
+
+
 def test_days_of_a_spreadsheet_are_a_time(log, expected, tmp_path):
     days = dict(log, time=45417.5 + log["time"] / 86400.0)
     found = mp.average(written(tmp_path, "Zeit,ax,ay,az\n" + rows_of(days)))
     np.testing.assert_allclose(found.readings.values, expected, atol=1e-9)
     assert found.sample_rate == pytest.approx(100.0, rel=1e-3)
+    said = found.to_dict()
+    assert said["layout"] == "4 columns between commas, header above line 2"
+    assert said["taken"] == {"time": "Zeit", "outputs": ["ax", "ay", "az"]}
+
+
+def test_the_first_sheet_that_holds_readings_is_taken_and_said(log, expected, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["Bench", 4], ["Serial", 12]):
+        book.active.append(row)
+    sheet = book.create_sheet("Run 1")
+    for row in ([*log], *zip(*(column.tolist() for column in log.values()), strict=True)):
+        sheet.append([*row])
+    book.save(tmp_path / "log.xlsx")
+    found = mp.average(tmp_path / "log.xlsx")
+    np.testing.assert_allclose(found.readings.values, expected, rtol=1e-12)
+    assert "taken from sheet 'Run 1', of 2" in texts(found)
+    assert mp.read_table(tmp_path / "log.xlsx").read_as == "taken from sheet 'Run 1', of 2"
+
+
+def test_a_magnetometer_of_two_outputs_has_bias_and_scale_named(tmp_path):
+    turn = np.radians(np.arange(720.0))
+    rows = np.column_stack([12.0 + 30.0 * np.cos(turn), 28.0 * np.sin(turn) - 5.0])
+    np.savetxt(tmp_path / "m.csv", rows, delimiter=",", header="mx [uT],my [uT]", comments="")
+    with pytest.raises(mp.MultiposError, match=r"mx 12 and 30, my -5 and 28, which are bias"):
+        mp.calibrate(tmp_path / "m.csv")

@@ -70,7 +70,7 @@ def test_files_joined_of_files_have_several_byte_order_marks(tmp_path):
 
 
 def test_what_unpacks_to_more_than_can_be_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipes.Unpacked.__init__, "__defaults__", (1 << 21,))
+    monkeypatch.setattr(pipes.Unpacked.__init__, "__defaults__", (1 << 21, ""))
     (tmp_path / "zeros.csv.gz").write_bytes(gzip.compress(bytes(1 << 22)))
     with pytest.raises(mp.MultiposError, match="more than 2 MiB came, and no end"):
         mp.read_readings(tmp_path / "zeros.csv.gz")

@@ -207,6 +207,7 @@ LAYOUTS = {
     "a commented header": ("# face,ax,ay,az\n", ",", ""),
     "units below": ("face,ax,ay,az\n,m/s^2,m/s^2,m/s^2\n", ",", ""),
     "numbers as names, two marks": ("\ufeff\ufeffface,1,2,3\n", ",", ""),
+    "a counter and a constant": ("face,ax,id,ay,type,az\n", ",", ""),
 }
 
 
@@ -216,6 +217,8 @@ def test_tables_are_laid_out_as_logs_are(layout, tmp_path):
     rows = [
         [face, *map(repr, row)] for face, row in zip(WORDS["signs"], READ.tolist(), strict=True)
     ]
+    if "id" in above:
+        rows = [[f, x, str(n), y, "3", z] for n, (f, x, y, z) in enumerate(rows, 7)]
     lines = [mark.join(row) + end for row in rows]
     if mark not in (",", "  "):
         lines = [line.replace(".", ",") for line in lines]
@@ -246,3 +249,9 @@ def test_u_of_a_board_that_is_yawed_is_by_the_axis_that_is_sensed(tmp_path):
         for each in (path, table(tmp_path / "s.csv", WORDS["signs"]))
     ]
     assert sizes[0].partition("U (")[2][:30] == sizes[1].partition("U (")[2][:30]
+
+
+def test_a_commented_row_is_named(tmp_path):
+    path = table(tmp_path / "r.csv", ["+Z", "#-Z", "+X", "-X", "+Y", "-Y"])
+    (said,) = [each for each in mp.read_readings(path).findings if each.code == "commented-row"]
+    assert "line 3 begins as a comment" in said.text
