@@ -63,12 +63,7 @@ class RankError(MultiposError):
     """
 
     def __init__(
-        self,
-        message: str,
-        *,
-        rank: int,
-        parameters: int,
-        combinations: Sequence[str] = (),
+        self, message: str, *, rank: int, parameters: int, combinations: Sequence[str] = ()
     ) -> None:
         super().__init__(message)
         self.rank = rank

@@ -44,8 +44,7 @@ INPUTS = ("scheme", "budget", "stability")
 OUTPUT = Output(
     "READINGS.csv",
     "write the poses that count to READINGS.csv, and to the same folder the calibration, its "
-    "report, the "
-    "exports, and the rows of a source that is no log as they come",
+    "report, the exports, and the rows of a source that is no log as they come",
     "table",
     ("json",),
     beside=_beside,

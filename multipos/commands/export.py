@@ -112,13 +112,8 @@ def check_targets(arguments: argparse.Namespace) -> None:
 
 def _own(target: Target, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options that one of several targets has, for each has its own."""
-    own = {
-        "name",
-        "allow_lossy",
-        "force",
-        *target.takes,
-        *(("float",) if target.is_code else ()),
-    }
+    of_code = ("float",) if target.is_code else ()
+    own = {"name", "allow_lossy", "force", *target.takes, *of_code}
     return {name: value for name, value in options.items() if name in own}
 
 

@@ -59,10 +59,7 @@ def _of_regression(arguments: argparse.Namespace) -> Answer:
         raise UsageError("--check and --monte-carlo are of one calibration.")
     regression = load_regression(arguments.calibration)
     content = regressions.regression_content(
-        regression,
-        lab=arguments.lab,
-        data=arguments.data,
-        beside=arguments.calibration,
+        regression, lab=arguments.lab, data=arguments.data, beside=arguments.calibration
     )
     return _answer(arguments, content, all_of(regression)[0].created)
 

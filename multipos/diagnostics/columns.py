@@ -185,13 +185,20 @@ def _has_common_ends(c: Calibration) -> bool:
 
 
 def quantized(c: Calibration) -> Finding | None:
-    """Find readings on a grid that is coarser than what they scatter."""
+    """Find readings on a grid that is coarser than what they scatter: a converter's, or doubles'."""
     if c.readings.samples is not None or not np.isfinite(c.residual_sd).all():
         return None
     steps = arrays.coarse_steps(c.readings.values, c.residual_sd)
     coarse = [output for output, step in zip(c.outputs, steps.tolist(), strict=True) if step]
     if not coarse:
         return None
+    if (steps <= arrays.computed_steps(c.readings.values)).all():
+        text = (
+            f"readings lie on the model to {c.residual_sd.max():.1e} {c.model.unit}, the rounding "
+        )
+        text += "of computed numbers; U is no smaller than that rounding"
+        action = "Check that these are readings of a sensor, not values of a model."
+        return Finding("computed-readings", "note", text, action, outputs=tuple(coarse))
     return Finding(
         "quantized",
         "note",

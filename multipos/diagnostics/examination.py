@@ -544,7 +544,9 @@ def _examined(
         of_rows = _answers(questions, calibration) + ([] if beyond is None else [beyond])
         if not any(each.code == "placement" for each in of_rows):
             residuals.cache_clear()  # of many rows they are large
-        if any(each.code == "quantized" for each in found):  # roundings follow no law
+        if any(
+            each.code in ("quantized", "computed-readings") for each in found
+        ):  # roundings follow no law
             found += [each for each in of_rows if each.code not in RIVALS]
         else:
             cause = [] if exact is None else _hidden_cause(exact, sought=sought)

@@ -190,7 +190,7 @@ def _improved(model: Model, theta: Array, sought: Mask, readings: _Weighted) -> 
     rows = []
     for output, (places, slopes) in enumerate(blocks):
         whole = np.concatenate([slopes.T, left[None, :, output]]).T
-        if not np.isfinite(whole).all():
+        if not np.isfinite(np.einsum("np,np->", whole, whole)):  # as LAPACK needs
             return theta
         R = np.linalg.qr(whole, mode="r") * readings.weight[output]  # equivalent to all rows
         rows.append(np.zeros((len(R), len(theta) + 1)))

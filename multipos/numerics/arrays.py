@@ -3,8 +3,8 @@
 `as_numbers` lets arrays in, and refuses what only looks like numbers.
 `places_of_kinds` yields where the rows of each kind stand, `row_keys` makes rows comparable and
 `count_different` counts those that differ. `median` is NumPy's, which imports all of its masked
-arrays at the first call. `coarse_steps` and `resolution` find the grid that numbers lie on,
-`quadratic` is g'Ag of many vectors, and `require_rate` refuses a rate out of range.
+arrays at the first call. `coarse_steps`, `computed_steps` and `resolution` find the grid that
+numbers lie on, `quadratic` is g'Ag of many vectors, and `require_rate` refuses a rate out of range.
 """
 
 import math
@@ -99,10 +99,13 @@ _DIVISORS = 16  # of the least difference, that a grid is sought at
 _FINE = 0.05  # of the span: where no two readings are nearer, no grid is seen
 _ON_GRID = 1e-4  # of a step
 _SEEN = 1000  # readings that are looked at first
+_ROUNDINGS = 2.0  # steps of rounding, some sixteen units in the last place, that readings scatter
 
 
 def coarse_steps(values: Array, scatter: Array) -> Array:
     """Return the steps (C,) of columns on a grid coarser than their scatter, 0 of any other.
+
+    Double precision is such a grid to numbers that were computed (`computed_steps`).
 
     Parameters
     ----------
@@ -112,12 +115,28 @@ def coarse_steps(values: Array, scatter: Array) -> Array:
     """
     if len(values) <= _SEEN:  # a fit asks twice
         return _kept_steps(values.tobytes(), values.shape, scatter.tobytes())
-    return _coarse_steps(values, scatter)
+    return _seen_or_computed(values, scatter)
+
+
+def computed_steps(values: Array) -> Array:
+    """Return the steps (C,) of which step/√12 holds the rounding of columns (n, C) in a mean.
+
+    Roundings of computed numbers may be alike in all n, so that step/√12 is √n times half a unit
+    in the last place of the largest number.
+    """
+    last_place = np.finfo(float).eps * np.abs(values).max(axis=0)
+    return np.asarray(math.sqrt(3.0 * len(values)) * last_place)
+
+
+def _seen_or_computed(values: Array, scatter: Array) -> Array:
+    steps, computed = _coarse_steps(values, scatter), computed_steps(values)
+    exact = (scatter < _ROUNDINGS * computed) & (np.ptp(values, axis=0) > _ROUNDINGS * computed)
+    return np.where((steps == 0.0) & exact, computed, steps)
 
 
 @lru_cache(maxsize=2)
 def _kept_steps(values: bytes, shape: tuple[int, int], scatter: bytes) -> Array:
-    steps = _coarse_steps(np.frombuffer(values).reshape(shape), np.frombuffer(scatter))
+    steps = _seen_or_computed(np.frombuffer(values).reshape(shape), np.frombuffer(scatter))
     steps.setflags(write=False)
     return steps
 

@@ -167,6 +167,15 @@ def two_digits(rng):
     yield plain(values)
 
 
+@follows("computed-readings")
+def values_of_a_model(rng):
+    finding = yield (cal := plain(ZERO + UP @ K.T))
+    last = np.spacing(np.abs(cal.readings.values).max())  # of the largest reading
+    assert min(each.U for each in cal.entries) >= last / 2.0
+    assert finding.level == "note"
+    yield plain(sense(rng))
+
+
 @follows("gravity")
 def feet(rng):
     columns = ups(UP) | named(9.80665 * sense(rng))
