@@ -121,13 +121,6 @@ def docs(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
-def mutation(session: nox.Session) -> None:
-    """Change lines on purpose and print those that no test notices."""
-    session.install("-e", ".[test,oracles]", "coverage>=7.6")
-    session.run("python", "-m", "tests.mutation", *session.posargs)
-
-
-@nox.session(default=False)
 def benchmarks(session: nox.Session) -> None:
     session.install(".")
     session.run("python", "-m", "benchmarks", *session.posargs)

@@ -55,13 +55,8 @@ def run(arguments: argparse.Namespace) -> Answer:
     """Return what the command found."""
     exported = export(_loaded(arguments.calibration), **options_of(arguments, "export"))
     names = [arguments.output, *map(str, _beside(arguments))]
-    listing = {
-        "target": exported.target,
-        "files": names,
-        "difference": exported.difference,
-        "unit": exported.unit,
-        "findings": exported.findings,
-    }
+    of_export = {key: getattr(exported, key) for key in ("difference", "unit", "findings")}
+    listing = {"target": exported.target, "files": names, **of_export}
     return Answer(
         sentence=lambda: " ".join([written_to(*names), *filter(None, [exported.residual])]),
         text=str,

@@ -185,7 +185,7 @@ def _has_common_ends(c: Calibration) -> bool:
 
 
 def quantized(c: Calibration) -> Finding | None:
-    """Find readings on a grid that is coarser than what they scatter: a converter's, or doubles'."""
+    """Find readings on a grid coarser than what they scatter, a converter's or that of doubles."""
     if c.readings.samples is not None or not np.isfinite(c.residual_sd).all():
         return None
     steps = arrays.coarse_steps(c.readings.values, c.residual_sd)
