@@ -96,19 +96,12 @@ class Phases:
     def sums(self, lengths: Sequence[int]) -> Array:
         """Return the sum of z² of eq. (1) for every length (T,); 0 where the record is shorter."""
         found = np.zeros(len(lengths))
-        short = [m for m in lengths if m <= _PIECE]
-        for start in range(0, self.samples, _PIECE):
-            phases = self._read(start, _PIECE + 2 * max(short, default=0))
-            for i, m in enumerate(short):
-                z = phases[2 * m : 2 * m + _PIECE].copy()
-                z -= 2.0 * phases[m : m + len(z)]
-                z += phases[: len(z)]
-                found[i] += z @ z
         for i, m in enumerate(lengths):
-            for start in range(0, starts(self.samples, m) if m > _PIECE else 0, _PIECE):
-                z = self._read(start + 2 * m, _PIECE).copy()
-                z -= 2.0 * self._read(start + m, len(z))
-                z += self._read(start, len(z))
+            count = starts(self.samples, m)
+            for first in range(0, count, _PIECE):
+                piece = min(_PIECE, count - first)
+                z = self._read(first + 2 * m, piece) - 2.0 * self._read(first + m, piece)
+                z += self._read(first, piece)
                 found[i] += z @ z
         return found
 
@@ -122,10 +115,18 @@ def starts(n: int, length: int) -> int:
     return n - 2 * length + 1 if 3 * length <= n else 0
 
 
-def pooled_variances(sums: Array, lengths: Sequence[int], records: Sequence[int]) -> Array:
-    """Return eq. (1) (T,) of the sums of records of so many samples, added up."""
+def pooled_variances(
+    sums: Sequence[Array], lengths: Sequence[int], records: Sequence[int]
+) -> Array:
+    """Return eq. (1) (T,) of records of so many samples, whose sums are added up.
+
+    The sums of each record are those of the first of the lengths, as many as it has.
+    """
+    total = np.zeros(len(lengths))
+    for each in sums:
+        total[: len(each)] += each[: len(lengths)]
     scale = [2.0 * m**2 * sum(starts(n, m) for n in records) for m in lengths]
-    return np.asarray(sums / scale)
+    return np.asarray(total / scale)
 
 
 def law_variances(lengths: Array) -> Array:

@@ -21,14 +21,22 @@ import numpy as np
 
 from multipos.bias_stability import allan, trends
 from multipos.bias_stability.movement import find_movement
-from multipos.bias_stability.record_values import Values
+from multipos.bias_stability.noise_laws import degrees_of_freedom
 from multipos.bias_stability.stability_result import (
+    Estimate,
     OutputStability,
     Spread,
     Stability,
     StaticRecord,
+    TemperatureCoefficient,
+    WarmUp,
 )
-from multipos.bias_stability.static_records import RawRecord, RecordOptions, read_record
+from multipos.bias_stability.static_records import (
+    Blocks,
+    RawRecord,
+    RecordOptions,
+    read_record,
+)
 from multipos.errors import MultiposError, UsageError
 from multipos.files.spelling import Names, StrPath, split_names, spread
 from multipos.files.tables import Source
@@ -38,12 +46,14 @@ from multipos.logs.opening import less_copies, open_log
 from multipos.logs.samples import Progress, read_timing, share_of
 from multipos.logs.table import Log, called_as
 from multipos.numerics.arrays import Array
-from multipos.numerics.quantiles import check_confidence
+from multipos.numerics.quantiles import check_confidence, coverage_factor
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.calibration_file import load
+from multipos.units import MICRO_G
 
 _ALIKE = 0.01  # relative difference of sample rates that are one
 _FIRST = 0.01  # of a record: its zero just after switching on
+_NOTHING = 0.1  # of the largest mean reading: an output that reads less has no ppm
 
 
 def stability(
@@ -152,10 +162,10 @@ def _check_options(
 def _check_alike(raw: Sequence[RawRecord]) -> None:
     first = raw[0]
     for each in raw[1:]:
-        if each.names != first.names:
+        if [*each.outputs] != [*first.outputs]:
             raise MultiposError(
-                f"{each.source}: its outputs are {', '.join(each.names)}, those of {first.source} "
-                f"{', '.join(first.names)}; name common ones with --outputs."
+                f"{each.source}: its outputs are {', '.join(each.outputs)}, those of "
+                f"{first.source} {', '.join(first.outputs)}; name common ones with --outputs."
             )
         if each.unit != first.unit:
             raise MultiposError(
@@ -167,17 +177,18 @@ def _check_alike(raw: Sequence[RawRecord]) -> None:
                 f"{each.source}: {each.rate:.6g} Hz, but {first.source} has {first.rate:.6g} Hz; "
                 "records that are pooled need one sample rate."
             )
-        if (each.temperature is None) != (first.temperature is None):
-            known, missing = (first, each) if each.temperature is None else (each, first)
+        recorded = each.any.temperature is not None
+        if recorded != (first.any.temperature is not None):
+            known, missing = (each, first) if recorded else (first, each)
             raise MultiposError(
                 f"{missing.source}: no temperature, which {known.source} has; leave it out of "
                 "both, or record it in both."
             )
     for each in raw:
-        stuck = np.flatnonzero(each.sums[:, 0] == 0.0)
-        if len(stuck):
+        stuck = [name for name, one in each.outputs.items() if one.sums[0] == 0.0]
+        if stuck:
             raise MultiposError(
-                f"{each.source}: '{each.names[stuck[0]]}' never changes; a stuck output has no "
+                f"{each.source}: '{stuck[0]}' never changes; a stuck output has no "
                 "stability, leave it out with --outputs."
             )
 
@@ -185,12 +196,15 @@ def _check_alike(raw: Sequence[RawRecord]) -> None:
 def _complete(
     raw: Sequence[RawRecord], calibration: Calibration | None, unit: str, confidence: float
 ) -> Stability:
-    names, lengths = raw[0].names, allan.octaves(max(each.samples for each in raw))
-    varies = not any(map(_is_steady, raw))
-    found = [_trends(raw, i, lengths, varies) for i in range(len(names))]
-    records = tuple(_kept(each, [d.transients[r] for d in found]) for r, each in enumerate(raw))
-    values = Values(raw, lengths, unit, confidence)
-    outputs = {name: values.output(i, found[i]) for i, name in enumerate(names)}
+    names, lengths = tuple(raw[0].outputs), allan.octaves(max(each.any.samples for each in raw))
+    varies = all(map(_varies, raw))
+    found = {name: _trends([each.outputs[name] for each in raw], lengths, varies) for name in names}
+    records = tuple(
+        _kept(each, {name: one.transients[r] for name, one in found.items()})
+        for r, each in enumerate(raw)
+    )
+    values = _Values(raw, lengths, unit, confidence)
+    outputs = {name: values.output(name, found[name]) for name in names}
     run_to_run, turn_on = _repeats(records, names)
     return Stability(
         outputs=outputs,
@@ -205,18 +219,16 @@ def _complete(
     )
 
 
-def _kept(record: RawRecord, transients: Sequence[Array]) -> StaticRecord:
-    zero = dict(zip(record.names, record.blocks, strict=True))
+def _kept(record: RawRecord, transients: Mapping[str, Array]) -> StaticRecord:
+    blocks = record.any
+    zero = {name: each.values for name, each in record.outputs.items()}
     return StaticRecord(
         source=record.source,
-        samples=record.samples,
-        time=np.asarray((np.arange(record.blocks.shape[1]) + 0.5) * record.length / record.rate),
+        samples=blocks.samples,
+        time=blocks.time / record.rate,
         zero=zero,
-        settled={
-            name: float(np.mean(zero[name] - transient))
-            for name, transient in zip(record.names, transients, strict=True)
-        },
-        temperature=record.temperature,
+        settled={name: float(np.mean(zero[name] - transients[name])) for name in zero},
+        temperature=blocks.temperature,
     )
 
 
@@ -231,39 +243,95 @@ def _repeats(
     return settled, begun
 
 
-def _is_steady(record: RawRecord) -> bool:
-    """Whether the temperature is constant, and thus not used."""
-    return record.temperature is not None and not np.ptp(record.temperature)
-
-
-def _blocks(record: RawRecord, output: int, count: int, with_temperature: bool) -> trends.Blocks:
-    sums = np.zeros(count)
-    sums[: record.sums.shape[1]] = record.sums[output]
-    return trends.Blocks(
-        samples=record.samples,
-        length=record.length,
-        values=record.blocks[output],
-        temperature=record.temperature if with_temperature else None,
-        sums=sums,
-    )
+def _varies(record: RawRecord) -> bool:
+    """Whether the temperature is known, and not constant."""
+    temperature = record.any.temperature
+    return temperature is not None and bool(np.ptp(temperature))
 
 
 def _trends(
-    raw: Sequence[RawRecord], output: int, lengths: Sequence[int], with_temperature: bool
+    blocks: Sequence[Blocks], lengths: Sequence[int], with_temperature: bool
 ) -> trends.Description:
     """Return trends and noise; a warm-up that follows the temperature is one all the same."""
-    blocks = [_blocks(each, output, len(lengths), with_temperature) for each in raw]
+    recorded = [replace(each, temperature=None) for each in blocks]
+    if not with_temperature:
+        return trends.describe(recorded, lengths)
     found = trends.describe(blocks, lengths)
-    if blocks[0].temperature is None or found.time_constant is not None:
+    if found.time_constant is not None:
         return found
-    recorded = trends.describe([replace(each, temperature=None) for each in blocks], lengths)
-    if recorded.time_constant is None:
+    without = trends.describe(recorded, lengths)
+    if without.time_constant is None:
         return found
     return found._replace(
-        coefficients={**found.coefficients, trends.WARM_UP: recorded.coefficients[trends.WARM_UP]},
-        time_constant=recorded.time_constant,
-        transients=recorded.transients,
+        coefficients={**found.coefficients, trends.WARM_UP: without.coefficients[trends.WARM_UP]},
+        time_constant=without.time_constant,
+        transients=without.transients,
     )
+
+
+class _Values:
+    """Makes of the description of an output its numbers in seconds, with their units and U."""
+
+    def __init__(
+        self, raw: Sequence[RawRecord], lengths: Sequence[int], unit: str, confidence: float
+    ) -> None:
+        self._raw, self._lengths, self._unit = raw, lengths, unit
+        self._rate, self._confidence = raw[0].rate, confidence
+
+    def output(self, name: str, found: trends.Description) -> OutputStability:
+        """Return the stability of one output."""
+        blocks = [each.outputs[name] for each in self._raw]
+        samples = [each.samples for each in blocks]
+        sums = [each.sums for each in blocks]
+        adev = np.sqrt(allan.pooled_variances(sums, self._lengths, samples))
+        dof = degrees_of_freedom(found.laws, self._lengths, samples)
+        root = np.sqrt(self._rate)
+        return OutputStability(
+            tau=np.array(self._lengths) / self._rate,
+            adev=adev,
+            u=adev / np.sqrt(2.0 * dof),
+            dof=dof,
+            white_noise=self._law(found, 0, 1.0 / root, f"{self._unit}/sqrt(Hz)"),
+            bias_instability=self._law(found, 1, 1.0, self._unit),
+            random_walk=self._law(found, 2, root, f"{self._unit}/sqrt(s)"),
+            drift=self._estimate(found.coefficients[trends.DRIFT], self._rate, f"{self._unit}/s"),
+            warm_up=self._warm_up(found),
+            temperature_coefficient=self._temperature(found, name),
+        )
+
+    def _law(self, found: trends.Description, law: int, factor: float, unit: str) -> Estimate:
+        value, u = found.laws.root(law, 1.0)
+        U = found.laws.root(law, coverage_factor(self._confidence, np.inf))[1]
+        return Estimate(value, u, U, np.inf, unit).scaled(factor, unit)
+
+    def _estimate(self, found: trends.TrendEstimate, factor: float, unit: str) -> Estimate:
+        U = coverage_factor(self._confidence, found.dof) * found.u
+        return Estimate(found.value, found.u, U, found.dof, unit).scaled(factor, unit)
+
+    def _warm_up(self, found: trends.Description) -> WarmUp | None:
+        if found.time_constant is None:
+            return None
+        amplitude = self._estimate(found.coefficients[trends.WARM_UP], 1.0, self._unit)
+        constant = self._estimate(found.time_constant, 1.0 / self._rate, "s")
+        lowest = float(found.laws.deviation(np.array(self._lengths, dtype=np.float64)).min())
+        times = np.log(max(abs(amplitude.value) / lowest, 1.0))
+        return WarmUp(amplitude, constant, float(constant.value * times))
+
+    def _temperature(self, found: trends.Description, name: str) -> TemperatureCoefficient | None:
+        if trends.TEMPERATURE not in found.coefficients:
+            return None
+        change = self._estimate(found.coefficients[trends.TEMPERATURE], 1.0, f"{self._unit}/degC")
+        micro_g = ppm = None
+        if self._unit in MICRO_G:
+            micro_g = change.scaled(MICRO_G[self._unit], "ug/degC")
+        means = {
+            each: float(np.mean([one.outputs[each].values.mean() for one in self._raw]))
+            for each in self._raw[0].outputs
+        }
+        mean, largest = means[name], max(map(abs, means.values()))
+        if abs(mean) >= _NOTHING * largest and mean != 0.0:
+            ppm = change.scaled(1e6 / mean, "ppm/degC")
+        return TemperatureCoefficient(change, micro_g, ppm)
 
 
 def _begin(zero: Array) -> float:
@@ -277,7 +345,7 @@ def _spread(values: list[float]) -> Spread:
 def _find(raw: Sequence[RawRecord], outputs: Mapping[str, OutputStability]) -> Findings:
     said = [found for each in raw for found in each.findings]
     said += [found for each in raw for found in _movements(each)]
-    shortest = min(each.samples / each.rate for each in raw)
+    shortest = min(each.any.samples / each.rate for each in raw)
     for name, found in outputs.items():
         said += _unsettled(name, found, shortest)
     return in_order(said)
@@ -297,11 +365,11 @@ def _unsettled(name: str, found: OutputStability, shortest: float) -> list[Findi
 def _movements(record: RawRecord) -> list[Finding]:
     """Say what moved in a record that should have lain still."""
     said = []
-    for name, means in zip(record.names, record.blocks, strict=True):
-        found = find_movement(means)
+    for name, blocks in record.outputs.items():
+        found = find_movement(blocks.values)
         if found is None:
             continue
-        when = (found.block + 0.5) * record.length / record.rate
+        when = float(blocks.time[found.block]) / record.rate
         more = f", the largest of {found.count} movements" if found.count > 1 else ""
         text = (
             f"{record.source}: {name} jumps by {found.jump:.2g} near {when:.0f} s{more}, as if "

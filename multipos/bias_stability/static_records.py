@@ -1,9 +1,9 @@
 """A static record, read once: its phases to the disk, its blocks to memory.
 
-- `read_record` returns a `RawRecord` of a log, by `RecordOptions`.
+- `read_record` returns a `RawRecord` of a log, `Blocks` of every output, by `RecordOptions`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -52,19 +52,47 @@ class RecordOptions:
 
 
 @frozen
-class RawRecord:
-    """One record in samples: blocks (K, b) and sums (K, T) of `octaves(samples)`."""
+class Blocks:
+    """One output of one record as means of blocks.
 
-    source: str
-    names: tuple[str, ...]
+    Attributes
+    ----------
+    samples : int
+        Of the record.
+    length : int
+        Samples of a block, a power of two.
+    values : (b,) array
+    temperature : (b,) array or None
+    sums : (T,) array
+        Of the squared second differences of its phases, over `octaves(samples)`.
+    """
+
     samples: int
-    rate: float
     length: int
-    blocks: Array
+    values: Array
     temperature: Array | None
     sums: Array
+
+    @property
+    def time(self) -> Array:
+        """The middles (b,) of the blocks, in samples from the begin of the record."""
+        return np.asarray((np.arange(len(self.values)) + 0.5) * self.length)
+
+
+@frozen
+class RawRecord:
+    """One record: the blocks of every output, its sample rate and the unit of all outputs."""
+
+    source: str
+    rate: float
     unit: str | None  # that the header gives all outputs
+    outputs: Mapping[str, Blocks]
     findings: Findings
+
+    @property
+    def any(self) -> Blocks:
+        """The blocks of some output, whose samples and temperature are those of all."""
+        return next(iter(self.outputs.values()))
 
 
 def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> RawRecord:
@@ -101,16 +129,16 @@ def read_record(log: Log, wanted: RecordOptions, progress: Progress | None) -> R
         _require_sizes(log.source, names, means)
         if wanted.calibration is not None:
             _require_one_g(log.source, wanted.calibration, means[: len(names)])
+        temperature = _measured(log.source, means[len(names) :])
+        parts = zip(names, means, phases, strict=False)
         return RawRecord(
             source=log.source,
-            names=names,
-            samples=samples.rows,
             rate=rate,
-            length=length,
-            blocks=means[: len(names)],
-            temperature=_measured(log.source, means[len(names) :]),
-            sums=np.array([each.sums(lengths) for each in phases]),
             unit=_unit(log, raw.names),
+            outputs={
+                name: Blocks(samples.rows, length, values, temperature, each.sums(lengths))
+                for name, values, each in parts
+            },
             findings=about(
                 log.source,
                 (*log.left_out, *raw.findings, *_dropped(samples), *gaps.findings()),

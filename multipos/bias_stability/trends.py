@@ -28,9 +28,9 @@ import numpy as np
 
 from multipos.bias_stability.allan import phase_covariance, pooled_variances, starts
 from multipos.bias_stability.noise_laws import Laws, fit_laws
+from multipos.bias_stability.static_records import Blocks
 from multipos.numerics.arrays import Array
 from multipos.numerics.quantiles import chi2_quantile
-from multipos.results import frozen
 
 DRIFT, TEMPERATURE, WARM_UP = "drift", "temperature", "warm_up"
 
@@ -45,34 +45,6 @@ _USED = 8  # a share of the record: longer averages, of which there are few, tel
 _WHITE = Laws(np.array([1.0, 0.0, 0.0]), np.zeros((3, 3)), 0, 0.0, 0)  # to begin with
 _TOGETHER = 1e-13  # of a column: what the others leave of it when it is one with them
 _LEAST = 1e-3  # of a variance that is left where a trend is taken off
-
-
-@frozen
-class Blocks:
-    """One output of one record as means of blocks.
-
-    Attributes
-    ----------
-    samples : int
-        Of the record.
-    length : int
-        Samples of a block, a power of two.
-    values : (b,) array
-    temperature : (b,) array or None
-    sums : (T,) array
-        Of the squared second differences of its phases, for every length.
-    """
-
-    samples: int
-    length: int
-    values: Array
-    temperature: Array | None
-    sums: Array
-
-    @property
-    def time(self) -> Array:
-        """The middles (b,) of the blocks, in samples from the begin of the record."""
-        return np.asarray((np.arange(len(self.values)) + 0.5) * self.length)
 
 
 class TrendEstimate(NamedTuple):
@@ -325,13 +297,11 @@ def _pooled(values: list[float], variances: list[float]) -> TrendEstimate:
 
 def _noise(records: Sequence[Blocks], lengths: Sequence[int], trends: Sequence[Array]) -> Laws:
     """Return the laws of the Allan curve that is left without the trends."""
-    longest = max(record.samples for record in records)
-    used = [m for m in lengths if m <= max(longest / _USED, lengths[min(3, len(lengths) - 1)])]
     samples = [record.samples for record in records]
-    curve = np.zeros(len(used))
-    for record, trend in zip(records, trends, strict=True):
-        curve += _left_over(record, trend, used)
-    return fit_laws(used, pooled_variances(curve, used, samples), samples)
+    longest = max(samples)
+    used = [m for m in lengths if m <= max(longest / _USED, lengths[min(3, len(lengths) - 1)])]
+    left = [_left_over(*each, used) for each in zip(records, trends, strict=True)]
+    return fit_laws(used, pooled_variances(left, used, samples), samples)
 
 
 def _left_over(record: Blocks, trend: Array, lengths: Sequence[int]) -> Array:
@@ -343,8 +313,8 @@ def _left_over(record: Blocks, trend: Array, lengths: Sequence[int]) -> Array:
     L = record.length
     slope = float(np.mean(np.gradient(trend) ** 2)) / L**2 if len(trend) > 1 else 0.0
     phases = np.concatenate([[0.0], np.cumsum(record.values - record.values.mean() - trend)]) * L
-    found = np.zeros(len(lengths))
-    for i, m in enumerate(lengths):
+    found = np.zeros(min(len(lengths), len(record.sums)))
+    for i, m in enumerate(lengths[: len(found)]):
         count = starts(record.samples, m)
         k = m // L
         if k < 2 or 2 * k >= len(phases):

@@ -12,6 +12,7 @@ from multipos.bias_stability.allan import (
     flicker_excess,
     law_variances,
     octaves,
+    pooled_variances,
     starts,
     variance_covariance,
 )
@@ -27,7 +28,7 @@ def curve(samples, *, pieces=1):
 
 
 @pytest.mark.parametrize("pieces", [1, 7])
-@pytest.mark.parametrize("piece", [1 << 16, 1000])  # short and long lengths are read differently
+@pytest.mark.parametrize("piece", [1 << 16, 1000])
 def test_the_overlapping_deviation_is_that_of_allantools(pieces, piece, monkeypatch):
     allantools = pytest.importorskip("allantools")
     monkeypatch.setattr(allan, "_PIECE", piece)
@@ -144,6 +145,12 @@ def test_the_excess_of_sampled_flicker_noise_is_that_of_its_spectrum():
         assert whole / FLICKER - 1.0 == pytest.approx(
             float(flicker_excess(np.array([m]))[0]) / FLICKER, rel=0.06
         )
+
+
+def test_sums_of_records_are_added_over_all_their_pairs():
+    found = pooled_variances([np.array([2.0, 4.0, 9.0]), np.array([6.0, 2.5])], (1, 2, 4), [12, 6])
+    # of 12 samples 11, 9 and 5 second differences, of 6 5 and 3
+    assert_allclose(found, [8.0 / (2 * 16), 6.5 / (8 * 12), 9.0 / (32 * 5)])
 
 
 def test_records_are_pooled():

@@ -1,13 +1,10 @@
 """Movement in a static record: found where there is one, and in no kind of noise or warm-up."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from findings_bench import texts
 
 import multipos as mp
-from multipos.bias_stability.analysis import _begin, _kept, _spread
 from multipos.bias_stability.movement import find_movement
 
 
@@ -70,22 +67,3 @@ def test_a_movement_is_eight_standard_deviations_by_hand():
         movement = find_movement(knocked)
         assert (movement and movement.count) == found
     assert movement.jump == knocked[movement.block + 1] - knocked[movement.block - 1]
-
-
-def test_what_is_kept_of_a_record_by_hand():
-    """Blocks of ten samples at 100 Hz, in their middles; less a transient of 2, 1, 0."""
-    record = SimpleNamespace(
-        source="a.csv",
-        names=("ax",),
-        blocks=np.array([[3.0, 2.0, 4.0]]),
-        samples=30,
-        length=10,
-        rate=100.0,
-        temperature=None,
-    )
-    kept = _kept(record, [np.array([2.0, 1.0, 0.0])])
-    np.testing.assert_allclose(kept.time, [0.05, 0.15, 0.25], rtol=1e-12)
-    assert kept.settled["ax"] == pytest.approx(2.0)
-    spread = _spread([1.0, 3.0])
-    assert (spread.sd, spread.range, spread.dof) == (pytest.approx(np.sqrt(2.0)), 2.0, 1)
-    assert _begin(np.array([7.0, 1.0, 1.0])) == 7.0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from noise_bench import flicker, walk, white
 from numpy.testing import assert_allclose
+from scipy.optimize import nnls
 
 from multipos.bias_stability.allan import Phases, law_variances, octaves, starts
-from multipos.bias_stability.noise_laws import Laws, degrees_of_freedom, fit_laws
+from multipos.bias_stability.noise_laws import Laws, _not_negative, degrees_of_freedom, fit_laws
 from multipos.bias_stability.trends import _left_over, _pooled
 
 N = 8192
@@ -121,7 +122,9 @@ def test_what_a_trend_leaves_of_squared_differences():
     """By sums over blocks of ten samples, with the trend taken off; of a slope c: c² m⁴ each."""
     rng = np.random.default_rng(6)
     v, trend = rng.normal(size=30), 0.05 * np.arange(30.0)
-    record = SimpleNamespace(length=10, values=v + trend, samples=300, sums=[1e9, 1e-9, 0.0, 0.0])
+    record = SimpleNamespace(
+        length=10, values=v + trend, samples=300, sums=np.array([1e9, 1e-9, 0.0, 0.0])
+    )
     found = _left_over(record, trend, [5, 4, 30, 80])
     squares = {5: 291.0, 4: 293.0, 30: 241.0, 80: 141.0}  # n − 2m + 1
     assert found[0] == pytest.approx(1e9 - squares[5] * (0.05 / 10) ** 2 * 5**4, rel=1e-12)
@@ -146,3 +149,10 @@ def test_trends_of_records_together_by_hand(values, variances, mean, u, dof):
     found = _pooled(values, variances)
     assert (found.value, found.u) == (pytest.approx(mean), pytest.approx(u))
     assert found.dof == dof
+
+
+def test_least_squares_without_negative_parts():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        A, y = rng.normal(size=(6, 3)), rng.normal(size=6)
+        assert_allclose(_not_negative(A, y), nnls(A, y)[0], atol=1e-10)

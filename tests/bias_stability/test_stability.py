@@ -1,8 +1,10 @@
 """Static records: what is told of simulated ones, with calibration and without, and what is not."""
 
 import json
+import math
 import re
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -496,3 +498,37 @@ def test_a_bias_instability_that_is_not_shown_is_below_its_bound():
     bound = re.search(r"bias instability below (\S+) µg \(ax\)", stability_sentence(found))
     assert bound
     assert f"< {bound[1]}" in str(found)
+
+
+def test_block_means_covary_by_hand():
+    """A constant is added to flicker and walk, which the mean takes up: 2 · 3 L / 2 of walk."""
+    index = np.abs(np.subtract.outer(range(4), range(4)))
+    next_to = np.where(index == 0, 2.0, np.where(index == 1, -1.0, 0.0))
+    by_hand = {  # of the squares 2 at L = 5: N²/L, L (−k/2) and −L/6 at k = 0, Q²/L²
+        (2.0, 0.0, 0.0): 2.0 / 5.0 * np.eye(4),
+        (0.0, 0.0, 2.0): 2.0 * 5.0 * (3.0 - index / 2.0 - np.eye(4) / 6.0),
+        (0.0, 0.0, 0.0, 2.0): 2.0 / 25.0 * next_to,
+    }
+    for squares, expected in by_hand.items():
+        found = trends._covariance(4, 5, np.array(squares))
+        assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_a_time_constant_moves_and_is_known_as_in_one_fit_of_all():
+    """Its step and u by the normal equations of Gauss and Newton, ln T_w among their unknowns."""
+    rng = np.random.default_rng(6)
+    blocks = trends.Blocks(640, 16, np.zeros(40), None, np.zeros(1))
+    values = 3.0 * np.exp(-blocks.time / 130.0) + 0.3 * rng.standard_normal(40)
+    squares = np.array([2.0, 0.3, 0.01])
+    names = (trends.DRIFT, trends.WARM_UP)
+    found = trends._least_squares(
+        [replace(blocks, values=values)], names, 150.0, Laws(squares, np.eye(3), 0, 0.0, 0)
+    )
+    late = np.exp(-blocks.time / 150.0)
+    X = np.column_stack([np.ones(40), blocks.time - blocks.time.mean(), late])
+    W = np.linalg.inv(trends._covariance(40, 16, squares))
+    b = np.linalg.solve(X.T @ W @ X, X.T @ W @ values)
+    J = np.column_stack([X, b[-1] * blocks.time / 150.0 * late])
+    V = np.linalg.inv(J.T @ W @ J)
+    assert found.time_constant.u == pytest.approx(150.0 * math.sqrt(V[-1, -1]), rel=1e-6)
+    assert found.step == pytest.approx((V @ J.T @ W @ (values - X @ b))[-1], rel=1e-6)

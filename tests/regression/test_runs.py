@@ -1,5 +1,6 @@
 """What differs from one switch-on to the next: zeros by hand, coverage on runs never seen."""
 
+import hashlib
 import math
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from multipos.cli import main
 from multipos.errors import MultiposError, UsageError
 from multipos.numerics.quantiles import coverage_factor, normal_quantile, t_tail
 from multipos.numerics.terms import linear_term
+from multipos.regression.observations import join_runs
 from multipos.regression.runs import find_between
 from multipos.regression.segment import Coefficient, Segment
 
@@ -194,3 +196,21 @@ def test_a_coefficient_of_few_runs_has_their_degrees_of_freedom():
     found = Segment._judged_by_runs(segment, robust, 0)
     assert found.dof == pytest.approx(0.0081 / 0.00065, rel=1e-12)
     assert found.p_robust == pytest.approx(t_tail(2.0, 0.0081 / 0.00065), rel=1e-12)
+
+
+def test_tables_of_several_runs_are_named_as_they_can_be_told_apart(tmp_path):
+    """By their files' names, else by their paths, else by number; with what stood there before."""
+    for folder, name, value in (("a", "x", 1), ("a", "y", 2), ("b", "x", 3)):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"{name}.csv").write_text(f"v,run\n{value},p\n{value},\n")
+    ax, ay, bx = (tmp_path / name for name in ("a/x.csv", "a/y.csv", "b/x.csv"))
+    table, run = join_runs([ax, ay], "run")
+    assert list(table.text(run)) == ["x p", "x", "y p", "y"]
+    table, run = join_runs([ax, bx], "run")
+    assert list(table.text(run)) == [f"{ax} p", str(ax), f"{bx} p", str(bx)]
+    each = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (ax, bx)]
+    assert table.sha256 == hashlib.sha256("".join(each).encode()).hexdigest()
+    columns = [{"v": [4.0, 5.0], "run": ["q", "q"]}, {"v": [6.0, 7.0], "run": ["q", "q"]}]
+    table, run = join_runs(columns, "run")
+    assert list(table.text(run)) == ["1 q", "1 q", "2 q", "2 q"]
+    assert table.sha256 is None  # of what is no file

@@ -6,13 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from known_noise import with_known_noise
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 
 import multipos as mp
 from multipos import cli
 from multipos.positions.scheme import read_scheme
 from multipos.reports.check_text import check_text
-from multipos.verification.checks import _expanded, line_departure
+from multipos.sensor.nominal import Nominal
+from multipos.verification.checks import RunNoise, _expanded, force_errors, line_departure
 from multipos.verification.verdicts import judge_errors
 
 FACES = read_scheme("faces-corners-14").up
@@ -266,3 +269,39 @@ def test_the_departure_from_a_line_by_hand():
     found = line_departure(x, error, counted, None)
     np.testing.assert_allclose(found, [10.0, np.nan, np.nan], rtol=1e-12)  # no span; no slope
     np.testing.assert_allclose(line_departure(x, error, counted, 2.0)[0], 5.0, rtol=1e-12)
+
+
+def test_errors_of_force_and_their_u_by_the_inverse_of_the_matrix():
+    """f = K⁻¹(y − b): C of K and b by its derivatives, noise by K⁻¹, placement across f."""
+    rng = np.random.default_rng(4)
+    K, b = (
+        np.array([[1.1, 0.06, -0.04], [0.05, 0.9, 0.07], [-0.03, 0.08, 1.2]]),
+        [0.03, -0.02, 0.01],
+    )
+    up = mp.read_scheme("fibonacci-9").up
+    noisy = 3e-3 * rng.normal(size=up.shape)
+    cal = with_known_noise(
+        mp.fit(mp.Readings(b + up @ K.T + noisy, up=up, unit="g"), reading_sd=3e-3)
+    )
+    K, b = cal.parameters.reshape(3, 4)[:, 1:], cal.parameters.reshape(3, 4)[:, 0]
+    known = mp.read_scheme("fibonacci-5").up
+    values = b + known @ K.T + 0.01 * rng.normal(size=known.shape)
+    orientation, reference_u = np.linspace(0.002, 0.01, 5), 1e-3 * rng.uniform(1, 5, (5, 3))
+    data = mp.Readings(
+        values, up=known, unit="g", orientation_sd=orientation, reference_u=reference_u
+    )
+    noise = RunNoise(np.array([2e-3, 4e-3, 1e-3]) * np.ones((5, 1)), np.zeros((5, 3)))
+    nominal = Nominal(0.02, 1.3)
+    reference, before, after, u, U = force_errors(cal, data, known, nominal, noise)
+    inverse = np.linalg.inv(K)
+    force = (values - b) @ inverse.T
+    assert_allclose(reference, known)
+    assert_allclose(before, (values - 0.02) / 1.3 - known, atol=1e-12)
+    assert_allclose(after, force - known, atol=1e-8)
+    for row in range(5):
+        X = np.kron(np.eye(3), np.append(1.0, force[row]))
+        D = X @ cal.covariance @ X.T + np.diag(noise.whole[row] ** 2)
+        square = np.diag(inverse @ D @ inverse.T)
+        square = square + (1.0 - known[row] ** 2) * orientation[row] ** 2 + reference_u[row] ** 2
+        assert_allclose(u[row], np.sqrt(square), rtol=1e-4)
+    assert_allclose(U, u * norm.ppf(0.975), rtol=0.025)  # or by a k of 2

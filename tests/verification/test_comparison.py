@@ -19,7 +19,7 @@ from multipos.numerics.quantiles import chi2_tail, f_tail
 from multipos.positions.scheme import read_scheme
 from multipos.sensor.fit_diagnostics import ModelTest
 from multipos.verification.comparison_text import comparison_text
-from multipos.verification.consistency import judge_together
+from multipos.verification.consistency import _by_days, judge_together
 
 TWO = math.radians(2.0)
 
@@ -468,3 +468,22 @@ def test_tests_of_several_outputs_are_combined_by_hand():
     test = ModelTest("own^2", ("ax", "ay"), (2.0, 3.0), ((2.0, 4.0), (2.0, 2.0)))
     assert (test.statistic, test.p) == (pytest.approx(4.0 * math.log(4.0)), pytest.approx(chance))
     assert test.dof == (4.0,)
+
+
+def definite(n, seed):
+    A = np.random.default_rng(seed).normal(size=(n, n + 2))
+    return A @ A.T
+
+
+def test_days_that_differ_by_their_level_are_judged_as_one_covariance_of_all_repeats():
+    """Two repeats of one day and one of another: L is between those of a day as well."""
+    values, day = np.random.default_rng(11).normal(size=(3, 2)), np.array([0, 0, 1])
+    covariances, L = np.array([definite(2, seed) for seed in range(3)]), definite(2, 7)
+    V = np.kron(day[:, None] == day, L)
+    for r in range(3):
+        V[2 * r : 2 * r + 2, 2 * r : 2 * r + 2] += covariances[r]
+    W = np.linalg.inv(np.linalg.cholesky(V))
+    rows, right = W @ np.tile(np.eye(2), (3, 1)), W @ values.ravel()
+    left = right - rows @ np.linalg.solve(rows.T @ rows, rows.T @ right)
+    found = _by_days(values, covariances, np.array([L] * 3), day)
+    assert found == pytest.approx(left @ left, rel=1e-8)
