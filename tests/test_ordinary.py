@@ -94,17 +94,17 @@ def test_a_model_that_is_named_is_not_changed():
     made = ROWS["faces-1deg"].make(np.random.default_rng(1))
     cal = mp.calibrate(made.log)
     assert cal.model.text == "1 + own"
-    assert cal.budget.tables == {"cross": {"u": 0.01}}
-    # cross terms of 1 % stand in U of force between the faces, where two axes see .71 g each
+    assert cal.budget.tables == {"cross": {"u": 0.02}}
+    # cross terms of 2 % stand in U of force between the faces, where two axes see .71 g each
     edge = mp.apply(cal, {"ax": [7.1], "ay": [6.7], "az": [0.3]}, uncertainty=True)["u_f_x"]
-    assert edge == pytest.approx(0.01 * np.sqrt(0.5), rel=0.05)
+    assert edge == pytest.approx(0.02 * np.sqrt(0.5), rel=0.05)
     with pytest.raises(mp.RankError):
         mp.calibrate(made.log, model="linear")
 
 
 def test_the_advice_for_six_faces_by_hand_is_followed():
-    """Whoever states exact orientations is told; whoever states nothing needs no advice."""
-    row, before, after, unsaid = ROWS["faces-1deg"], [], [], []
+    """Whoever states exact orientations is told; to name the scheme is no worse than not to."""
+    row, before, after, unsaid, unnamed = ROWS["faces-1deg"], [], [], [], []
     for seed in range(5):
         made = row.make(np.random.default_rng(seed))
         plain = mp.calibrate(made.log, scheme="faces-6", orientation_sd=0)
@@ -112,8 +112,11 @@ def test_the_advice_for_six_faces_by_hand_is_followed():
         advised = re.search(r"--orientation-sd ([\d.]+) if the sensor", str(said))
         cal = mp.calibrate(made.log, scheme="faces-6", orientation_sd=float(advised[1]))
         default = mp.calibrate(made.log, scheme="faces-6")
-        assert not [f for f in default.findings if f.level == "warning"]
-        for found, errors in ((plain, before), (cal, after), (default, unsaid)):
+        without = mp.calibrate(made.log)
+        codes = [{f.code for f in c.findings if f.level == "warning"} for c in (default, without)]
+        assert codes[0] <= codes[1]
+        parts = ((plain, before), (cal, after), (default, unsaid), (without, unnamed))
+        for found, errors in parts:
             errors.append(error_of(line_from(found), made, row))
     assert np.median(after) < 0.1 * np.median(before)
-    assert np.median(unsaid) < 0.1 * np.median(before)
+    assert np.median(unsaid) <= 1.1 * np.median(unnamed)

@@ -5,7 +5,7 @@ of regressions, which `view_of` makes.
 
 Several outliers hide each other from studentised residuals, and what they scatter passes for noise.
 So the readings are fitted by least trimmed squares [1]_, the h of n rows that lie best; at most a
-quarter of the rows, and half of the degrees of freedom, are left out. Then a set S of i rows is
+third of the rows, and half of the degrees of freedom, are left out. Then a set S of i rows is
 taken for outliers, the largest for which every part of it is beyond chance: for the j < i that are
 least far off,
 
@@ -56,13 +56,14 @@ _ALIKE = 1.2  # ratio of standard deviations up to which rows are taken as equal
 _STEP = 3.0  # times the resolution that a row is off at least
 _LEVEL = 0.0075  # α, so that noise which eq. (2) makes a little unequal names 1 % at most
 _GAP = 4.0  # times the largest residual of the others, where there are several outliers
+_RIVAL = 2.0  # ln of the likelihood by which one row must beat every other
 _STARTS = 60  # at most, and fewer where so many have one without outliers but for .5 %
 _MISSED = 0.005
 _STEPS, _LAST = 2, 8  # of concentration, of every start and of the best ones
 _KEPT = 4  # starts that go on
 _SAMPLE = 2000  # rows, of more of which a sample is searched first
 _ROWS = 10_000  # of many, worked out at once
-_FEW, _HELD = 100, 16  # rows of designs whose columns and starts are kept, and how many of them
+_HELD = 16  # designs of which random starts are kept
 _BLOCK = 40  # rows, of more of which several are put back at once
 _ROUNDING = 1e-9  # of the readings: residuals that are nothing
 _RIDGE = 1e-12
@@ -385,8 +386,7 @@ def view_of(designs: Sequence[Array], values: Array, variance: Array | None = No
 
 def _parts(X: Array, y: Array) -> list[Part]:
     """Return readings (G, m, n) on whitened designs (G, n, p): one part where these have rank p."""
-    few = X.shape[1] <= _FEW
-    bases = _kept_bases(X.tobytes(), X.shape) if few else _orthonormal(X)
+    bases = _orthonormal(X)
     if len(bases) == 1:
         return [_part(bases[0], y)]
     return [_part(basis, values[None]) for basis, values in zip(bases, y, strict=True)]
@@ -402,11 +402,6 @@ def _orthonormal(X: Array) -> list[Array]:
     return [(q @ turn[:, own]).T[None] for q, turn, own in zip(Q, left, full, strict=True)]
 
 
-@lru_cache(maxsize=_HELD)
-def _kept_bases(designs: bytes, shape: tuple[int, int, int]) -> list[Array]:
-    return _orthonormal(np.frombuffer(designs).reshape(shape))
-
-
 def _part(basis: Array, y: Array) -> Part:
     both = np.concatenate([basis, y], axis=1)
     left = both[:, basis.shape[1] :]
@@ -418,7 +413,7 @@ def _part(basis: Array, y: Array) -> Part:
 def find_outliers(views: Sequence[View]) -> Places:
     """Return the rows that are outliers in every view of the same readings, by eq. (1)."""
     n = views[0][0].both.shape[2]
-    most = min(n // 4, min(part.dof for view in views for part in view) // 2)
+    most = min(n // 3, min(part.dof for view in views for part in view) // 2)
     if most < 1:
         return np.zeros(0, dtype=np.intp)
     counts = [most]
@@ -429,8 +424,6 @@ def find_outliers(views: Sequence[View]) -> Places:
         (far,) = _far(left)
         first = np.sort(np.argpartition(far, n - most - 1)[n - most - 1 :])  # fewer to be sorted
         order = first[np.argsort(-far[first], kind="stable")]
-        if not _may_be_beyond(view, order, counts):
-            continue
         beyond = _whole_is_beyond(view, left, order, counts)
         sets = np.ones((len(beyond), n), dtype=np.bool_)
         for kept, out in zip(sets, beyond, strict=True):
@@ -439,8 +432,23 @@ def find_outliers(views: Sequence[View]) -> Places:
             if len(sets):
                 sets = sets[_parts_are_beyond(each, sets, most)]
         if len(sets):
-            return np.flatnonzero(~sets[0])
+            rows = np.flatnonzero(~sets[0])
+            return rows if _is_the_only_one(views[-1], rows) else rows[:0]
     return np.zeros(0, dtype=np.intp)
+
+
+def _is_the_only_one(view: View, rows: Places) -> bool:
+    """Tell, of one row, whether no other is nearly as likely, such as the one opposite."""
+    if len(rows) > 1:
+        return True
+    likely = np.zeros(view[0].both.shape[2])
+    for part in view:
+        Q, e = part.basis, part.values
+        left = np.maximum(1.0 - np.einsum("gpn,gpn->gn", Q, Q), _ALONE**2)[:, None]
+        least = np.sum(e**2, axis=2, keepdims=True) - e**2 / left
+        least = np.maximum(least, part.least[..., None])
+        likely += 0.5 * (part.dof - 1) * np.log(least).sum(axis=(0, 1))
+    return bool(np.delete(likely, rows).min() > likely[rows[0]] + _RIVAL)
 
 
 def _fewer(out: int) -> int:
@@ -473,8 +481,7 @@ def _best(view: View, most: int) -> tuple[Mask, _Left]:
         number = min(_STARTS, math.ceil(math.log(_MISSED) / math.log1p(-good)))
         starts = _started(n, number, p)
     kept = np.vstack([np.ones((1, n), dtype=np.bool_), starts])
-    leave = _left_of if n > _FEW else _left_at
-    kept, left = _concentrated(view, kept, leave(view, kept), most, _STEPS)
+    kept, left = _concentrated(view, kept, _left_of(view, kept), most, _STEPS)
     if n <= _SAMPLE:
         best = np.argsort(_objective(left), kind="stable")[:_KEPT]
         some = [(e[best], squares[best]) for e, squares in left]
@@ -514,27 +521,6 @@ def _left_of(view: View, kept: Mask) -> _Left:
     return found
 
 
-def _left_at(view: View, kept: Mask) -> _Left:
-    """Return the same of few rows, whose sets are often asked of other readings too."""
-    found, sets = [], kept.tobytes()
-    for part in view:
-        basis, m = part.basis, part.least.shape[1]
-        fits = _fits_at(basis.tobytes(), basis.shape, sets)
-        coefficients = (part.values @ fits).reshape(len(basis), m, len(kept), -1)
-        found.append(_residuals(part, kept, coefficients))
-    return found
-
-
-@lru_cache(maxsize=_HELD)
-def _fits_at(basis: bytes, shape: tuple[int, int, int], sets: bytes) -> Array:
-    """Return by what readings are multiplied for coefficients (G, n, B p) of sets that are kept."""
-    G, p, n = shape
-    Q, kept = np.frombuffer(basis).reshape(shape), np.frombuffer(sets, np.bool_).reshape(-1, n)
-    some = Q * kept[:, None, None]
-    gram = some @ Q.swapaxes(1, 2) + _RIDGE * np.eye(p)
-    return np.ascontiguousarray(np.linalg.solve(gram, some).transpose(1, 3, 0, 2)).reshape(G, n, -1)
-
-
 def _residuals(part: Part, kept: Mask, coefficients: Array) -> tuple[Array, Array]:
     """Return residuals (B, G m, n) by coefficients (G, m, B, p), and squares of the sets kept."""
     G, m, count, p = coefficients.shape
@@ -570,57 +556,6 @@ def _concentrated(view: View, kept: Mask, left: _Left, out: int, steps: int) -> 
         del left  # of many rows it is large
         left = _left_of(view, kept)
     return kept, left
-
-
-def _may_be_beyond(view: View, order: Places, counts: list[int]) -> bool:
-    """Tell whether `_whole_is_beyond` may find any: by x of eq. (1) at j = 0 alone, or less."""
-    rows, n = order[: counts[0]], view[0].both.shape[2]
-    least = None if n <= _FEW else _left_of(view, _without(rows, n)[None])
-    outputs = sum(part.least.size for part in view)
-    for i, part in enumerate(view):
-        e = part.values
-        whole = (np.einsum("gmn,gmn->gm", e, e) + part.least)[..., None]
-        x = 1.0 - _lost(part, rows)[..., np.array(counts) - 1] / whole
-        if least is not None:  # fewer rows leave no less than all of them do
-            x = np.maximum(x, least[i][1].reshape(whole.shape) / whole)
-        if (x < _largest_ratios(n, part.dof, outputs, tuple(counts))).any():
-            return True
-    return False
-
-
-def _lost(part: Part, rows: Places) -> Array:
-    """Return what sums of squares (G, m, K) lose without the first 1 to K of rows, or more.
-
-    Without rows S it is e_S'(1 − H_SS)⁻¹e_S, of which the roots of a Cholesky factorization give
-    every first part of S its own; of many rows e_S'e_S/(1 − tr H_SS) is no less.
-    """
-    e, Q = part.values[..., rows], part.basis[..., rows]
-    if part.both.shape[2] > _FEW:
-        left = 1.0 - np.cumsum(np.einsum("gpk,gpk->gk", Q, Q), axis=1)
-        with np.errstate(over="ignore"):  # where rows determine a parameter, there is no bound
-            return np.asarray(np.cumsum(e**2, axis=2) / np.maximum(left, 1e-300)[:, None])
-    try:
-        L = np.linalg.cholesky(np.eye(len(rows)) - Q.swapaxes(1, 2) @ Q)
-    except np.linalg.LinAlgError:
-        return np.full(e.shape, np.inf)
-    if L.diagonal(axis1=1, axis2=2).min() < _ALONE:
-        return np.full(e.shape, np.inf)
-    return np.asarray(np.cumsum(np.linalg.solve(L, e.swapaxes(1, 2)) ** 2, axis=1).swapaxes(1, 2))
-
-
-@lru_cache(maxsize=_HELD)
-def _largest_ratios(n: int, dof: int, outputs: int, counts: tuple[int, ...]) -> Array:
-    """Return x (K,), a little larger than any of so many rows that eq. (1) has beyond chance."""
-    found = []
-    for i in counts:
-        limit = math.log(_LEVEL / (counts[0] * outputs)) - _log_choices(n, i)
-        low, high = 0.0, 1.0
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            beyond = _log_beta_tail(middle, 0.5 * (dof - i), 0.5 * i) <= limit
-            low, high = (middle, high) if beyond else (low, middle)
-        found.append(high)
-    return np.array(found)
 
 
 def _whole_is_beyond(view: View, left: _Left, order: Places, counts: list[int]) -> list[int]:

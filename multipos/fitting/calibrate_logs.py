@@ -46,7 +46,8 @@ _EARTH = {"T": (2e-5, 7.5e-5), "uT": (20.0, 75.0), "G": (0.2, 0.75)}
 _REACH = 0.8  # of the largest range of an output, where each sees both sides of its axis
 _FEW = 9  # rests: as many as there are parameters
 _LITTLE = 0.2  # of the log
-_CROSS = 0.01  # of a scale factor: cross terms that a model without them allows for
+_CROSS = 0.02  # of a scale factor: cross terms that a model without them allows for
+_FEWEST = 12  # rests, from which on a model with cross terms sees how far off the faces they are
 
 
 class CalibrateOptions(RestOptions, FitOptions, total=False):
@@ -227,7 +228,6 @@ def fit_rests(
 
     Options and errors are those of `calibrate`.
     """
-    budget = options.get("budget")
     free = options.pop("unknown_orientation", False)
     by_user = any(options.get(name) for name in ("closed_form", "level_sd"))
     by_user = by_user or options.get("orientation_sd") is not None
@@ -235,25 +235,22 @@ def fit_rests(
     options["unknown_orientation"] = free or assumed
     options["model"] = "linear" if model is None else model
     readings = readings_of(found, options.pop("unit", None), options.get("field"))
+    simple = model is None and _both_sides(readings.values)
     try:
         with refused_with(lambda: found.seen):
-            return fit(readings, **options)
+            calibration = fit(readings, **options)
     except RankError as error:
         faults = [f"{each.text}. {each.action}" for each in found.findings if each.level == "error"]
         if faults:
             raise MultiposError(" ".join(faults)) from None
-        if model is None and assumed and _both_sides(readings.values):
-            stated = {} if budget is None else read_budget(budget).tables
+        if simple and assumed:
             text = (
                 f"{len(readings)} rests near the faces cannot separate cross terms: bias and "
-                "scale factor of each output are fitted, and U allows for cross terms of 1 %"
+                "scale factor of each output are fitted, and U allows for cross terms of 2 %"
             )
             action = "Record four more rests with edges and corners up, to fit cross terms."
             reduced = Finding("reduced-model", "warning", text, action)
-            noted = replace(readings, findings=(*readings.findings, reduced))
-            options["model"] = Formula("1 + own")
-            options["budget"] = {"cross": {"u": _CROSS}, **stated}
-            return fit(noted, **options)
+            return _without_cross_terms(readings, reduced, options)
         if free or not assumed:
             raise
         raise RankError(
@@ -262,6 +259,40 @@ def fit_rests(
             parameters=error.parameters,
             combinations=error.combinations,
         ) from None
+    off = _bending(calibration)
+    if assumed or by_user or not simple or len(readings) >= _FEWEST or off is None:
+        return calibration
+    text = (
+        f"rests stand {off:.2g} degrees off the scheme, too far to fit cross terms: bias and "
+        "scale factor of each output are fitted, and U allows for cross terms of 2 %"
+    )
+    action = "State --orientation-sd in degrees, to fit cross terms all the same."
+    reduced = Finding("reduced-model", "warning", text, action)
+    options["unknown_orientation"] = True
+    return _without_cross_terms(replace(readings, up=None), reduced, options)
+
+
+def _without_cross_terms(readings: Readings, reduced: Finding, options: FitOptions) -> Calibration:
+    """Return bias and scale factor of each output, fitted at unknown orientations."""
+    noted = replace(readings, findings=(*readings.findings, reduced))
+    budget = options.get("budget")
+    stated = {} if budget is None else read_budget(budget).tables
+    options["model"] = Formula("1 + own")
+    options["budget"] = {"cross": {"u": _CROSS}, **stated}
+    return fit(noted, **options)
+
+
+def _bending(calibration: Calibration) -> float | None:
+    """Return the sd of orientations [degrees] of which half the square exceeds noise, else None.
+
+    That much of one g they take off the readings along them, which cross terms hide.
+    """
+    found = calibration.variance_components
+    if found is None or found.orientation_sd_deg is None or calibration.readings.u is None:
+        return None
+    sd = found.orientation_sd_deg.value
+    noise = median(calibration.readings.u) / median(np.linalg.norm(calibration.sensitivity, axis=1))
+    return sd if np.radians(sd) ** 2 / 2.0 > noise else None
 
 
 def _both_sides(values: Array) -> bool:

@@ -942,43 +942,6 @@ def test_outputs_beside_three_axes_are_not_compensated_by_steps():
     assert inverted.sound.tolist() == [False, False]
 
 
-@pytest.mark.parametrize(
-    ("n", "dof", "outputs", "counts"), [(24, 20, 3, (1, 2, 3, 4)), (60, 51, 1, (3, 5, 8))]
-)
-def test_what_rows_leave_of_squares_beyond_chance_is_a_law_of_beta(n, dof, outputs, counts):
-    """ln I_x of (ν − i)/2 and i/2 is that of α over choices of i rows, outputs and first counts."""
-    found = outliers._largest_ratios(n, dof, outputs, counts)
-    for x, i in zip(found, counts, strict=True):
-        chance = math.log(outliers._LEVEL / counts[0] / outputs / math.comb(n, i))
-        assert math.log(betainc((dof - i) / 2, i / 2, x)) == pytest.approx(chance, abs=0.05)
-
-
-def test_what_squares_lose_without_the_first_of_some_rows():
-    """Of few rows what a fit of the others leaves, of many no less."""
-    rng = np.random.default_rng(5)
-    rows = np.array([6, 1, 9])
-    for n in (20, 120):
-        Q = np.linalg.qr(rng.normal(size=(n, 3)))[0]
-        e = rng.normal(size=(2, n))
-        e -= e @ Q @ Q.T
-        part = SimpleNamespace(values=e[None], basis=Q.T[None], both=np.zeros((1, 5, n)))
-        found = outliers._lost(part, rows)[0]
-        for k in range(1, 4):
-            kept = np.setdiff1d(np.arange(n), rows[:k])
-            left = [each[kept] - Q[kept] @ np.linalg.lstsq(Q[kept], each[kept], rcond=None)[0]
-                    for each in e]  # fmt: skip
-            lost = np.sum(e**2, axis=1) - np.sum(np.square(left), axis=1)
-            if n == 20:
-                assert_allclose(found[:, k - 1], lost, rtol=1e-9)
-            else:
-                own = np.sum(e[:, rows[:k]] ** 2, axis=1) / (1.0 - np.sum(Q[rows[:k]] ** 2))
-                assert_allclose(found[:, k - 1], own)
-                assert (found[:, k - 1] >= lost * (1.0 - 1e-9)).all()
-    part.basis = np.eye(3, 120)[None]  # three rows that all but determine a parameter each
-    part.values = np.full((1, 1, 120), 1e20)
-    assert np.isposinf(outliers._lost(part, np.arange(3))).all()
-
-
 def test_units_of_a_model_of_ones_own_end_at_the_least_squares():
     """b + s f/(1 + k f²) of three units by SciPy's search: parameters, u, rms of what is left."""
     up = mp.read_scheme("fibonacci-24").up

@@ -43,7 +43,13 @@ def readings(rng, n, off=(), size=0.0, weight=None, up=None):
 
 @pytest.mark.parametrize("unknown", [False, True])
 @pytest.mark.parametrize(
-    ("off", "size"), [((3, 17), 0.01), ((3, 17), 0.1), ((1, 2, 3, 8, 20), 0.04)]
+    ("off", "size"),
+    [
+        ((3, 17), 0.01),
+        ((3, 17), 0.1),
+        ((1, 2, 3, 8, 20), 0.04),
+        ((1, 2, 3, 8, 13, 17, 20), 0.04),
+    ],
 )
 def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
     given = readings(np.random.default_rng(1), 24, off, size)
@@ -64,6 +70,18 @@ def test_rows_that_hide_each_other_are_named_all_at_once(unknown, off, size):
     assert_allclose(
         cal.parameters, exactly(same, unknown_orientation=unknown).parameters, rtol=1e-12
     )
+
+
+def test_of_two_rows_that_explain_the_same_none_is_named():
+    """Six axes seen from both ends determine a quadric: a row off looks like its opposite."""
+    t = (1.0 + 5.0**0.5) / 2.0
+    corners = [[0.0, s, u * t] for s in (1.0, -1.0) for u in (1.0, -1.0)]
+    up = np.vstack([np.roll(corners, k, axis=1) for k in range(3)]) / math.hypot(1.0, t)
+    for row in range(12):
+        given = readings(np.random.default_rng(row), 12, [row], 0.02, up=up)
+        assert not exactly(given, unknown_orientation=True, exclude="auto").excluded
+        known = exactly(given, exclude="auto")
+        assert [each.row for each in known.excluded] == [row + 1]
 
 
 @pytest.mark.parametrize("unknown", [False, True])
