@@ -42,7 +42,7 @@ Sources: J. Durbin, G. S. Watson, Biometrika 37, 1950 (2); G. Schwarz, Ann. Stat
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, lru_cache, partial, reduce
 from typing import NamedTuple
 
@@ -60,6 +60,7 @@ from multipos.sensor.found import Estimator
 from multipos.sensor.inverse import parameter_jacobian
 
 LEVEL = 0.01  # of all causes together
+_FIRST_SIGHT = 0.8  # of a limit, from which on p decides
 _LEAST = 2  # rows before and after a change
 _FREE = 2.0  # degrees of freedom an output: of one, its residuals by their size are a sign alone
 _IDENTIFIABLE = 1e-3  # of a column's square, which a fit must leave of it
@@ -287,7 +288,7 @@ def plan_of(c: Calibration) -> Plan | None:
     return _plan_of(_Setting(c)) if asked(c) and c.estimator is Estimator.LINEAR else None
 
 
-def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
+def search_units(plan: Plan, residuals: Array, slopes: Array, level: float = LEVEL) -> Shown:
     """Return what the causes explain in B units.
 
     Parameters
@@ -297,6 +298,8 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
         Whitened.
     slopes : (B, M, 3) array
         Of the outputs per g, by the same standard deviations.
+    level : float
+        Of all causes together, above which none is one.
     """
     e = np.ascontiguousarray(residuals.transpose(2, 0, 1)[plan.order])
     size = np.sqrt(np.einsum("nmb,nmb->mb", e, e))
@@ -309,36 +312,16 @@ def search_units(plan: Plan, residuals: Array, slopes: Array) -> Shown:
     score, p, step = np.full(shape, -np.inf), np.ones(shape), np.zeros(shape, dtype=np.intp)
     for row, test in enumerate(plan.tests):
         place, gain, explained = _best_steps(test, e, along, plan.nu)
-        units = np.flatnonzero((gain > test.limits[place]) & whole)
+        units = np.flatnonzero((gain > _FIRST_SIGHT * test.limits[place]) & whole)
         if len(units):
             given = e[:, :, units], slopes[units], place[units], explained[:, units], gain[units]
-            place[units], p[row, units], score[row, units] = _judge(plan, test, *given)
+            place[units], p[row, units], score[row, units] = _judge(plan, test, *given, level)
         step[row] = test.family.steps[place]
     del along  # of many rows it is large
     _judge_slow(plan, e, whole, score[-1], p[-1])
     codes = (*(test.family.code for test in plan.tests), SLOW)
     wholly = np.array([*(test.family.wholly for test in plan.tests), False])
     return Shown(codes, score, p, step, wholly)
-
-
-def search_by_noise(
-    plan: Plan, like: Calibration, residuals: Array, slopes: Array
-) -> Iterator[tuple[Places, Shown]]:
-    """Yield units whose outputs scatter otherwise than the plan has it, with what causes explain.
-
-    Those that scatter alike have a plan of their own. The directions of outputs are those of the
-    unit `like`, of which the plan is; the other parameters are those of `search_units`.
-    """
-    nu = np.array([len(Q) - Q.shape[1] for Q in plan.bases], dtype=np.float64)
-    sd = np.sqrt(np.einsum("mbn,mbn->bm", residuals, residuals) / nu)
-    kinds, kind = np.unique(_weights(_response(slopes), sd), axis=0, return_inverse=True)
-    planned = _Setting(like).balance
-    for place, weight in enumerate(kinds):
-        if (weight != planned).any():
-            mine = np.flatnonzero(kind == place)
-            own = _plan_of(_Setting(like, weight))
-            assert own is not None  # as the positions leave degrees of freedom
-            yield mine, search_units(own, residuals[:, mine], slopes[mine])
 
 
 def _along_force(plan: Plan, e: Array) -> Array:
@@ -408,7 +391,14 @@ def _together(logs: Array) -> Array:
 
 
 def _judge(
-    plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows, explained: Array, gain: Array
+    plan: Plan,
+    test: _Test,
+    e: Array,
+    slopes: Array,
+    place: Rows,
+    explained: Array,
+    gain: Array,
+    level: float = LEVEL,
 ) -> tuple[Rows, Array, Array]:
     """Return the step, p and S (U,) of units whose Λ is beyond the limit."""
     q, m = test.ranks[place], e.shape[1]
@@ -421,7 +411,7 @@ def _judge(
         place, gain = _refined(plan, test, e, slopes, place)
     p = np.minimum(_together(_log_tails(ratios, q, left)) * test.tried * plan.codes, 1.0)
     score = gain - columns * math.log(plan.freedom) - 2.0 * math.log(test.tried)
-    return place, p, np.where(p < LEVEL, score, -np.inf)
+    return place, p, np.where(p < level, score, -np.inf)
 
 
 def _refined(plan: Plan, test: _Test, e: Array, slopes: Array, place: Rows) -> tuple[Rows, Array]:
@@ -661,14 +651,19 @@ def _judge_slow(plan: Plan, e: Array, whole: Mask, score: Array, p: Array) -> No
     k = 8.0 / skewness**2
     if k >= 1.0 and not (mean + _SELDOM * sd < T).any():
         return  # of so skew a law its hundredth lies further out than a normal one's
-    limit = mean + sd * (chi2_quantile(1.0 - LEVEL / plan.codes, k) - k) / math.sqrt(2.0 * k)
-    units = np.flatnonzero((limit < T) & whole)
+    units = np.flatnonzero((_slow_limit(mean, sd, skewness, plan.codes) < T) & whole)
     if not len(units):
         return
     score[units] = _slow_gains(plan, e[:, :, units]) - math.log(plan.freedom)
     for unit in units.tolist():
         chance = chi2_tail(k + math.sqrt(2.0 * k) * (float(T[unit]) - mean) / sd, k)
         p[unit] = min(chance * plan.codes, LEVEL)
+
+
+def _slow_limit(mean: float, sd: float, skewness: float, codes: int) -> float:
+    """Return T of eq. (2) that chance seldom passes, one of so many causes."""
+    k = 8.0 / skewness**2
+    return mean + sd * (chi2_quantile(1.0 - LEVEL / codes, k) - k) / math.sqrt(2.0 * k)
 
 
 def _law_of_slow(
@@ -909,8 +904,8 @@ def _on_normals(family: _Family, along: _Along) -> Array:
     return np.asarray(np.sum(moved * along.weight, axis=-1, keepdims=True))
 
 
-def search_solutions(c: Calibration, of: Solution, slopes: Array) -> tuple[Places, list[str]]:
-    """Return which of B units at unknown orientations have a cause, and the best of each.
+def search_solutions(c: Calibration, of: Solution, slopes: Array) -> Mask:
+    """Return which of B units at unknown orientations may have a cause.
 
     Positions are those of each unit, so that no plan serves two. Another unit that differs in its
     slopes alone is left to `search`: where its bias is another one, too, that is found here.
@@ -925,47 +920,38 @@ def search_solutions(c: Calibration, of: Solution, slopes: Array) -> tuple[Place
     along = _Along.of_units(of, slopes, time_order(c))
     count, n, p = along.design.shape
     if n - p < _FREE:
-        return np.zeros(0, dtype=np.intp), []
+        return np.zeros(count, dtype=np.bool_)
     families = [family for family in _families(c, p) if family.code not in _OF_ATTITUDE]
     step = max(1, _AT_ONCE // n)
     parts = [slice(first, first + step) for first in range(0, count, step)]
-    score = np.concatenate(
-        [_score_along(families, _Along(*(each[units] for each in along))) for units in parts],
-        axis=1,
-    )
-    codes = [*(family.code for family in families), SLOW]
-    units = np.flatnonzero(score.max(axis=0) > -np.inf)
-    return units, [codes[place] for place in score[:, units].argmax(axis=0).tolist()]
+    found = [_shown_along(families, _Along(*(e[units] for e in along))) for units in parts]
+    return np.concatenate(found)
 
 
-def _score_along(families: list[_Family], along: _Along) -> Array:
-    """Return S (C + 1, B) of causes, slow noise last, −inf of what chance may do as well."""
+def _shown_along(families: list[_Family], along: _Along) -> Mask:
+    """Return in which units (B,) a cause or slow noise is beyond what chance may do as well."""
     count, n, p = along.design.shape
     nu = float(n - p)
     Q, e = np.linalg.qr(along.design)[0], along.misfit[:, :, None]
     e = e - Q @ (Q.swapaxes(1, 2) @ e)
     e /= np.linalg.norm(e, axis=1, keepdims=True)
-    score = np.full((len(families) + 1, count), -np.inf)
+    beyond = np.zeros(count, dtype=np.bool_)
     codes, numbers = _numbers(families)
-    for row, family, tried in zip(score, families, numbers, strict=False):
+    for family, tried in zip(families, numbers, strict=True):
         if family.wholly:
             continue
         explained, ranks = _explained_from(family.steps, _on_normals(family, along), Q, e)
         gain = -nu * np.log1p(-np.minimum(explained, 1.0 - _ROUNDING))
         for q in np.unique(ranks).tolist():
-            gain[(ranks == q) & ~(gain > _limit(q, nu, tried * codes))] = -np.inf
-        row[:] = np.max(gain - ranks * math.log(nu), axis=1) - 2.0 * math.log(tried)
+            beyond |= ((ranks == q) & (gain > _limit(q, nu, tried * codes))).any(axis=1)
     law = _law_of_slow(((_ALONE, Q),), along.across) if n <= _MOST else None
     if law is None:
-        return score
+        return beyond
     T = _inner(e, _correlations(_correlation(n), along.across) @ e)
     for unit in np.flatnonzero(law[0] + _SELDOM * law[1] < T).tolist():
-        mine, slow = ((_ALONE, Q[unit]),), (law[0][unit], law[1][unit], law[2][unit])
-        given = np.arange(n), mine, along.across[unit], (Q[unit],), np.ones((1, 1))
-        plan = Plan(*given, along.slopes[unit], nu, nu, (), codes, slow)
-        of_unit = score[-1, unit : unit + 1]
-        _judge_slow(plan, e[unit, :, :, None], np.ones(1, dtype=np.bool_), of_unit, np.ones(1))
-    return score
+        mean, sd, skewness = (float(each[unit]) for each in law)
+        beyond[unit] |= T[unit] > _slow_limit(mean, sd, skewness, codes)
+    return beyond
 
 
 def _explained_from(steps: Rows, Z: Array, Q: Array, e: Array) -> tuple[Array, Array]:

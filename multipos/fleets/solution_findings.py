@@ -48,9 +48,9 @@ def find_about_solutions(
 ) -> UnitFindings:
     """Return of which units (B,) at uncertain or unknown orientations terms are missing.
 
-    And of which outputs are unequally noisy, or causes of time explain what is left. Those near a
-    limit are fitted singly, as are those in which a term that the positions hardly show is
-    significant, a position sticks out, or a term competes with a cause.
+    And of which outputs are unequally noisy. Those near a limit are fitted singly, as are those in
+    which a term that the positions hardly show is significant, a position sticks out, or causes of
+    time explain what is left.
 
     Parameters
     ----------
@@ -65,7 +65,6 @@ def find_about_solutions(
     count, first, unknown = len(found.sound), 0, like is not None
     of_force = [kind.name in projections.OF_FORCE for kind in kinds]
     missing, unequal, singly = np.zeros((3, count), dtype=np.bool_)
-    causes: dict[str, Mask] = {}
     for solution in found.solutions:
         some = np.flatnonzero(found.sound[first : first + len(solution.objective)])
         units = first + some
@@ -98,11 +97,8 @@ def find_about_solutions(
             unequal[units] = (statistic > limit) & ~missing[units]
             singly[units] |= ~(np.abs(statistic - limit) >= DOUBTED * limit)
         if like is not None and row_order.asked(like):
-            some, codes = row_order.search_solutions(like, of, found.sensitivity[units])
-            singly[units[some]] |= missing[units[some]]
-            for unit, code in zip(units[some].tolist(), codes, strict=True):
-                causes.setdefault(code, np.zeros(count, dtype=np.bool_))[unit] = True
-    return UnitFindings({"missing-term": missing, "unequal-noise": unequal, **causes}, singly)
+            singly[units] |= row_order.search_solutions(like, of, found.sensitivity[units])
+    return UnitFindings({"missing-term": missing, "unequal-noise": unequal}, singly)
 
 
 def _stick_out(of: Solution) -> Mask:

@@ -250,7 +250,7 @@ def _listed(c: Calibration, table: Table, options: Mapping[str, Any]) -> Listed 
     if not isinstance(exact, Calibration):
         return None
     shared = _share_known(exact, table, as_listed)
-    tests = None if shared is None else unit_findings.unit_tests(exact, shared)
+    tests = None if shared is None else unit_findings.unit_tests(exact, shared, of_causes=True)
     return None if shared is None or tests is None else Listed(shared, tests)
 
 
@@ -440,8 +440,6 @@ def solve_task(task: Task) -> Solved:
         looked_at |= task.pattern.sought.find(task.values, task.stated, task.stated_dof, ~looked_at)
     if task.pattern.asked and isinstance(shared, SharedDesign):
         looked_at |= correlated_rows.find_correlated(shared.reference, task.values, found.residuals)
-    if listed is not None:
-        looked_at |= _may_be_hidden(listed, task, as_listed)
     named = _chi2_findings(shared, task, found)
     tested = UnitFindings({}, looked_at)
     if task.pattern.tests is not None and isinstance(shared, SharedDesign):
@@ -451,7 +449,6 @@ def solve_task(task: Task) -> Solved:
             task.values,
             found,
             task.temperature,
-            {"u": task.stated, "dof": task.stated_dof},
             named.get(_REJECTED, False),
         )
     if isinstance(shared, SharedSphere | uncertain_orientations.SharedOrientations):
@@ -461,6 +458,8 @@ def solve_task(task: Task) -> Solved:
         )
     if isinstance(shared, user_models.SharedExpression):
         tested = unit_findings.find_in_expressions(task.pattern.kinds, shared, found)
+    if listed is not None:
+        looked_at |= _may_be_hidden(listed, task, as_listed, tested.found["missing-term"])
     reasons = [LEFT if left else "" for left in (looked_at | tested.singly).tolist()]
     return Solved(
         task.units,
@@ -476,20 +475,16 @@ def solve_task(task: Task) -> Solved:
     )
 
 
-_NO_CAUSES = frozenset(("missing-term", "lack-of-fit", "placement"))  # of time or table, or a row
+def _may_be_hidden(listed: Listed, task: Task, found: Estimates, lacking: Mask) -> Mask:
+    """Return of which units (B,) orientations as listed may show what their errors hide.
 
-
-def _may_be_hidden(listed: Listed, task: Task, found: Estimates) -> Mask:
-    """Return of which units (B,) orientations as listed may show what their errors hide."""
+    A term that a unit is found to be lacking all the same is not hidden.
+    """
     rejected = _chi2_findings(listed.shared, task, found).get(_REJECTED, False)
-    stated = {"u": task.stated, "dof": task.stated_dof}
-    given = listed.shared, task.values, found, task.temperature, stated, rejected
+    given = listed.shared, task.values, found, task.temperature, rejected
     tested = unit_findings.find_in_units(listed.tests, *given)
-    hidden = tested.singly | ~(found.sound & (found.rms < CALM))
-    for code, units in tested.found.items():
-        if code not in _NO_CAUSES:
-            hidden |= units
-    return hidden
+    hidden = tested.singly | (tested.found["missing-term"] & ~lacking)
+    return np.asarray(hidden | ~(found.sound & (found.rms < CALM)))
 
 
 def _spread(shared: SharedDesign, time: Array, found: Estimates) -> tuple[Estimates, Mask]:

@@ -1,27 +1,25 @@
-"""Findings about the residuals of many units, as `fit` finds them of each.
+"""Which units of a fleet may have a finding: one look at the residuals of many units.
 
-- `unit_tests` returns what is worked out once, `UnitTests`; `find_in_units` what is found of each
-  unit, `UnitFindings`, `find_in_expressions` of user-defined models.
+- `unit_tests` returns what is worked out once, `UnitTests`; `find_in_units` what a look finds of
+  each unit, `UnitFindings`, `find_in_expressions` of user-defined models.
 - `lacking_in_batch` and `beyond_limit` are parts of it.
 
-What known positions alone decide is worked out once for all units: projections on missing terms,
-leverages, quantiles. The tests are then contractions over units:
+Causes are named in one place, by the `fit` of one unit (`multipos.diagnostics.examination`): a unit
+in which any of them may be is fitted singly. What known positions alone decide is worked out once:
+projections on missing terms, leverages, quantiles. The look is then contractions over units, of
 
 - missing terms, by the score tests of `multipos.diagnostics.score_tests`;
-- outliers, by studentised residuals, and where these are beyond the 1 % point by the second test of
-  `multipos.sensor.unlike_rows`, in which rows may be unequally noisy. Where two rows are off by
-  similar sizes, and by a quarter of what the nearest positions differ in, they may be interchanged:
-  the unit is left to the fit of one;
-- lack of fit and orientation errors (`multipos.diagnostics.variances`);
-- causes of time and table (`multipos.diagnostics.row_order`), with which all others compete by S of
-  eq. (3) there; where two are as good, or several rows are off, the unit is left to the fit of one.
+- rows, by the squares of studentised residuals and by how few rows have most of all squares;
+- repeats and orientation errors (`multipos.diagnostics.variances`);
+- causes of time and table (`multipos.diagnostics.row_order`).
 
-Where readings weigh unequally, each unit has its own leverages and its own scores: projections on
-the terms span the same beside the design, whatever the weights.
+A fleet is of one kind of sensor, so that all units may lack the same term. Where a term a sensor
+can have explains more than any other cause by S of eq. (3) of `multipos.diagnostics.row_order`, and
+nothing else shows, it is what `fit` names, and no unit is fitted again for it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -31,29 +29,19 @@ from numpy.typing import NDArray
 
 from multipos.diagnostics import projections
 from multipos.diagnostics.model_error import are_better_with, columns_of, largest_coefficients
-from multipos.diagnostics.residuals import outlier_of_rows
-from multipos.diagnostics.row_order import Plan, Shown, plan_of, search_by_noise, search_units
+from multipos.diagnostics.row_order import Plan, plan_of, search_units
 from multipos.diagnostics.score_tests import CLEAR, FINEST, LEVEL, explained_by, ratios_of
-from multipos.diagnostics.variances import (
-    Residuals,
-    across_the_force,
-    explain_equal,
-    explain_orientations,
-    explain_unequal,
-    prefers_orientations,
-)
+from multipos.diagnostics.variances import Residuals, across_the_force
 from multipos.estimation import known
 from multipos.estimation.batches import Estimates, model_coefficients
 from multipos.estimation.known import SharedDesign
-from multipos.estimation.stated_uncertainty import shrink_variances
 from multipos.estimation.user_models import SharedExpression, cofactors
-from multipos.finding import Finding
 from multipos.fleets.grouping import ONE_TEMPERATURE
-from multipos.numerics.arrays import COMPONENTS, Array, Mask, resolution, row_keys
+from multipos.numerics.arrays import COMPONENTS, Array, Mask, row_keys
 from multipos.numerics.quantiles import chi2_quantile, f_log_tails, f_quantile, f_tail
 from multipos.positions.headers import TEMPERATURE
 from multipos.results import frozen
-from multipos.sensor import fit_diagnostics, studentised, unlike_rows
+from multipos.sensor import fit_diagnostics, studentised
 from multipos.sensor.calibration import Calibration
 from multipos.sensor.found import Estimator
 from multipos.sensor.temperature import find_soaks
@@ -61,12 +49,9 @@ from multipos.sensor.temperature import find_soaks
 _NEAR = 0.05  # of ln p: what `f_log_tails` leaves open
 DOUBTED = 1e-3  # of a limit: what noise that has converged leaves open of a test
 _LEAST = 1e-300  # of a probability
-_ROUNDING = 1e-15  # of a sum of squares
-_COMPARABLE = 0.25  # of the largest squared residual: the next one may have the same cause
+_DOUBTFUL = 0.02  # level of causes: slopes and noise of a plan are those of another unit
 _CLOSE = 1.0  # of S, within which causes are as good
-_CONCENTRATED = 1.2, 1.55  # times the kurtosis of noise, where residuals show something, or not
-_FEW = 6.0  # degrees of freedom of an output
-_MOST = 1000  # positions of which the nearest two are looked for
+_CONCENTRATED = 1.2, 1.55  # times the kurtosis of noise, where chi-squared rejects it, or not
 
 
 @frozen
@@ -84,14 +69,12 @@ class UnitTests:
     leverage : (M, n) array
     repeats : (n,) array of int or None
         The number of the position of each row, where positions repeat.
-    nearest : float [g]
-        By which rows are off that are interchanged, at least.
     stated : bool
         Readings state a noise.
     order : Plan or None
         Of causes of time and table.
-    like : Calibration
-        The unit that was fitted.
+    of_causes : bool
+        Whether what orientation errors do to residuals is no finding: they are estimated.
     """
 
     projection: projections.Projection | None
@@ -99,10 +82,9 @@ class UnitTests:
     soaks: bool
     leverage: Array
     repeats: NDArray[np.intp] | None
-    nearest: float
     stated: bool
     order: Plan | None
-    like: Calibration
+    of_causes: bool = False
 
 
 class UnitFindings(NamedTuple):
@@ -112,14 +94,16 @@ class UnitFindings(NamedTuple):
     singly: Mask
 
 
-def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
+def unit_tests(
+    c: Calibration, shared: SharedDesign, *, of_causes: bool = False
+) -> UnitTests | None:
     """Return the tests of units that share the positions of one that was fitted.
 
     None where readings are fitted robustly.
     """
     if c.estimator is not Estimator.LINEAR or c.robust_weight is not None:
         return None
-    like, stated = c, c.noise is not None
+    stated = c.noise is not None
     if stated and not projections.is_level(c):
         c = replace(c, readings=replace(c.readings, u=None), variance_components=None)
     temperature = c.readings.environment.get(TEMPERATURE)
@@ -139,10 +123,9 @@ def unit_tests(c: Calibration, shared: SharedDesign) -> UnitTests | None:
         soaks=temperature is not None and find_soaks(temperature) is not None,
         leverage=np.stack([each.leverage for each in shared.by_output]),
         repeats=position if position.max() + 1 < len(position) else None,
-        nearest=_COMPARABLE * _nearest(c.reference),
         stated=stated,
         order=plan_of(c),
-        like=like,
+        of_causes=of_causes,
     )
 
 
@@ -157,25 +140,15 @@ def lacking_in_batch(c: Calibration) -> tuple[projections.Kind, ...]:
     return tuple(kind for kind in kinds if TEMPERATURE not in kind.name)
 
 
-def _nearest(reference: Array) -> float:
-    """Return the distance [g] between the two nearest of different references (n, 3)."""
-    different = np.unique(reference, axis=0)
-    if len(different) > _MOST:
-        return 0.0
-    apart = np.linalg.norm(different[:, None] - different[None], axis=2)
-    return float(apart[np.triu_indices(len(different), 1)].min(initial=math.inf))
-
-
 def find_in_units(
     tests: UnitTests,
     shared: SharedDesign,
     values: tuple[Array, ...],
     found: Estimates,
     temperature: Sequence[Array] = (),
-    stated: Mapping[str, Sequence[Array]] | None = None,
     rejected: Mask | bool = False,
 ) -> UnitFindings:
-    """Return what the residuals of B units show.
+    """Return which of B units lack a term and nothing else, and which may have another finding.
 
     Parameters
     ----------
@@ -187,69 +160,39 @@ def find_in_units(
     temperature : one array (B, n), or none
         Of each unit, where the model has no term of it. Units whose residuals follow it are fitted
         singly: the batch, whose units are each within `ONE_TEMPERATURE`, has no term to name.
-    stated : mapping of 'u' and 'dof' to M arrays (B, n), optional
-        Of readings, where each states its own.
     rejected : (B,) array of bool, optional
         Of which units chi-squared rejects the stated noise.
     """
-    of, sensitivity = _weigh(tests, shared, found), found.sensitivity
-    residuals = of.residuals
-    lacking_fit, of_fit = _lack_of_fit(tests, shared, values, residuals)
+    of = _weigh(tests, shared, found)
     warm = None
     if temperature and not any(TEMPERATURE in kind.name for kind in tests.kinds):
         weights = None if of.leverage is None or of.sd is None else of.sd**-2.0
-        e = of.error if weights is None else residuals
+        e = of.error if weights is None else of.residuals
         warm = _explained_by_temperature(shared, temperature[0], weights, e)
     significant, of_terms = _missing_terms(tests, shared, values, of, warm)
     named = significant.shape[1] - (0 if warm is None else warm.shape[1])
-    follow, significant = significant[:, named:].any(axis=1), significant[:, :named]
-    if of.leverage is None:
-        outlying, singly = _outliers(tests, shared, sensitivity, residuals, of.error, of.r2)
-        missing = _admissible(tests, shared, sensitivity, residuals, significant)
-    else:
-        outlying, singly, missing = _one_by_one(tests, shared, of, sensitivity, significant)
-    scored: Mask = np.zeros(len(missing), dtype=np.bool_)
-    shown = None
+    singly = significant[:, named:].any(axis=1)
+    lacks, significant = significant.any(axis=1), significant[:, :named]
+    singly |= _beyond(shared, of.r2) | _are_concentrated(of.error, rejected)
     if tests.order is not None:
-        slopes = np.zeros((*sensitivity.shape[:2], len(COMPONENTS)))
-        slopes[:, :, list(shared.model.sensed_axes)] = sensitivity
-        shown = _causes(tests, tests.order, of, slopes)
-        scored = scored | np.isfinite(shown.score.max(axis=0))
-    misplaced, of_positions = np.zeros_like(missing), np.full(len(missing), -np.inf)
-    if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
-        asked = np.asarray(~significant.any(axis=1))
-        misplaced, of_positions = _off_positions(shared, found.parameters, residuals, asked, scored)
-    codes = {
-        "missing-term": missing,
-        "outlier": outlying,
-        "lack-of-fit": lacking_fit,
-        "placement": misplaced,
-    }
-    singly |= follow
-    singly |= scored & outlying & misplaced  # are the other rows so as well?
-    if tests.soaks:
-        singly |= missing | scored
-    if of.leverage is not None:  # repeats and order were asked as of readings that weigh equally
-        singly |= scored | lacking_fit
-    if tests.order is not None and shown is not None and scored.any():
-        of_row, several = np.full(len(scored), -np.inf), np.zeros_like(scored)
-        share = of.r2[:, scored] / shared.dof[:, None, None]
-        of_row[scored], several[scored] = _one_row(tests.order, share)
-        rivals = np.stack([of_terms, of_row, of_fit, of_positions])
-        singly |= _compete(shown, codes, rivals) | (scored & outlying & several)
-    codes["placement"] = codes["placement"] & ~codes["outlier"]
-    indicated = lacking_fit | misplaced | scored | rejected
-    may_hide = _are_concentrated(of.error, indicated) & ~outlying & ~singly
-    for unit in np.flatnonzero(may_hide).tolist():
-        singly[unit] = _outlying_rows_of(tests.like, values, unit, stated or {}) is not None
-    return UnitFindings(codes, singly)
+        cause = _best_cause(tests.order, of, _sensed(shared, found.sensitivity))
+        singly |= (cause > -np.inf) & ~(lacks & (of_terms > cause + _CLOSE))
+    if not tests.of_causes:
+        singly |= _lack_of_fit(tests, shared, of.residuals)
+        if not tests.stated and sorted(shared.model.axes) == list(COMPONENTS):
+            singly |= _off_positions(shared, found.parameters, of.residuals) & ~lacks
+    if tests.soaks or of.leverage is not None:
+        singly |= lacks
+    asked = significant & ~singly[:, None]
+    missing = _admissible(tests, shared, found.sensitivity, of.residuals, asked)
+    return UnitFindings({"missing-term": missing}, singly)
 
 
-def _are_concentrated(error: Array, indicated: Mask) -> Mask:
+def _are_concentrated(error: Array, rejected: Mask | bool) -> Mask:
     """Return in which units (B,) so few rows have the squares that outliers may hide one another.
 
     The mean over rows of q², q the share of a row in the squares of M outputs, is 1 + 2/M times
-    that of equal rows, of normal noise; it is looked at closer where residuals show something.
+    that of equal rows, of normal noise.
     """
     m, count, n = error.shape
     share = np.zeros((count, n))
@@ -258,73 +201,27 @@ def _are_concentrated(error: Array, indicated: Mask) -> Mask:
         share += square / np.maximum(square.sum(axis=1, keepdims=True), _LEAST)
     kurtosis = np.einsum("bn,bn->b", share, share) * n / m**2
     usual = 1.0 + 2.0 / m
-    return np.asarray(kurtosis > np.where(indicated, _CONCENTRATED[0], _CONCENTRATED[1]) * usual)
+    return np.asarray(kurtosis > np.where(rejected, *_CONCENTRATED) * usual)
 
 
-def _outlying_rows_of(
-    like: Calibration,
-    values: Sequence[Array],
-    unit: int,
-    stated: Mapping[str, Sequence[Array]],
-) -> Finding | None:
-    """Return what `fit` finds of the rows of a unit that are off the fit of the others."""
-    y, u, dof = (
-        np.column_stack([each[unit] for each in columns]) if columns else None
-        for columns in (values, stated.get("u"), stated.get("dof"))
-    )
-    assert y is not None
-    readings = shrink_variances(replace(like.readings, values=y, u=u, dof=dof))
-    return outlier_of_rows(replace(like, readings=readings))
+def _sensed(shared: SharedDesign, sensitivity: Array) -> Array:
+    """Return the slopes of outputs along all three axes (B, M, 3)."""
+    slopes = np.zeros((*sensitivity.shape[:2], len(COMPONENTS)))
+    slopes[:, :, list(shared.model.sensed_axes)] = sensitivity
+    return slopes
 
 
-def _causes(tests: UnitTests, order: Plan, of: "_Weighed", sensed: Array) -> Shown:
-    """Return what causes of time and table explain, each where its unit's own plan shows it too."""
-    e, slopes = _in_order(of, sensed)
-    shown = search_units(order, e, slopes)
-    scored = np.flatnonzero(np.isfinite(shown.score.max(axis=0)))
-    if not len(scored) or of.leverage is not None:  # those are fitted singly
-        return shown
-    for units, own in search_by_noise(order, tests.like, e[:, scored], slopes[scored]):
-        for whole, part in zip(shown[1:4], own[1:4], strict=True):
-            whole[:, scored[units]] = part
-    return shown
+def _best_cause(order: Plan, of: "_Weighed", slopes: Array) -> Array:
+    """Return S (B,) of the best cause of time and table, −inf where chance does as well.
 
-
-def _compete(shown: Shown, codes: dict[str, Mask], rivals: Array) -> Mask:
-    """Keep the best of what explains the residuals of a unit, and return where two are as good.
-
-    Parameters
-    ----------
-    shown : Shown
-    codes : dict of four codes, each with the units (B,) that it is found of
-    rivals : (4, B) array
-        S of these.
+    Weights W leave residuals r with X'W r = 0, so that W r is as right of level weights; what
+    causes have in common with it is that of W, their size that of its mean.
     """
-    best = shown.score.max(axis=0)
-    scored = np.isfinite(best)
-    held = np.where(np.stack(list(codes.values())), rivals, -np.inf)
-    strongest, top = held.argmax(axis=0), held.max(axis=0)
-    with np.errstate(invalid="ignore"):
-        wins, close = scored & (best > top), scored & (np.abs(best - top) < _CLOSE)
-    for place, code in enumerate(list(codes)):
-        codes[code] = codes[code] & (~scored | ((strongest == place) & ~wins))
-    winner = shown.score.argmax(axis=0)
-    for place in np.unique(winner[wins]).tolist():
-        code = shown.codes[place]
-        codes[code] = codes.get(code, np.zeros_like(wins)) | (wins & (winner == place))
-    return np.asarray(close)
-
-
-def _one_row(order: Plan, share: Array) -> tuple[Array, Mask]:
-    """Return S (B,) of the row that is most off, and where a second one is nearly as far off.
-
-    By the share (M, B, n) of the squares of residuals that a row explains.
-    """
-    m, _, n = share.shape
-    left = np.partition(np.prod(1.0 - np.minimum(share, 1.0 - FINEST), axis=0), 1, axis=1)
-    gain = -order.nu * np.log(left[:, :2])
-    score = gain[:, 0] - m * math.log(order.freedom) - 2.0 * math.log(n)
-    return score, gain[:, 1] > _COMPARABLE * gain[:, 0]
+    e = of.error
+    if of.sd is not None:
+        root = np.sqrt(np.mean(of.sd**-2.0, axis=2, keepdims=True))
+        e, slopes = of.error / (of.sd * root), slopes * root[:, :, 0].T[:, :, None]
+    return np.asarray(search_units(order, e, slopes, _DOUBTFUL).score.max(axis=0))
 
 
 class _Weighed(NamedTuple):
@@ -364,72 +261,26 @@ def _weigh(tests: UnitTests, shared: SharedDesign, found: Estimates) -> _Weighed
     return _Weighed(found.residuals, error, r2, level)
 
 
-def _in_order(of: _Weighed, slopes: Array) -> tuple[Array, Array]:
-    """Return residuals (M, B, n) and slopes (B, M, 3) that causes are held against.
-
-    Weights W leave residuals r with X'W r = 0, so that W r is as right of level weights; what
-    causes have in common with it is that of W, their size that of its mean.
-    """
-    if of.sd is None:
-        return of.error, slopes
-    root = np.sqrt(np.mean(of.sd**-2.0, axis=2, keepdims=True))
-    return of.error / (of.sd * root), slopes * root[:, :, 0].T[:, :, None]
-
-
-def _one_by_one(
-    tests: UnitTests, shared: SharedDesign, of: _Weighed, sensitivity: Array, significant: Mask
-) -> tuple[Mask, Mask, Mask]:
-    """Return units (B,) with outliers, to be fitted singly, and that lack terms, each by itself."""
-    outlying, singly, missing = np.zeros((3, len(significant)), dtype=np.bool_)
-    assert of.sd is not None
-    assert of.leverage is not None
-    asked = significant.any(axis=1) | _beyond(shared, of.r2).any(axis=(0, 2))
-    for unit in np.flatnonzero(asked).tolist():
-        one, sd = slice(unit, unit + 1), of.sd[:, unit]
-        pairs = zip(shared.designs, sd, strict=True)
-        on = [np.linalg.qr(X / each[:, None])[0] for X, each in pairs], sd
-        own, error = replace(tests, leverage=of.leverage[:, unit]), of.error[:, one]
-        given = sensitivity[one], of.residuals[:, one], error, of.r2[:, one]
-        outlying[one], singly[one] = _outliers(own, shared, *given, on=on)
-        missing[one] = _admissible(own, shared, sensitivity[one], error, significant[one], on=on)
-    return outlying, singly, missing
-
-
-_On = tuple[Sequence[Array], Array]  # Q of whitened designs, and the sd (M, n) that whitens them
-
-
-def _as_one(shared: SharedDesign) -> _On:
-    """Return what units share whose readings weigh equally."""
-    return [each.Q for each in shared.by_output], np.ones((len(shared.by_output), 1))
-
-
 def _admissible(
-    tests: UnitTests,
-    shared: SharedDesign,
-    sensitivity: Array,
-    error: Array,
-    significant: Mask,
-    *,
-    on: _On | None = None,
+    tests: UnitTests, shared: SharedDesign, sensitivity: Array, residuals: Array, significant: Mask
 ) -> Mask:
     """Return of which units (B,) one of the kinds (B, K) is a term that a sensor can have."""
     found = np.zeros(len(significant), dtype=np.bool_)
     size = np.linalg.norm(sensitivity, axis=2).T
-    bases, sd = on or _as_one(shared)
+    bases = [each.Q for each in shared.by_output]
     for place in np.flatnonzero(significant.any(axis=0)).tolist():
         assert tests.projection is not None
         name = tests.projection.names[place]
-        kinds = [kind for kind in tests.kinds if kind.name == name]
         if name in tests.projection.hidden:
             continue
+        kinds = [kind for kind in tests.kinds if kind.name == name]
         units = np.flatnonzero(significant[:, place] & ~found)
-        outputs = range(len(error))
-        added = [
-            columns_of(kinds, i, shared.reference, shared.environment) / sd[i][:, None]
-            for i in outputs
-        ]
-        largest = [np.outer(largest_coefficients(kinds, i), size[i, units]) for i in outputs]
-        found[units] = are_better_with(bases, added, largest, error[:, units].transpose(0, 2, 1))
+        added, largest = [], []
+        for i in range(len(residuals)):
+            added.append(columns_of(kinds, i, shared.reference, shared.environment))
+            largest.append(np.outer(largest_coefficients(kinds, i), size[i, units]))
+        left = residuals[:, units].transpose(0, 2, 1)
+        found[units] = are_better_with(bases, added, largest, left)
     return found
 
 
@@ -640,43 +491,10 @@ def _limits(used: NDArray[np.intp]) -> Array:
     return limit
 
 
-def _outliers(
-    tests: UnitTests,
-    shared: SharedDesign,
-    sensitivity: Array,
-    residuals: Array,
-    error: Array,
-    r2: Array,
-    *,
-    on: _On | None = None,
-) -> tuple[Mask, Mask]:
-    """Return of which units a reading is an outlier, and which are to be fitted singly."""
-    m, count, n = error.shape
-    outlying, singly = np.zeros((2, count), dtype=np.bool_)
-    beyond = _beyond(shared, r2)
-    units = np.flatnonzero(beyond.any(axis=(0, 2)))
-    outlying[units] = True
-    if len(units) and m > 1 and shared.dof.min() >= studentised.ROWS_NAMED:
-        questioned = np.moveaxis(beyond[:, units], 0, 2)
-        bases, _ = on or _as_one(shared)
-        given = np.moveaxis(error[:, units], 0, 2), tests.leverage.T, bases, questioned
-        p = unlike_rows.p_values_of_units(*given)
-        few = (np.isnan(p) & questioned).any(axis=(1, 2))
-        outlying[units] = few | (p < studentised.OUTLIER_LEVEL / (m * n)).any(axis=(1, 2))
-    # as readings are off from the fit without their row, in units of the output's scale factor
-    off = residuals[:, outlying] / np.maximum(1.0 - tests.leverage, _LEAST)[:, None]
-    size = np.linalg.norm(sensitivity[outlying], axis=2).T[:, :, None]
-    with np.errstate(over="ignore"):  # of any size
-        sizes = np.sort(np.sum((off / size) ** 2, axis=0), axis=1)
-    largest = sizes[:, -1]
-    singly[outlying] = (sizes[:, -2] > _COMPARABLE * largest) & (largest > tests.nearest**2)
-    return outlying, singly
-
-
 def _beyond(shared: SharedDesign, r2: Array) -> Mask:
-    """Return which of the studentised squares (M, B, n) are beyond the 1 % point."""
+    """Return in which units (B,) a studentised square (M, B, n) is beyond the 1 % point."""
     limit = np.array([_limit(float(nu), len(r2) * r2.shape[2]) for nu in shared.dof.tolist()])
-    return np.asarray(r2 > limit[:, None, None])
+    return np.asarray((r2 > limit[:, None, None]).any(axis=(0, 2)))
 
 
 @lru_cache(64)
@@ -684,13 +502,8 @@ def _limit(nu: float, readings: int) -> float:
     return studentised.largest_square(nu, readings) if nu >= 2.0 else math.inf
 
 
-def _off_positions(
-    shared: SharedDesign, parameters: Array, residuals: Array, asked: Mask, scored: Mask
-) -> tuple[Mask, Array]:
-    """Return of which units residuals lie across the force, as orientation errors make them.
-
-    Of those scored, S (B,) of eq. (3) of `multipos.diagnostics.row_order` beside it.
-    """
+def _off_positions(shared: SharedDesign, parameters: Array, residuals: Array) -> Mask:
+    """Return of which units residuals lie across the force, as orientation errors make them."""
     model, (_, count, n) = shared.model, residuals.shape
     rows = 1 if model.is_linear else n  # of one slope all have it
     force = np.ascontiguousarray(
@@ -706,45 +519,20 @@ def _off_positions(
         force=shared.reference,
         stated=np.zeros((count, n, 3)),
     )
-    found = across_the_force(of) & asked
-    score = np.full(count, -np.inf)
-    units = np.flatnonzero(found)
-    # three outputs that sense no rotation tell nothing of it
-    found[units] = np.linalg.matrix_rank(of.slopes[units].mean(axis=1)) == len(COMPONENTS)
-    units = np.flatnonzero(found)
-    if len(units):
-        some = of.some(units)
-        moved = explain_orientations(some)
-        found[units] = prefers_orientations(explain_equal(some), moved)
-        beside = scored[units] & found[units]
-        if beside.any():  # two variances for three
-            unequal = explain_unequal(some.some(np.flatnonzero(beside))).deviance
-            score[units[beside]] = unequal - moved.deviance[beside] + math.log(of.freedom)
-    return found, score
+    return across_the_force(of)
 
 
-def _lack_of_fit(
-    tests: UnitTests, shared: SharedDesign, values: Sequence[Array], residuals: Array
-) -> tuple[Mask, Array]:
-    """Return of which units repeats agree better than the model meets them, and S of that (B,)."""
-    found = np.zeros(residuals.shape[1], dtype=np.bool_)
-    score = np.zeros(len(found))
+def _lack_of_fit(tests: UnitTests, shared: SharedDesign, residuals: Array) -> Mask:
+    """Return of which units repeats agree better than the model meets them."""
+    beyond = np.zeros(residuals.shape[1], dtype=np.bool_)
     if tests.repeats is None:
-        return found, score
-    level = LEVEL / len(residuals)
-    for each, y, design in zip(residuals, values, shared.designs, strict=True):
+        return beyond
+    for each, design in zip(residuals, shared.designs, strict=True):
         tested = fit_diagnostics.lack_of_fit_ratios(
             each, tests.repeats, design.shape[1], np.ones(len(design))
         )
-        if tested is None:
-            continue
-        f, lack, pure = tested
-        beyond = np.flatnonzero(f > f_quantile(1.0 - level, float(lack), float(pure)))
-        freedom = float(np.subtract(*design.shape))
-        score += (lack + pure) * np.log1p(lack * f / pure)
-        score -= lack * math.log(float(shared.dof.sum()))
-        for unit in beyond.tolist():
-            sd = math.sqrt(float(each[unit] @ each[unit]) / freedom)
-            # repeats that agree because they are rounded say nothing of the noise
-            found[unit] |= sd > resolution(y[unit])
-    return found, score
+        if tested is not None:
+            f, lack, pure = tested
+            limit = f_quantile(1.0 - LEVEL / len(residuals), float(lack), float(pure))
+            beyond |= f > limit
+    return beyond

@@ -29,15 +29,11 @@ from multipos.fleets.sources import Rows, _labelled
 from multipos.fleets.suspects import _ends_repeat, find_suspects
 from multipos.fleets.unit_findings import (
     _explained_by_temperature,
-    _lack_of_fit,
     _missing_terms,
-    _one_row,
-    _outliers,
     unit_tests,
 )
 from multipos.numerics.rotations import directions, rotation_matrix
 from multipos.sensor.model import build_model
-from multipos.sensor.studentised import OUTLIER_LEVEL, ROWS_NAMED, largest_square
 
 
 @pytest.mark.parametrize("kind", ["trend", "step"])
@@ -72,20 +68,6 @@ def test_a_station_that_changed_is_said_with_its_size_and_u(kind, monkeypatch):
     assert (said["value"], said["u"]) == (pytest.approx(size), pytest.approx(u))
     assert (said["name"], said["p"], said["order"]) == ("b", 0.003, "time")
     assert line._said(units, False, "s", 1, np.arange(n), after, 0.003)["time"] is None
-
-
-def test_the_row_that_is_most_off_of_a_unit():
-    """−ν ln Π(1 − share) of outputs, less the price of so many numbers and of the choice."""
-    share = np.array([[[0.1, 0.6, 0.2, 0.55], [0.1, 0.6, 0.2, 0.0]], [[0.0, 0.3, 0.1, 0.3]] * 2])
-    score, second = _one_row(SimpleNamespace(nu=7.0, freedom=18.0), share)
-    gain = [-7.0 * math.log(0.4 * 0.7), -7.0 * math.log(0.45 * 0.7)]
-    price = 2 * math.log(18.0) + 2 * math.log(4)
-    np.testing.assert_allclose(score, gain[0] - price)
-    from multipos.fleets.unit_findings import _COMPARABLE
-
-    others = [gain[1], -7.0 * math.log(0.8 * 0.9)]
-    others[1] = max(others[1], -7.0 * math.log(0.7))
-    assert second.tolist() == [other > _COMPARABLE * gain[0] for other in others]
 
 
 def test_levels_of_stations_are_turns_from_the_typical_unit(monkeypatch):
@@ -315,58 +297,6 @@ def test_what_temperatures_of_units_explain_by_regression(weighted):
     np.testing.assert_allclose(found, wanted, rtol=1e-6)
 
 
-def test_lack_of_fit_by_the_means_of_repeats():
-    rng = np.random.default_rng(2)
-    up = np.repeat(directions(rng.normal(size=(7, 3))), [3, 2, 2, 1, 2, 2, 1], axis=0)
-    place = np.repeat(np.arange(7), [3, 2, 2, 1, 2, 2, 1])
-    X = np.column_stack([np.ones(13), up])
-    size = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 9.0])
-    values, residuals = [], []
-    for i in range(2):
-        y = 1e-3 * rng.normal(size=(8, 13)) + size[:, None] * 1e-3 * rng.normal(size=7)[place]
-        y += up[:, i]
-        values.append(y)
-        residuals.append(left_by(X, y.T).T)
-    shared = SimpleNamespace(designs=[X, X], dof=np.array([9.0, 9.0]))
-    tests = SimpleNamespace(repeats=place)
-    found, score = _lack_of_fit(tests, shared, values, np.stack(residuals))
-    wanted, S = np.zeros(8, dtype=bool), np.zeros(8)
-    for y, e in zip(values, residuals, strict=True):
-        means = np.array([[row[place == k].mean() for k in range(7)] for row in y])
-        pure = ((y - means[:, place]) ** 2).sum(axis=1)
-        whole = (e**2).sum(axis=1)
-        F = (whole - pure) / 3 / (pure / 6)
-        wanted |= f.sf(F, 3, 6) < 0.01 / 2
-        S += 9 * np.log(whole / pure) - 3 * math.log(18.0)
-    assert found.tolist() == wanted.tolist()
-    assert 0 < wanted.sum() < 8
-    np.testing.assert_allclose(score, S, rtol=1e-6)
-    for step, said in ((0.9, True), (1.1, False)):  # repeats that agree as they are rounded
-        sd = math.sqrt(residuals[0][7] @ residuals[0][7] / 9.0)
-        coarse = [np.round(y / (step * sd)) * step * sd for y in values]
-        alone = SimpleNamespace(designs=[X], dof=np.array([9.0]))
-        assert _lack_of_fit(tests, alone, coarse[:1], residuals[0][None])[0][7] == said
-
-
-def test_rows_that_are_off_and_whether_a_second_one_is():
-    """Studentised squares beyond the limit; a second one of a quarter of the first is as far."""
-    m, count, n = 2, 4, 30
-    error = 0.5 * np.random.default_rng(3).choice([-1.0, 1.0], size=(m, count, n))
-    r2 = np.full((m, count, n), 0.9)
-    shared = SimpleNamespace(dof=np.array([5.0, 5.0]))  # of too few to ask for noisy rows
-    tests = SimpleNamespace(leverage=np.full((m, n), 0.2), nearest=0.05)
-    limit = largest_square(5.0, m * n)
-    r2[1, :, 4] = np.array([0.99, 1.01, 1.01, 1.01]) * limit
-    sensitivity = np.tile(np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0]]), (count, 1, 1))
-    residuals = np.full((m, count, n), 1e-4)
-    for unit, (first, second) in enumerate([(0.1, 0.09), (0.1, 0.049), (0.1, 0.051), (0.03, 0.02)]):
-        residuals[1, unit, 4], residuals[0, unit, 9] = first, second * 2.5
-    found, singly = _outliers(tests, shared, sensitivity, residuals, error, r2)
-    assert found.tolist() == [False, True, True, True]
-    # off by r/(1 − h)/size: .0625 and half of it, and .01875, which no interchange makes
-    assert singly.tolist() == [False, False, True, False]
-
-
 def test_the_part_of_gravity_and_what_comes_of_single_fits():
     # u = √(u² + (k u_g/g θ)²) of a parameter of degree k in the force, ν by the fourth power
     degrees = LINEAR.force_degrees
@@ -444,28 +374,6 @@ def test_stations_that_are_off_are_taken_out_one_by_one():
 
 
 @pytest.mark.parametrize(
-    ("dof", "outputs", "p", "found"),
-    [(44.0, 2, 0.99, True), (44.0, 2, 1.01, False), (44.0, 2, math.nan, True),
-     (44.0, 1, 1.01, True), (ROWS_NAMED, 2, 1.01, False), (ROWS_NAMED - 1, 2, 1.01, True)],
-)  # fmt: skip
-def test_rows_that_stick_out_of_noisy_ones(dof, outputs, p, found, monkeypatch):
-    """By a p of their own, of as many readings as there are, where there are outputs to compare."""
-    n = 50
-    r2 = np.full((outputs, 1, n), 0.9)
-    r2[0, 0, 7] = 1.01 * largest_square(float(dof), outputs * n)
-    each = np.full((1, n, outputs), 0.5)
-    each[0, 7, 0] = p * OUTLIER_LEVEL / (outputs * n)
-    monkeypatch.setattr(unit_findings.unlike_rows, "p_values_of_units", lambda *given: each)
-    shared = SimpleNamespace(
-        dof=np.full(outputs, float(dof)), by_output=[SimpleNamespace(Q=None)] * outputs
-    )
-    tests = SimpleNamespace(leverage=np.full((outputs, n), 0.1), nearest=0.05)
-    error, sensitivity = np.ones((outputs, 1, n)), np.ones((1, outputs, 3))
-    outlying, _ = _outliers(tests, shared, sensitivity, 0.01 * error, error, r2)
-    assert outlying.tolist() == [found]
-
-
-@pytest.mark.parametrize(
     ("fitted_with", "asked_for", "shared"),
     [
         ({}, {}, "SharedDesign"),
@@ -513,21 +421,6 @@ def test_what_units_share_with_one_that_was_fitted(fitted_with, asked_for, share
     assert (found.fixture is not None) == known
     assert (found.timed, found.quick) == (timed, known)
     assert (found.gravity is not None) == ("gravity" in options)
-
-
-def test_residuals_of_unlike_weights_are_held_as_weighted():
-    """W r over the mean weight's root, and slopes by that root; of level weights as they are."""
-    rng = np.random.default_rng(7)
-    r, sd = rng.normal(size=(3, 4, 9)), rng.uniform(0.5, 2.0, (3, 4, 9))
-    slopes = rng.normal(size=(4, 3, 3))
-    error, moved = unit_findings._in_order(SimpleNamespace(error=r / sd, sd=sd), slopes)
-    for i, unit in np.ndindex(3, 4):
-        root = math.sqrt(np.mean(1.0 / sd[i, unit] ** 2))
-        np.testing.assert_allclose(error[i, unit], r[i, unit] / sd[i, unit] ** 2 / root)
-        np.testing.assert_allclose(moved[unit, i], slopes[unit, i] * root)
-    level = unit_findings._in_order(SimpleNamespace(error=r, sd=None), slopes)
-    assert level[0] is r
-    assert level[1] is slopes
 
 
 @dataclass
@@ -578,23 +471,6 @@ def test_texts_in_columns_of_labels_become_labels():
     assert found.columns["unit"].names == ("u", "v")
     assert found.columns["weight"] is weight
     assert list(found.columns) == ["unit", "weight", "ax"]
-
-
-def test_of_what_explains_the_residuals_of_a_unit_the_best_is_kept():
-    """Units of a drift alone, of one far better and far worse than a row, of two alike, of none."""
-    shown = SimpleNamespace(score=np.array([[9.0, 30.0, 9.0, 9.5, -np.inf]]), codes=("drift",))
-    codes = {
-        "terms": np.zeros(5, dtype=bool),
-        "outlier": np.array([False, True, True, True, True]),
-        "fit": np.array([False, True, False, False, True]),
-        "placement": np.zeros(5, dtype=bool),
-    }
-    rivals = np.tile([[50.0], [9.25], [9.0], [50.0]], (1, 5))
-    rivals[1, 2] = 40.0
-    assert unit_findings._compete(shown, codes, rivals).tolist() == [False] * 3 + [True, False]
-    assert codes["drift"].tolist() == [True, True, False, True, False]
-    assert codes["outlier"].tolist() == [False, False, True, False, True]
-    assert codes["fit"].tolist() == [False, False, False, False, True]
 
 
 @pytest.mark.parametrize(("sd", "mean"), [(2.34e-5, "1.2346"), (None, "1.23")])
