@@ -1,8 +1,8 @@
 """Columns of a long text table: bytes, which become cells or numbers when they are asked for.
 
-`read_plain` returns the columns of a text, `joined_cells`, `arrange_cells` and `spread_cells` those
-of several texts, of some rows in an order of their own, and of rows by kind; `rows_of_text` leaves
-comments out, `unix_lines` gives lines one end.
+`read_plain` returns the columns of a text, `joined_cells` and `arrange_cells` those of several
+texts and of some rows in an order of their own; `rows_of_text` leaves comments out, `unix_lines`
+gives lines one end.
 
 A cell that is a Python string takes ten times the memory of its characters, and most cells of a
 long table are numbers of a column that is asked for once, or of one that nobody uses. So the bytes
@@ -26,7 +26,7 @@ from multipos.errors import MultiposError
 from multipos.files.printed import COMMENTS, is_comment, is_row
 from multipos.files.spelling import StrPath
 from multipos.files.whole import reading
-from multipos.numerics.arrays import Array, Places, places_of_kinds
+from multipos.numerics.arrays import Array, Places
 
 Column = Sequence[Any] | NDArray[Any]  # of a table
 
@@ -101,27 +101,21 @@ class Cells(Sequence[str]):
     ----------
     raw : bytes
     pieces : sequence of _Piece
-        Where its rows are; the last may go on after them.
+        Where its rows are.
     place : int
         Of the column.
     mark : str
         Between cells.
-    skipped : int
-        Rows of the first piece that are none of the column.
-    whole : bool
-        All rows of the pieces are of the column.
     """
 
     def __init__(
-        self, raw: Raw, pieces: Sequence[_Piece], rows: int, place: int, mark: str, skipped: int = 0
+        self, raw: Raw, pieces: Sequence[_Piece], rows: int, place: int, mark: str
     ) -> None:
-        """Name the rows of some pieces that come after those that are skipped."""
+        """Name the rows of some pieces."""
         self.raw: Raw = raw
         self.pieces: Sequence[_Piece] = pieces
         self.place: int = place
         self.mark: str = mark
-        self.skipped: int = skipped
-        self.whole = True
         self._rows = rows
         self._firsts = np.array([piece.first for piece in pieces])
         self._last: tuple[int, list[str]] = (-1, [])
@@ -130,11 +124,8 @@ class Cells(Sequence[str]):
         return self._rows
 
     def __iter__(self) -> Iterator[str]:
-        skipped, left = self.skipped, self._rows
         for piece in self.pieces:
-            cells = self._split(_rows_of(self.raw, piece))[skipped : skipped + left]
-            yield from cells
-            skipped, left = 0, left - len(cells)
+            yield from self._split(_rows_of(self.raw, piece))
 
     @overload
     def __getitem__(self, row: int) -> str: ...
@@ -145,36 +136,17 @@ class Cells(Sequence[str]):
     def __getitem__(self, row: int | slice) -> str | list[str]:
         if isinstance(row, slice):
             return [self[i] for i in range(*row.indices(self._rows))]
-        place = range(self._rows)[row] + int(self._firsts[0]) + self.skipped
+        place = range(self._rows)[row]
         number = int(np.searchsorted(self._firsts, place, side="right")) - 1
         if number != self._last[0]:
             self._last = number, self._split(_rows_of(self.raw, self.pieces[number]))
         cells = self._last[1]
         return cells[place - self.pieces[number].first]
 
-    def part(self, start: int, stop: int) -> "Cells":
-        """Return the rows from start to stop as a column of its own."""
-        if (start, stop) == (0, self._rows):
-            return self
-        place = start + int(self._firsts[0]) + self.skipped
-        first, last = np.searchsorted(
-            self._firsts, [place, place + stop - start - 1], side="right"
-        ).tolist()
-        pieces = self.pieces[first - 1 : last]
-        skipped = place - pieces[0].first
-        part = Cells(self.raw, pieces, stop - start, self.place, self.mark, skipped)
-        part.whole = False
-        return part
-
     def numbers(self, parse: Callable[[list[str]], Array], *, decimal_comma: bool) -> Array:
         """Return the column as numbers (n,): by NumPy's reader, by `parse` where it stumbles."""
-        found = np.concatenate(
-            [
-                self._numbers(_rows_of(self.raw, piece), parse, decimal_comma)
-                for piece in self.pieces
-            ]
-        )
-        return found[self.skipped : self.skipped + self._rows]
+        rows = (_rows_of(self.raw, piece) for piece in self.pieces)
+        return np.concatenate([self._numbers(each, parse, decimal_comma) for each in rows])
 
     def _numbers(
         self, rows: list[str], parse: Callable[[list[str]], Array], decimal_comma: bool
@@ -197,14 +169,14 @@ class Cells(Sequence[str]):
 
 
 def joined_cells(columns: Sequence[Column]) -> Cells | None:
-    """Return a column of several texts as one; None where one is not whole and in memory."""
+    """Return a column of several texts as one; None where one is not in memory."""
     parts: list[bytes] = []
     marks: set[tuple[int, str]] = set()
     for column in columns:
         if not isinstance(column, Cells) or not isinstance(column.raw, bytes):
             return None
         pieces = column.pieces
-        if len(pieces) > 1 or not column.whole:
+        if len(pieces) > 1:
             return None
         marks.add((column.place, column.mark))
         text = column.raw[pieces[0].start : pieces[0].end]
@@ -220,7 +192,7 @@ def arrange_cells(columns: Mapping[str, Cells], rows: Places) -> dict[str, Cells
     """Return some rows of columns of one text in an order of their own, in memory."""
     one = next(iter(columns.values()))
     lines = np.array([line for piece in one.pieces for line in _rows_of(one.raw, piece)], object)
-    arranged = lines[rows + one.skipped]
+    arranged = lines[rows]
     del lines
     stream, pieces = io.BytesIO(), []
     for first in range(0, len(rows), _TOGETHER):
@@ -231,50 +203,6 @@ def arrange_cells(columns: Mapping[str, Cells], rows: Places) -> dict[str, Cells
     raw = stream.getvalue()
     return {
         name: Cells(raw, pieces, len(rows), each.place, each.mark) for name, each in columns.items()
-    }
-
-
-def spread_cells(
-    columns: Mapping[str, Cells], kinds: NDArray[np.int16], count: int, path: Path
-) -> Callable[[int], dict[str, Cells]]:
-    """Copy the rows of a table into a new file in which those of a kind can be read alone.
-
-    Parameters
-    ----------
-    columns : mapping of name to Cells
-        Whole columns of one text.
-    kinds : (n,) array of int
-        Of every row, counted from 0; a row below 0 is left out.
-    count : int
-        How many kinds there are.
-    path : path
-
-    Returns
-    -------
-    callable
-        The columns of a kind, with its rows in their order.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    """
-    one = next(iter(columns.values()))
-    pieces: list[list[_Piece]] = [[] for _ in range(count)]
-    rows = [0] * count
-    with path.open("xb") as stream:
-        for piece in one.pieces:
-            lines = np.array(_rows_of(one.raw, piece), dtype=np.object_)
-            mine = kinds[piece.first : piece.first + len(lines)]
-            for kind, places in places_of_kinds(mine, count):
-                start = stream.tell()
-                stream.write(_joined_lines(lines[places]))
-                pieces[kind].append(_Piece(start, stream.tell(), rows[kind]))
-                rows[kind] += len(places)
-    raw = FileBytes(path, "copy of a table")
-    return lambda kind: {
-        name: Cells(raw, pieces[kind], rows[kind], each.place, each.mark)
-        for name, each in columns.items()
     }
 
 

@@ -3,9 +3,8 @@
 - `fit_many` returns the table; `fit_units` the numbers it is made of, also for a fleet.
 - `averaging_options` and `with_rests` are what raw logs take of the options of `fit`.
 
-Every number is that of `fit` of the unit's rows alone; what units share is worked out once. Rows of
-files are read and solved piece by piece (`multipos.fleets.cutting`, `multipos.fleets.pieces`), so
-that only what is found of every unit stays in memory.
+Every number is that of `fit` of the unit's rows alone; what units share is worked out once
+(`multipos.fleets.tasks`).
 """
 
 import warnings
@@ -21,14 +20,12 @@ from multipos.errors import CalibrationWarning, UsageError
 from multipos.files.tables import Source
 from multipos.fitting.fit_readings import fit
 from multipos.fitting.options import FitOptions, takes_options
-from multipos.fleets.cutting import cut_rows
-from multipos.fleets.grouping import Grouped, group_rows
-from multipos.fleets.labels import Codes, Labels, joined_labels
-from multipos.fleets.pieces import _FEWEST, Known, Piece
+from multipos.fleets.grouping import Grouped, group_rows, put_together
+from multipos.fleets.labels import Labels, joined_labels
 from multipos.fleets.sources import Averaging, Rows, read_rows
+from multipos.fleets.tasks import FEWEST, Tasks
 from multipos.fleets.unit_results import Units, UnitsFound
 from multipos.fleets.workers import open_engine
-from multipos.numerics.arrays import Places
 from multipos.positions.scheme import read_scheme
 from multipos.results import Columns
 from multipos.uncertainty.budgets import read_budget
@@ -121,7 +118,7 @@ def fit_units(
     rows, owners = read_rows(tables, unit_column, station_column, raw=how)
     grouped = group_rows(owners)
     del owners  # which take memory, and are known by units
-    threads = executor is None and len(grouped) >= _FEWEST
+    threads = executor is None and len(grouped) >= FEWEST
     opened = open_engine("threads") if threads else nullcontext(executor)
     # what single fits warn of is a column of the result
     with opened as running, warnings.catch_warnings(action="ignore", category=CalibrationWarning):
@@ -151,37 +148,33 @@ def _solve(
     *,
     fixtures: bool = False,
 ) -> Units:
-    """Return the numbers of units, piece by piece, and behind them files that cannot be read."""
-    known, more = Known(options, fixtures=fixtures), len(rows.failed)
-    found, times = UnitsFound(len(grouped) + more), np.full(len(grouped) + more, np.nan)
+    """Return the numbers of units, and behind them files that cannot be read."""
+    more, count = len(rows.failed), len(grouped)
     unit, first = grouped.unit, grouped.firsts
+    rows, grouped = put_together(rows, grouped)
+    tasks = Tasks(rows, grouped, options, fixtures=fixtures)
+    found, times = UnitsFound(count + more), np.full(count + more, np.nan)
+    for solved in tasks.solve(executor, folder, report):
+        found.take(solved)
+    if "time" in rows.columns:
+        times[:count] = tasks.times()
     if more:
         first = np.append(first, rows.count + np.arange(more))
-        names, found.reasons[len(grouped) :] = zip(*rows.failed, strict=True)
+        names, found.reasons[count:] = zip(*rows.failed, strict=True)
         unit = joined_labels([unit, Labels(np.arange(more, dtype=np.int32), names)])
-    stations = _in_order_of_coming(grouped.station.codes)
-    with cut_rows(rows, grouped, folder) as cuts:
-        for cut in cuts:
-            mine = slice(cut.first, cut.first + len(cut.grouped))
-            piece = Piece(cut.rows, cut.grouped, stations[mine], cut.first, known)
-            for solved in piece.solve(executor, folder, report):
-                found.take(solved)
-            if "time" in cut.rows.columns:
-                times[mine] = piece.times()
-            del cut, piece  # before the next one is read
     return Units(
         unit=unit,
         station=(*grouped.station, *[""] * more),
-        model=known.model,
+        model=tasks.model,
         **vars(found),
         first=first,
         time=times,
         confidence=float(options.get("confidence", 0.95)),
-        gravity_u=known.gravity_u,
+        gravity_u=tasks.gravity_u,
         sources=tuple((table.source, table.sha256) for table in rows.tables),
         counted=rows.counted and not more,
         key=rows.unit_column,
-        notes=(*rows.findings, *known.notes),
+        notes=(*rows.findings, *tasks.notes),
     )
 
 
@@ -195,10 +188,3 @@ def _read_options(options: Mapping[str, Any]) -> dict[str, Any]:
     if given.get("budget") is not None:
         given["budget"] = read_budget(given["budget"])
     return given
-
-
-def _in_order_of_coming(codes: Codes) -> Places:
-    """Return codes (B,) as 0, 1, … in the order in which they first come."""
-    coming = codes.tolist()
-    rank = {code: place for place, code in enumerate(dict.fromkeys(coming))}
-    return np.array([rank[code] for code in coming], dtype=np.intp)

@@ -27,9 +27,10 @@ from multipos.fleets import fit_many, line, pictures, quality
 from multipos.fleets.one_unit import asked
 from multipos.fleets.outlying_units import find_outliers
 from multipos.fleets.stations import describe_stations
-from multipos.fleets.unit_results import Units
-from multipos.fleets.verdicts import PASS, VERDICTS, column, judge_units
+from multipos.fleets.unit_results import Texts, Units
+from multipos.fleets.verdicts import FAIL, PASS, VERDICTS, column, judge_units
 from multipos.fleets.workers import Engine, open_engine
+from multipos.numerics.arrays import Mask
 from multipos.results import Columns, Drawn, Result, frozen, plain_dict
 
 SCHEMA = "multipos/fleet/1"
@@ -43,7 +44,8 @@ class Fleet(Result, Drawn):
     ----------
     summary : mapping
         What `fleet.json` holds: input, asked, units, fitted, failed, yield, parameters, outliers,
-        stations, drift, and beside them causes, verdicts, limits.
+        stations, drift, and beside them verdicts, causes with the first unit of each, units that
+        are unfit or outside their limits.
     calibrations : Columns
         One row a unit: every parameter, ``u_…``, ``dof_…``, rms [g], findings.
     verdicts : Columns
@@ -193,10 +195,9 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
         "yield": quality.proportion(passed, total)._asdict(),
         "verdicts": {name: count for name in VERDICTS if (count := verdicts.count(name))},
         "causes": dict(sorted(judged.causes.items(), key=lambda item: -item[1])),
-        "unfit": [
-            {"unit": units.unit[i], "station": units.station[i], "reason": units.why_unfit[i]}
-            for i in np.flatnonzero(unfit).tolist()
-        ],
+        "first": judged.first,
+        "unfit": _named(units, unfit, units.why_unfit),
+        "outside": _named(units, judged.verdict == FAIL, judged.reasons),
         "parameters": _parameters(units, limits, counted),
         "outliers": find_outliers(units, counted),
         "stations": stations,
@@ -208,6 +209,14 @@ def assemble(units: Units, limits: tuple[Limit, ...], how: Mapping[str, Any]) ->
     by_unit = {"unit": units.unit_column, "verdict": judged.verdict, "reasons": judged.reasons}
     tables = units.columns(), Columns(by_unit)
     return Fleet(_settled(summary), *tables, units.time, now(), __version__)
+
+
+def _named(units: Units, which: Mask, reasons: Texts) -> list[dict[str, str]]:
+    """Return some units by name, each with its reason."""
+    return [
+        {"unit": units.unit[i], "station": units.station[i], "reason": reasons[i]}
+        for i in np.flatnonzero(which).tolist()
+    ]
 
 
 def _find_failed(units: Units) -> Findings:
@@ -230,9 +239,7 @@ def _settled(value: Any) -> Any:
     return tuple(map(_settled, value)) if isinstance(value, list) else value
 
 
-def _parameters(
-    units: Units, limits: tuple[Limit, ...], counted: np.ndarray[Any, np.dtype[np.bool_]]
-) -> list[dict[str, Any]]:
+def _parameters(units: Units, limits: tuple[Limit, ...], counted: Mask) -> list[dict[str, Any]]:
     """Return what is said of every parameter, and of what else is limited."""
     by_name = {limit.name: (limit.lsl, limit.usl) for limit in limits}
     _, stations = np.unique(np.array(units.station)[counted], return_inverse=True)

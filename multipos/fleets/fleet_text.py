@@ -1,8 +1,8 @@
 """A fleet as the command prints it.
 
 - `fleet_sentence` returns yield and verdicts as a sentence, `fleet_text` the tables.
-- `parameter_rows`, `station_rows`, `cause_rows`, `outlier_rows`, `drift_rows` are their rows, of
-  which the page is made as well; `percent` writes a share.
+- `parameter_rows`, `station_rows`, `cause_rows`, `limit_rows`, `outlier_rows`, `drift_rows` are
+  their rows, of which the page is made as well; `percent` writes a share.
 """
 
 import re
@@ -31,6 +31,7 @@ def fleet_text(found: Mapping[str, Any]) -> str:
         parts.append(_table("Stations, against their mean", *station_rows(found)))
     for title, (header, rows) in (
         ("Why units do not pass", cause_rows(found)),
+        ("Units outside their limits", limit_rows(found)),
         ("Units that do not belong", outlier_rows(found)),
         ("What moved", drift_rows(found)),
     ):
@@ -124,15 +125,18 @@ def _uncertain(figure: Mapping[str, float] | None) -> str:
 
 
 def cause_rows(found: Mapping[str, Any]) -> Rows:
-    """Return why units do not pass, the commonest cause first; of a finding its first unit."""
-    first: dict[str, str] = {}
-    for each in found.get("unfit", ()):
-        for said in each["reason"].split("; "):
-            first.setdefault(said.partition(" ")[0], f"{each['unit']}: {said}")
+    """Return why units do not pass, the commonest cause first, each with its first unit."""
+    first = found.get("first", {})  # not of version 0.2
     rows = [(cause, str(count), first.get(cause, "-")) for cause, count in found["causes"].items()]
-    if not first:
-        return ("cause", "units"), [row[:2] for row in rows]
     return ("cause", "units", "first"), rows
+
+
+def limit_rows(found: Mapping[str, Any]) -> Rows:
+    """Return the units that are outside their limits."""
+    rows = [
+        (each["unit"], each["station"] or "-", each["reason"]) for each in found.get("outside", ())
+    ]
+    return ("unit", "station", "what"), rows
 
 
 def outlier_rows(found: Mapping[str, Any]) -> Rows:

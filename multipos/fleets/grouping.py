@@ -1,6 +1,7 @@
 """Units out of rows: which rows are whose, and which units were read under the same conditions.
 
 - `group_rows` returns the units of rows, `Grouped`; `Conditions` what each was read under.
+- `put_together` brings the rows of a unit together where they are text.
 
 The conditions of a unit are what a fit reads beside its outputs: labels, orientations, stated
 uncertainties, columns of the model. Units with the same share one design and are solved together.
@@ -9,14 +10,16 @@ two units of different conditions share once in 10¹⁹ pairs.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multipos.files.csv_columns import Cells, arrange_cells
 from multipos.fleets.labels import Codes, Labels
 from multipos.fleets.sources import Owners, Rows
-from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places
+from multipos.numerics.arrays import LARGEST, SMALLEST, Array, Mask, Places, places_of_kinds
 from multipos.positions import attitudes
 from multipos.positions.forces import FORCE
 from multipos.positions.headers import RUN, TEMPERATURE
@@ -70,15 +73,6 @@ class Grouped:
         heads = self.starts[:-1]
         return heads if self.order is None else self.order[heads]
 
-    def piece(self, first: int, last: int) -> "Grouped":
-        """Return the units from first to last, of rows that begin with theirs."""
-        return Grouped(
-            self.order,
-            self.starts[first : last + 1] - self.starts[first],
-            self.unit[first:last],
-            self.station[first:last],
-        )
-
     def arranged(self, column: AnyArray) -> AnyArray:
         """Return a column of the table in the order of the units."""
         return column if self.order is None else column[self.order]
@@ -128,6 +122,28 @@ def _appeared(keys: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
     rank = np.empty(len(different), dtype=np.int32)
     rank[np.argsort(first)] = np.arange(len(different), dtype=np.int32)
     return rank[places]
+
+
+def put_together(rows: Rows, grouped: Grouped) -> tuple[Rows, Grouped]:
+    """Return rows of which those of a unit are together in every text, and their units.
+
+    A text is split piece by piece, and a unit whose rows stand apart would take many of them.
+    """
+    if grouped.order is None:
+        return rows, grouped
+    of_table = np.searchsorted(rows.starts, grouped.order, side="right") - 1
+    tables, place = list(rows.tables), np.arange(rows.count)
+    for i, places in places_of_kinds(of_table, len(tables)):
+        table, mine = tables[i], grouped.order[places] - rows.starts[i]
+        cells: Any = table.columns
+        if isinstance(next(iter(cells.values())), Cells):
+            lines = None if table.lines is None else np.asarray(table.lines)[mine]
+            tables[i] = replace(table, columns=arrange_cells(cells, mine), lines=lines)
+            place[rows.starts[i] + mine] = rows.starts[i] + np.arange(len(mine))
+    order = place[grouped.order]
+    in_order = (order == np.arange(len(order))).all()
+    grouped = replace(grouped, order=None if in_order else order)
+    return replace(rows, tables=tuple(tables)), grouped
 
 
 class Conditions:

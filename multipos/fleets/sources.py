@@ -4,10 +4,9 @@
 - `average_logs` returns the means of raw logs, by how `Averaging` says.
 
 A file is CSV or JSON, packed or not, or Parquet by the extra ``parquet``; a folder stands for all
-such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Only
-the columns of unit and station are read at once, the others piece by piece. Where no column names
-the unit, several files are one unit each, by their names; one that cannot be read is a failed unit.
-Raw logs are averaged first, each one unit: `average_logs`.
+such files in it, a pattern (``line-*.csv``) for those it fits, in the order of their names. Where
+no column names the unit, several files are one unit each, by their names; one that cannot be read
+is a failed unit. Raw logs are averaged first, each one unit: `average_logs`.
 """
 
 import os
@@ -25,16 +24,15 @@ import numpy as np
 
 from multipos.errors import MultiposError, UsageError
 from multipos.files import handed, spelling
-from multipos.files.csv_columns import Cells, FileBytes, joined_cells
+from multipos.files.csv_columns import FileBytes, joined_cells
 from multipos.files.pipes import Pipe, is_folder, is_pipe, is_there, rereadable
 from multipos.files.spelling import StrPath
-from multipos.files.tables import SHORT, Column, Source, Table, open_table, read_table
+from multipos.files.tables import SHORT, Source, Table, open_table, read_table
 from multipos.files.whole import first_bytes
 from multipos.files.written_units import split_unit
 from multipos.finding import Findings, repeated_files
 from multipos.fitting.calibrate_logs import rests_or_rows
 from multipos.fleets.labels import Labels, joined_columns, joined_labels, labels_of
-from multipos.fleets.parquet import is_in_file, is_parquet, read_parquet
 from multipos.numerics.arrays import Array
 from multipos.positions.headers import is_environment
 from multipos.results import frozen
@@ -89,22 +87,6 @@ class Rows:
         return self.starts[-1]
 
     @property
-    def largest(self) -> int:
-        """The most rows that a file gives only together."""
-        return max(
-            (c.largest for t in self.tables for c in t.columns.values() if is_in_file(c)), default=1
-        )
-
-    def piece(self, start: int, stop: int) -> "Rows":
-        """Return the rows from start to stop, read."""
-        parts = []
-        for table, first in zip(self.tables, self.starts[:-1], strict=True):
-            low, high = max(start - first, 0), min(stop - first, table.rows)
-            if low < high:
-                parts.append(_loaded(table, low, high))
-        return Rows(tuple(parts))
-
-    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns that are left."""
         return tuple(self.tables[0].columns)
@@ -144,12 +126,10 @@ class Rows:
         return not all(_are_numbers(table, name) for table in self.tables)
 
     def conditions(self, name: str) -> Labels:
-        """Return a column as labels, read where it still is in its file; the fit checks them."""
+        """Return a column as labels; the fit checks them."""
         if joined := _joined(self.tables, name):
             return labels_of(joined[0], name, checked=False)
-        columns = [{name: _part(table.columns[name], 0, table.rows)} for table in self.tables]
-        tables = [replace(t, columns=c) for t, c in zip(self.tables, columns, strict=True)]
-        return joined_labels([labels_of(table, name, checked=False) for table in tables])
+        return joined_labels([labels_of(table, name, checked=False) for table in self.tables])
 
 
 def _are_numbers(table: Table, name: str) -> bool:
@@ -162,17 +142,6 @@ def _joined(tables: Sequence[Table], name: str) -> tuple[Table, ...]:
     """Return the same column of short tables as one table; none where they are other ones."""
     cells = joined_cells([table.columns[name] for table in tables]) if len(tables) > 1 else None
     return () if cells is None else (replace(tables[0], columns={name: cells}, rows=len(cells)),)
-
-
-def _loaded(table: Table, low: int, high: int) -> Table:
-    """Return some rows of a table, in memory but for the cells of CSV."""
-    columns = {name: _part(column, low, high) for name, column in table.columns.items()}
-    lines = None if table.lines is None else table.lines[low:high]
-    return replace(table, columns=columns, rows=high - low, lines=lines)
-
-
-def _part(column: Column, low: int, high: int) -> Column:
-    return column.part(low, high) if isinstance(column, Cells) else column[low:high]
 
 
 def read_rows(
@@ -190,7 +159,7 @@ def read_rows(
     unit_column, station_column : str, optional
         Which columns name the unit and the station; without the first `unit`, or the files.
     only : str, optional
-        A unit, of which at least all rows are returned; of Parquet no others.
+        A unit, of which at least all rows are returned; of raw logs no others.
     raw : Averaging, optional
         The tables are raw logs, of one unit each, which are averaged so.
 
@@ -202,15 +171,13 @@ def read_rows(
     UsageError
         Nothing names the units.
     """
-    kept = None if only is None or unit_column is None else (unit_column, only)
-    apart = {unit_column or _UNIT, station_column}
     files = _expanded(sources, _ENDINGS if raw is None else _LOGS)
     named = _file_units(files)
     if raw is not None:
         files, named = _of_unit_alone(files, named, only)
         read = average_logs(files, raw)
     else:
-        read = [_tried(source, apart, kept, alone=len(files) == 1) for source in files]
+        read = [_tried(source, alone=len(files) == 1) for source in files]
     alone = len(files) == 1
     findings = _drop_repeated(read, named)
     if findings:
@@ -243,10 +210,6 @@ def read_rows(
     if unit_column is None:
         tables = [_of_unit(table, name) for table, name in zip(tables, names, strict=True)]
     key = unit_column or _UNIT
-    if kept is not None:
-        tables = [table for table in tables if table.rows]
-        if not tables:
-            raise MultiposError(f"no unit '{only}' in column '{key}'; look at units.csv.")
     for table in tables:
         _require_columns(table, tables[0], key, station_column)
     unit = joined_labels([labels_of(table, key) for table in tables])
@@ -259,12 +222,10 @@ def read_rows(
     return rows, Owners(unit, station)
 
 
-def _tried(
-    source: Source, apart: set[str | None], kept: tuple[str, str] | None, *, alone: bool
-) -> Table | MultiposError | None:
+def _tried(source: Source, *, alone: bool) -> Table | MultiposError | None:
     """Return a table; of a file among others, why it cannot be read."""
     try:
-        return _read(source, apart, kept)
+        return _read(source)
     except MultiposError as error:
         if alone or not _is_path(source):
             raise
@@ -473,7 +434,7 @@ def _unpacked(path: Path) -> Path:
     return path.with_suffix("") if path.suffix in _PACKED else path
 
 
-def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) -> Table:
+def _read(source: Source) -> Table:
     if not _is_path(source):
         return read_table(source, what="table")
     if is_pipe(source) and not isinstance(source, Pipe):
@@ -482,11 +443,8 @@ def _read(source: Source, apart: set[str | None], kept: tuple[str, str] | None) 
     if handed.is_packed(head):
         path = handed.unpack(source)
         head = first_bytes(path, SHORT)
-    if is_parquet(head):
-        table = read_parquet(path, apart, kept)
-    else:
-        whole = head.startswith(handed.ARROW) or handed.is_json(head[: 1 << 10])
-        table = read_table(path) if whole else open_table(path, head=head)
+    whole = head.startswith(handed.ARROW) or handed.is_json(head[: 1 << 10])
+    table = read_table(path) if whole else open_table(path, head=head)
     if path is not source:  # what people compare is the file that they have
         sha256 = FileBytes(source, "table").sha256()
         table = replace(table, sha256=sha256, content=table.sha256)

@@ -13,6 +13,7 @@ A limit is on a column of the table of calibrations (a parameter, ``u_…``, ``r
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -32,11 +33,12 @@ VERDICTS = (PASS, FAIL, UNFIT, FAILED)
 
 @frozen
 class Verdicts:
-    """The verdict of every unit (B,), the reasons, and how often each kind of reason came."""
+    """The verdict of every unit (B,), the reasons, how often each kind came, and the first."""
 
     verdict: NDArray[np.str_]
     reasons: Texts
     causes: Mapping[str, int]
+    first: Mapping[str, str]
 
 
 def judge_units(units: Units, limits: Sequence[Limit], unfit: Mask) -> Verdicts:
@@ -56,24 +58,31 @@ def judge_units(units: Units, limits: Sequence[Limit], unfit: Mask) -> Verdicts:
     """
     failed = units.failed
     reasons = units.reasons.copy()
-    causes: dict[str, int] = {}
+    causes: Counter[str] = Counter()
+    first: dict[str, str] = {}
+
+    def count(cause: str, unit: int, text: str) -> None:
+        causes[cause] += 1
+        first.setdefault(cause, f"{units.unit[unit]}: {text}")
+
     outside = np.zeros(len(units), dtype=np.bool_)
     for limit in limits:
         value = column(units, limit.name)
         beyond = ~failed & ~((value >= limit.lsl) & (value <= limit.usl))
         outside |= beyond
-        if beyond.any():
-            causes[f"{limit.name} outside its limits"] = int(beyond.sum())
         for unit in np.flatnonzero(beyond).tolist():
-            _add(reasons, unit, _said(limit, float(value[unit])))
+            said = _said(limit, float(value[unit]))
+            _add(reasons, unit, said)
+            count(f"{limit.name} outside its limits", unit, said)
     for unit in np.flatnonzero(unfit).tolist():
         _add(reasons, unit, units.why_unfit[unit])
+        named = {said.partition(" ")[0]: said for said in units.why_unfit[unit].split("; ")}
         for code in units.findings[unit].split(";"):
-            causes[code] = causes.get(code, 0) + 1
-    if failed.any():
-        causes["no calibration"] = int(failed.sum())
+            count(code, unit, named.get(code, code))
+    for unit in np.flatnonzero(failed).tolist():
+        count("no calibration", unit, units.reasons[unit])
     verdict = np.select([failed, unfit, outside], [FAILED, UNFIT, FAIL], PASS)
-    return Verdicts(verdict, reasons, causes)
+    return Verdicts(verdict, reasons, causes, first)
 
 
 def _add(reasons: Texts, unit: int, text: str) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import multipos as mp
-from multipos.fleets import pieces, solving
+from multipos.fleets import solving, tasks
 from multipos.fleets.workers import open_engine
 
 pytestmark = pytest.mark.filterwarnings("ignore::multipos.errors.CalibrationWarning")
@@ -131,7 +131,7 @@ def test_units_whose_rows_are_correlated_have_the_u_of_fit(options, timed):
 def test_units_that_cannot_be_fitted_are_not_tried_again(monkeypatch):
     """Three for their outputs, three for what the group shares, and the other two."""
     tried = []
-    for module in (pieces, solving):
+    for module in (tasks, solving):
         monkeypatch.setattr(module, "fit_one", lambda table, options: tried.append(1) or "no fit.")
     found = mp.fit_many(line(5), unit_column="unit")
     assert (len(tried), found["reason"].tolist()) == (8, ["no fit."] * 5)

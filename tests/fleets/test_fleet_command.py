@@ -18,7 +18,6 @@ import multipos as mp
 from multipos.cli import main
 from multipos.fleets import folder as fleet_folder
 from multipos.fleets.fleet_text import fleet_sentence
-from multipos.fleets.parquet import read_parquet
 
 pytestmark = pytest.mark.usefixtures("without_drawing")
 
@@ -70,6 +69,12 @@ def test_the_files_have_what_they_promise(tmp_path, table, limits, capsys):
     outside = {u for u, b in zip(rows["unit"], rows["bias_ax"], strict=True) if abs(b) > 0.02}
     assert {u for u, row in verdicts.items() if row["verdict"] == "fail"} == outside
     assert all("bias_ax" in verdicts[unit]["reasons"] for unit in outside)
+    assert {each["unit"]: each["reason"] for each in found["outside"]} == {
+        unit: verdicts[unit]["reasons"] for unit in outside
+    }
+    first = next(unit for unit in rows["unit"] if unit in outside)
+    cause = "bias_ax outside its limits"
+    assert found["first"][cause] == f"{first}: {verdicts[first]['reasons']}"
     assert found["yield"]["value"] == pytest.approx(1.0 - len(outside) / 30)
     (bias,) = (each for each in found["parameters"] if each["name"] == "bias_ax")
     assert (bias["lsl"], bias["usl"]) == (-0.02, 0.02)
@@ -114,24 +119,11 @@ def test_parquet_folders_and_patterns_are_read_as_the_same(tmp_path):
         assert found == whole
 
 
-def test_of_parquet_only_the_rows_of_a_unit_are_read(tmp_path):
-    pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    parquet.write_table(
-        pa.table({"unit": [7, 7, 8], "ax": [0.1, 0.2, 0.3]}), tmp_path / "a.parquet"
-    )
-    one = read_parquet(tmp_path / "a.parquet", {"unit"}, ("unit", "7"))
-    assert (one.rows, one.columns["ax"].tolist()) == (2, [0.1, 0.2])
-    # and of one without that column all, which is refused where columns are named
-    assert read_parquet(tmp_path / "a.parquet", {"unit"}, ("serial", "7")).rows == 3
-
-
 def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
     from multipos.fleets import workers as running
 
     table = line(6, scheme="faces-corners-14")
-    monkeypatch.setattr("multipos.fleets.pieces._READINGS", 2 * 14)
+    monkeypatch.setattr("multipos.fleets.tasks._READINGS", 2 * 14)
     kept = tmp_path / ".progress"
     of_units = {"unit_column": "unit", "station_column": "station"}
     of_units |= {"orientation_sd": 0, "exclude": "none"}
