@@ -5,8 +5,8 @@ c_correction`); `generated_rows` makes rows, and `expected_rows` says what Pytho
 other side of the C file.
 
 Columns that rates are of swing over their range, once slow and once as fast as their rates were
-seen; all others are spread evenly, both a twentieth beyond the range. The segment variable meets
-every edge, and the number just below it; there is a gap in time, and the run starts again.
+seen; all others are spread evenly, both a twentieth beyond the range. There is a gap in time, and
+the run starts again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ from multipos.exports.target_c import array, require_identifier
 from multipos.files.spelling import Names, split_names
 from multipos.files.tables import Table
 from multipos.numerics.arrays import Array, Mask, Places, median
-from multipos.regression.prediction import clear_of_limits, predict_clamped
+from multipos.regression.prediction import hold_inside, place_rows, predict_clamped
 from multipos.regression.rates import filter_time
 from multipos.regression.regression import Regression
 from multipos.results import frozen
@@ -66,8 +66,8 @@ class Drive:
 class Expected(NamedTuple):
     """What Python makes of rows.
 
-    `certain` leaves out rows where a rate or a force that is computed meets an edge, a limit or the
-    turn from heating to cooling to its last digits, so that rounding decides what comes next.
+    `certain` leaves out rows where a column meets an edge, a limit or the turn from heating to
+    cooling to its last digits, so that rounding decides what comes next.
     """
 
     out: Array  # (n, K)
@@ -95,25 +95,21 @@ def expected_rows(c: Correction, drive: Drive, *, single: bool) -> Expected:
         predictors = read_predictors(r, table, drive.run)
         predicted, outside = predict_clamped(r, predictors, n, drive.run)
         beyond |= outside
-        certain &= _certain(c, r, predictors, _CLOSE[single])
-        certain &= clear_of_limits(r, predictors, n, drive.run, _CLOSE[single])
+        certain &= _certain(r, predictors, n, drive.run, _CLOSE[single])
         out[:, k] = columns[c.corrected[k]] - predicted if c.corrected else predicted
     return Expected(out, beyond, certain)
 
 
-def _certain(c: Correction, r: Regression, columns: Mapping[str, Array], close: float) -> Mask:
-    """Tell which rows are clear of every value at which something changes."""
-    certain = np.ones(len(next(iter(columns.values()))) if columns else 1, dtype=bool)
-    for name in (name for name in columns if name in r.rates or name in c.forces):
-        turns = [0.0] if name == r.branch_column else []
-        turns += r.edges if name == r.segment_variable else ()
-        for s in r.segments:
-            turns += s.limits.get(name, ())
-        values = columns[name]
-        scale = close * float(np.abs(values).max(initial=0.0))
-        for turn in turns:
-            certain &= np.abs(values - turn) > scale
-    return certain
+def _certain(
+    r: Regression, columns: Mapping[str, Array], n: int, run: Places, close: float
+) -> Mask:
+    """Tell which rows keep segment and limits where columns are off by a share of their size."""
+    found = []
+    for off in (-close, 0.0, close):
+        moved = {name: x + off * np.abs(x).max(initial=0.0) for name, x in columns.items()}
+        place = place_rows(r, moved, n, run)
+        found.append(np.stack([place, hold_inside(r, moved, place)[0]]))
+    return np.asarray(np.ptp(found, axis=0).max(axis=0) == 0)
 
 
 # --- rows that are made up
@@ -141,20 +137,7 @@ def generated_rows(c: Correction, count: int) -> Drive:
             columns.append(_swing(low - wide, high + wide, _fastest(c, name) * step, count))
         else:
             columns.append(rng.uniform(low - wide, high + wide, count))
-    values = np.column_stack(columns)
-    _meet_edges(c, values)
-    return Drive(run, time, values)
-
-
-def _meet_edges(c: Correction, values: Array) -> None:
-    """Put every edge of an input, and the number just below, into rows that would be near it."""
-    for r in c.regressions:
-        if r.segment_variable not in c.inputs:
-            continue
-        column = values[:, c.inputs.index(r.segment_variable)]
-        for edge in r.edges:
-            nearest = np.argsort(np.abs(column - edge), kind="stable")[:2]
-            column[nearest] = edge, np.nextafter(edge, -np.inf)
+    return Drive(run, time, np.column_stack(columns))
 
 
 def _swing(low: float, high: float, fastest: float, count: int) -> Array:

@@ -2,8 +2,7 @@
 
 `predict_uncertainty` returns u and U of rows, `predict_clamped` what is predicted of rows whose
 variables are held in range, which `hold_inside` does. `place_rows` returns the segment of every
-row, `clear_of_limits` the rows that no rounding moves in or out, and `thermal_balance` what is
-predicted where nothing heats or cools.
+row, and `thermal_balance` what is predicted where nothing heats or cools.
 
     predicted = x'b,        u² = x' C x + s²,        U = k u,                               (1)
 
@@ -52,22 +51,6 @@ def predict_clamped(
     place = place_rows(regression, columns, rows, run)
     beyond, clamped = hold_inside(regression, columns, place)
     return predict_rows(regression, clamped, place), beyond
-
-
-def clear_of_limits(
-    regression: Regression, columns: Mapping[str, Array], n: int, run: Rows | None, unit: float
-) -> Mask:
-    """Tell which rows are clearly in or out by leverage, where terms are off by a share `unit`."""
-    place = place_rows(regression, columns, n, run)
-    clear = np.ones(n, dtype=bool)
-    _, held = hold_inside(regression, columns, place)
-    for number, segment in enumerate(regression.segments):
-        rows, region = np.flatnonzero(place == number), segment.region
-        if region is not None:
-            at = {name: held[name][rows] for name in segment.used}
-            off = np.abs(region.leverage(at, len(rows)) - region.limit)
-            clear[rows] = off > region.rounding(at, len(rows), unit)
-    return clear
 
 
 def predict_uncertainty(

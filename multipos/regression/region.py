@@ -95,12 +95,6 @@ class Region(Result):
             h = h + part * part
         return h
 
-    def rounding(self, columns: Mapping[str, Array], n: int, unit: float) -> Array:
-        """Return by how much h (n,) is uncertain where every term is by a share `unit`."""
-        values = np.stack([np.broadcast_to(t.evaluate(columns), n) for t in self.terms])
-        sums, sizes = np.abs(self.factor @ values), np.abs(self.factor) @ np.abs(values)
-        return np.asarray(2.0 * unit * (sums * sizes).sum(axis=0))
-
 
 def region_factor(kept: Array, left_out: Array, shortest: Array, L: Array | None = None) -> Array:
     """Return G of eqs. (1) and (2).

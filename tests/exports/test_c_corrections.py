@@ -14,20 +14,13 @@ from test_exporters import SANITIZERS, WARNINGS, made
 import multipos as mp
 from multipos.errors import MultiposError, UsageError
 from multipos.exports import target_correction
-from multipos.exports.c_correction import _Writer, declarations, rounding
+from multipos.exports.c_correction import _Writer, declarations
 from multipos.exports.parts import Correction
 from multipos.exports.target_correction import (
     Drive,
-    _allowed,
-    _certain,
-    _meet_edges,
-    _range,
-    _swing,
     expected_rows,
-    generated_rows,
 )
 from multipos.numerics.terms import parse_terms
-from multipos.regression.rates import filter_time
 
 ROWS = 100_000
 
@@ -231,6 +224,22 @@ def test_rows_of_the_fit_are_replayed():
         assert found.difference <= found.allowed < 2e-12
 
 
+@pytest.mark.parametrize("single", [False, True])
+def test_an_edge_belongs_to_the_segment_above(tmp_path, single):
+    """Ten degrees, and the number just below."""
+    regression = fitted("segments")
+    c = Correction(None, (regression,))
+    number = np.float32 if single else np.float64
+    values = np.full((2, len(c.inputs)), 0.5)
+    at = number(10.0), np.nextafter(number(10.0), number(-1.0))
+    values[:, c.inputs.index("temperature")] = at
+    rows = Drive(np.zeros(2, int), np.arange(2.0), values)
+    text = mp.export(regression, "c", float=single).text
+    back = replayed(tmp_path, "gcc", c, text, rows, single=single)
+    out = expected_rows(c, rows, single=single).out
+    np.testing.assert_allclose(back[:, 1:], out, rtol=0, atol=1e-6 if single else 1e-14)
+
+
 def test_time_that_does_not_rise_leaves_the_state(tmp_path):
     regression = fitted("rates and segments")
     c = Correction(None, (regression,))
@@ -362,13 +371,6 @@ def test_each_run_starts_at_rest(tmp_path):
     assert mp.load_regression(tmp_path / "reg.json") == regression
 
 
-def test_rows_that_are_made_up_meet_an_edge_from_below():
-    values = np.array([[4.0], [5.2], [9.0]])
-    regression = SimpleNamespace(segment_variable="t", edges=(5.0,))
-    _meet_edges(SimpleNamespace(regressions=[regression], inputs=("t",)), values)
-    assert values[:, 0].tolist() == [np.nextafter(5.0, 0.0), 5.0, 9.0]
-
-
 @pytest.mark.parametrize(("value", "towards"), [(0.1, 1.0), (0.1, -1.0), (0.7, 1.0), (0.7, -1.0)])
 def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, towards):
     """Of doubles .1 is below and .7 above its nearest in single precision."""
@@ -382,94 +384,9 @@ def test_a_bound_in_single_precision_is_the_nearest_that_is_inside(value, toward
     assert f"t = {wanted};" in (lower if towards > 0.0 else upper)
 
 
-def test_a_swing_goes_slowly_and_then_as_fast_as_it_may():
-    """Three turns in 400 rows, 5·2π·3/400 a row at most; then 1 a row at most."""
-    found = _swing(0.0, 10.0, 1.0, 400)
-    steps = np.abs(np.diff(found))
-    assert 0.0 <= found.min() < 0.01
-    assert 9.99 < found.max() <= 10.0
-    assert steps[:99].max() == pytest.approx(5.0 * 2.0 * np.pi * 3.0 / 400, rel=0.01)
-    assert steps[100:199].max() == pytest.approx(1.0, rel=0.01)
-    assert steps[200:299].max() < 0.25
-
-
 def term(text):
     (found,) = parse_terms(text)
     return found
-
-
-def of_two_terms():
-    segment = SimpleNamespace(
-        used=("t", "t_rate"),
-        limits={"t": (-2.0, 7.0), "t_rate": (-3.0, 1.5)},
-        range=(-5.0, 7.0),
-        values=np.array([-3.0, 0.5]),
-        terms=(term("t"), term("t_rate^2")),
-    )
-    small = SimpleNamespace(**{**vars(segment), "values": np.array([1.0, 0.25])})
-    return SimpleNamespace(rates=("t_rate",), segment_variable="t", segments=(small, segment))
-
-
-def test_rounding_of_a_segment_by_hand():
-    """Two terms: (2 + 1 + 4)·3·7 and, of a rate, (2 + 2 + 4 + 2·(2·25 + 4))·.5·9."""
-    regression = of_two_terms()
-    by_hand = 7 * 21 + (8 + 2 * 54) * 4.5
-    assert rounding(regression, single=False, steps=25.0) == pytest.approx(2.0**-53 * by_hand)
-    assert rounding(regression, single=True, steps=25.0) == pytest.approx(2.0**-24 * by_hand)
-
-
-@pytest.mark.parametrize("single", [False, True])
-def test_how_far_c_may_be_from_python_by_hand(single):
-    """Steps of .25 and .5 s, their median, and a window of 8: what comes in, goes out, and g."""
-    regression = of_two_terms()
-    c = SimpleNamespace(
-        regressions=(regression,), rates=(("t", 8.0), ("v", 3.0)), corrected=True, calibration=1
-    )
-    time = np.array([0.0, 0.25, 0.75, 1.25, 90.0, 90.5, 91.5])
-    rows = SimpleNamespace(time=time, begins=np.array([1, 0, 0, 0, 1, 0, 0], dtype=bool))
-    (allowed,) = _allowed(c, rows, np.array([[3.0], [-7.0], [5.0]]), single)
-    steps = filter_time(8.0) / 0.5
-    by_hand = rounding(regression, single=single, steps=steps)
-    by_hand += 7.0 * 2.0**-23 + 5e-7 if single else 7.0 * (2.0**-52 + 1e-12) + 1e-9
-    assert allowed == pytest.approx(by_hand, rel=1e-12, abs=0.0)
-
-
-def test_rows_near_a_value_at_which_something_changes_are_not_certain():
-    """A branch at 0, an edge at 20, limits at -30 and 50; near is a hundredth of 60."""
-    segments = [SimpleNamespace(limits={"t": (-30.0, 50.0)})]
-    regression = SimpleNamespace(
-        rates=("t",), branch_column="t", segment_variable="t", edges=(20.0,), segments=segments
-    )
-    values = np.array([0.5, 0.7, -0.5, 20.5, 19.3, -30.5, -29.3, 50.5, 49.3, -60.0])
-    found = _certain(SimpleNamespace(forces=()), regression, {"t": values, "other": values}, 0.01)
-    assert found.tolist() == [False, True, False, False, True, False, True, False, True, True]
-
-
-def test_rows_that_are_made_up_by_hand():
-    """A twentieth of the shorter window a step, a gap of a hundred steps, a clock set again."""
-    segment = SimpleNamespace(limits={"t": (10.0, 50.0), "v": (2.0, 3.0), "t_rate": (-3.0, 2.0)})
-    regression = SimpleNamespace(
-        segments=(segment,), segment_variable=None, edges=(), time="time", range=None
-    )
-    c = SimpleNamespace(
-        rates=(("t", 8.0), ("u", 6.0)), regressions=(regression,), inputs=("t", "v"),
-        calibration=None,
-    )  # fmt: skip
-    rows = generated_rows(c, 600)
-    np.testing.assert_allclose(rows.time[[0, 1, 199, 200, 299, 300, 301]] / 0.3, [
-        0, 1, 199, 300, 399, 0, 1])  # fmt: skip
-    assert rows.run.tolist() == [0] * 300 + [1] * 300
-    t, v = rows.values.T
-    assert (t.min(), t.max()) == (pytest.approx(8.0, abs=0.1), pytest.approx(52.0, abs=0.1))
-    # of the largest rate and 5 %, in rows of .3 s; and slowly before
-    assert np.abs(np.diff(t[:300])).max() == pytest.approx(1.05 * 3.0 * 0.3, rel=0.01)
-    assert 1.95 <= v.min() < 1.96
-    assert 3.04 < v.max() <= 3.05
-    assert _range(SimpleNamespace(regressions=(), calibration=None), "t") == (-1.0, 1.0)
-    # what parts a regression covers a column too
-    regression.segment_variable, segment.range = "t", (-7.0, 12.0)
-    assert _range(c, "t") == (-7.0, 50.0)
-    assert _range(c, "v") == (2.0, 3.0)
 
 
 def test_the_self_test_asks_for_no_code_where_rounding_decides(monkeypatch):

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,30 +13,20 @@ from amounts import rest_slow
 from consumers import SIGNATURE, read_back
 from findings_bench import texts
 from log_bench import sensor, shared
-from numpy.testing import assert_allclose
 
 import multipos as mp
 from multipos.cli import main
-from multipos.exports import target_autopilots
-from multipos.exports.c_body import _Writer, counted_steps, exact_inverse, needed_steps
-from multipos.exports.c_fixed import _per_unit
+from multipos.exports.c_body import needed_steps
 from multipos.exports.laws import (
     Correction,
-    Drift,
-    _require_no_turn,
     in_metres,
-    law_residuals,
-    raw_in,
     raw_zero,
     reduce_to,
-    rms_left,
 )
 from multipos.exports.target_autopilots import _counts_of_g, _rounded_for_inav
-from multipos.exports.target_c import _vectors, signature
+from multipos.exports.target_c import signature
 from multipos.exports.targets import export
 from multipos.numerics.rotations import rotation_matrix
-from multipos.numerics.terms import parse_terms
-from multipos.sensor.found import Estimator
 from multipos.sensor.model import build_model
 
 READINGS = 100_000
@@ -663,71 +652,12 @@ def test_the_metres_of_a_unit_of_the_readings(size, how, metres):
     assert raw_zero(found) == (3.0 if nominal else 0.0)
 
 
-def test_what_is_left_of_unknown_orientations_is_of_the_size():
-    up = mp.read_scheme("faces-6").up
-    c = SimpleNamespace(estimator=Estimator.UNKNOWN, sign=-1.0, reference=2.0 * up)
-    across = np.roll(up, 1, axis=1)
-    left = rms_left(c, -0.03 * up + 0.04 * across)  # of 2.03 and .04
-    assert left == pytest.approx(np.hypot(2.03, 0.04) - 2.0, rel=1e-12)
-
-
-@pytest.mark.parametrize(("degrees", "refused"), [(0.25, True), (0.15, False)])
-def test_a_turn_beyond_its_u_is_refused(degrees, refused):
-    mounting = {axis: {"u": u} for axis, u in (("x", 0.05), ("y", 0.1), ("z", 0.02))}
-    c = SimpleNamespace(intrinsic={"mounting_deg": mounting})
-    turn = rotation_matrix(np.radians([0.0, degrees, 0.0]))
-    _require_no_turn(c, turn, "px4", True)
-    if refused:
-        with pytest.raises(
-            mp.MultiposError, match=r"turned by 0\.25 degrees in its case \(U 0\.2\)"
-        ):
-            _require_no_turn(c, turn, "px4", False)
-    else:
-        _require_no_turn(c, turn, "px4", False)
-
-
-def test_vectors_are_the_readings_and_the_middles_of_neighbours():
-    """Twelve of 34 rows, evenly, and between each and the one before it."""
-    up = mp.read_scheme("fibonacci-34").up
-    t = np.linspace(-3.0, 41.0, 34) ** 2
-    cal = mp.fit(
-        mp.Readings(1.1 * up + 0.01 + 1e-4 * t[:, None], up=up, environment={"temperature": t}),
-        model="1 + x + y + z + temperature",
-    )
-    raw, env, force = _vectors(cal, single=False)
-    rows = [0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 33]
-    values = cal.readings.values[rows]
-    np.testing.assert_allclose(raw[:12], values)
-    np.testing.assert_allclose(raw[13], (values[1] + values[0]) / 2.0)
-    np.testing.assert_allclose(raw[12], (values[0] + values[11]) / 2.0)
-    np.testing.assert_allclose(env[14], (t[6] + t[3]) / 2.0)
-    np.testing.assert_allclose(1.1 * force + 0.01 + 1e-4 * env, raw, atol=1e-12)
-
-
 def test_sensitivities_next_to_nothing_have_no_inverse():
     cal = made(*SENSORS["linear"])
     parameters = cal.parameters.copy()
     parameters[cal.model.slices[-1]] *= 1e-300
     with pytest.raises(mp.MultiposError, match="an output does not sense its axis"):
         reduce_to(replace(cal, parameters=parameters), "1 + x + y + z", "px4", allow_lossy=True)
-
-
-def test_what_a_law_leaves_by_hand():
-    """f = V T (raw − o − c (t − 20) …)/9.80665, less the force: minus a reference of gravity."""
-    rng = np.random.default_rng(3)
-    raw, reference, t = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.uniform(5, 40, 5)
-    matrix, offset, slopes = rng.normal(size=(3, 3)), rng.normal(size=3), rng.normal(size=(3, 3))
-    turn = rotation_matrix(np.array([0.3, -0.2, 0.5]))
-    readings = SimpleNamespace(values=raw, environment={"temperature": t})
-    c = SimpleNamespace(
-        model=SimpleNamespace(axes=("y", "z", "x")), readings=readings, sign=-1.0,
-        reference=reference,
-    )  # fmt: skip
-    found = law_residuals(c, Correction(matrix, offset, Drift(slopes, 20.0, 10.0, 35.0), turn))
-    for row, f in enumerate(found):
-        x = np.clip(t[row], 10.0, 35.0) - 20.0
-        left = raw[row, [2, 0, 1]] - offset - x * slopes[0] - x**2 * slopes[1] - x**3 * slopes[2]
-        np.testing.assert_allclose(f, turn @ matrix @ left / 9.80665 + reference[row], rtol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -750,96 +680,3 @@ def test_the_counts_of_a_g_of_a_flight_controller(scale, how, counts):
     assert held.offset.tolist() == [-3.0, 1.0, 8.0]
     steps = 4096 * counts * np.diag(held.matrix) / 9.80665
     np.testing.assert_allclose(steps, [3973.0, 4096.0, 4178.0], rtol=1e-12)
-
-
-def test_the_tesla_of_a_unit_of_the_readings():
-    """Counts of .15 µT each, for a consumer in milligauss, 1e-7 T: 1.5 of its units."""
-    nominal = SimpleNamespace(scale=1.0 / 0.15)
-    c = SimpleNamespace(model=SimpleNamespace(unit="count"), nominal=nominal)
-    assert raw_in(c, "px4", 1e-7, 7.0) == pytest.approx(1.5)
-    c.model.unit = "uT"
-    assert raw_in(c, "px4", 1e-7, 7.0) == pytest.approx(10.0)
-
-
-@pytest.mark.parametrize(
-    ("size", "whole"), [(48.7, 100_000), (0.487, 10_000_000), (9.99e5, 10), (3e7, 1)]
-)
-def test_whole_numbers_of_a_field_have_seven_digits(size, whole):
-    field = SimpleNamespace(full_scale=size)
-    assert _per_unit(SimpleNamespace(field=field)) == whole
-
-
-def test_exact_equations_are_solved_by_elimination():
-    A = np.array([[0.0, 2.0, -1.0], [3.0, -6.0, 5.0], [7.0, 4.0, 9.0]])
-    np.testing.assert_allclose(exact_inverse(A), np.linalg.inv(A), rtol=1e-12)
-    with pytest.raises(np.linalg.LinAlgError):
-        exact_inverse(A[:, [0, 1, 1]])
-
-
-def test_a_product_of_columns_about_the_middle():
-    """3 t² p about t = 20, p = 5: every part with its powers of what is left, by evaluation."""
-    writer = SimpleNamespace(_middle={"p": 5.0, "t": 20.0}, _single=False)
-    (found,) = parse_terms("t^2*p")
-    parts = _Writer._about_middle(writer, 3.0, found)
-    left = {"t0": 1.7, "t1": -2.3}
-    total = sum(weight * eval(product or "1", {}, left) for weight, product in parts)
-    assert total == pytest.approx(3.0 * (20.0 - 2.3) ** 2 * (5.0 + 1.7), rel=1e-12)
-    assert len(parts) == 6
-
-
-def test_slopes_of_more_outputs_than_axes_are_those_of_the_model():
-    """What C has of dh/df by evaluation, of second and third order and a product of magnitude."""
-    up = mp.read_scheme("all-26").up
-    y = np.column_stack([up, up[:, 0]]) * [1.1, 0.9, 1.2, 0.7] + 0.02
-    y += 0.01 * np.column_stack([up[:, [1, 2, 0]] ** 2, up[:, 0] * up[:, 1]])
-    model = "1 + x + y + z + own^2 + own*other + own^3"
-    c = mp.fit(mp.Readings(y, up=up, outputs=("a", "b", "c", "d")), model=model, axes="x,y,z,x")
-    writer = _Writer(c, single=False)
-    _, coefficients = writer._coefficients()
-    f = np.array([[0.3, -0.7, 0.5]])
-    names = dict(zip("xyz", f[0].tolist(), strict=True))
-    found = [[eval(writer._slope_of(i, k, coefficients), {}, names) for k in range(3)]
-             for i in range(4)]  # fmt: skip
-    assert_allclose(found, c.model.force_jacobian(c.parameters, f, {})[0], rtol=1e-12, atol=1e-14)
-
-
-def test_steps_are_counted_until_every_force_is_near():
-    """Of y = f + .03 f², by f + (y − f − .03 f²), from nothing to a third beyond either end."""
-    up = mp.read_scheme("faces-6").up
-    cal = mp.fit(mp.Readings(up + 0.03 * up**2, up=up), model="1 + x + y + z + own^2")
-    needed = 0
-    for true in (4.0 / 3.0, -4.0 / 3.0):
-        f, steps = 0.0, 0
-        while steps == 0 or abs(f - true) > 1e-9:
-            f, steps = f + (true + 0.03 * true**2) - (f + 0.03 * f**2), steps + 1
-        needed = max(needed, steps)
-    assert counted_steps(cal, np.eye(3), 1e-9) == needed
-    assert counted_steps(cal, np.eye(3), 1e-300) == 40
-
-
-def test_a_law_of_raw_values_in_metres_is_the_same_law():
-    rng = np.random.default_rng(5)
-    drift = Drift(rng.normal(size=(3, 3)), 20.0, 0.0, 40.0)
-    law = Correction(rng.normal(size=(3, 3)), rng.normal(size=3), drift)
-    other, readings = law.of_raw_in(0.3, 7.0), rng.normal(size=3)
-    raw = 0.3 * (readings - 7.0)
-    by_hand = law.matrix @ (readings - law.offset - law.drift.offset([31.0])[0])
-    found = other.matrix @ (raw - other.offset - other.drift.offset([31.0])[0])
-    np.testing.assert_allclose(found, by_hand)
-
-
-def test_numbers_that_a_file_names_are_held_by_single_precision(monkeypatch):
-    """Off-diagonals that are zero need not be; offsets have the sign of the target."""
-    held = []
-    monkeypatch.setattr(
-        target_autopilots.parameters,
-        "require_writable",
-        lambda c, name, value, info: held.append(name),
-    )
-    matrix = np.array([[1.1, 0.02, 0.0], [0.02, 0.9, -0.03], [0.0, -0.03, 1.2]])
-    law = Correction(matrix, np.array([0.0, 4.0, -5.0]))
-    names = ("OFFX", "OFFY", "OFFZ", "DIAX", "DIAY", "DIAZ", "ODIX", "ODIY", "ODIZ")
-    found = dict(target_autopilots._values(None, law, names, -1.0))
-    assert list(found.values()) == [0.0, -4.0, 5.0, 1.1, 0.9, 1.2, 0.02, 0.0, -0.03]
-    assert held == [name for name in names if name != "ODIY"]
-    assert list(dict(target_autopilots._values(None, law, names[:6]))) == list(names[:6])
