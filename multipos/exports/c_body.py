@@ -1,19 +1,18 @@
 """The model's inverse as lines of C.
 
 `function_body` returns the body of the function. `needed_steps` and `counted_steps` return how many
-steps it takes, over the forces of `force_grid`, and `steps_in_words` says so; `exact_inverse` and
-`exact_normal_inverse` return matrices correctly rounded; `stepped` writes steps and
-`written_factors` terms; `environment_range` and `slope_in_the_middle` return where a column lies
-and dh/df there.
+steps it takes, over the forces of `force_grid`, and `steps_in_words` says so; `exact_inverse`
+returns a matrix correctly rounded; `stepped` writes steps and `written_factors` terms; `is_linear`
+tells which model takes none; `environment_range` and `slope_in_the_middle` return where a column
+lies and dh/df there.
 
-A linear model is one matrix product, f = T (raw − o). Anything else is solved by a fixed number
-of steps of
+A linear model is one matrix product, f = T (raw − o). Another with as many outputs as axes is
+solved by a fixed number of steps of
 
-    f <- P (d - n(f, e)),    d = raw - o,    P = K0^+,                                     (1)
+    f <- P (d - n(f, e)),    d = raw - o,    P = K0⁻¹,                                     (1)
 
 where o and K0 are bias and linear coefficients in the middle of the calibrated environment and n
-all the rest of the model. With more outputs than axes the step is taken along J', J = dh/df, so
-that the least-squares answer is met: f <- f + (K0'K0)⁻¹ J' (d − K0 f − n).
+all the rest of the model.
 
 Single precision subtracts a bias in two parts, the second being what the first cannot hold.
 
@@ -39,6 +38,7 @@ from multipos.numerics.arrays import COMPONENTS, Array
 from multipos.numerics.factors import FUNCTIONS, Code, Factor
 from multipos.numerics.terms import CONSTANT, Term, linear_term
 from multipos.sensor.calibration import Calibration
+from multipos.sensor.model import Model
 
 _HEADROOM = 2.0  # times the largest calibrated force, over which rho is taken
 _SLOWEST = 0.5
@@ -97,11 +97,7 @@ def counted_steps(calibration: Calibration, slope: Array, tolerance: float) -> i
     normal = np.linalg.inv(slope.T @ slope)
     for step in range(1, _MOST):
         left = raw - model.predict(parameters, found, columns)
-        turned = left @ slope
-        if len(slope) > len(sensed):
-            J = model.force_jacobian(parameters, found, columns)[:, :, sensed]
-            turned = np.einsum("nmk,nm->nk", J, left)
-        found[:, sensed] += turned @ normal
+        found[:, sensed] += left @ slope @ normal
         if np.abs(found - force).max() <= tolerance:
             return step
     return _MOST
@@ -126,10 +122,7 @@ def _contraction(calibration: Calibration, slope: Array) -> float:
     grid, columns = force_grid(calibration, _HEADROOM)
     jacobian = model.force_jacobian(calibration.parameters, grid, columns)[:, :, sensed]
     try:
-        if len(slope) > len(sensed):
-            moved = np.linalg.inv(slope.T @ slope) @ jacobian.transpose(0, 2, 1) @ jacobian
-        else:
-            moved = np.linalg.inv(slope) @ jacobian
+        moved = np.linalg.inv(slope) @ jacobian
     except np.linalg.LinAlgError:  # where no step begins, none shrinks an error
         return np.inf
     return float(np.linalg.norm(np.eye(len(sensed)) - moved, ord=2, axis=(1, 2)).max())
@@ -157,7 +150,13 @@ def function_body(calibration: Calibration, *, single: bool) -> Body:
         The steps of eq. (1) would not converge.
     """
     writer = _Writer(calibration, single)
-    return writer.linear() if writer.is_linear else writer.polynomial()
+    return writer.linear() if is_linear(calibration.model) else writer.polynomial()
+
+
+def is_linear(model: Model) -> bool:
+    """Tell whether one matrix product inverts a model."""
+    bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
+    return model.has_terms and all(term in bare for term in model.basis_terms)
 
 
 def steps_in_words(steps: int, rho: float) -> str:
@@ -182,12 +181,6 @@ def exact_inverse(A: Array) -> Array:
     """
     exact = _as_fractions(A)
     return _solved(exact.T @ exact, exact.T)
-
-
-def exact_normal_inverse(A: Array) -> Array:
-    """Return (AᵀA)⁻¹, correctly rounded."""
-    exact = _as_fractions(A)
-    return _solved(exact.T @ exact, _as_fractions(np.eye(A.shape[1])))
 
 
 def _as_fractions(A: Array) -> _Exact:
@@ -226,12 +219,6 @@ class _Writer:
         self._slope = linear[:, [1 + i for i in self._model.sensed_axes]]
         self._inverse = exact_inverse(self._slope)
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether one matrix product does it."""
-        bare: set[Term] = {CONSTANT, *(linear_term(axis) for axis in COMPONENTS)}
-        return all(term in bare for term in self._model.basis_terms)
-
     def linear(self) -> Body:
         lines: list[Statement] = [*self._offsets()]
         for k, row in enumerate(self._inverse):
@@ -241,8 +228,7 @@ class _Writer:
     def polynomial(self) -> Body:
         steps, rho = needed_steps(self._calibration, self._slope, single=self._single)
         constants, coefficients = self._coefficients()
-        inner = self._functions(coefficients)
-        inner += self._redundant(coefficients) if self._is_redundant else self._square(coefficients)
+        inner = [*self._functions(coefficients), *self._square(coefficients)]
         named = [f"const {self._real.kind} {each};" for each in self._shifts(constants) + constants]
         lines = stepped(self._real, self._sensed, steps, [*inner], self._sensed)
         return Body([*self._offsets(), *named, *lines], steps_in_words(steps, rho))
@@ -264,10 +250,6 @@ class _Writer:
     def _written(self, template: str, variable: str) -> str:
         return template.format(v=variable, zero=self._real.number(0.0), one=self._real.number(1.0))
 
-    @property
-    def _is_redundant(self) -> bool:
-        return len(self._slope) > len(self._sensed)
-
     def _square(self, coefficients: list[_RestTerm]) -> list[str]:
         lines = []
         for i in range(len(self._bias)):
@@ -278,40 +260,9 @@ class _Writer:
             lines.append(f"{axis} = {self._total(self._inverse[k], 'r')};")
         return lines
 
-    def _redundant(self, coefficients: list[_RestTerm]) -> list[str]:
-        """Write a step along J', for more outputs than axes."""
-        lines = []
-        outputs = range(len(self._bias))
-        for i in outputs:
-            parts = self._rest_of(i, coefficients)
-            parts += [(v, axis) for v, axis in zip(self._slope[i], self._sensed, strict=True)]
-            lines.append(f"const {self._real.kind} r{i} = d{i} - ({self._real.sum(parts)});")
-        for k in range(len(self._sensed)):
-            gradient = [f"({self._slope_of(i, k, coefficients)}) * r{i}" for i in outputs]
-            lines.append(f"const {self._real.kind} g{k} = {' + '.join(gradient)};")
-        normal = exact_normal_inverse(self._slope)
-        for k, axis in enumerate(self._sensed):
-            lines.append(f"{axis} += {self._total(normal[k], 'g')};")
-        return lines
-
     def _rest_of(self, i: int, coefficients: list[_RestTerm]) -> list[tuple[float, str]]:
         """Return n of eq. (1) for one output, as numbers times products."""
         return [(c, self._product(name, term)) for j, term, (c, name) in coefficients if j == i]
-
-    def _slope_of(self, i: int, k: int, coefficients: list[_RestTerm]) -> str:
-        """Return the element of J = dh/df of one output and one axis."""
-        axis = self._sensed[k]
-        parts = [(float(self._slope[i, k]), "")]
-        for j, term, (c, name) in coefficients:
-            if j != i:
-                continue
-            weight, lower, slope = _derivative(term, axis)
-            product = self._product(name, lower)
-            if slope:
-                turn = f"({self._written(slope, axis)})"
-                product = f"{product} * {turn}" if product else turn
-            parts.append((c * weight, product))
-        return self._real.sum(parts)
 
     def _offsets(self) -> list[str]:
         """Write all that is read before anything is written: raw and accel may be one array."""
@@ -427,17 +378,6 @@ def _collected(parts: list[tuple[float, str]]) -> list[tuple[float, str]]:
         key = "" if product == "1" else product
         total[key] = total.get(key, 0.0) + value
     return [(value, product) for product, value in total.items()]
-
-
-def _derivative(term: Term, axis: str) -> tuple[float, Term, str]:
-    """Return the derivative of a product of force: weight, what remains, a slope in C or ''."""
-    mine = next((factor for factor in term.factors if factor.variable == axis), None)
-    if mine is None:
-        return 0.0, CONSTANT, ""
-    if not mine.power:
-        rest = tuple(factor for factor in term.factors if factor is not mine)
-        return 1.0, Term(rest), _code(mine).slope
-    return float(mine.degree), term.lowered(mine), ""
 
 
 def written_factors(term: Term, named: Mapping[str, str], single: bool) -> list[str]:

@@ -1,4 +1,4 @@
-"""The inverse of a user-defined model, as lines of C.
+"""The inverse of a user-defined model, or of more outputs than axes, as lines of C.
 
 `expression_body` writes it, `unseen_part` what the component that no output senses adds to it.
 
@@ -171,10 +171,14 @@ def _outputs_at(calibration: Calibration, force: Any, env: Any) -> Any:
     import casadi
 
     model = calibration.model
-    assert isinstance(model, ExpressionModel)
-    outputs, symbols = model.compiled.outputs, model.compiled.symbols
-    at = [force, env, casadi.SX(calibration.parameters)]
-    return casadi.substitute([casadi.vertcat(*outputs)], list(symbols), at)[0]
+    if isinstance(model, ExpressionModel):
+        at = [force, env, casadi.SX(calibration.parameters)]
+        outputs, symbols = model.compiled.outputs, model.compiled.symbols
+        return casadi.substitute([casadi.vertcat(*outputs)], list(symbols), at)[0]
+    values = [*casadi.vertsplit(force), *casadi.vertsplit(env)]
+    variables = dict(zip((*COMPONENTS, *model.environment), values, strict=True))
+    basis = casadi.vertcat(*(term.evaluate(variables) for term in model.basis_terms))
+    return casadi.DM(model.coefficients(calibration.parameters)) @ basis
 
 
 def _write(

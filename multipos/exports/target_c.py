@@ -32,6 +32,7 @@ from multipos.exports import c_expression, c_fixed, c_text
 from multipos.exports.c_body import (
     environment_range,
     function_body,
+    is_linear,
     slope_in_the_middle,
     written_factors,
 )
@@ -187,7 +188,8 @@ def c_source(calibration: Calibration, wish: Wish) -> str:
     _require_held(calibration, single)
     _vectors(calibration, single)  # which says why, where the model has no inverse
     real, model = Real(single), calibration.model
-    write = function_body if model.has_terms else c_expression.expression_body
+    by_terms = model.has_terms and len(model.outputs) == len(model.sensed_axes)
+    write = function_body if by_terms or is_linear(model) else c_expression.expression_body
     body = write(calibration, single=single)
     lines, unit = body.statements, "m/s^2" if in_metres else _unit(calibration)
     if in_metres:

@@ -26,7 +26,6 @@ class Code(NamedTuple):
 
     prefix: str  # of the constant that holds its value, before the variable
     value: str
-    slope: str
 
 
 class Function(NamedTuple):
@@ -50,7 +49,7 @@ FUNCTIONS = {
         is_odd=False,
         value=abs,
         slope=np.sign,
-        code=Code("a", "{v} < {zero} ? -{v} : {v}", "{v} < {zero} ? -{one} : {one}"),
+        code=Code("a", "{v} < {zero} ? -{v} : {v}"),
     ),
 }
 _NAME = r"[^\W\d]\w*"

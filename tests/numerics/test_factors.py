@@ -26,7 +26,7 @@ SGN = Function(
     is_odd=True,
     value=np.sign,
     slope=lambda v: 0.0 * v,
-    code=Code("s", "({v} > {zero} ? {one} : {zero}) - ({v} < {zero} ? {one} : {zero})", "{zero}"),
+    code=Code("s", "({v} > {zero} ? {one} : {zero}) - ({v} < {zero} ? {one} : {zero})"),
 )
 FORMULA = "1 + x + y + z + own*sgn(own) + own*sgn(temperature)"
 
