@@ -31,7 +31,7 @@ CEILINGS = {
     "fitting": 1399,
     "fleets": 3322,
     "logs": 4124,
-    "numerics": 1768,
+    "numerics": 1767,
     "page": 466,
     "plots": 1320,
     "positions": 2365,
